@@ -1,0 +1,1 @@
+"""Foreign measurements in, run files out."""

@@ -1,0 +1,1 @@
+"""What people type they can also call: the functions behind `import dragrig`."""

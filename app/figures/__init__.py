@@ -1,0 +1,1 @@
+"""Pictures of run files and of the friction model, drawn with matplotlib."""

@@ -1,0 +1,147 @@
+"""The rig: stage, encoder, force sensor, guard, recording, and what the simulated one adds."""
+
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from dragrig.config.base import Settings
+
+
+class StageSettings(Settings):
+    """The linear motor's axis; positions are absolute, after homing."""
+
+    model: str = "NLA-7SL"
+    lowest_mm: float = 0.0
+    """Soft limit."""
+    highest_mm: float = 150.0
+    """Soft limit."""
+    start_mm: float = 40.0
+    """Where runs begin unless the plan says otherwise."""
+    max_speed_mm_s: float = Field(default=100.0, gt=0, le=5000)
+    max_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
+    stop_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
+    """Deceleration of a stop."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.lowest_mm <= self.start_mm <= self.highest_mm:
+            raise ValueError("start_mm must lie between lowest_mm and highest_mm")
+        return self
+
+
+class EncoderSettings(Settings):
+    """The position encoder."""
+
+    model: str = "RGH22X"
+    resolution_um: float = Field(default=1.0, gt=0, le=1000)
+    """Length of one count after X4 decoding."""
+
+
+class ForceSensorSettings(Settings):
+    """The force sensor and its converter."""
+
+    serial: str = ""
+    range_mN: float = Field(default=10_000.0, gt=0, le=1e6)
+    """Full scale to either side."""
+    bits: int = Field(default=16, ge=8, le=32)
+    accuracy_mN: float = Field(default=5.0, gt=0)
+
+
+class SamplingSettings(Settings):
+    """The common sample clock of all channels."""
+
+    rate_hz: float = Field(default=1000.0, ge=10, le=250_000)
+    block_s: float = Field(default=0.05, gt=0, le=0.05)
+    """Length of the blocks that guard, recorder and viewers see."""
+    motor_force: bool = True
+    """Record the motor's force beside the sensor's."""
+
+
+class GuardSettings(Settings):
+    """When the guard stops the stage."""
+
+    force_limit_mN: float = Field(default=8000.0, gt=0)
+    position_margin_mm: float = Field(default=1.0, ge=0)
+    """How far outside the profile's own range the stage may be seen."""
+    speed_factor: float = Field(default=1.5, gt=1)
+    """Trip above this times the profile's highest speed …"""
+    speed_margin_mm_s: float = Field(default=5.0, ge=0)
+    """… plus this."""
+    following_error_mm: float = Field(default=0.5, gt=0)
+    """Allowed distance between command and position at standstill …"""
+    following_error_per_speed_s: float = Field(default=0.05, ge=0)
+    """… plus this times the speed."""
+    stale_data_s: float = Field(default=0.2, gt=0, le=5)
+    """Trip when no block arrives for this long."""
+
+
+class RecordingSettings(Settings):
+    """How runs are put on disk."""
+
+    flush_s: float = Field(default=0.2, gt=0, le=0.25)
+    """Longest time of data that a crash may cost."""
+    reserve_mb: float = Field(default=64.0, ge=1)
+    """Free space below which a run stops, besides twice the run's own size."""
+
+
+class NoiseSettings(Settings):
+    """Noise of the simulated force sensor."""
+
+    white_mN: float = Field(default=1.5, ge=0)
+    slow_mN: float = Field(default=0.5, ge=0)
+    """Standard deviation of the exponentially correlated part."""
+    slow_correlation_s: float = Field(default=0.2, gt=0)
+    zero_mN: float = Field(default=3.0, ge=0)
+    """Standard deviation of the zero offset from run to run."""
+
+
+class MotorSettings(Settings):
+    """The simulated stage's own mechanics, as its motor force shows them."""
+
+    moving_mass_g: float = Field(default=1200.0, gt=0)
+    viscous_mN_s_mm: float = Field(default=4.0, ge=0)
+    coulomb_mN: float = Field(default=300.0, ge=0)
+    offset_mN: float = 15.0
+    noise_mN: float = Field(default=8.0, ge=0)
+
+
+class VariationSettings(Settings):
+    """How simulated specimens and runs differ, as relative standard deviations."""
+
+    specimen: bool = False
+    """Draw this session's specimen at random instead of taking the model's values."""
+    run_stiffness: float = Field(default=0.02, ge=0, le=0.5)
+    run_friction: float = Field(default=0.015, ge=0, le=0.5)
+
+
+class SimulatedSettings(Settings):
+    """What only the simulated rig needs."""
+
+    seed: int = Field(default=20120509, ge=0, lt=2**63)
+    noise: NoiseSettings = NoiseSettings()
+    motor: MotorSettings = MotorSettings()
+    variation: VariationSettings = VariationSettings()
+
+
+class DataSettings(Settings):
+    """Where run files go."""
+
+    root: Path = Path("runs")
+    """Folder of the campaigns, relative to the rig file."""
+
+
+class RigSettings(Settings):
+    """Everything that is set once per rig."""
+
+    name: str = Field(default="simulated bench", min_length=1)
+    backend: str = "simulated"
+    """Backend of runs that name none."""
+    stage: StageSettings = StageSettings()
+    encoder: EncoderSettings = EncoderSettings()
+    force_sensor: ForceSensorSettings = ForceSensorSettings()
+    sampling: SamplingSettings = SamplingSettings()
+    guard: GuardSettings = GuardSettings()
+    recording: RecordingSettings = RecordingSettings()
+    simulated: SimulatedSettings = SimulatedSettings()
+    data: DataSettings = DataSettings()

@@ -1,0 +1,1 @@
+"""The rig: devices, protocols, guard, engine and run files."""

@@ -1,0 +1,244 @@
+"""What a rig is made of: small protocols that real and simulated devices both fulfil.
+
+A block is immutable and passes guard, recorder and viewers in that order. Positions of the stage are
+absolute (after homing); positions inside a block are relative to where the run started.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from threading import Event as Signal
+from typing import Protocol, runtime_checkable
+
+from dragrig.config.capsule import Capsule
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.arrays import AnyFloatArray
+from dragrig.rig.profile import MotionProfile
+from dragrig.rig.runfile.model import Channel
+
+LONGEST_BLOCK_S = 0.05
+"""No block spans more than this, so that the guard never sees older data than this."""
+
+
+class Contact(StrEnum):
+    """How capsule and gut meet during a run."""
+
+    SLIDING = "sliding"
+    STICKING = "sticking"
+    NONE = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Acquisition:
+    """One stretch of synchronous motion and sampling, with what a simulated rig must know of it.
+
+    Attributes
+    ----------
+    run_id, order
+        Identity of the run; a simulated rig draws its noise from the session's seed and `order`.
+    profile
+        The commanded motion, from standstill, relative to the stage's position when armed.
+    fixture, contact
+        What holds the gut and whether the capsule slides in it, sticks to it or touches nothing.
+    shear_strain
+        With `Contact.STICKING`: the strain whose wall parameters apply.
+    sheared_from
+        With `Contact.STICKING`: the strain at the first sample, relaxed for `insertion_dwell_s`.
+    insertion_dwell_s
+        Age of the contact at the first sample.
+    """
+
+    run_id: str
+    order: int
+    kind: str
+    profile: MotionProfile
+    capsule: Capsule
+    specimen: Specimen
+    fixture: Fixture
+    contact: Contact
+    insertion_dwell_s: float
+    shear_strain: float = 0.0
+    sheared_from: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """Consecutive samples of all channels, arrays of shape `(n,)`, read-only.
+
+    `first_index` counts from the run's first sample and includes lost samples, so that a block whose
+    `first_index` is larger than the end of the block before says how many were lost.
+    """
+
+    first_index: int
+    channels: Mapping[str, AnyFloatArray]
+
+    @property
+    def samples(self) -> int:
+        """How many samples the block holds."""
+        return len(next(iter(self.channels.values())))
+
+    @property
+    def end_index(self) -> int:
+        """Index that the first sample of the next block has when nothing is lost."""
+        return self.first_index + self.samples
+
+
+@dataclass(frozen=True, slots=True)
+class StageLimits:
+    """What the stage can do; positions are absolute."""
+
+    lowest_mm: float
+    highest_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageState:
+    """A look at the stage. `fault` is empty when there is none."""
+
+    position_mm: float
+    enabled: bool
+    homed: bool
+    moving: bool
+    fault: str = ""
+
+
+class Clock(Protocol):
+    """Time as a device: a simulated one advances at once."""
+
+    def now(self) -> datetime:
+        """Time of day, with offset."""
+        ...
+
+    def monotonic(self) -> float:
+        """Seconds from an arbitrary start; never goes back."""
+        ...
+
+    def sleep(self, duration_s: float, cancel: Signal) -> bool:
+        """Wait; return False at once when `cancel` is set before the time is over."""
+        ...
+
+
+class Stage(Protocol):
+    """One axis. Every method raises `DeviceError` when the drive refuses."""
+
+    @property
+    def limits(self) -> StageLimits:
+        """What the stage can do."""
+        ...
+
+    def enable(self) -> None:
+        """Switch the drive on and hold the position."""
+        ...
+
+    def home(self) -> None:
+        """Find the origin of absolute positions."""
+        ...
+
+    def move(self, profile: MotionProfile) -> None:
+        """Begin to follow a profile from the present position; time 0 is the sampler's first sample."""
+        ...
+
+    def stop(self) -> None:
+        """Brake to a standstill now, whatever is under way. Must be safe to call at any time, twice too."""
+        ...
+
+    def disable(self) -> None:
+        """Switch the drive off."""
+        ...
+
+    def state(self) -> StageState:
+        """Where the stage is and how it is."""
+        ...
+
+
+class Sampler(Protocol):
+    """Hardware-timed acquisition of force, position and further channels."""
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples per second of every channel."""
+        ...
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """What each block holds: `force` and `position`, then further ones."""
+        ...
+
+    @property
+    def force_range_mN(self) -> tuple[float, float]:
+        """Least and greatest force that the sensor and its converter can tell."""
+        ...
+
+    def arm(self, acquisition: Acquisition) -> None:
+        """Prepare an acquisition of the profile's length."""
+        ...
+
+    def start(self) -> None:
+        """Take the first sample now."""
+        ...
+
+    def read(self, cancel: Signal) -> Block | None:
+        """Return the next block, at most `LONGEST_BLOCK_S` long; None once the profile is over or `cancel` is set.
+
+        After `Stage.stop` a sampler still yields what was sampled until the stage stood still, then None.
+        Raises `DeviceError` when no sample arrives in time.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End the acquisition and release what it holds. Must be safe to call at any time, twice too."""
+        ...
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """A rig: its devices, its clock and its name in run files."""
+
+    @property
+    def name(self) -> str:
+        """Name that the run files carry: simulated, hardware, …."""
+        ...
+
+    @property
+    def stage(self) -> Stage:
+        """The axis."""
+        ...
+
+    @property
+    def sampler(self) -> Sampler:
+        """The acquisition."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The time that this rig lives in."""
+        ...
+
+    def description(self) -> Mapping[str, str | float | int | bool]:
+        """Return what run files say of the devices, as attributes of `/entry`: sensor_serial, seed, …."""
+        ...
+
+    def close(self) -> None:
+        """Release every device. Must be safe to call twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BackendRequest:
+    """What a backend's factory is given.
+
+    A factory is what an entry point of the group `dragrig.backends` names: a callable that takes one of
+    these and returns a `Backend`, raising `SettingsError` or `DeviceError`.
+    """
+
+    rig: RigSettings
+    model: FrictionModelSettings
+    real_time: bool = False
+    """Whether a simulated clock runs at the pace of the wall's."""
+    origin: datetime | None = None
+    """Time of day at which a simulated session begins; now unless given."""

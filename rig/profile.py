@@ -1,0 +1,190 @@
+"""Motion profiles: pieces of constant acceleration, evaluated exactly at any time.
+
+Units: mm and s. Time 0 is the first sample; position 0 is where the run starts.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.rig.arrays import FloatArray, PhaseArray, read_only
+
+TIME_TOLERANCE_S = 1e-9
+"""A phase holds its first instant and not its last, to within this."""
+
+
+class Phase(IntEnum):
+    """What the motion is doing; the numbers are the run file's."""
+
+    REST = 0
+    ACCELERATE = 1
+    STEADY = 2
+    DECELERATE = 3
+    HOLD = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A stretch of constant acceleration."""
+
+    duration_s: float
+    acceleration_mm_s2: float
+    phase: Phase
+
+
+@dataclass(frozen=True, slots=True)
+class Extremes:
+    """What a motion reaches at most; positions are relative to its start."""
+
+    lowest_mm: float
+    highest_mm: float
+    speed_mm_s: float
+    acceleration_mm_s2: float
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProfile:
+    """A motion from standstill, as `K` pieces of constant acceleration.
+
+    Attributes
+    ----------
+    start_s, position_mm, velocity_mm_s, acceleration_mm_s2
+        State at the start of each piece, shape `(K,)`.
+    phase
+        Phase of each piece, shape `(K,)`.
+    duration_s
+        End of the last piece. Beyond it the stage stays where it is.
+    """
+
+    start_s: FloatArray
+    position_mm: FloatArray
+    velocity_mm_s: FloatArray
+    acceleration_mm_s2: FloatArray
+    phase: PhaseArray
+    duration_s: float
+
+    @classmethod
+    def from_pieces(cls, pieces: Iterable[Piece]) -> "MotionProfile":
+        """Chain pieces from standstill at position 0; pieces of no duration are left out."""
+        kept = [piece for piece in pieces if piece.duration_s > 0]
+        duration = np.array([piece.duration_s for piece in kept])
+        acceleration = np.array([piece.acceleration_mm_s2 for piece in kept])
+        ends = np.cumsum(duration)
+        velocity = np.concatenate(([0.0], np.cumsum(acceleration * duration)))
+        velocity[np.abs(velocity) < 1e-9] = 0.0
+        travel = velocity[:-1] * duration + 0.5 * acceleration * duration**2
+        profile = cls(
+            start_s=np.concatenate(([0.0], ends[:-1])) if kept else np.zeros(0),
+            position_mm=np.concatenate(([0.0], np.cumsum(travel)[:-1])) if kept else np.zeros(0),
+            velocity_mm_s=velocity[:-1],
+            acceleration_mm_s2=acceleration,
+            phase=np.array([piece.phase for piece in kept], dtype=np.uint8),
+            duration_s=float(ends[-1]) if kept else 0.0,
+        )
+        for array in (profile.start_s, profile.position_mm, profile.velocity_mm_s, profile.acceleration_mm_s2):
+            read_only(array)
+        read_only(profile.phase)
+        return profile
+
+    def pieces(self) -> tuple[Piece, ...]:
+        """Return the pieces that `from_pieces` would make this profile of."""
+        durations = np.diff(np.append(self.start_s, self.duration_s))
+        return tuple(
+            Piece(float(duration), float(acceleration), Phase(int(phase)))
+            for duration, acceleration, phase in zip(durations, self.acceleration_mm_s2, self.phase, strict=True)
+        )
+
+    def samples(self, sample_rate_hz: float) -> int:
+        """Return how many samples the whole profile takes at a rate."""
+        return round(self.duration_s * sample_rate_hz)
+
+    def position(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Position [mm] at any times [s]."""
+        index, elapsed = self._locate(time_s)
+        return np.asarray(
+            self.position_mm[index]
+            + (self.velocity_mm_s[index] + 0.5 * self.acceleration_mm_s2[index] * elapsed) * elapsed
+        )
+
+    def velocity(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Velocity [mm/s] at any times [s]."""
+        index, elapsed = self._locate(time_s)
+        return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
+
+    def acceleration(self, time_s: npt.ArrayLike) -> FloatArray:
+        """Acceleration [mm/s²] at any times [s]; 0 outside the profile."""
+        time = np.asarray(time_s, dtype=float)
+        index, _ = self._locate(time)
+        return np.where((time < 0) | (time >= self.duration_s), 0.0, self.acceleration_mm_s2[index])
+
+    def phase_at(self, time_s: npt.ArrayLike) -> PhaseArray:
+        """Phase at any times [s], as the run file's numbers."""
+        index, _ = self._locate(np.asarray(time_s, dtype=float) + TIME_TOLERANCE_S)
+        return np.asarray(self.phase[index])
+
+    def extremes(self) -> Extremes:
+        """Return what the motion reaches at most, run-up and run-down included."""
+        ends = np.append(self.start_s, self.duration_s)
+        turning = self._turning_times()
+        times = np.concatenate((ends, turning))
+        positions = self.position(times)
+        return Extremes(
+            lowest_mm=float(positions.min()),
+            highest_mm=float(positions.max()),
+            speed_mm_s=float(np.abs(self.velocity(ends)).max()),
+            acceleration_mm_s2=float(np.abs(self.acceleration_mm_s2).max()) if self.acceleration_mm_s2.size else 0.0,
+        )
+
+    def stopped(self, time_s: float, deceleration_mm_s2: float, hold_s: float = 0.0) -> "MotionProfile":
+        """Return this motion up to `time_s`, then braked to a standstill and held for `hold_s`."""
+        kept: list[Piece] = []
+        for piece, start in zip(self.pieces(), self.start_s, strict=True):
+            left = time_s - float(start)
+            if left <= 0:
+                break
+            kept.append(Piece(min(piece.duration_s, left), piece.acceleration_mm_s2, piece.phase))
+        speed = float(self.velocity(time_s))
+        if speed != 0:
+            braking = abs(speed) / deceleration_mm_s2
+            kept.append(Piece(braking, -np.sign(speed) * deceleration_mm_s2, Phase.DECELERATE))
+        kept.append(Piece(hold_s, 0.0, Phase.HOLD))
+        return MotionProfile.from_pieces(kept)
+
+    def _locate(self, time_s: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
+        index = np.clip(np.searchsorted(self.start_s, time, side="right") - 1, 0, None)
+        return index, time - self.start_s[index]
+
+    def _turning_times(self) -> FloatArray:
+        moving = self.acceleration_mm_s2 != 0
+        after = np.full_like(self.start_s, -1.0)
+        after[moving] = -self.velocity_mm_s[moving] / self.acceleration_mm_s2[moving]
+        durations = np.diff(np.append(self.start_s, self.duration_s))
+        inside = (after > 0) & (after < durations)
+        return np.asarray(self.start_s[inside] + after[inside])
+
+
+def trapezoid(travel_mm: float, speed_mm_s: float, accel_mm_s2: float) -> tuple[Piece, ...]:
+    """Pieces of one trapezoidal move: signed travel, speed and acceleration both positive.
+
+    A move too short for the speed becomes a triangle: it has no steady phase.
+    """
+    direction = float(np.sign(travel_mm))
+    ramp_s = speed_mm_s / accel_mm_s2
+    steady_mm = abs(travel_mm) - speed_mm_s * ramp_s
+    if steady_mm < 0:
+        ramp_s = float(np.sqrt(abs(travel_mm) / accel_mm_s2))
+        steady_mm = 0.0
+    return (
+        Piece(ramp_s, direction * accel_mm_s2, Phase.ACCELERATE),
+        Piece(steady_mm / speed_mm_s, 0.0, Phase.STEADY),
+        Piece(ramp_s, -direction * accel_mm_s2, Phase.DECELERATE),
+    )
+
+
+def still(duration_s: float, phase: Phase) -> Piece:
+    """Return a stretch of standing still."""
+    return Piece(duration_s, 0.0, phase)

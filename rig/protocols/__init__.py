@@ -1,0 +1,1 @@
+"""One file per kind of run: a validated description that yields its motion."""

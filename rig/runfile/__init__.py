@@ -1,0 +1,1 @@
+"""The run file: one run, one HDF5 file."""

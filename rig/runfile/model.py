@@ -1,0 +1,129 @@
+"""What a run file holds, as values. Units: mm, s, mN; names as in the file."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+
+from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
+
+Attribute = str | float | int | bool
+"""What an attribute of the file can be; NumPy scalars are turned into these on reading."""
+
+PHASE_NAMES = ("rest", "accelerate", "steady", "decelerate", "hold")
+
+
+class Status(StrEnum):
+    """How a run ended; `recording` stands only in a file that is still being written."""
+
+    RECORDING = "recording"
+    COMPLETE = "complete"
+    ABORTED = "aborted"
+    TRIPPED = "tripped"
+    FAILED = "failed"
+    RECOVERED = "recovered"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One recorded quantity: name of the dataset and its unit."""
+
+    name: str
+    units: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunHeader:
+    """Everything known before the first sample.
+
+    `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same
+    name (`/entry` itself for `entry`), without `NX_class`, `default` and what the writer sets itself.
+    """
+
+    run_id: str
+    start_time: datetime
+    order: int
+    backend: str
+    kind: str
+    sample_rate_hz: float
+    channels: tuple[Channel, ...]
+    entry: Mapping[str, Attribute] = field(default_factory=dict)
+    protocol: Mapping[str, Attribute] = field(default_factory=dict)
+    capsule: Mapping[str, Attribute] = field(default_factory=dict)
+    specimen: Mapping[str, Attribute] = field(default_factory=dict)
+    settings_toml: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at a time of the run's own clock."""
+
+    time_s: float
+    kind: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """A run file's attributes: what it is, without its samples."""
+
+    path: Path
+    format_version: int
+    status: Status
+    header: RunHeader
+    samples: int
+    reason: str = ""
+    end_time: datetime | None = None
+    checks: Mapping[str, Attribute] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """Kind of protocol: drag, relaxation, coulomb, blank, return, motion, …."""
+        return self.header.kind
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """The samples of a run, each array of shape `(N,)` and read-only.
+
+    `signal` names the channel that the run is about: force, or motor_force for a stage alone.
+    `channels` holds every recorded quantity except time, command and phase, by name.
+    """
+
+    sample_rate_hz: float
+    signal: str
+    time: FloatArray
+    command: AnyFloatArray
+    phase: PhaseArray
+    channels: Mapping[str, AnyFloatArray]
+    units: Mapping[str, str]
+
+    @property
+    def force(self) -> AnyFloatArray:
+        """Measured force [mN], as calibrated, never filtered."""
+        return self.channels[self.signal]
+
+    @property
+    def position(self) -> AnyFloatArray:
+        """Encoder position [mm] relative to where the run started."""
+        return self.channels["position"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilteredTrace:
+    """What the filter stored beside the raw trace, with its parameters."""
+
+    time: FloatArray
+    channels: Mapping[str, FloatArray]
+    parameters: Mapping[str, Attribute]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """One run file, read whole."""
+
+    info: RunInfo
+    trace: Trace
+    events: tuple[Event, ...] = ()
+    filtered: FilteredTrace | None = None

@@ -1,0 +1,1 @@
+"""The simulated rig behind the device protocols of `dragrig.rig.devices`."""

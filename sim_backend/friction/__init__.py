@@ -1,0 +1,1 @@
+"""The velocity-dependent friction model as pure functions of motion and parameters."""

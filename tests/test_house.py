@@ -1,0 +1,66 @@
+"""The house itself: packaging, style, types, layers."""
+
+import importlib.util
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = {"app": "dragrig", "analysis": "dragrig.analysis", "sim_backend": "dragrig.sim_backend",
+         "rig": "dragrig.rig", "config": "dragrig.config"}  # fmt: skip
+
+
+def tool(*command: str) -> None:
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.timeout(120)
+def test_ruff_finds_nothing() -> None:
+    tool(sys.executable, "-m", "ruff", "check", ".")
+    tool(sys.executable, "-m", "ruff", "format", "--check", ".")
+
+
+@pytest.mark.timeout(240)
+def test_types_hold_strictly() -> None:
+    tool(sys.executable, "-m", "mypy", "-p", "dragrig")
+
+
+@pytest.mark.timeout(120)
+def test_imports_go_one_way() -> None:
+    tool(str(Path(sys.executable).with_name("lint-imports")), "--no-cache")
+
+
+def test_every_package_is_installed() -> None:
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"])
+    found = set()
+    for folder, name in ROOMS.items():
+        for init in (ROOT / folder).rglob("__init__.py"):
+            inner = init.parent.relative_to(ROOT / folder).parts
+            found.add(".".join((name, *inner)))
+    assert listed == found
+
+
+def test_a_users_own_modules_do_not_shadow_ours(tmp_path: Path) -> None:
+    for name in ("config", "analysis", "rig"):
+        (tmp_path / f"{name}.py").write_text("raise RuntimeError('shadowed')\n", "utf-8")
+    script = tmp_path / "mine.py"
+    script.write_text("import dragrig.rig.devices, dragrig.config.rig, dragrig.analysis\n", "utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_no_top_level_name_but_ours_is_installed() -> None:
+    assert importlib.util.find_spec("dragrig") is not None
+    outside = {"sim_backend", "rig", "config"}
+    done = subprocess.run(
+        [sys.executable, "-c", f"import importlib.util as u; print([n for n in {sorted(outside)} if u.find_spec(n)])"],
+        cwd=Path(sys.prefix),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "[]"
