@@ -1,0 +1,35 @@
+"""A lab folder: rig settings, data root, and a calibration history that is only appended to."""
+
+from pathlib import Path
+
+from pydantic import AwareDatetime, Field
+
+from dragrig.config.base import Settings
+
+RIG_FILE = "rig.toml"
+CALIBRATION_FILE = "calibration.jsonl"
+
+
+class Calibration(Settings):
+    """One entry of the calibration history."""
+
+    id: str = Field(min_length=1)
+    made_at: AwareDatetime
+    quantity: str = Field(pattern="^(force|encoder)$")
+    sensor_serial: str = ""
+    gain: float
+    """Quantity per raw unit: mN/V for force, mm per count for the encoder."""
+    zero: float = 0.0
+    residual: float = Field(default=0.0, ge=0)
+    """Standard deviation of the fit, in the quantity's unit."""
+    points: int = Field(default=0, ge=0)
+    operator: str = ""
+    note: str = ""
+
+
+def rig_file_of(start: Path) -> Path | None:
+    """Return the rig file of the lab folder that `start` is in, searching upwards; None when in none."""
+    for folder in (start.absolute(), *start.absolute().parents):
+        if (folder / RIG_FILE).is_file():
+            return folder / RIG_FILE
+    return None

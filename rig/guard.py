@@ -1,0 +1,151 @@
+"""The guard: a latch that stops the stage once, and stays tripped until it is reset.
+
+It starts tripped, so that nothing moves before somebody has looked, and it trips once: whatever follows a
+trip does not replace its reason.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from dragrig.config.rig import GuardSettings
+from dragrig.rig.arrays import AnyFloatArray
+from dragrig.rig.devices import Block, StageState
+from dragrig.rig.profile import Extremes
+
+
+class Cause(StrEnum):
+    """What the guard can trip on."""
+
+    START_UP = "start-up"
+    POSITION = "position"
+    SPEED = "speed"
+    FORCE = "force"
+    FOLLOWING_ERROR = "following error"
+    STALE_DATA = "stale data"
+    NOT_A_NUMBER = "not a number"
+    DRIVE_FAULT = "drive fault"
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """Why the guard tripped, in a person's words."""
+
+    cause: Cause
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """What one motion may reach before the guard stops it; positions relative to the run's start."""
+
+    lowest_mm: float
+    highest_mm: float
+    speed_mm_s: float
+
+    @classmethod
+    def around(cls, extremes: Extremes, settings: GuardSettings) -> "Envelope":
+        """Return the motion's own extremes plus the margins that the rig allows."""
+        return cls(
+            lowest_mm=extremes.lowest_mm - settings.position_margin_mm,
+            highest_mm=extremes.highest_mm + settings.position_margin_mm,
+            speed_mm_s=extremes.speed_mm_s * settings.speed_factor + settings.speed_margin_mm_s,
+        )
+
+
+class Guard:
+    """Looks at every block; owned by the engine's thread."""
+
+    def __init__(self, settings: GuardSettings) -> None:
+        self._settings = settings
+        self._trip: Trip | None = Trip(Cause.START_UP, "the guard starts tripped and needs a reset")
+        self._envelope = Envelope(0.0, 0.0, 0.0)
+        self._last: tuple[int, float] | None = None
+
+    @property
+    def trip(self) -> Trip | None:
+        """What it is latched on; None when it is armed."""
+        return self._trip
+
+    def reset(self, state: StageState) -> Trip | None:
+        """Release the latch if every condition is clear; return what it is still latched on."""
+        if state.fault:
+            self._trip = Trip(Cause.DRIVE_FAULT, f"the drive reports {state.fault}")
+        else:
+            self._trip = None
+        return self._trip
+
+    def watch(self, extremes: Extremes) -> None:
+        """Set the envelope for the motion about to begin."""
+        self._envelope = Envelope.around(extremes, self._settings)
+        self._last = None
+
+    def inspect(self, block: Block, command: AnyFloatArray, rate_hz: float) -> Trip | None:
+        """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
+        if self._trip is not None:
+            return None
+        self._trip = self._judge(block, command, rate_hz)
+        return self._trip
+
+    def latch(self, cause: Cause, message: str) -> Trip | None:
+        """Trip on something that no block shows; return the trip, None when it was latched already."""
+        if self._trip is not None:
+            return None
+        self._trip = Trip(cause, message)
+        return self._trip
+
+    def _judge(self, block: Block, command: AnyFloatArray, rate_hz: float) -> Trip | None:
+        force, position = block.channels["force"], block.channels["position"]
+        lowest, highest = float(position.min()), float(position.max())
+        strongest = max(float(force.max()), -float(force.min()))
+        if not np.isfinite(lowest + highest + strongest):
+            return Trip(Cause.NOT_A_NUMBER, "a sample of force or position is not a number")
+        return (
+            self._judge_force(strongest)
+            or self._judge_position(lowest, highest)
+            or self._judge_speed(block, position, rate_hz)
+            or self._judge_following(position, command, rate_hz)
+        )
+
+    def _judge_force(self, strongest: float) -> Trip | None:
+        limit = self._settings.force_limit_mN
+        if strongest <= limit:
+            return None
+        return Trip(Cause.FORCE, f"force of {strongest:.0f} mN is over the limit of {limit:.0f} mN")
+
+    def _judge_position(self, lowest: float, highest: float) -> Trip | None:
+        allowed = self._envelope
+        if allowed.lowest_mm <= lowest and highest <= allowed.highest_mm:
+            return None
+        seen = lowest if lowest < allowed.lowest_mm else highest
+        return Trip(
+            Cause.POSITION,
+            f"position {seen:.3f} mm from the run's start is outside {allowed.lowest_mm:.3f} to "
+            f"{allowed.highest_mm:.3f} mm",
+        )
+
+    def _judge_speed(self, block: Block, position: AnyFloatArray, rate_hz: float) -> Trip | None:
+        index, before = self._last if self._last is not None else (block.first_index, float(position[0]))
+        end = block.end_index - 1
+        self._last = (end, float(position[-1]))
+        if end == index:
+            return None
+        speed = abs(float(position[-1]) - before) * rate_hz / (end - index)
+        limit = self._envelope.speed_mm_s
+        if speed <= limit:
+            return None
+        return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
+
+    def _judge_following(self, position: AnyFloatArray, command: AnyFloatArray, rate_hz: float) -> Trip | None:
+        error = float(np.abs(position - command).max())
+        if error <= self._settings.following_error_mm:
+            return None
+        span_s = max(len(command) - 1, 1) / rate_hz
+        speed = abs(float(command[-1] - command[0])) / span_s
+        limit = self._settings.following_error_mm + self._settings.following_error_per_speed_s * speed
+        if error <= limit:
+            return None
+        return Trip(
+            Cause.FOLLOWING_ERROR, f"position is {error:.3f} mm off the command, where {limit:.3f} mm are allowed"
+        )

@@ -1,0 +1,192 @@
+"""From a plan to the runs of a session, in order, with where each begins."""
+
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dragrig.config.capsule import Capsule
+from dragrig.config.errors import PlanError, SettingsError
+from dragrig.config.library import find
+from dragrig.config.plan import Order, Plan, Step, WayBack
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import MotionProfile
+from dragrig.rig.protocols import Protocol, swept
+from dragrig.rig.protocols.way_back import Return
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One run of a session.
+
+    Attributes
+    ----------
+    index
+        Place in the programme, from 0; a resumed session tells done runs by it.
+    start_mm
+        Absolute position where the run begins.
+    sheared_from
+        Shear strain of a sticking contact at the first sample.
+    prompt
+        What a person is asked to do before; empty when nothing.
+    follows
+        Index of the run that this one is the way back of; -1 for a run that stands for itself.
+    """
+
+    index: int
+    step: int
+    protocol: Protocol
+    profile: MotionProfile
+    capsule: Capsule
+    specimen: Specimen
+    fixture: Fixture
+    contact: Contact
+    start_mm: float
+    wait_s: float
+    tare_s: float = 0.0
+    prompt: str = ""
+    by_hand: bool = False
+    sheared_from: float = 0.0
+    shear_strain: float = 0.0
+    note: str = ""
+    follows: int = -1
+
+    @property
+    def end_mm(self) -> float:
+        """Absolute position where the run ends."""
+        return self.start_mm + float(self.profile.position(self.profile.duration_s))
+
+    @property
+    def duration_s(self) -> float:
+        """Recorded time."""
+        return self.profile.duration_s
+
+
+@dataclass(frozen=True, slots=True)
+class Programme:
+    """All runs of a session, in order."""
+
+    plan: Plan
+    runs: tuple[PlannedRun, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first wait to the last sample, people's hands not counted."""
+        return sum(run.wait_s + run.tare_s + run.duration_s for run in self.runs)
+
+
+def build(plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: Path | None = None) -> Programme:
+    """Lay out a plan's runs.
+
+    Parameters
+    ----------
+    start_mm
+        Absolute position where steps begin that name none.
+    source
+        Where the plan comes from, for error messages.
+    beside
+        Folder that capsule files in the plan are relative to.
+
+    Raises
+    ------
+    PlanError, SettingsError
+        For a kind, key, value or capsule that is not allowed.
+    """
+    rng = random.Random(plan.seed)  # noqa: S311  # an order of runs is no secret
+    runs: list[PlannedRun] = []
+    position = start_mm
+    for number, step in enumerate(plan.steps):
+        where = f"{source}: steps[{number}]"
+        home = step.start_mm if step.start_mm is not None else start_mm
+        if step.way_back is not WayBack.STAY or step.start_mm is not None:
+            position = home
+        for template in _step_runs(step, number, specimen, where, beside, rng.random):
+            run = replace(template, index=len(runs), start_mm=position)
+            runs.append(run)
+            position = run.end_mm
+            if step.way_back is WayBack.DRIVEN and position != run.start_mm:
+                runs.append(_way_back(run, step, len(runs)))
+            if step.way_back is not WayBack.STAY:
+                position = run.start_mm
+    return Programme(plan, tuple(runs))
+
+
+def _step_runs(
+    step: Step, number: int, specimen: Specimen, where: str, beside: Path | None, draw: Callable[[], float]
+) -> Iterator[PlannedRun]:
+    if step.kind == Return.kind:
+        raise PlanError(f"{where}: a plan has no steps of kind return; say way_back = 'driven' in the step before.")
+    protocols = swept(step.kind, step.parameters, where, tuple(Step.model_fields))
+    for count, protocol in enumerate(_ordered(protocols, step, draw)):
+        by_hand = step.way_back is WayBack.BY_HAND and count > 0
+        asks = step.prompt if count == 0 or step.prompt_each else ""
+        back = "Bring the capsule back to its start by hand" if by_hand else ""
+        yield PlannedRun(
+            index=0,
+            step=number,
+            protocol=protocol,
+            profile=protocol.profile(specimen),
+            capsule=_capsule(step.capsule or protocol.capsule, where, beside),
+            specimen=specimen,
+            fixture=step.fixture or protocol.fixture,
+            contact=Contact.NONE if step.fixture is Fixture.NONE else protocol.contact,
+            start_mm=0.0,
+            wait_s=step.wait_s,
+            tare_s=step.tare_s,
+            prompt="; ".join(part for part in (back, asks) if part),
+            by_hand=by_hand,
+            shear_strain=protocol.strain(),
+            note=step.note,
+        )
+
+
+def _ordered(protocols: tuple[Protocol, ...], step: Step, draw: Callable[[], float]) -> list[Protocol]:
+    repeats = [list(protocols) for _ in range(step.repeats)]
+    match step.order:
+        case Order.LISTED:
+            pass
+        case Order.REVERSED:
+            repeats = [one[::-1] for one in repeats]
+        case Order.RANDOM:
+            repeats = [_shuffled([protocol for one in repeats for protocol in one], draw)]
+        case Order.RANDOM_WITHIN_REPEAT:
+            repeats = [_shuffled(one, draw) for one in repeats]
+    return [protocol for one in repeats for protocol in one]
+
+
+def _shuffled(items: list[Protocol], draw: Callable[[], float]) -> list[Protocol]:
+    # Sorting by draws of random(), the one method whose stream Python promises to keep.
+    keyed = [(draw(), place, item) for place, item in enumerate(items)]
+    return [item for _, _, item in sorted(keyed, key=lambda one: one[:2])]
+
+
+def _way_back(run: PlannedRun, step: Step, index: int) -> PlannedRun:
+    back = Return(
+        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=_way_back_accel(run)
+    )
+    return replace(
+        run,
+        index=index,
+        protocol=back,
+        profile=back.profile(run.specimen),
+        start_mm=run.end_mm,
+        wait_s=0.0,
+        tare_s=0.0,
+        prompt="",
+        by_hand=False,
+        sheared_from=run.shear_strain,
+        note="",
+        follows=run.index,
+    )
+
+
+def _way_back_accel(run: PlannedRun) -> float:
+    return min(run.profile.extremes().acceleration_mm_s2, 400.0)
+
+
+def _capsule(name: str, where: str, beside: Path | None) -> Capsule:
+    try:
+        return find(Capsule, "capsule", name, beside)
+    except SettingsError as error:
+        raise SettingsError(f"{where}.capsule: {error}") from error

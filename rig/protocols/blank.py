@@ -1,0 +1,16 @@
+"""The stage moves with nothing attached: the record shows the rig alone."""
+
+from typing import ClassVar
+
+from dragrig.config.specimen import Fixture
+from dragrig.rig.devices import Contact
+from dragrig.rig.protocols.base import StrokeProtocol
+
+
+class Blank(StrokeProtocol):
+    """The stage moves with nothing attached: the record shows the rig alone."""
+
+    kind: ClassVar[str] = "blank"
+    fixture: ClassVar[Fixture] = Fixture.NONE
+    contact: ClassVar[Contact] = Contact.NONE
+    capsule: ClassVar[str] = "none"

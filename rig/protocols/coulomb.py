@@ -1,0 +1,16 @@
+"""Constant-speed drag through the gut held open: friction without wall contact pressure."""
+
+from typing import ClassVar
+
+from dragrig.config.specimen import Fixture
+from dragrig.rig.devices import Contact
+from dragrig.rig.protocols.base import StrokeProtocol
+
+
+class Coulomb(StrokeProtocol):
+    """Constant-speed drag through the gut held open: friction without wall contact pressure."""
+
+    kind: ClassVar[str] = "coulomb"
+    fixture: ClassVar[Fixture] = Fixture.VACUUM
+    contact: ClassVar[Contact] = Contact.SLIDING
+    capsule: ClassVar[str] = "smooth"

@@ -1,0 +1,16 @@
+"""Constant-speed drag through the gut closed around the capsule."""
+
+from typing import ClassVar
+
+from dragrig.config.specimen import Fixture
+from dragrig.rig.devices import Contact
+from dragrig.rig.protocols.base import StrokeProtocol
+
+
+class Drag(StrokeProtocol):
+    """Constant-speed drag through the gut closed around the capsule."""
+
+    kind: ClassVar[str] = "drag"
+    fixture: ClassVar[Fixture] = Fixture.FOAM
+    contact: ClassVar[Contact] = Contact.SLIDING
+    capsule: ClassVar[str] = "drag"

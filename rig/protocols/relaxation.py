@@ -1,0 +1,42 @@
+"""Shear relaxation: a rough capsule that does not slip is moved by strain × wall thickness, then held."""
+
+from typing import ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import Piece, trapezoid
+from dragrig.rig.protocols.base import Protocol
+
+
+class Relaxation(Protocol):
+    """A fast ramp to a shear strain, and a long hold (section 3.2 of the paper)."""
+
+    kind: ClassVar[str] = "relaxation"
+    fixture: ClassVar[Fixture] = Fixture.VACUUM
+    contact: ClassVar[Contact] = Contact.STICKING
+    capsule: ClassVar[str] = "rough"
+
+    shear_strain: float = Field(gt=0, le=5)
+    ramp_speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
+    ramp_accel_mm_s2: float = Field(default=2000.0, gt=0, le=100_000)
+    hold_s: float = Field(default=20.0, ge=0, le=7200)
+
+    @model_validator(mode="after")
+    def _ramp_is_a_ramp(self) -> Self:
+        if self.ramp_speed_mm_s / self.ramp_accel_mm_s2 > 1.0:
+            raise ValueError("ramp_accel_mm_s2 is so low that the ramp's speed takes over a second to reach")
+        return self
+
+    def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
+        """One ramp of strain × wall thickness; a triangle where that is too short for the ramp's speed."""
+        return trapezoid(self.shear_strain * specimen.wall_thickness_mm, self.ramp_speed_mm_s, self.ramp_accel_mm_s2)
+
+    def strain(self) -> float:
+        """Return the strain that is held."""
+        return self.shear_strain
+
+    def summary(self) -> str:
+        """Kind and strain."""
+        return f"{self.kind} {100 * self.shear_strain:g} %"
