@@ -58,3 +58,7 @@ class DeviceError(DragrigError):
     """A device did not do what it was told."""
 
     exit_code = 5
+
+
+class StaleDataError(DeviceError):
+    """The sampler delivered nothing for longer than the guard allows."""

@@ -152,7 +152,7 @@ class Stage(Protocol):
         ...
 
     def state(self) -> StageState:
-        """Where the stage is and how it is."""
+        """Where the stage is and how it is; asked at every block, so it must not wait for the drive."""
         ...
 
 
@@ -186,7 +186,7 @@ class Sampler(Protocol):
         """Return the next block, at most `LONGEST_BLOCK_S` long; None once the profile is over or `cancel` is set.
 
         After `Stage.stop` a sampler still yields what was sampled until the stage stood still, then None.
-        Raises `DeviceError` when no sample arrives in time.
+        Raises `StaleDataError` when no sample arrives in time, another `DeviceError` when the device fails.
         """
         ...
 

@@ -1,0 +1,198 @@
+"""One acquisition under way: the path of a block through guard, record, checks and viewer."""
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from threading import Event as Signal
+from typing import Protocol
+
+import numpy as np
+
+from dragrig.config.errors import DeviceError, RecordingError
+from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import AnyFloatArray, PhaseArray
+from dragrig.rig.checks import CheckReport, RunChecks
+from dragrig.rig.devices import Acquisition, Backend, Block, Contact
+from dragrig.rig.guard import Cause, Guard, Trip
+from dragrig.rig.profile import Phase
+from dragrig.rig.reading import CommandTape, Reading
+from dragrig.rig.runfile.model import Attribute, Event, Status
+
+_SETTLE_S = 1.0
+"""How long a stopped stage is still recorded at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How an acquisition ended. `mean_force_mN` is over all samples, before any tare."""
+
+    status: Status
+    reason: str
+    samples: int
+    checks: CheckReport
+    mean_force_mN: float
+    path: Path | None = None
+
+
+class Sink(Protocol):
+    """Where readings are recorded."""
+
+    def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
+        """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
+        ...
+
+    def event(self, event: Event) -> None:
+        """Take an event."""
+        ...
+
+    def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+        """Finish the record; return its file."""
+        ...
+
+
+class Acquiring:
+    """One acquisition under way; owned by the engine's thread."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        rig: RigSettings,
+        guard: Guard,
+        acquisition: Acquisition,
+        sink: Sink | None,
+        view: Callable[[Reading], None] | None,
+        tare_mN: float,
+    ) -> None:
+        self._stage, self._sampler, self._clock = backend.stage, backend.sampler, backend.clock
+        self._guard, self._acquisition, self._sink, self._view = guard, acquisition, sink, view
+        self._rate_hz = self._sampler.sample_rate_hz
+        self._stop_accel = rig.stage.stop_accel_mm_s2
+        self._tape = CommandTape(acquisition.profile, self._rate_hz, tare_mN)
+        self._checks = RunChecks(
+            self._rate_hz,
+            self._sampler.force_range_mN,
+            rig.force_sensor.accuracy_mN,
+            sticking=acquisition.contact is Contact.STICKING,
+        )
+        self._samples = 0
+        self._end_index = 0
+        self._force_sum = 0.0
+        self._phase = -1
+        self._status = Status.COMPLETE
+        self._reason = ""
+
+    @property
+    def ended_early(self) -> bool:
+        """Whether it was ended before the profile was over."""
+        return self._status is not Status.COMPLETE
+
+    def start(self) -> None:
+        """Arm the sampler, start the stage, take the first sample."""
+        self._sampler.arm(self._acquisition)
+        self._stage.move(self._acquisition.profile)
+        self._sampler.start()
+        self._note("start", self._acquisition.kind)
+
+    def step(self, cancel: Signal) -> Reading | None:
+        """Take the next block through guard, record and viewer; None when there is none, or the guard tripped."""
+        block = self._sampler.read(cancel)
+        if block is None:
+            return None
+        reading = self._tape.join(block)
+        fault = self._stage.state().fault
+        if fault:
+            trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
+        else:
+            trip = self._guard.inspect(block, reading.command, self._rate_hz)
+        if trip is not None:
+            self.trip(trip)
+            self._take(block, reading)
+            return None
+        self._take(block, reading)
+        return reading
+
+    def trip(self, trip: Trip | None) -> None:
+        """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
+        if trip is not None:
+            self.end(Status.TRIPPED, f"{trip.cause}: {trip.message}")
+
+    def end(self, status: Status, reason: str) -> None:
+        """Stop the stage at once; what the first call says stands."""
+        try:
+            self._stage.stop()
+        except DeviceError as error:
+            reason = f"{reason}; and the stage did not take the stop ({error})"
+        if not self.ended_early:
+            self._status, self._reason = status, reason
+            stopped = self._acquisition.profile.stopped(self._end_index / self._rate_hz, self._stop_accel, _SETTLE_S)
+            self._tape.replace(stopped)
+            with suppress(RecordingError):
+                self._note("trip" if status is Status.TRIPPED else "stop", reason)
+
+    def settle(self) -> None:
+        """Keep what is sampled until the stage stands still."""
+        until = self._end_index + round(_SETTLE_S * self._rate_hz)
+        go_on = Signal()
+        # The reason of the end is known; a device or disk that fails again adds nothing to it.
+        with suppress(DeviceError, RecordingError):
+            while self._end_index < until:
+                block = self._sampler.read(go_on)
+                if block is None:
+                    return
+                self._take(block, self._tape.join(block))
+
+    def finish(self) -> Outcome:
+        """Stop sampling, close the record, and say how it ended."""
+        failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := _attempt(step))]
+        report = self._checks.report()
+        path = None
+        if self._sink is not None:
+            try:
+                self._note("end", self._reason or "complete")
+            except RecordingError as error:
+                failures.append(str(error))
+            try:
+                reason = "; ".join(part for part in (self._reason, *failures) if part)
+                path = self._sink.close(self._status, reason, self._clock.now(), report.values)
+            except RecordingError as error:
+                failures.append(str(error))
+        if failures and not self.ended_early:
+            self._status = Status.FAILED
+        reason = "; ".join(part for part in (self._reason, *failures) if part)
+        mean = self._force_sum / self._samples if self._samples else float("nan")
+        return Outcome(self._status, reason, self._samples, report, mean, path)
+
+    def _take(self, block: Block, reading: Reading) -> None:
+        raw = block.channels["force"]
+        self._checks.add(reading, raw)
+        self._samples += block.samples
+        self._end_index = block.end_index
+        self._force_sum += float(raw.sum(dtype=np.float64))
+        if self._sink is not None:
+            self._sink.offer(reading.first_index, reading.arrays())
+        self._mark_phases(reading)
+        if self._view is not None:
+            self._view(reading)
+
+    def _mark_phases(self, reading: Reading) -> None:
+        phase = reading.phase
+        if phase[0] == self._phase and phase[-1] == self._phase:
+            return
+        changes = np.flatnonzero(np.diff(phase, prepend=np.uint8(255) if self._phase < 0 else np.uint8(self._phase)))
+        for place in changes:
+            self._note("phase", Phase(int(phase[place])).name.lower(), float(reading.time[place]))
+        self._phase = int(phase[-1])
+
+    def _note(self, kind: str, message: str, time_s: float | None = None) -> None:
+        if self._sink is not None:
+            self._sink.event(Event(self._end_index / self._rate_hz if time_s is None else time_s, kind, message))
+
+
+def _attempt(step: Callable[[], None]) -> str:
+    try:
+        step()
+    except DeviceError as error:
+        return str(error)
+    return ""

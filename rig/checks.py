@@ -1,0 +1,153 @@
+"""What is looked at right after a run: rest offset, clipping, slip, following error, lost samples.
+
+Everything is gathered block by block, so that it costs no memory and is there the moment the run ends.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from dragrig.rig.profile import Phase
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import Attribute
+
+_SETTLED_S = 0.3
+"""Slip is looked for from so long after the ramp: by then the fast branch has relaxed."""
+_BIN_S = 0.1
+_NOISE_BINS = 8.0
+"""A drop counts as slip when it exceeds the one before by so many standard errors of a bin."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What was seen, as attributes for the file, and what a person should be told."""
+
+    values: Mapping[str, Attribute]
+    warnings: tuple[str, ...]
+
+
+class RunChecks:
+    """Gathers what a run's checks need; owned by the engine's thread."""
+
+    def __init__(
+        self, rate_hz: float, force_range_mN: tuple[float, float], accuracy_mN: float, *, sticking: bool
+    ) -> None:
+        self._rate_hz = rate_hz
+        self._range = force_range_mN
+        self._accuracy_mN = accuracy_mN
+        self._rest = _Moments()
+        self._clipped = 0
+        self._lost = 0
+        self._following_mm = 0.0
+        self._next = 0
+        self._slip = _SlipWatch(rate_hz) if sticking else None
+
+    def add(self, reading: Reading, raw_force: np.ndarray[tuple[int], np.dtype[np.floating]]) -> None:
+        """Look at a reading; `raw_force` is the force before the tare."""
+        self._lost += max(reading.first_index - self._next, 0)
+        self._next = reading.end_index
+        lowest, highest = self._range
+        if raw_force.max() >= highest or raw_force.min() <= lowest:
+            self._clipped += int(np.count_nonzero((raw_force >= highest) | (raw_force <= lowest)))
+        force = reading.channels["force"]
+        if reading.phase[0] == Phase.REST:
+            self._rest.add(force[reading.phase == Phase.REST])
+        error = float(np.abs(reading.channels["position"] - reading.command).max())
+        self._following_mm = max(self._following_mm, error)
+        if self._slip is not None and reading.phase[-1] == Phase.HOLD:
+            self._slip.add(reading)
+
+    def report(self) -> CheckReport:
+        """Return what was seen so far."""
+        values: dict[str, Attribute] = {
+            "lost_samples": self._lost,
+            "clipped_samples": self._clipped,
+            "following_error_mm": round(self._following_mm, 6),
+        }
+        if self._rest.count:
+            values["rest_offset_mN"] = self._rest.mean
+            values["rest_noise_mN"] = self._rest.sd
+        warnings = []
+        if self._lost:
+            warnings.append(f"{self._lost} samples were lost")
+        if self._clipped:
+            warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
+        if self._rest.sd > self._accuracy_mN:
+            warnings.append(
+                f"noise at rest is {self._rest.sd:.1f} mN, where the sensor is good to {self._accuracy_mN:g}"
+            )
+        if self._slip is not None:
+            values["slip_time_s"] = self._slip.time_s
+            if self._slip.time_s >= 0:
+                warnings.append(f"the capsule seems to have slipped at {self._slip.time_s:.1f} s")
+        return CheckReport(values, tuple(warnings))
+
+
+class _Moments:
+    """Running mean and standard deviation."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._shift = 0.0
+        self._sum = 0.0
+        self._squares = 0.0
+
+    def add(self, values: np.ndarray[tuple[int], np.dtype[np.floating]]) -> None:
+        if not self.count:
+            self._shift = float(values[0])
+        centred = values.astype(np.float64) - self._shift
+        self.count += len(centred)
+        self._sum += float(centred.sum())
+        self._squares += float(centred @ centred)
+
+    @property
+    def mean(self) -> float:
+        return self._shift + self._sum / self.count
+
+    @property
+    def sd(self) -> float:
+        if self.count < 2:
+            return 0.0
+        return sqrt(max(self._squares - self._sum**2 / self.count, 0.0) / (self.count - 1))
+
+
+class _SlipWatch:
+    """Looks for a drop of the held force that is larger than the drop before it.
+
+    A relaxing wall loses force ever more slowly, whatever its time constants; a capsule that slips does not.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self.time_s = -1.0
+        self._rate_hz = rate_hz
+        self._per_bin = max(round(_BIN_S * rate_hz), 2)
+        self._begun: float | None = None
+        self._left: list[np.ndarray[tuple[int], np.dtype[np.floating]]] = []
+        self._gathered = 0
+        self._means: list[tuple[float, float]] = []
+
+    def add(self, reading: Reading) -> None:
+        hold = reading.phase == Phase.HOLD
+        if self._begun is None:
+            self._begun = float(reading.time[hold.argmax()])
+        settled = hold & (reading.time >= self._begun + _SETTLED_S)
+        if not settled.any():
+            return
+        self._left.append(reading.channels["force"][settled])
+        self._gathered += int(settled.sum())
+        if self._gathered >= self._per_bin:
+            self._judge(float(reading.time[-1]))
+
+    def _judge(self, time_s: float) -> None:
+        gathered = np.concatenate(self._left)
+        self._left, self._gathered = [], 0
+        error = float(gathered.std(ddof=1)) / sqrt(len(gathered)) if len(gathered) > 1 else 0.0
+        self._means = [*self._means[-2:], (float(gathered.mean()), error)]
+        if len(self._means) < 3 or self.time_s >= 0:
+            return
+        (first, _), (second, _), (third, error_now) = self._means
+        slow_noise = max(error_now, error)
+        if (second - third) - (first - second) > _NOISE_BINS * slow_noise + 0.01 * abs(first):
+            self.time_s = time_s

@@ -1,0 +1,152 @@
+"""The engine: one acquisition at a time, from armed devices to a finished record.
+
+::
+
+    IDLE ──acquire──▶ ARMED ──start──▶ RUNNING ──profile over──────────────────▶ FINISHING ──▶ IDLE
+                        │                 │ abort, trip, fault, full disk           ▲
+                        └─────────────────┴──▶ STOPPING ──stage stands, or 1 s──────┘
+
+Whatever happens, the stage is stopped first; every step of the clean-up stands on its own, so that one that
+fails keeps no other from being made; and the reason is written.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from threading import Event as Signal
+from threading import Lock
+
+from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError
+from dragrig.config.rig import RigSettings
+from dragrig.rig.acquiring import Acquiring, Outcome, Sink
+from dragrig.rig.devices import Acquisition, Backend
+from dragrig.rig.guard import Cause, Guard
+from dragrig.rig.profile import Phase
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import Status
+
+
+class State(StrEnum):
+    """What the engine is doing."""
+
+    IDLE = "idle"
+    ARMED = "armed"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    FINISHING = "finishing"
+
+
+@dataclass(frozen=True, slots=True)
+class EngineStatus:
+    """A snapshot that any thread may take."""
+
+    state: State = State.IDLE
+    run_id: str = ""
+    samples: int = 0
+    expected_samples: int = 0
+    phase: Phase = Phase.REST
+    position_mm: float = 0.0
+    force_mN: float = 0.0
+
+
+class Engine:
+    """Runs acquisitions on a backend; `acquire` belongs to one thread, `abort` and `status` to any."""
+
+    def __init__(self, backend: Backend, rig: RigSettings, guard: Guard) -> None:
+        self._backend = backend
+        self._rig = rig
+        self._guard = guard
+        self._lock = Lock()
+        self._status = EngineStatus()
+        self._cancel = Signal()
+        self._abort_reason = ""
+
+    @property
+    def status(self) -> EngineStatus:
+        """What the engine is doing right now."""
+        with self._lock:
+            return self._status
+
+    @property
+    def cancelled(self) -> Signal:
+        """Set once somebody asked for an end; waits between runs listen to it too."""
+        return self._cancel
+
+    @property
+    def abort_reason(self) -> str:
+        """Why somebody asked for an end; empty when nobody did."""
+        with self._lock:
+            return self._abort_reason
+
+    def abort(self, reason: str) -> None:
+        """Ask for an end from any thread or signal handler; the first reason stands."""
+        # A signal handler interrupts the very thread that may hold the lock, so it must not wait for it.
+        if self._lock.acquire(blocking=False):
+            try:
+                self._abort_reason = self._abort_reason or reason
+            finally:
+                self._lock.release()
+        self._cancel.set()
+
+    def acquire(
+        self,
+        acquisition: Acquisition,
+        sink: Sink | None = None,
+        view: Callable[[Reading], None] | None = None,
+        tare_mN: float = 0.0,
+    ) -> Outcome:
+        """Make one acquisition, guarded, recorded in `sink` and shown to `view`.
+
+        Raises
+        ------
+        TrippedError
+            When the guard is latched: nothing moves then.
+        """
+        if self._guard.trip is not None:
+            raise TrippedError(f"the guard is tripped: {self._guard.trip.message}; clear the cause and reset it.")
+        self._guard.watch(acquisition.profile.extremes())
+        run = Acquiring(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
+        expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
+        self._set(State.ARMED, run_id=acquisition.run_id, expected_samples=expected, samples=0)
+        try:
+            self._drive(run)
+        finally:
+            self._set(State.FINISHING)
+            outcome = run.finish()
+            self._set(State.IDLE)
+        return outcome
+
+    def _drive(self, run: Acquiring) -> None:
+        try:
+            run.start()
+            self._set(State.RUNNING)
+            while (reading := run.step(self._cancel)) is not None:
+                self._show(reading)
+            if self._cancel.is_set():
+                run.end(Status.ABORTED, self.abort_reason or "aborted")
+        except StaleDataError as error:
+            run.trip(self._guard.latch(Cause.STALE_DATA, str(error)))
+        except RecordingError as error:
+            run.end(Status.FAILED, str(error))
+        except DeviceError as error:
+            run.end(Status.FAILED, str(error))
+        except BaseException as error:
+            run.end(Status.FAILED, f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            if run.ended_early:
+                self._set(State.STOPPING)
+                run.settle()
+
+    def _show(self, reading: Reading) -> None:
+        self._set(
+            State.RUNNING,
+            samples=reading.end_index,
+            phase=Phase(int(reading.phase[-1])),
+            position_mm=float(reading.channels["position"][-1]),
+            force_mN=float(reading.channels["force"][-1]),
+        )
+
+    def _set(self, state: State, **changes: object) -> None:
+        with self._lock:
+            self._status = replace(self._status, state=state, **changes)  # type: ignore[arg-type]  # fields of it

@@ -1,0 +1,53 @@
+"""What a run file says before its first sample."""
+
+from collections.abc import Mapping
+from importlib.metadata import version
+
+from dragrig.config.base import Settings
+from dragrig.rig.devices import Acquisition, Backend
+from dragrig.rig.programme import PlannedRun
+from dragrig.rig.record import SessionRecord, run_settings
+from dragrig.rig.runfile.model import Attribute, RunHeader
+
+
+def header_of(
+    run: PlannedRun,
+    acquisition: Acquisition,
+    record: SessionRecord,
+    backend: Backend,
+    facts: Mapping[str, Attribute],
+) -> RunHeader:
+    """Gather the header of a run about to be made; `facts` are further attributes of `/entry`."""
+    now = backend.clock.now()
+    entry: dict[str, Attribute] = {
+        "software": f"dragrig {version('dragrig')}",
+        "plan": record.plan.name,
+        "plan_run": run.index,
+        "origin_mm": backend.stage.state().position_mm,
+        "insertion_dwell_s": acquisition.insertion_dwell_s,
+        "way_back_of": run.follows,
+        "operator": record.operator,
+        "note": "; ".join(part for part in (record.note, run.note) if part),
+        "calibration_id": record.calibration_id,
+        **backend.description(),
+        **facts,
+    }
+    return RunHeader(
+        run_id=acquisition.run_id,
+        start_time=now,
+        order=acquisition.order,
+        backend=backend.name,
+        kind=run.protocol.kind,
+        sample_rate_hz=backend.sampler.sample_rate_hz,
+        channels=backend.sampler.channels,
+        entry={key: value for key, value in entry.items() if value != ""},
+        protocol={key: value for key, value in run.protocol.attributes().items() if key != "kind"},
+        capsule=_plain(run.capsule),
+        specimen={**_plain(run.specimen), "fixture": acquisition.fixture.value},
+        settings_toml=run_settings(record, run.index, acquisition.order, now),
+    )
+
+
+def _plain(settings: Settings) -> dict[str, Attribute]:
+    values = settings.model_dump(mode="json", exclude_none=True)
+    return {key: value for key, value in values.items() if value != ""}

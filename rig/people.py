@@ -1,0 +1,96 @@
+"""What a session needs of people: answers to prompts, and eyes."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol
+
+from dragrig.rig.acquiring import Outcome
+from dragrig.rig.programme import PlannedRun, Programme
+from dragrig.rig.reading import Reading
+
+
+class Answer(StrEnum):
+    """What a person can say to a prompt."""
+
+    DONE = "done"
+    REDO = "redo"
+    """Make the run before once more; its file is marked bad."""
+    SKIP = "skip"
+    """Leave out what this prompt prepares: the runs up to the next prompt of the plan."""
+    ABORT = "abort"
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """A request to a person's hands."""
+
+    text: str
+    run: PlannedRun
+    can_redo: bool
+
+
+class Operator(Protocol):
+    """The person at the rig."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put a prompt and wait for the answer."""
+        ...
+
+
+class Watcher(Protocol):
+    """Whoever follows a session; called on the session's thread, so it must be quick."""
+
+    def begins(self, programme: Programme, pending: int) -> None:
+        """Tell that a session starts with so many runs still to make."""
+        ...
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Tell that nothing moves for a while."""
+        ...
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Tell that a run starts."""
+        ...
+
+    def reads(self, reading: Reading) -> None:
+        """Show a block that was just recorded."""
+        ...
+
+    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+        """Tell how a run ended, with its checks."""
+        ...
+
+
+class Nobody:
+    """An operator whose hands are never needed, and a watcher who does not look: for dry runs in a program."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Say done."""
+        del prompt
+        return Answer.DONE
+
+    def begins(self, programme: Programme, pending: int) -> None:
+        """Look away."""
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Look away."""
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Look away."""
+
+    def reads(self, reading: Reading) -> None:
+        """Look away."""
+
+    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+        """Look away."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """One run of a session: where its file will be, and how it ended."""
+
+    run: PlannedRun
+    order: int
+    outcome: Outcome
+    path: Path | None

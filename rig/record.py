@@ -1,0 +1,58 @@
+"""The session's record beside its run files: everything needed to go on with it, or to repeat it."""
+
+from datetime import datetime
+from pathlib import Path
+
+from pydantic import AwareDatetime
+
+from dragrig.config.base import Settings
+from dragrig.config.errors import RunFileError
+from dragrig.config.loading import load, to_toml
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Specimen
+
+_PATTERN = "session-*.toml"
+
+
+class SessionRecord(Settings):
+    """The full settings of a session."""
+
+    begun_at: AwareDatetime
+    backend: str
+    operator: str = ""
+    note: str = ""
+    calibration_id: str = ""
+    beside: Path | None = None
+    """Folder that files named in the plan are relative to."""
+    plan: Plan
+    specimen: Specimen
+    model: FrictionModelSettings
+    rig: RigSettings
+
+    def file_name(self) -> str:
+        """Name of the record in the campaign's folder."""
+        return f"session-{self.begun_at:%Y%m%d-%H%M%S}.toml"
+
+
+def write_record(record: SessionRecord, folder: Path) -> Path:
+    """Put the record into the campaign's folder; raises `OSError`."""
+    path = folder / record.file_name()
+    with path.open("x", encoding="utf-8", newline="\n") as file:
+        file.write(to_toml(record))
+    return path
+
+
+def latest_record(folder: Path) -> SessionRecord:
+    """Read the newest record of a campaign; raises `RunFileError` when there is none, `SettingsError` when damaged."""
+    records = sorted(folder.glob(_PATTERN))
+    if not records:
+        raise RunFileError(f"{folder}: holds no session-….toml, so there is no session to go on with.")
+    return load(SessionRecord, records[-1])
+
+
+def run_settings(record: SessionRecord, index: int, order: int, begun_at: datetime) -> str:
+    """Return the text that a run file keeps under /entry/settings: the record, and which of its runs this is."""
+    head = f"# run {index} of this session, order {order}, begun {begun_at.isoformat()}\n"
+    return head + to_toml(record)
