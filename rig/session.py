@@ -87,7 +87,7 @@ class Session:
         try:
             self._prepare()
             self._make_all()
-        except _EndedEarly as end:
+        except _EndedEarlyError as end:
             status, reason = end.status, end.reason
         except DeviceError as error:
             status, reason = Status.FAILED, str(error)
@@ -100,7 +100,7 @@ class Session:
         stage = self._backend.stage
         still_tripped = self._guard.reset(stage.state())
         if still_tripped is not None:
-            raise _EndedEarly(Status.TRIPPED, still_tripped.message)
+            raise _EndedEarlyError(Status.TRIPPED, still_tripped.message)
         stage.enable()
         if not stage.state().homed:
             stage.home()
@@ -132,7 +132,7 @@ class Session:
                 case Answer.SKIP:
                     place = self._next_prompted(place)
                 case Answer.ABORT:
-                    raise _EndedEarly(Status.ABORTED, "ended at a prompt")
+                    raise _EndedEarlyError(Status.ABORTED, "ended at a prompt")
 
     def _is_stray_way_back(self, run: PlannedRun) -> bool:
         return run.follows >= 0 and (not self._results or self._results[-1].run.index != run.follows)
@@ -230,19 +230,19 @@ class Session:
 
     def _require(self, outcome: Outcome) -> None:
         if outcome.status is not Status.COMPLETE:
-            raise _EndedEarly(outcome.status, outcome.reason)
+            raise _EndedEarlyError(outcome.status, outcome.reason)
 
     def _must(self, answer: Answer) -> None:
         self._stop_if_cancelled()
         if answer is not Answer.DONE:
-            raise _EndedEarly(Status.ABORTED, "ended at a prompt")
+            raise _EndedEarlyError(Status.ABORTED, "ended at a prompt")
 
     def _stop_if_cancelled(self) -> None:
         if self.engine.cancelled.is_set():
-            raise _EndedEarly(Status.ABORTED, self.engine.abort_reason or "aborted")
+            raise _EndedEarlyError(Status.ABORTED, self.engine.abort_reason or "aborted")
 
 
-class _EndedEarly(DragrigError):
+class _EndedEarlyError(DragrigError):
     """Carries the end of a session from where it happened to `Session.run`."""
 
     def __init__(self, status: Status, reason: str) -> None:

@@ -1,0 +1,91 @@
+"""The guard trips on what it should, once, and stays latched."""
+
+import numpy as np
+import pytest
+
+from dragrig.config.rig import GuardSettings
+from dragrig.rig.devices import Block, StageState
+from dragrig.rig.guard import Cause, Guard
+from dragrig.rig.profile import Extremes
+
+RATE = 1000.0
+CLEAR = StageState(position_mm=40.0, enabled=True, homed=True, moving=False)
+
+
+def armed() -> Guard:
+    guard = Guard(GuardSettings())
+    assert guard.reset(CLEAR) is None
+    guard.watch(Extremes(lowest_mm=0.0, highest_mm=40.0, speed_mm_s=20.0, acceleration_mm_s2=400.0))
+    return guard
+
+
+def block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: int = 0) -> Block:
+    position = start + speed * np.arange(50) / RATE
+    return Block(first, {"force": np.full(50, force, np.float32), "position": position.astype(np.float32)})
+
+
+def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
+    guard = Guard(GuardSettings())
+    assert guard.trip is not None
+    assert guard.trip.cause is Cause.START_UP
+    assert guard.reset(CLEAR) is None
+
+
+def test_a_reset_needs_all_conditions_clear() -> None:
+    guard = Guard(GuardSettings())
+    still = guard.reset(StageState(40.0, enabled=True, homed=True, moving=False, fault="overheated"))
+    assert still is not None
+    assert still.cause is Cause.DRIVE_FAULT
+
+
+def test_a_run_as_planned_passes() -> None:
+    guard = armed()
+    for first in range(0, 500, 50):
+        one = block(start=5 + first * 0.02, first=first)
+        assert guard.inspect(one, one.channels["position"], RATE) is None
+
+
+@pytest.mark.parametrize(
+    ("bad", "command_off", "cause"),
+    [
+        (block(force=8001.0), 0.0, Cause.FORCE),
+        (block(force=-8001.0), 0.0, Cause.FORCE),
+        (block(force=float("nan")), 0.0, Cause.NOT_A_NUMBER),
+        (block(start=40.5), 0.0, Cause.POSITION),
+        (block(start=-1.5, speed=0.0), 0.0, Cause.POSITION),
+        (block(speed=36.0), 0.0, Cause.SPEED),
+        (block(speed=0.0), 0.51, Cause.FOLLOWING_ERROR),
+    ],
+)
+def test_each_cause_trips(bad: Block, command_off: float, cause: Cause) -> None:
+    trip = armed().inspect(bad, bad.channels["position"] + np.float32(command_off), RATE)
+    assert trip is not None
+    assert trip.cause is cause
+
+
+def test_following_error_may_grow_with_speed() -> None:
+    one = block(speed=20.0)
+    assert armed().inspect(one, one.channels["position"] + np.float32(1.4), RATE) is None
+    assert armed().inspect(one, one.channels["position"] + np.float32(1.6), RATE) is not None
+
+
+def test_speed_is_seen_across_blocks_and_gaps() -> None:
+    guard = armed()
+    first, far = block(speed=0.0), block(start=9.0, speed=0.0, first=100)
+    assert guard.inspect(first, first.channels["position"], RATE) is None
+    trip = guard.inspect(far, far.channels["position"], RATE)
+    assert trip is not None
+    assert trip.cause is Cause.SPEED
+
+
+def test_it_trips_once_and_stays_latched() -> None:
+    guard = armed()
+    bad = block(force=9000.0)
+    assert guard.inspect(bad, bad.channels["position"], RATE) is not None
+    assert guard.inspect(bad, bad.channels["position"], RATE) is None
+    assert guard.latch(Cause.STALE_DATA, "late") is None
+    assert guard.trip is not None
+    assert guard.trip.cause is Cause.FORCE
+    good = block()
+    assert guard.inspect(good, good.channels["position"], RATE) is None
+    assert guard.trip.cause is Cause.FORCE
