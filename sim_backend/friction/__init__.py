@@ -1,1 +1,27 @@
-"""The velocity-dependent friction model as pure functions of motion and parameters."""
+"""The velocity-dependent friction model as pure functions of motion and parameters.
+
+`prepare` gives the force of an acquisition at any sample times, `steady_forces` and `skew_resistance` the
+paper's curves, `wall_parameters` and `disagreement` the two published parameter sets.
+"""
+
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.prepared import PreparedForce, prepare
+from dragrig.sim_backend.friction.sliding import Components
+from dragrig.sim_backend.friction.steady import SteadyForces, skew_resistance, steady_forces
+from dragrig.sim_backend.friction.wall import Disagreement, WallKind, WallParameters, disagreement, wall_parameters
+
+__all__ = [
+    "Components",
+    "Disagreement",
+    "Motion",
+    "PreparedForce",
+    "ProfileMotion",
+    "SteadyForces",
+    "WallKind",
+    "WallParameters",
+    "disagreement",
+    "prepare",
+    "skew_resistance",
+    "steady_forces",
+    "wall_parameters",
+]

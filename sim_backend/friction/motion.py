@@ -1,0 +1,144 @@
+"""What the friction model needs to know of a motion, and how a motion profile provides it.
+
+Units: mm and s. Position 0 is where the run starts, time 0 its first sample.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.profile import MotionProfile
+
+SignArray = npt.NDArray[np.int8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Pieces of constant acceleration: state at the start of each, arrays of shape `(K,)`."""
+
+    start_s: FloatArray
+    position_mm: FloatArray
+    velocity_mm_s: FloatArray
+    acceleration_mm_s2: FloatArray
+
+
+class Motion(Protocol):
+    """A motion made of `K` smooth stretches, none of which turns round."""
+
+    @property
+    def breaks_s(self) -> FloatArray:
+        """Ends of the stretches, shape `(K + 1,)`, from 0 to the motion's duration."""
+        ...
+
+    @property
+    def signs(self) -> SignArray:
+        """Direction of motion in each stretch, shape `(K,)`: 1, −1, or 0 at rest."""
+        ...
+
+    @property
+    def uniform(self) -> BoolArray:
+        """Whether the velocity is constant in each stretch, shape `(K,)`."""
+        ...
+
+    def position(self, time_s: FloatArray) -> FloatArray:
+        """Position [mm] at any times within the motion."""
+        ...
+
+    def velocity(self, time_s: FloatArray) -> FloatArray:
+        """Velocity [mm/s] at any times within the motion."""
+        ...
+
+    def along(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity at times of shape `(n, m)`, each row of which lies within one stretch."""
+        ...
+
+    def arrival(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Last time at which the stretches `first` to `last`, which do not turn round, are at a position."""
+        ...
+
+    def pieces(self) -> Pieces:
+        """Return the motion as pieces of constant acceleration."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileMotion:
+    """A motion profile, its pieces divided where they turn round."""
+
+    breaks_s: FloatArray
+    signs: SignArray
+    uniform: BoolArray
+    start_mm: FloatArray
+    velocity_mm_s: FloatArray
+    acceleration_mm_s2: FloatArray
+
+    @classmethod
+    def of(cls, profile: MotionProfile) -> "ProfileMotion":
+        """Prepare a profile; an empty one stands still for no time."""
+        turning = [
+            float(start - speed / acceleration)
+            for start, end, speed, acceleration in zip(
+                profile.start_s,
+                np.append(profile.start_s[1:], profile.duration_s),
+                profile.velocity_mm_s,
+                profile.acceleration_mm_s2,
+                strict=True,
+            )
+            if acceleration != 0 and start < start - speed / acceleration < end
+        ]
+        begin = np.union1d(profile.start_s, turning) if profile.start_s.size else np.zeros(1)
+        if profile.start_s.size:
+            piece = np.searchsorted(profile.start_s, begin, side="right") - 1
+            velocity = np.where(np.isin(begin, turning), 0.0, profile.velocity(begin))
+            acceleration = profile.acceleration_mm_s2[piece]
+            start = profile.position(begin)
+        else:
+            velocity = acceleration = start = np.zeros(1)
+        breaks = np.append(begin, profile.duration_s)
+        middle = velocity + 0.5 * acceleration * np.diff(breaks)
+        return cls(breaks, np.sign(middle).astype(np.int8), acceleration == 0, start, velocity, acceleration)
+
+    def position(self, time_s: FloatArray) -> FloatArray:
+        """Position [mm] at any times within the motion."""
+        return self._position(*self._locate(time_s))
+
+    def velocity(self, time_s: FloatArray) -> FloatArray:
+        """Velocity [mm/s] at any times within the motion."""
+        index, elapsed = self._locate(time_s)
+        return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
+
+    def along(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity at times of shape `(n, m)`, each row of which lies within one stretch."""
+        middle = 0.5 * (time_s[:, :1] + time_s[:, -1:])
+        index, _ = self._locate(middle)
+        elapsed = time_s - self.breaks_s[index]
+        velocity = self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed
+        return self._position(index, elapsed), np.asarray(velocity)
+
+    def arrival(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Last time at which the stretches `first` to `last`, which do not turn round, are at a position."""
+        sign = float(self.signs[first : last + 1].sum() >= 0) * 2 - 1
+        ahead = sign * (position_mm - self.start_mm[first])
+        starts = sign * (self.start_mm[first : last + 1] - self.start_mm[first])
+        index = first + np.clip(np.searchsorted(starts, ahead, side="right") - 1, 0, None)
+        distance = np.maximum(ahead - starts[index - first], 0.0)
+        speed = sign * self.velocity_mm_s[index]
+        square = speed**2 + 2 * sign * self.acceleration_mm_s2[index] * distance
+        mean_speed = 0.5 * (speed + np.sqrt(np.maximum(square, 0.0)))
+        elapsed = np.divide(distance, mean_speed, out=np.zeros_like(distance), where=mean_speed > 0)
+        return np.asarray(np.minimum(self.breaks_s[index] + elapsed, self.breaks_s[index + 1]))
+
+    def pieces(self) -> Pieces:
+        """Return the motion as pieces of constant acceleration."""
+        return Pieces(self.breaks_s[:-1], self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
+
+    def _locate(self, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        index = np.searchsorted(self.breaks_s[:-1], time_s, side="right") - 1
+        return index, time_s - self.breaks_s[index]
+
+    def _position(self, index: npt.NDArray[np.intp], elapsed: FloatArray) -> FloatArray:
+        speed = self.velocity_mm_s[index] + 0.5 * self.acceleration_mm_s2[index] * elapsed
+        return np.asarray(self.start_mm[index] + speed * elapsed)

@@ -1,0 +1,47 @@
+"""Piecewise polynomial interpolation of a function that relaxes after each event."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from dragrig.rig.arrays import FloatArray
+
+NODES = 8
+"""Chebyshev nodes per panel."""
+
+FIRST_PANEL = 0.3
+"""Width of the first panel after an event, in relaxation times of the fastest branch."""
+
+PANEL_RATIO = 2.0
+"""How much later each panel ends than its predecessor, both counted from the event."""
+
+
+def graded_edges(begin_s: float, end_s: float, fastest_rate: float) -> FloatArray:
+    """Return the ends of panels from `begin_s` to `end_s`, shortest at the beginning."""
+    first = FIRST_PANEL / fastest_rate
+    count = max(0, int(np.ceil(np.log((end_s - begin_s) / first) / np.log(PANEL_RATIO))))
+    inner = begin_s + first * PANEL_RATIO ** np.arange(count)
+    return np.concatenate(([begin_s], inner[inner < end_s], [end_s]))
+
+
+def interpolate(evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArray) -> PPoly:
+    """Interpolate `evaluate`, which takes times of shape `(n,)`, between strictly rising edges.
+
+    The nodes lie inside the panels, so that a jump at an edge is never asked about.
+    """
+    nodes, to_powers = _rule()
+    width = np.diff(edges_s)
+    times = edges_s[:-1, None] + width[:, None] * nodes
+    values = evaluate(times.ravel()).reshape(times.shape)
+    powers = np.arange(nodes.size)
+    coefficients = (to_powers @ values.T) / width ** powers[:, None]
+    return PPoly(coefficients[::-1], edges_s)
+
+
+@cache
+def _rule() -> tuple[FloatArray, FloatArray]:
+    """Nodes on (0, 1) and the matrix from values there to coefficients of ascending powers."""
+    nodes = 0.5 * (1 - np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES))
+    return nodes, np.asarray(np.linalg.inv(np.vander(nodes, increasing=True)))

@@ -1,0 +1,83 @@
+"""The friction of one acquisition, from settings to force."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.config.errors import AnalysisError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.specimen import Fixture
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition, Contact
+from dragrig.sim_backend.friction.contact import HemisphereContact
+from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.sliding import Components, SlidingForce
+from dragrig.sim_backend.friction.sticking import StickingForce
+
+
+@dataclass(frozen=True, slots=True)
+class NoFriction:
+    """A blank run: the capsule touches nothing."""
+
+    def total(self, time_s: FloatArray) -> FloatArray:
+        """Return zeros."""
+        return np.zeros_like(time_s)
+
+    def components(self, time_s: FloatArray) -> Components:
+        """Return zeros."""
+        return Components(*np.zeros((3, *np.shape(time_s))))
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedForce:
+    """The force of one acquisition as the model has it, without noise, at any sample times.
+
+    The value at a time does not depend on what other times are asked for in the same call.
+    """
+
+    friction: SlidingForce | StickingForce | NoFriction
+    force_gain: float
+
+    def force(self, time_s: FloatArray) -> FloatArray:
+        """Force [mN] that the channel shows, of the shape of `time_s` [s]: the friction times the force gain."""
+        return self.force_gain * self.friction.total(time_s)
+
+    def components(self, time_s: FloatArray) -> Components:
+        """Return the true friction's parts [mN], no gain applied; AnalysisError where the capsule sticks."""
+        if isinstance(self.friction, StickingForce):
+            raise AnalysisError(
+                f"The capsule sticks to the wall in run {self.friction.run_id!r}, so that its force has no parts "
+                "f_e, f_v and f_c; ask for the force"
+            )
+        return self.friction.components(time_s)
+
+
+def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Motion | None = None) -> PreparedForce:
+    """Prepare the force of an acquisition: all that does not depend on the sample times is computed here.
+
+    Parameters
+    ----------
+    acquisition
+        Motion, capsule, specimen, fixture, contact and dwell of the run.
+    model
+        Parameters and scales of the friction model.
+    motion
+        A motion to use in place of the acquisition's profile, such as a recorded one.
+
+    Raises
+    ------
+    SettingsError
+        Where the published wall parameters do not reach the strain of the contact or of the shear.
+    """
+    if acquisition.contact is Contact.NONE or acquisition.fixture is Fixture.NONE:
+        return PreparedForce(NoFriction(), model.force_gain)
+    if motion is None:
+        motion = ProfileMotion.of(acquisition.profile)
+    if acquisition.contact is Contact.STICKING:
+        return PreparedForce(StickingForce.of(acquisition, model, motion), model.force_gain)
+    contact = HemisphereContact.of(acquisition.capsule, acquisition.specimen.wall_thickness_mm, model)
+    reach = contact.length_mm + model.side_contact_mm
+    history = ContactHistory.of(motion, reach, acquisition.insertion_dwell_s * model.insertion_dwell_scale)
+    pressing = acquisition.fixture is Fixture.FOAM
+    return PreparedForce(SlidingForce.of(contact, history, acquisition.capsule.mass_g, pressing), model.force_gain)

@@ -1,0 +1,131 @@
+"""Force on a capsule that slides: f_e + f_v + f_c at any times of a motion (Eq. 1)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+
+import numpy as np
+from scipy.interpolate import PPoly
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
+from dragrig.sim_backend.friction.environment import NODES, EnvironmentalResistance
+from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.panels import graded_edges, interpolate
+from dragrig.sim_backend.friction.stretches import Stretch, stretches
+from dragrig.sim_backend.friction.viscous import viscous_force
+
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity; g · m/s² = mN."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Components:
+    """The three parts of the friction [mN], each of the shape of the times asked for."""
+
+    f_e: FloatArray
+    f_v: FloatArray
+    f_c: FloatArray
+
+    @property
+    def total(self) -> FloatArray:
+        """Their sum (Eq. 1)."""
+        return self.f_e + self.f_v + self.f_c
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlidingForce:
+    """Friction of a sliding run, prepared for any sample times.
+
+    `resistance` is f_e interpolated and `side` the radial force of the wall; both are None where the gut
+    is held open, so that it presses on nothing.
+    """
+
+    contact: HemisphereContact
+    history: ContactHistory
+    weight_mN: float
+    stretches: tuple[Stretch, ...]
+    begins_s: FloatArray
+    resistance: PPoly | None
+    side: SidePressure | None
+
+    @classmethod
+    def of(
+        cls, contact: HemisphereContact, history: ContactHistory, mass_g: float, pressing: bool, nodes: int = NODES
+    ) -> "SlidingForce":
+        """Evaluate f_e on its knots, with a quadrature of so many nodes per panel."""
+        parts = tuple(stretches(history, contact.length_mm))
+        environment = EnvironmentalResistance.of(contact, history, nodes)
+        return cls(
+            contact=contact,
+            history=history,
+            weight_mN=mass_g * GRAVITY_M_S2,
+            stretches=parts,
+            begins_s=np.array([part.begin_s for part in parts]),
+            resistance=_interpolated(environment, parts) if pressing else None,
+            side=contact.side_pressure() if pressing else None,
+        )
+
+    def total(self, time_s: FloatArray) -> FloatArray:
+        """f_e + f_v + f_c [mN] at any times [s]."""
+        return self.components(time_s).total
+
+    def components(self, time_s: FloatArray) -> Components:
+        """f_e, f_v and f_c at any times [s]; before the motion's start and after its end they stay as there."""
+        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.history.motion.breaks_s[-1])
+        flat = time.ravel()
+        order = None if bool((flat[1:] >= flat[:-1]).all()) else np.argsort(flat, kind="stable")
+        rising = flat if order is None else flat[order]
+        parts = np.empty((3, flat.size))
+        for stretch, piece in self._divided(rising):
+            self._fill(parts[:, piece], stretch, rising[piece])
+        if order is not None:
+            back = np.empty_like(parts)
+            back[:, order] = parts
+            parts = back
+        f_e, f_v, f_c = parts.reshape(3, *time.shape)
+        return Components(f_e, f_v, f_c)
+
+    def _divided(self, rising_s: FloatArray) -> Iterator[tuple[Stretch, slice]]:
+        begins = np.searchsorted(rising_s, self.begins_s[1:], side="left")
+        edges = [0, *begins.tolist(), rising_s.size]
+        for stretch, begin, end in zip(self.stretches, edges[:-1], edges[1:], strict=True):
+            if end > begin:
+                yield stretch, slice(begin, end)
+
+    def _fill(self, parts: FloatArray, stretch: Stretch, time_s: FloatArray) -> None:
+        """Write f_e, f_v and f_c; what is constant in the stretch is evaluated once, in its middle."""
+        middle = np.array([0.5 * (stretch.begin_s + stretch.end_s)])
+        parts[0] = 0.0 if self.resistance is None else self.resistance(middle if stretch.steady else time_s)
+        if stretch.sign == 0:
+            parts[1:] = 0.0
+            return
+        velocity = self.history.motion.velocity(middle if stretch.uniform else time_s)
+        parts[1] = viscous_force(velocity, self.contact.model, self.contact.area_mm2)
+        parts[2] = self._normal_force(stretch, middle if stretch.steady else time_s)
+        parts[2] *= self.contact.model.friction_coefficient * np.tanh(velocity / self.contact.model.regularisation_mm_s)
+
+    def _normal_force(self, stretch: Stretch, time_s: FloatArray) -> FloatArray:
+        """N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
+        if self.side is None:
+            return np.full_like(time_s, self.weight_mN)
+        position = self.history.motion.position(time_s)
+        at_equator = self.history.wall_at(stretch.stroke, self.contact.length_mm, position)
+        age = np.maximum(time_s - self.history.begin(stretch.side, at_equator), 0.0)
+        return self.weight_mN + self.side.force(age)
+
+
+def _interpolated(environment: EnvironmentalResistance, parts: tuple[Stretch, ...]) -> PPoly:
+    """Interpolate f_e stroke by stroke: one panel where it is steady, graded ones where it is not."""
+    rate = environment.contact.fastest_rate
+    pieces: list[PPoly] = []
+    for _, group in groupby(parts, key=lambda part: part.stroke.first):
+        stroke_parts = list(group)
+        edges = [np.array([stroke_parts[0].begin_s])]
+        for part in stroke_parts:
+            ends = [part.end_s] if part.steady else graded_edges(part.begin_s, part.end_s, rate)[1:]
+            edges.append(np.asarray(ends))
+        pieces.append(interpolate(partial(environment.at, stroke_parts[0].stroke), np.concatenate(edges)))
+    edges = [piece.x if index == 0 else piece.x[1:] for index, piece in enumerate(pieces)]
+    return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))
