@@ -1,1 +1,26 @@
 """The simulated rig behind the device protocols of `dragrig.rig.devices`."""
+
+from dragrig.sim_backend.devices.backend import SimulatedBackend, open_backend
+from dragrig.sim_backend.devices.faults import (
+    DriveFault,
+    Faults,
+    FollowError,
+    ForceSpike,
+    LostSamples,
+    Runaway,
+    StaleData,
+    StuckEncoder,
+)
+
+__all__ = [
+    "DriveFault",
+    "Faults",
+    "FollowError",
+    "ForceSpike",
+    "LostSamples",
+    "Runaway",
+    "SimulatedBackend",
+    "StaleData",
+    "StuckEncoder",
+    "open_backend",
+]

@@ -1,0 +1,79 @@
+"""The simulated rig as a whole, and the factory that opens it."""
+
+from collections.abc import Mapping
+
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import BackendRequest, Clock
+from dragrig.sim_backend.devices.axis import Axis
+from dragrig.sim_backend.devices.clock import VirtualClock, WallClock
+from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
+from dragrig.sim_backend.devices.instruments import Encoder
+from dragrig.sim_backend.devices.sampler import SimulatedSampler
+from dragrig.sim_backend.devices.stage import SimulatedStage
+from dragrig.sim_backend.devices.variation import draw_specimen
+
+
+class SimulatedBackend:
+    """A rig and a gut that exist in numbers only.
+
+    Parameters
+    ----------
+    model
+        The nominal model; with `variation.specimen` a specimen is drawn around it once, here.
+    """
+
+    def __init__(
+        self, rig: RigSettings, model: FrictionModelSettings, clock: Clock, faults: Faults = NO_FAULTS
+    ) -> None:
+        self._rig = rig
+        self._model_name = model.name
+        self._clock = clock
+        drawn = draw_specimen(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
+        axis = Axis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
+        self._stage = SimulatedStage(rig.stage, axis, Encoder.of(rig.encoder), faults)
+        self._sampler = SimulatedSampler(rig, drawn, clock, axis, faults)
+
+    @property
+    def name(self) -> str:
+        """Name that the run files carry."""
+        return "simulated"
+
+    @property
+    def stage(self) -> SimulatedStage:
+        """The axis."""
+        return self._stage
+
+    @property
+    def sampler(self) -> SimulatedSampler:
+        """The acquisition."""
+        return self._sampler
+
+    @property
+    def clock(self) -> Clock:
+        """The time that this rig lives in."""
+        return self._clock
+
+    def description(self) -> Mapping[str, str | float | int | bool]:
+        """Return seed, sensor, model and whether the specimen was drawn; not what was drawn."""
+        return {
+            "sensor_serial": self._rig.force_sensor.serial or "simulated",
+            "seed": self._rig.simulated.seed,
+            "model": self._model_name,
+            "specimen_drawn": self._rig.simulated.variation.specimen,
+        }
+
+    def close(self) -> None:
+        """Stop the stage, end the acquisition and switch the drive off."""
+        self._stage.stop()
+        self._sampler.stop()
+        self._stage.disable()
+
+
+def open_backend(request: BackendRequest, faults: Faults = NO_FAULTS) -> SimulatedBackend:
+    """Return a simulated rig in virtual time, or at the pace of the wall's clock when the request says so.
+
+    `faults` is for tests: whoever opens a backend by name cannot give it.
+    """
+    clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
+    return SimulatedBackend(request.rig, request.model, clock, faults)

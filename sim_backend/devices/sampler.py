@@ -1,0 +1,140 @@
+"""The simulated sampler: force, position and motor force on one clock, in blocks."""
+
+from threading import Event as Signal
+
+from dragrig.config.errors import DeviceError, StaleDataError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import LONGEST_BLOCK_S, Acquisition, Block, Clock
+from dragrig.rig.runfile.model import Channel
+from dragrig.sim_backend.devices.axis import Axis
+from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
+from dragrig.sim_backend.devices.instruments import Converter
+from dragrig.sim_backend.devices.reading import Reading
+from dragrig.sim_backend.devices.signals import Signals, recorded_channels
+
+
+class SimulatedSampler:
+    """Samples what the axis does, block after block, each when the clock says that its last sample is over.
+
+    One thread arms, starts and reads; `stop` may come from any.
+    """
+
+    def __init__(
+        self, rig: RigSettings, model: FrictionModelSettings, clock: Clock, axis: Axis, faults: Faults = NO_FAULTS
+    ) -> None:
+        self._rig = rig
+        self._model = model
+        self._clock = clock
+        self._axis = axis
+        self._faults = faults
+        self._rate_hz = rig.sampling.rate_hz
+        self._block_samples = max(1, int(min(rig.sampling.block_s, LONGEST_BLOCK_S) * self._rate_hz + 1e-6))
+        self._channels = recorded_channels(rig)
+        self._reading: Reading | None = None
+        self._began_s: float | None = None
+        self._silent_from: int | None = None
+        self._silence_s = 0.0
+        self._was_armed = False
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Samples per second of every channel."""
+        return self._rate_hz
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Force, position and, where the settings ask for it, motor force."""
+        return self._channels
+
+    @property
+    def force_range_mN(self) -> tuple[float, float]:
+        """Least and greatest force that the sensor's converter can tell."""
+        return Converter.of(self._rig.force_sensor).range_mN
+
+    def arm(self, acquisition: Acquisition) -> None:
+        """Prepare an acquisition of the profile's length.
+
+        Raises
+        ------
+        DeviceError
+            When the acquisition before was not ended with `stop`, or the stage is moving.
+        """
+        if self._reading is not None:
+            raise DeviceError("the sampler is still armed for the acquisition before: stop it first.")
+        faults = self._faults.during(acquisition)
+        reading = Reading(
+            Signals(self._rig, self._model, acquisition, faults),
+            samples=acquisition.profile.samples(self._rate_hz),
+            block_samples=self._block_samples,
+            sample_rate_hz=self._rate_hz,
+            lost=faults.lost_samples,
+        )
+        self._axis.expect(acquisition)
+        stale = faults.stale_data
+        self._silent_from = None if stale is None else reading.index(stale.at_s)
+        self._silence_s = 0.0 if stale is None else stale.duration_s
+        self._began_s = None
+        self._reading = reading
+        self._was_armed = True
+
+    def start(self) -> None:
+        """Take the first sample now.
+
+        Raises
+        ------
+        DeviceError
+            When the sampler is not armed, or was started already.
+        """
+        if self._reading is None or self._began_s is not None:
+            raise DeviceError("the sampler cannot start: arm it once for each acquisition.")
+        self._began_s = self._axis.begin_sampling()
+        self._reading.begin_at(self._axis.track.origin_mm)
+
+    def read(self, cancel: Signal) -> Block | None:
+        """Return the next block once the clock says that it is complete; None when there is none or `cancel` is set.
+
+        Raises
+        ------
+        DeviceError
+            When the sampler was not started.
+        StaleDataError
+            When it delivers nothing for as long as `guard.stale_data_s`.
+        """
+        reading, began_s = self._reading, self._began_s
+        if reading is None and self._was_armed:
+            return None
+        if reading is None or began_s is None:
+            raise DeviceError("the sampler has nothing to read: arm and start it first.")
+        while self._reading is reading and not cancel.is_set():
+            track = self._axis.track
+            reading.follow(track)
+            if reading.next_index == self._silent_from and not self._outlast_silence(cancel):
+                return None
+            end = reading.next_end(self._silent_from)
+            if end <= reading.next_index:
+                self._axis.end_sampling()
+                return None
+            reading.compute(end)
+            until_s = end / self._rate_hz
+            if not self._clock.sleep(began_s + until_s - self._clock.monotonic(), cancel):
+                return None
+            if self._axis.claim(track, until_s):
+                return Block(*reading.take(end))
+        return None
+
+    def stop(self) -> None:
+        """End the acquisition and forget it; the stage goes on with what it does."""
+        self._reading = None
+        self._axis.end_sampling()
+
+    def _outlast_silence(self, cancel: Signal) -> bool:
+        longest_s = self._rig.guard.stale_data_s
+        if not self._clock.sleep(min(self._silence_s, longest_s), cancel):
+            return False
+        if self._silence_s > longest_s:
+            raise StaleDataError(
+                f"the sampler delivered nothing for {longest_s:g} s (guard.stale_data_s): check its clock and cables."
+            )
+        self._silent_from = None
+        return True

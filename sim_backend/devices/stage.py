@@ -1,0 +1,149 @@
+"""The simulated stage: limits, states and faults of a drive."""
+
+import threading
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.rig import StageSettings
+from dragrig.rig.devices import StageLimits, StageState
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.devices.axis import Axis, Track
+from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
+from dragrig.sim_backend.devices.instruments import Encoder
+from dragrig.sim_backend.devices.kinematics import run_away
+
+POSITION_TOLERANCE_MM = 1e-6
+STANDSTILL_MM_S = 1e-6
+END_STOP_MM = 5.0
+"""How far beyond the soft limits the hard end of the axis lies."""
+
+
+class SimulatedStage:
+    """One axis that follows profiles exactly, as long as no fault says otherwise."""
+
+    def __init__(self, settings: StageSettings, axis: Axis, encoder: Encoder, faults: Faults) -> None:
+        self._limits = StageLimits(
+            lowest_mm=settings.lowest_mm,
+            highest_mm=settings.highest_mm,
+            speed_mm_s=settings.max_speed_mm_s,
+            acceleration_mm_s2=settings.max_accel_mm_s2,
+        )
+        self._stop_accel_mm_s2 = settings.stop_accel_mm_s2
+        self._axis = axis
+        self._encoder = encoder
+        self._faults = faults
+        self._enabled = False
+        self._homed = False
+        self._commands = threading.RLock()
+
+    @property
+    def limits(self) -> StageLimits:
+        """Soft limits of travel, and the greatest speed and acceleration."""
+        return self._limits
+
+    def enable(self) -> None:
+        """Switch the drive on.
+
+        Raises
+        ------
+        DeviceError
+            When the drive has a fault; `disable` clears it.
+        """
+        with self._commands:
+            self._refuse_fault()
+            self._enabled = True
+
+    def home(self) -> None:
+        """Go to the origin, or to the soft limit nearest to it, at once.
+
+        Raises
+        ------
+        DeviceError
+            When the drive is off, moving or has a fault.
+        """
+        with self._commands:
+            self._refuse_unready()
+            self._axis.place(min(max(0.0, self._limits.lowest_mm), self._limits.highest_mm))
+            self._homed = True
+
+    def move(self, profile: MotionProfile) -> None:
+        """Begin to follow a profile: now, or with the first sample when the sampler is armed.
+
+        Raises
+        ------
+        DeviceError
+            When the drive is off, not homed, moving or has a fault, when the first sample is already past, or when
+            the profile leaves the stage's limits or does not end at a standstill.
+        """
+        with self._commands:
+            self._refuse_unready()
+            if not self._homed:
+                raise DeviceError("the stage does not know where it is: home it before it moves.")
+            if profile.duration_s <= 0:
+                return
+            origin_mm, _, _ = self._axis.look()
+            self._refuse_beyond_limits(profile, origin_mm)
+            self._axis.begin(self._track(profile, origin_mm))
+
+    def stop(self) -> None:
+        """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread."""
+        self._axis.stop()
+
+    def disable(self) -> None:
+        """Stop, switch the drive off and clear its fault."""
+        self._axis.stop()
+        with self._commands:
+            self._axis.clear_fault()
+            self._enabled = False
+
+    def state(self) -> StageState:
+        """Where the stage is, to the encoder's resolution, and how it is."""
+        position_mm, moving, fault = self._axis.look()
+        return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
+
+    def _refuse_fault(self) -> None:
+        _, _, fault = self._axis.look()
+        if fault:
+            raise DeviceError(f"the drive reports a fault, {fault}: see to it, then switch the drive off and on.")
+
+    def _refuse_unready(self) -> None:
+        self._refuse_fault()
+        if not self._enabled:
+            raise DeviceError("the drive is off: enable the stage first.")
+        if self._axis.look()[1]:
+            raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
+
+    def _refuse_beyond_limits(self, profile: MotionProfile, origin_mm: float) -> None:
+        extremes, limits = profile.extremes(), self._limits
+        lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
+        margin = POSITION_TOLERANCE_MM
+        # Written so that a NaN is refused too.
+        if not (lowest >= limits.lowest_mm - margin and highest <= limits.highest_mm + margin):
+            raise DeviceError(
+                f"the stage refuses a move from {origin_mm:g} mm that reaches {lowest:g} to {highest:g} mm: its travel "
+                f"is {limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
+            )
+        for what, unit, value, most, key in (
+            ("speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
+            ("acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
+        ):
+            if not value <= most * (1 + 1e-9):
+                raise DeviceError(
+                    f"the stage refuses a {what} of {value:g} {unit}: it goes up to {most:g} {unit} "
+                    f"(stage.{key} of the rig file)."
+                )
+        if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_MM_S:
+            raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")
+
+    def _track(self, profile: MotionProfile, origin_mm: float) -> Track:
+        acquisition = self._axis.acquisition
+        faults = NO_FAULTS if acquisition is None else self._faults.during(acquisition)
+        if faults.runaway is not None:
+            away = faults.runaway
+            end = self._limits.highest_mm + END_STOP_MM if away.speed_mm_s > 0 else self._limits.lowest_mm - END_STOP_MM
+            accel = self._limits.acceleration_mm_s2
+            profile = run_away(profile, away.at_s, away.speed_mm_s, end - origin_mm, accel)
+        if faults.drive_fault is None:
+            return Track(profile, origin_mm)
+        failing = faults.drive_fault
+        braked = profile.stopped(failing.at_s, self._stop_accel_mm_s2, hold_s=profile.duration_s)
+        return Track(braked, origin_mm, fails_s=failing.at_s, fault=failing.message)

@@ -1,0 +1,276 @@
+"""What every rig's devices must do, whatever is behind them. A new backend is one more entry of `RIGS`."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from simulated import NEVER, acquire, begin, blocks, record, rest, settings, stroke
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import LONGEST_BLOCK_S, Backend, BackendRequest
+from dragrig.rig.profile import MotionProfile, Phase, Piece
+from dragrig.sim_backend.devices import open_backend
+
+
+@dataclass(frozen=True)
+class RigUnderTest:
+    open: Callable[[RigSettings], Backend]
+    position_tolerance_mm: float
+    paced: bool
+    """Whether its clock is the wall's."""
+
+
+def simulated(real_time: bool) -> Callable[[RigSettings], Backend]:
+    return lambda rig: open_backend(BackendRequest(rig, FrictionModelSettings(), real_time=real_time))
+
+
+RIGS = {
+    "simulated": RigUnderTest(simulated(real_time=False), position_tolerance_mm=0.001, paced=False),
+    "simulated at real pace": RigUnderTest(simulated(real_time=True), position_tolerance_mm=0.001, paced=True),
+}
+
+
+@pytest.fixture(params=RIGS.values(), ids=RIGS.keys())
+def rig(request: pytest.FixtureRequest) -> RigUnderTest:
+    return request.param
+
+
+@pytest.fixture
+def cold(rig: RigUnderTest) -> Iterator[Backend]:
+    backend = rig.open(settings())
+    yield backend
+    backend.close()
+
+
+@pytest.fixture
+def backend(cold: Backend) -> Backend:
+    cold.stage.enable()
+    cold.stage.home()
+    return cold
+
+
+def wait_for(backend: Backend, profile: MotionProfile) -> None:
+    backend.clock.sleep(profile.duration_s, NEVER)
+
+
+def test_is_a_backend_that_says_what_it_is(cold: Backend) -> None:
+    assert isinstance(cold, Backend)
+    assert cold.name
+    assert {"sensor_serial"} <= cold.description().keys()
+    assert cold.clock.now().utcoffset() is not None
+    assert [channel.name for channel in cold.sampler.channels][:2] == ["force", "position"]
+    lowest, highest = cold.sampler.force_range_mN
+    assert lowest < 0 < highest
+    assert cold.stage.limits.lowest_mm < cold.stage.limits.highest_mm
+
+
+def test_blocks_are_short_contiguous_and_read_only(rig: RigUnderTest, backend: Backend) -> None:
+    profile = stroke()
+    got = record(backend, acquire(profile))
+    expected = 0
+    for block in got.blocks:
+        assert block.first_index == expected
+        assert 0 < block.samples <= LONGEST_BLOCK_S * backend.sampler.sample_rate_hz
+        assert list(block.channels) == [channel.name for channel in backend.sampler.channels]
+        for values in block.channels.values():
+            assert values.shape == (block.samples,)
+            with pytest.raises(ValueError, match="read-only"):
+                values[0] = 0
+        expected = block.end_index
+    assert expected == profile.samples(backend.sampler.sample_rate_hz)
+    time_s = got.index / backend.sampler.sample_rate_hz
+    np.testing.assert_allclose(got["position"], profile.position(time_s), atol=rig.position_tolerance_mm)
+    assert got["force"].dtype == np.float32
+
+
+def test_sampler_may_start_before_the_stage(rig: RigUnderTest, backend: Backend) -> None:
+    profile = stroke()
+    backend.sampler.arm(acquire(profile))
+    backend.sampler.start()
+    backend.stage.move(profile)
+    last = list(blocks(backend))[-1]
+    assert last.end_index == profile.samples(backend.sampler.sample_rate_hz)
+    assert last.channels["position"][-1] == pytest.approx(5.0, abs=rig.position_tolerance_mm)
+
+
+def test_sampling_without_motion_stands_still(rig: RigUnderTest, backend: Backend) -> None:
+    profile = rest(0.1)
+    backend.sampler.arm(acquire(profile, kind="tare"))
+    backend.sampler.start()
+    got = list(blocks(backend))
+    assert got[-1].end_index == profile.samples(backend.sampler.sample_rate_hz)
+    assert max(np.abs(block.channels["position"]).max() for block in got) <= rig.position_tolerance_mm
+
+
+def test_positions_count_from_where_the_run_started(rig: RigUnderTest, backend: Backend) -> None:
+    there = stroke(travel_mm=7.0)
+    backend.stage.move(there)
+    assert backend.stage.state().moving
+    wait_for(backend, there)
+    state = backend.stage.state()
+    assert not state.moving
+    assert state.position_mm == pytest.approx(7.0, abs=rig.position_tolerance_mm)
+    got = record(backend, acquire(stroke(travel_mm=-5.0)))
+    assert got["position"][0] == pytest.approx(0.0, abs=rig.position_tolerance_mm)
+    assert got["position"][-1] == pytest.approx(-5.0, abs=rig.position_tolerance_mm)
+    assert backend.stage.state().position_mm == pytest.approx(2.0, abs=2 * rig.position_tolerance_mm)
+
+
+def test_nothing_moves_that_is_off_or_lost(cold: Backend) -> None:
+    with pytest.raises(DeviceError, match="enable"):
+        cold.stage.move(stroke())
+    with pytest.raises(DeviceError, match="enable"):
+        cold.stage.home()
+    cold.stage.enable()
+    with pytest.raises(DeviceError, match="home"):
+        cold.stage.move(stroke())
+    assert cold.stage.state().enabled
+    assert not cold.stage.state().homed
+    cold.stage.home()
+    cold.stage.disable()
+    assert not cold.stage.state().enabled
+    with pytest.raises(DeviceError, match="enable"):
+        cold.stage.move(stroke())
+
+
+def test_one_motion_at_a_time(backend: Backend) -> None:
+    profile = stroke()
+    backend.stage.move(profile)
+    with pytest.raises(DeviceError, match="moving"):
+        backend.stage.move(profile)
+    with pytest.raises(DeviceError, match="moves"):
+        backend.sampler.arm(acquire(profile))
+    wait_for(backend, profile)
+    backend.stage.move(stroke(travel_mm=-5.0))
+
+
+def test_sampler_insists_on_its_order_of_calls(backend: Backend) -> None:
+    with pytest.raises(DeviceError, match="arm"):
+        backend.sampler.read(NEVER)
+    with pytest.raises(DeviceError, match="arm"):
+        backend.sampler.start()
+    backend.sampler.arm(acquire(stroke()))
+    with pytest.raises(DeviceError, match="start"):
+        backend.sampler.read(NEVER)
+    with pytest.raises(DeviceError, match="stop"):
+        backend.sampler.arm(acquire(stroke()))
+    backend.sampler.start()
+    with pytest.raises(DeviceError, match="arm"):
+        backend.sampler.start()
+    backend.sampler.stop()
+    backend.sampler.stop()
+    assert backend.sampler.read(NEVER) is None
+    backend.sampler.arm(acquire(stroke()))
+
+
+@pytest.mark.parametrize(
+    ("profile", "complaint"),
+    [
+        (stroke(travel_mm=160.0, speed_mm_s=100.0), "travel"),
+        (stroke(travel_mm=-1.0, speed_mm_s=10.0), "travel"),
+        (stroke(travel_mm=20.0, speed_mm_s=101.0), "speed"),
+        (stroke(accel_mm_s2=3001.0), "acceleration"),
+        (MotionProfile.from_pieces([Piece(0.1, 100.0, Phase.ACCELERATE)]), "standstill"),
+        (MotionProfile.from_pieces([Piece(0.1, float("nan"), Phase.ACCELERATE)]), "travel"),
+    ],
+)
+def test_motion_beyond_the_limits_is_refused(backend: Backend, profile: MotionProfile, complaint: str) -> None:
+    with pytest.raises(DeviceError, match=complaint):
+        backend.stage.move(profile)
+    assert not backend.stage.state().moving
+
+
+def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest, backend: Backend) -> None:
+    profile = stroke(travel_mm=100.0, speed_mm_s=50.0)
+    begin(backend, acquire(profile))
+    got = []
+    stopper = threading.Thread(target=backend.stage.stop)
+    for block in blocks(backend):
+        got.append(block)
+        if len(got) == 3:
+            stopper.start()
+            stopper.join()
+    rate = backend.sampler.sample_rate_hz
+    position = np.concatenate([block.channels["position"] for block in got])
+    assert [block.first_index for block in got[1:]] == [block.end_index for block in got[:-1]]
+    handed_out = got[2].end_index
+    commanded = profile.position(np.arange(handed_out) / rate)
+    np.testing.assert_allclose(position[:handed_out], commanded, atol=rig.position_tolerance_mm)
+    braking_s = 50.0 / 3000.0
+    assert handed_out < len(position) <= handed_out + (braking_s + 0.1) * rate
+    assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm
+    assert backend.stage.state().position_mm == pytest.approx(position[-1], abs=2 * rig.position_tolerance_mm)
+    backend.sampler.stop()
+    again = record(backend, acquire(stroke(), order=1))
+    assert again["position"][-1] == pytest.approx(5.0, abs=rig.position_tolerance_mm)
+
+
+def test_stop_is_allowed_at_any_time_and_twice(cold: Backend) -> None:
+    cold.stage.stop()
+    cold.stage.enable()
+    cold.stage.stop()
+    cold.stage.home()
+    cold.stage.stop()
+    begin(cold, acquire(stroke(travel_mm=50.0)))
+    cold.sampler.read(NEVER)
+    cold.stage.stop()
+    cold.stage.stop()
+    ended = sum(block.samples for block in blocks(cold))
+    assert ended <= 0.1 * cold.sampler.sample_rate_hz
+    cold.stage.stop()
+    assert cold.sampler.read(NEVER) is None
+    cold.sampler.stop()
+    cold.stage.disable()
+    cold.stage.stop()
+    cold.close()
+    cold.close()
+    cold.stage.stop()
+
+
+def test_stop_before_the_first_sample_cancels_the_motion(backend: Backend) -> None:
+    profile = stroke()
+    backend.sampler.arm(acquire(profile))
+    backend.stage.move(profile)
+    backend.stage.stop()
+    backend.sampler.start()
+    assert sum(block.samples for block in blocks(backend)) <= 2
+    assert backend.stage.state().position_mm == 0.0
+
+
+def test_switching_off_stops(backend: Backend) -> None:
+    begin(backend, acquire(stroke(travel_mm=50.0)))
+    backend.sampler.read(NEVER)
+    backend.stage.disable()
+    assert sum(block.samples for block in blocks(backend)) <= 0.1 * backend.sampler.sample_rate_hz
+
+
+def test_cancel_ends_any_wait_within_a_tenth_of_a_second(rig: RigUnderTest, backend: Backend) -> None:
+    cancel = threading.Event()
+    cancelled_at = []
+
+    def end() -> None:
+        cancelled_at.append(time.monotonic())
+        cancel.set()
+
+    begin(backend, acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)))
+    timer = threading.Timer(0.12, end)
+    timer.start()
+    while backend.sampler.read(cancel) is not None:
+        pass
+    if rig.paced:
+        assert time.monotonic() - cancelled_at[0] < 0.1
+    timer.join()
+    assert backend.sampler.read(cancel) is None
+
+    cancel.clear()
+    timer = threading.Timer(0.12, end)
+    timer.start()
+    slept = backend.clock.sleep(60.0, cancel)
+    timer.join()
+    assert slept is not rig.paced
+    assert time.monotonic() - cancelled_at[1] < 0.1
