@@ -76,6 +76,7 @@ class RunInfo:
     reason: str = ""
     end_time: datetime | None = None
     checks: Mapping[str, Attribute] = field(default_factory=dict)
+    raw_sha256: str = ""
 
     @property
     def kind(self) -> str:
@@ -112,11 +113,12 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredTrace:
-    """What the filter stored beside the raw trace, with its parameters."""
+    """What the filter stored beside the raw trace, with its parameters; arrays of shape `(N,)`, read-only."""
 
     time: FloatArray
     channels: Mapping[str, FloatArray]
     parameters: Mapping[str, Attribute]
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
