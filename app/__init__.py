@@ -1,3 +1,30 @@
-"""dragrig: runs a linear-motor drag tester, real or simulated, and makes sense of what it records."""
+"""dragrig: runs a linear-motor drag tester, real or simulated, and makes sense of what it records.
+
+Examples
+--------
+>>> import dragrig
+>>> dragrig.check("drag").findings
+()
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dragrig.api import check
 
 __version__ = "0.1.0"
+
+__all__ = ["__version__", "check"]
+
+
+def __getattr__(name: str) -> object:
+    # What `import dragrig` offers is loaded on first use: the command line must start without any of it.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from dragrig import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,68 @@
+"""The group of all commands, which loads a command's module when the command is called."""
+
+from collections.abc import Mapping
+from importlib import import_module
+
+import click
+
+from dragrig import __version__
+
+SECTIONS: Mapping[str, Mapping[str, str]] = {
+    "Measure": {
+        "init": "Make a lab folder: rig settings, data root, calibration history.",
+        "check": "Say what a plan would do; nothing moves.",
+    },
+}
+"""Commands by section, with the line that the overview shows; the overview must not load them."""
+
+_MODULES = {"import": "import_", "filter": "filter_"}
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands by name alone."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all commands, in the order of the overview."""
+        del ctx
+        return [name for commands in SECTIONS.values() for name in commands]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load one command."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        module = import_module(f"dragrig.cli.{_MODULES.get(cmd_name, cmd_name)}")
+        command = module.command
+        if not isinstance(command, click.Command):
+            raise TypeError(f"{module.__name__}.command is not a click command")
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that the arguments name; an unknown one is answered with the nearest."""
+        if args and not args[0].startswith("-") and args[0] not in self.list_commands(ctx):
+            from dragrig.config.loading import nearest
+
+            raise click.UsageError(f"{args[0]} is not a command; {nearest(args[0], self.list_commands(ctx))}", ctx)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the overview without loading any command."""
+        del ctx
+        for section, commands in SECTIONS.items():
+            with formatter.section(section):
+                formatter.write_dl(list(commands.items()))
+
+
+@click.group(
+    name="dragrig",
+    cls=LazyGroup,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(__version__, message="dragrig %(version)s")
+@click.pass_context
+def group(ctx: click.Context) -> None:
+    """Run a linear-motor drag tester, real or simulated, and make sense of what it records."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())

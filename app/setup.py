@@ -1,0 +1,201 @@
+"""What a session runs with: plan, rig, specimen and model, each found by name or file and changed by assignments."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from dragrig.config.base import Settings
+from dragrig.config.errors import PlanError, SettingsError
+from dragrig.config.lab import rig_file_of
+from dragrig.config.library import table
+from dragrig.config.loading import Table, merge, nearest, nested, parse, parse_assignment
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan, Step
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Specimen
+from dragrig.rig.devices import StageLimits
+from dragrig.rig.programme import Programme, build
+from dragrig.rig.protocols import Protocol, kinds
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
+
+DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+
+PlanLike = str | Path | Plan | Protocol
+"""A plan by name or file, a plan, or the one run of a protocol."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """All settings of a session.
+
+    Attributes
+    ----------
+    plan_source
+        Where the plan comes from, for error messages.
+    plan_folder
+        Folder that capsule files in the plan are relative to; None for a shipped plan.
+    rig_folder
+        Folder of the rig file, with data root and calibration history; None for a shipped rig.
+    """
+
+    plan: Plan
+    plan_source: str
+    plan_folder: Path | None
+    rig: RigSettings
+    specimen: Specimen
+    model: FrictionModelSettings
+    rig_folder: Path | None
+    backend: str
+
+    @property
+    def data_root(self) -> Path:
+        """Folder of the campaigns."""
+        return (self.rig_folder or Path()) / self.rig.data.root
+
+    @property
+    def limits(self) -> StageLimits:
+        """What the settings say that the stage can do."""
+        stage = self.rig.stage
+        return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
+
+    def programme(self) -> Programme:
+        """Lay out the plan's runs; raises `PlanError` or `SettingsError`."""
+        return build(self.plan, self.specimen, self.rig.stage.start_mm, self.plan_source, self.plan_folder)
+
+
+def resolve(
+    plan: PlanLike,
+    *,
+    rig: str | Path | None = None,
+    specimen: str | Path | None = None,
+    model: str | Path | None = None,
+    capsule: str | Path | None = None,
+    backend: str | None = None,
+    assignments: Sequence[str] = (),
+    folder: Path | None = None,
+) -> Setup:
+    """Find all settings of a session and apply the assignments.
+
+    Parameters
+    ----------
+    rig, specimen, model
+        A file or a shipped name. The rig is the lab folder's unless given, and the shipped one outside of a lab.
+    capsule
+        A file or a shipped name, for every step.
+    backend
+        Name of an installed backend; the rig's own unless given.
+    assignments
+        Each `key=value`. A path that begins with rig, model, specimen or plan changes that; a bare key changes
+        every step that has it.
+    folder
+        Where to look for the lab folder; the working folder unless given.
+
+    Raises
+    ------
+    SettingsError, PlanError
+        One sentence that names file, key and what is allowed.
+    """
+    lab_rig = rig_file_of(folder or Path.cwd()) if rig is None else None
+    rig_settings, rig_folder = _found(RigSettings, "rig", lab_rig or rig)
+    changes = _Changes.of(assignments)
+    if capsule is not None:
+        changes.steps["capsule"] = _absolute(capsule)
+    base_plan, source, plan_folder = _plan(plan)
+    rig_changed = changes.laid_over(rig_settings, "rig")
+    return Setup(
+        plan=_with_step_keys(changes.laid_over(base_plan, "plan"), changes.steps),
+        plan_source=source,
+        plan_folder=plan_folder,
+        rig=rig_changed,
+        specimen=changes.laid_over(_found(Specimen, "specimen", specimen)[0], "specimen"),
+        model=changes.laid_over(_found(FrictionModelSettings, "model", model)[0], "model"),
+        rig_folder=rig_folder,
+        backend=backend or rig_changed.backend,
+    )
+
+
+def plan_of(protocol: Protocol) -> Plan:
+    """Return the plan of one run, without its way back."""
+    step = Step.model_validate({"kind": protocol.kind, "way_back": "stay", **protocol.model_dump(mode="json")})
+    return Plan(name=protocol.kind, steps=(step,))
+
+
+def _plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
+    if isinstance(plan, Plan):
+        return plan, f"plan {plan.name}", None
+    if isinstance(plan, Protocol):
+        return plan_of(plan), plan.kind, None
+    data, source = table("plan", str(plan))
+    return parse(Plan, data, source), source, _folder_of(source)
+
+
+def _found(model: type[SettingsT], kind: str, name_or_path: str | Path | None) -> tuple[SettingsT, Path | None]:
+    data, source = table(kind, str(name_or_path or DEFAULTS[kind]))
+    return parse(model, data, source), _folder_of(source)
+
+
+def _folder_of(source: str) -> Path | None:
+    path = Path(source)
+    return path.absolute().parent if path.is_file() else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Changes:
+    """Assignments by what they change; `texts` are the assignments as they were typed."""
+
+    steps: Table
+    others: Mapping[str, Table]
+    texts: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, assignments: Sequence[str]) -> "_Changes":
+        """Sort assignments; raises `SettingsError`."""
+        steps: Table = {}
+        others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
+        texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
+        for text in assignments:
+            (first, *rest), value = parse_assignment(text)
+            if not rest:
+                steps[first] = value
+            elif first in others:
+                others[first] = merge(others[first], nested(rest, value))
+                texts[first] = (*texts[first], text)
+            else:
+                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
+        return cls(steps, others, texts)
+
+    def laid_over(self, settings: SettingsT, name: str) -> SettingsT:
+        """Return the settings with the changes that are meant for them."""
+        if not self.others[name]:
+            return settings
+        data = merge(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
+        return parse(type(settings), data, f"--set {' '.join(self.texts[name])}")
+
+
+def _with_step_keys(plan: Plan, changes: Table) -> Plan:
+    if not changes:
+        return plan
+    known = [_keys_of(step) for step in plan.steps]
+    for key in changes:
+        if not any(key in keys for keys in known):
+            everything = sorted(set().union(*known))
+            raise PlanError(f"--set {key}: no step of plan {plan.name} has such a key; {nearest(key, everything)}")
+    steps = [
+        merge(step.model_dump(mode="json", exclude_unset=True), {k: v for k, v in changes.items() if k in keys})
+        for step, keys in zip(plan.steps, known, strict=True)
+    ]
+    data = plan.model_dump(mode="json", exclude_unset=True)
+    return parse(Plan, {**data, "steps": steps}, "--set")
+
+
+def _keys_of(step: Step) -> set[str]:
+    own = set(Step.model_fields) - {"kind", "parameters"}
+    protocol = kinds().get(step.kind)
+    return own if protocol is None else own | set(protocol.model_fields)
+
+
+def _absolute(name_or_path: str | Path) -> str:
+    path = Path(name_or_path)
+    return str(path.absolute()) if path.is_file() else str(name_or_path)

@@ -1,0 +1,71 @@
+"""The calibration history of a lab folder: one JSON line an entry, only ever appended to."""
+
+import json
+import os
+from pathlib import Path
+
+from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.lab import CALIBRATION_FILE, Calibration
+from dragrig.config.loading import parse
+
+
+def read(folder: Path) -> tuple[Calibration, ...]:
+    """Return every entry of a lab folder's history, oldest first; none where there is no history.
+
+    Raises
+    ------
+    SettingsError
+        For a line that is no calibration, by its number.
+    """
+    path = folder / CALIBRATION_FILE
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except FileNotFoundError:
+        return ()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: cannot be read ({error}); check the file.") from error
+    return tuple(_entry(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line.strip())
+
+
+def latest(folder: Path, quantity: str = "force") -> Calibration | None:
+    """Return the entry that holds now for a quantity (force, encoder); None before the first one."""
+    entries = [one for one in read(folder) if one.quantity == quantity]
+    return entries[-1] if entries else None
+
+
+def append(folder: Path, entry: Calibration) -> None:
+    """Add an entry to a lab folder's history.
+
+    Raises
+    ------
+    SettingsError
+        When the history has an entry of this id already, or holds a line that is no calibration.
+    OutputError
+        When the history cannot be written.
+    """
+    path = folder / CALIBRATION_FILE
+    if any(one.id == entry.id for one in read(folder)):
+        raise SettingsError(f"{path}: id = {entry.id!r} is in the history already; choose another.")
+    try:
+        with path.open("a+b") as history:
+            history.write(_line_end_if_torn(path) + entry.model_dump_json().encode() + b"\n")
+            history.flush()
+            os.fsync(history.fileno())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
+
+
+def _line_end_if_torn(path: Path) -> bytes:
+    # An editor may have left the last line without its end; the new entry must not join it.
+    text = path.read_bytes()
+    return b"" if not text or text.endswith(b"\n") else b"\n"
+
+
+def _entry(line: str, source: str) -> Calibration:
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise SettingsError(f"{source}: is not JSON ({error}); the history is only ever appended to.") from error
+    if not isinstance(data, dict):
+        raise SettingsError(f"{source}: is not an object of a calibration's keys.")
+    return parse(Calibration, data, source)

@@ -1,0 +1,169 @@
+"""The command line itself: start-up, errors as one sentence, exit codes, consoles and pipes."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from dragrig.cli import main
+from dragrig.cli.console import exit_code_of, result
+from dragrig.cli.lazy import SECTIONS, group
+from dragrig.cli.plain import to_plain
+
+HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
+COMMANDS = [(name, line) for section in SECTIONS.values() for name, line in section.items()]
+
+
+def dragrig(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "dragrig", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        check=False,
+        env={**os.environ, **environment},
+    )
+
+
+@pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name, _ in COMMANDS)], ids=" ".join)
+def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
+    code = (
+        f"import sys; from dragrig.cli import main; code = main({arguments!r});"
+        f"loaded = [name for name in {HEAVY!r} if name in sys.modules];"
+        "print(loaded, file=sys.stderr); sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr.strip() == "[]"
+    assert "Usage: dragrig" in done.stdout
+
+
+@pytest.mark.parametrize(("name", "line"), COMMANDS)
+def test_the_overview_names_commands_that_exist(name: str, line: str) -> None:
+    command = group.get_command(click.Context(group), name)
+    assert command is not None
+    assert command.name == name
+    assert line.endswith(".")
+    assert line in CliRunner().invoke(group, ["--help"], terminal_width=200).output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["inti"], "inti is not a command; did you mean init?"),
+        (["check", "drag", "--specimn", "x"], "check: --specimn is not an option; did you mean --specimen?"),
+        (["check"], "check: Missing argument 'PLAN'; see dragrig check --help."),
+        (["check", "drga"], "drga: there is no such file and no plan of this name; did you mean drag?"),
+    ],
+)
+def test_a_mistyped_line_gets_one_sentence(
+    arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err == f"dragrig: {sentence}\n"
+
+
+def _failing(error: BaseException) -> click.Command:
+    @click.command()
+    def command() -> None:
+        raise error
+
+    return command
+
+
+def test_a_bug_is_told_with_where_its_details_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert exit_code_of(_failing(ZeroDivisionError("division by zero")), []) == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "ZeroDivisionError" in told
+    report = Path(told.rsplit(" in ", 1)[1].strip().removesuffix("."))
+    try:
+        assert "Traceback" in report.read_text("utf-8")
+    finally:
+        report.unlink()
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (KeyboardInterrupt(), 3, "aborted"),
+        (PermissionError(13, "Permission denied", "runs/a.h5"), 2, "runs/a.h5: Permission denied"),
+    ],
+)
+def test_what_is_no_bug_has_its_own_exit_code(
+    error: BaseException, code: int, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert exit_code_of(_failing(error), []) == code
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
+def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+    code = (
+        "import sys, click; from dragrig.cli.console import exit_code_of, result\n"
+        "@click.command()\ndef many():\n    for _ in range(100_000): result('line')\n"
+        "sys.exit(exit_code_of(many, []))"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_a_console_that_lacks_characters_shows_stand_ins(tmp_path: Path) -> None:
+    done = dragrig("check", "drag", "--set", "prompt=ε₀ → μ", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
+    assert done.returncode == 0, done.stderr
+    assert "mm/s²" in done.stdout.decode("cp1252")
+
+
+def test_json_knows_no_nan() -> None:
+    import numpy as np
+
+    plain = to_plain({"a": float("nan"), "b": np.array([1.0, np.inf]), "c": Path("x"), "d": (np.float64(2), True)})
+    assert plain == {"a": None, "b": [1.0, None], "c": "x", "d": [2.0, True]}
+
+
+@pytest.fixture
+def run_json(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., object]:
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str, code: int = 0) -> object:
+        assert main(arguments) == code
+        return json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def test_check_says_what_a_plan_would_do(run_json: Callable[..., dict[str, list[dict[str, object]]]]) -> None:
+    found = run_json("check", "paper", "--json")
+    kinds = [run["kind"] for run in found["runs"] if run["kind"] != "return"]
+    assert [kinds.count(kind) for kind in ("relaxation", "blank", "coulomb", "drag")] == [4, 2, 1, 22]
+    assert found["findings"] == []
+
+
+def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[str, list[str]]], tmp_path: Path) -> None:
+    found = run_json("check", "drag", "--set", "travel_mm=140", "--json", code=2)
+    assert len(found["findings"]) == 2
+    assert all("where the stage may go from 0 to 150 mm" in text for text in found["findings"])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_go_to_standard_output_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    @click.command()
+    def command() -> None:
+        result("42")
+
+    assert exit_code_of(command, []) == 0
+    assert capsys.readouterr() == ("42\n", "")

@@ -1,0 +1,71 @@
+"""Lab folders and their calibration history."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from dragrig.cli import main
+from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.lab import Calibration
+from dragrig.config.library import find
+from dragrig.config.loading import load
+from dragrig.config.rig import RigSettings
+from dragrig.lab import create
+from dragrig.rig import calibration
+
+
+def entry(name: str, quantity: str = "force") -> Calibration:
+    return Calibration(id=name, made_at=datetime(2024, 5, 1, tzinfo=UTC), quantity=quantity, gain=1000.0)
+
+
+def test_init_makes_a_lab_whose_rig_is_the_shipped_one(tmp_path: Path) -> None:
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    assert load(RigSettings, tmp_path / "lab" / "rig.toml") == find(RigSettings, "rig", "bench")
+    assert (tmp_path / "lab" / "runs").is_dir()
+    assert calibration.read(tmp_path / "lab") == ()
+
+
+@pytest.mark.parametrize("name", ["rig.toml", "calibration.jsonl"])
+def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_text("mine", "utf-8")
+    assert main(["init", str(tmp_path)]) == 2
+    assert name in capsys.readouterr().err
+    assert [one.name for one in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text("utf-8") == "mine"
+
+
+def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("", "utf-8")
+    with pytest.raises(OutputError, match="taken"):
+        create(tmp_path / "taken")
+
+
+def test_the_history_grows_and_the_last_entry_of_a_quantity_holds(tmp_path: Path) -> None:
+    create(tmp_path)
+    for one in (entry("a"), entry("b"), entry("c", "encoder")):
+        calibration.append(tmp_path, one)
+    assert [one.id for one in calibration.read(tmp_path)] == ["a", "b", "c"]
+    latest = calibration.latest(tmp_path)
+    assert latest is not None
+    assert latest.id == "b"
+
+
+def test_what_stands_in_the_history_is_never_touched(tmp_path: Path) -> None:
+    create(tmp_path)
+    history = tmp_path / "calibration.jsonl"
+    torn = entry("a").model_dump_json()
+    history.write_text(torn, "utf-8")
+    calibration.append(tmp_path, entry("b"))
+    assert history.read_text("utf-8").startswith(torn + "\n")
+    with pytest.raises(SettingsError, match="in the history already"):
+        calibration.append(tmp_path, entry("a"))
+    assert len(calibration.read(tmp_path)) == 2
+
+
+@pytest.mark.parametrize("line", ["{", "[]", json.dumps({"id": "x"}), '{"id": NaN}', "\xff"])
+def test_a_line_that_is_no_calibration_is_named(tmp_path: Path, line: str) -> None:
+    (tmp_path / "calibration.jsonl").write_bytes(entry("a").model_dump_json().encode() + b"\n" + line.encode("latin-1"))
+    with pytest.raises(SettingsError, match=r"calibration\.jsonl"):
+        calibration.read(tmp_path)
