@@ -62,3 +62,8 @@ class DeviceError(DragrigError):
 
 class StaleDataError(DeviceError):
     """The sampler delivered nothing for longer than the guard allows."""
+
+
+def plain(error: DragrigError) -> str:
+    """Return an error's sentence as a part of another one."""
+    return str(error).rstrip(".")

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, RecordingError
+from dragrig.config.errors import DeviceError, RecordingError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.checks import CheckReport, RunChecks
@@ -123,7 +123,7 @@ class Acquiring:
         try:
             self._stage.stop()
         except DeviceError as error:
-            reason = f"{reason}; and the stage did not take the stop ({error})"
+            reason = f"{reason}; and the stage did not take the stop ({plain(error)})"
         if not self.ended_early:
             self._status, self._reason = status, reason
             stopped = self._acquisition.profile.stopped(self._end_index / self._rate_hz, self._stop_accel, _SETTLE_S)
@@ -152,12 +152,12 @@ class Acquiring:
             try:
                 self._note("end", self._reason or "complete")
             except RecordingError as error:
-                failures.append(str(error))
+                failures.append(plain(error))
             try:
                 reason = "; ".join(part for part in (self._reason, *failures) if part)
                 path = self._sink.close(self._status, reason, self._clock.now(), report.values)
             except RecordingError as error:
-                failures.append(str(error))
+                failures.append(plain(error))
         if failures and not self.ended_early:
             self._status = Status.FAILED
         reason = "; ".join(part for part in (self._reason, *failures) if part)
@@ -194,5 +194,5 @@ def _attempt(step: Callable[[], None]) -> str:
     try:
         step()
     except DeviceError as error:
-        return str(error)
+        return plain(error)
     return ""

@@ -16,7 +16,7 @@ from enum import StrEnum
 from threading import Event as Signal
 from threading import Lock
 
-from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError
+from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.acquiring import Acquiring, Outcome, Sink
 from dragrig.rig.devices import Acquisition, Backend
@@ -125,11 +125,11 @@ class Engine:
             if self._cancel.is_set():
                 run.end(Status.ABORTED, self.abort_reason or "aborted")
         except StaleDataError as error:
-            run.trip(self._guard.latch(Cause.STALE_DATA, str(error)))
+            run.trip(self._guard.latch(Cause.STALE_DATA, plain(error)))
         except RecordingError as error:
-            run.end(Status.FAILED, str(error))
+            run.end(Status.FAILED, plain(error))
         except DeviceError as error:
-            run.end(Status.FAILED, str(error))
+            run.end(Status.FAILED, plain(error))
         except BaseException as error:
             run.end(Status.FAILED, f"{type(error).__name__}: {error}")
             raise

@@ -1,10 +1,10 @@
 """A session: the runs of a programme one after the other, with prompts, tares, waits and ways back between them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from uuid import uuid4
 
-from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError
+from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError, plain
 from dragrig.config.specimen import Fixture
 from dragrig.rig.acquiring import Outcome
 from dragrig.rig.devices import Acquisition, Backend, Contact
@@ -90,7 +90,7 @@ class Session:
         except _EndedEarlyError as end:
             status, reason = end.status, end.reason
         except DeviceError as error:
-            status, reason = Status.FAILED, str(error)
+            status, reason = Status.FAILED, plain(error)
         finally:
             reason = "; ".join(part for part in (reason, *self._park()) if part)
             self._store.settle()
@@ -112,7 +112,7 @@ class Session:
             try:
                 step()
             except DeviceError as error:
-                failures.append(str(error))
+                failures.append(plain(error))
         return failures
 
     def _make_all(self) -> None:
@@ -170,8 +170,7 @@ class Session:
         self._go_to(run)
         self._wait(run)
         clock = self._backend.clock
-        dwell = clock.monotonic() - self._contact_since
-        acquisition = self._acquisition(run, run.profile, run.contact, run.fixture, dwell)
+        acquisition = self._recorded(run, clock.monotonic() - self._contact_since)
         facts = {"tare_mN": tare} if tare is not None else {}
         header = header_of(run, acquisition, self._record, self._backend, facts)
         self._watcher.run_begins(run, self._order)
@@ -189,7 +188,7 @@ class Session:
         out = Prompt("Hold the capsule clear of the gut: the sensor's zero is taken", run, can_redo=False)
         self._must(self._operator.ask(out))
         rest = MotionProfile.from_pieces([still(run.tare_s, Phase.REST)])
-        outcome = self.engine.acquire(self._acquisition(run, rest, Contact.NONE, Fixture.NONE, 0.0))
+        outcome = self.engine.acquire(self._unrecorded("tare", run, rest))
         self._require(outcome)
         self._must(self._operator.ask(Prompt("Bring the capsule into the gut again", run, can_redo=False)))
         self._contact_since = self._backend.clock.monotonic()
@@ -200,7 +199,7 @@ class Session:
         if abs(way) <= _IN_PLACE_MM:
             return
         profile = MotionProfile.from_pieces(trapezoid(way, _POSITIONING_SPEED_MM_S, _POSITIONING_ACCEL_MM_S2))
-        self._require(self.engine.acquire(self._acquisition(run, profile, Contact.NONE, Fixture.NONE, 0.0)))
+        self._require(self.engine.acquire(self._unrecorded("positioning", run, profile)))
         self._contact_since = self._backend.clock.monotonic()
 
     def _wait(self, run: PlannedRun) -> None:
@@ -211,22 +210,24 @@ class Session:
             clock.sleep(left, self.engine.cancelled)
             self._stop_if_cancelled()
 
-    def _acquisition(
-        self, run: PlannedRun, profile: MotionProfile, contact: Contact, fixture: Fixture, dwell_s: float
-    ) -> Acquisition:
+    def _recorded(self, run: PlannedRun, dwell_s: float) -> Acquisition:
         return Acquisition(
             run_id=str(uuid4()),
             order=self._order,
             kind=run.protocol.kind,
-            profile=profile,
+            profile=run.profile,
             capsule=run.capsule,
             specimen=run.specimen,
-            fixture=fixture,
-            contact=contact,
+            fixture=run.fixture,
+            contact=run.contact,
             insertion_dwell_s=dwell_s,
             shear_strain=run.shear_strain,
             sheared_from=run.sheared_from,
         )
+
+    def _unrecorded(self, kind: str, run: PlannedRun, profile: MotionProfile) -> Acquisition:
+        free = replace(run, profile=profile, contact=Contact.NONE, fixture=Fixture.NONE)
+        return replace(self._recorded(free, 0.0), kind=kind)
 
     def _require(self, outcome: Outcome) -> None:
         if outcome.status is not Status.COMPLETE:

@@ -1,0 +1,274 @@
+"""Sessions on the simulated rig: what is made, in which order, and what happens when something goes wrong."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError
+from dragrig.config.library import find
+from dragrig.config.loading import parse
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Specimen
+from dragrig.rig.acquiring import Sink
+from dragrig.rig.devices import BackendRequest
+from dragrig.rig.memory import MemoryStore
+from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.programme import build
+from dragrig.rig.reading import Reading
+from dragrig.rig.record import SessionRecord
+from dragrig.rig.runfile.model import Run, RunHeader, Status
+from dragrig.rig.session import Progress, Session, SessionResult
+from dragrig.sim_backend.devices import (
+    DriveFault,
+    Faults,
+    FollowError,
+    ForceSpike,
+    LostSamples,
+    Runaway,
+    StaleData,
+    StuckEncoder,
+    open_backend,
+)
+
+BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
+SPECIMEN = Specimen(name="jejunum")
+SHORT_DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 1.0, "prompt": "fit"}
+
+
+class Scripted(Nobody):
+    """An operator who answers from a list, then says done; and a watcher who may do something at every block."""
+
+    def __init__(self, *answers: Answer) -> None:
+        self.answers = list(answers)
+        self.prompts: list[str] = []
+        self.waited_s = 0.0
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt.text)
+        return self.answers.pop(0) if self.answers else Answer.DONE
+
+    def waits(self, duration_s: float, why: str) -> None:
+        self.waited_s += duration_s
+
+
+def session(
+    *steps: dict[str, object],
+    person: Nobody | None = None,
+    faults: Faults | None = None,
+    progress: Progress | None = None,
+    store: MemoryStore | None = None,
+) -> tuple[Session, MemoryStore]:
+    rig, model = RigSettings(), FrictionModelSettings()
+    plan = parse(Plan, {"name": "p", "steps": list(steps)}, "p.toml")
+    record = SessionRecord(begun_at=BEGUN, backend="simulated", plan=plan, specimen=SPECIMEN, model=model, rig=rig)
+    backend = open_backend(BackendRequest(rig, model, origin=BEGUN), faults or Faults())
+    store = store or MemoryStore()
+    person = person or Nobody()
+    programme = build(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
+    return Session(backend, programme, record, store, person, person, progress or Progress()), store
+
+
+def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, list[Run]]:
+    one, store = session(*steps, **options)  # type: ignore[arg-type]
+    return one.run(), store.runs
+
+
+def test_a_plan_of_every_kind_is_carried_out() -> None:
+    steps = [dict(step.model_dump(mode="json")) for step in find(Plan, "plan", "paper").steps[:3]]
+    result, runs = made(*steps, SHORT_DRAG)
+    assert result.status is Status.COMPLETE
+    kinds = [run.info.kind for run in runs]
+    assert kinds == ["relaxation", "return"] * 4 + ["blank", "return"] * 2 + ["coulomb", "return"] + ["drag", "return"]
+    assert [run.info.header.order for run in runs] == list(range(len(runs)))
+    assert all(run.info.status is Status.COMPLETE and not run.info.reason for run in runs)
+    starts = [run.info.header.start_time for run in runs]
+    assert starts == sorted(starts)
+    for run in runs:
+        assert len(run.trace.time) == run.info.samples
+        np.testing.assert_allclose(np.diff(run.trace.time), 1e-3, atol=1e-9)
+        assert run.info.checks["lost_samples"] == 0
+    assert {event.kind for event in runs[0].events} >= {"start", "phase", "end"}
+
+
+def test_waits_are_kept_and_noted_as_the_contacts_age() -> None:
+    person = Scripted()
+    _, runs = made({**SHORT_DRAG, "repeats": 2, "wait_s": 45.0}, person=person)
+    drags = [run for run in runs if run.info.kind == "drag"]
+    for run in drags:
+        assert run.info.header.entry["insertion_dwell_s"] == pytest.approx(45.0, abs=0.01)
+    assert person.waited_s == pytest.approx(90.0, abs=0.1)
+    apart = (drags[1].info.header.start_time - drags[0].info.header.start_time).total_seconds()
+    assert apart > 45.0
+
+
+def test_two_sessions_with_one_seed_record_the_same_arrays() -> None:
+    _, first = made(SHORT_DRAG)
+    _, second = made(SHORT_DRAG)
+    for one, other in zip(first, second, strict=True):
+        for name in one.trace.channels:
+            np.testing.assert_array_equal(one.trace.channels[name], other.trace.channels[name])
+
+
+def test_a_tare_takes_the_zero_off() -> None:
+    coulomb: dict[str, object] = {"kind": "coulomb", "speed_mm_s": 10.0, "travel_mm": 10.0}
+    _, plain = made(coulomb)
+    _, tared = made({**coulomb, "tare_s": 4.0})
+    zero = plain[0].trace.force[:1000].mean()
+    assert abs(zero) > 0.5
+    assert abs(tared[0].trace.force[:1000].mean()) < 0.5
+    assert tared[0].info.header.entry["tare_mN"] == pytest.approx(zero, abs=0.5)
+    assert "tare_mN" not in plain[0].info.header.entry
+
+
+def test_skip_leaves_out_what_the_prompt_prepares() -> None:
+    person = Scripted(Answer.SKIP)
+    result, runs = made(
+        {**SHORT_DRAG, "repeats": 2}, {"kind": "blank", "speed_mm_s": 40.0, "prompt": "off"}, person=person
+    )
+    assert result.status is Status.COMPLETE
+    assert [run.info.kind for run in runs] == ["blank", "return"]
+
+
+def test_redo_makes_the_run_before_again_and_marks_its_file() -> None:
+    person = Scripted(Answer.DONE, Answer.REDO)
+    step = {**SHORT_DRAG, "speed_mm_s": [10.0, 20.0], "prompt_each": True}
+    one, store = session(step, person=person)
+    assert one.run().status is Status.COMPLETE
+    speeds = [run.info.header.protocol["speed_mm_s"] for run in store.runs if run.info.kind == "drag"]
+    assert speeds == [10.0, 10.0, 20.0]
+    assert list(store.bad) == [0]
+
+
+def test_abort_at_a_prompt_ends_the_session() -> None:
+    result, runs = made(SHORT_DRAG, person=Scripted(Answer.ABORT))
+    assert (result.status, runs) == (Status.ABORTED, [])
+    with pytest.raises(AbortedError):
+        result.require()
+
+
+class AbortsAt(Nobody):
+    """Presses the button once a time has been recorded."""
+
+    def __init__(self, time_s: float) -> None:
+        self.time_s = time_s
+        self.session: Session | None = None
+
+    def reads(self, reading: Reading) -> None:
+        if self.session is not None and reading.time[-1] >= self.time_s:
+            self.session.abort("stop button")
+
+
+def test_an_abort_stops_the_stage_and_keeps_what_was_recorded() -> None:
+    person = AbortsAt(1.5)
+    one, store = session(SHORT_DRAG, person=person)
+    person.session = one
+    result = one.run()
+    assert (result.status, result.reason) == (Status.ABORTED, "stop button")
+    (run,) = store.runs
+    assert run.info.status is Status.ABORTED
+    assert run.info.reason == "stop button"
+    assert run.trace.time[-1] >= 1.5
+    # 20 mm/s are braked within 7 ms; the record ends with the stage at rest.
+    assert run.trace.time[-1] < 1.65
+    assert np.ptp(run.trace.position[-2:]) < 0.003
+    np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
+    assert "stop" in {event.kind for event in run.events}
+
+
+def only_drags(acquisition: object) -> bool:
+    return getattr(acquisition, "kind", "") == "drag"
+
+
+@pytest.mark.parametrize(
+    ("faults", "cause"),
+    [
+        (Faults(follow_error=FollowError(1.4, 3.0, ramp_s=0.5)), "following error"),
+        (Faults(stuck_encoder=StuckEncoder(1.4)), "following error"),
+        (Faults(runaway=Runaway(1.4, 60.0)), "speed"),
+        (Faults(runaway=Runaway(1.4, -20.0)), "following error"),
+        (Faults(force_spike=ForceSpike(1.4, 9000.0)), "force"),
+        (Faults(stale_data=StaleData(1.4)), "stale data"),
+        (Faults(drive_fault=DriveFault(1.4)), "drive fault"),
+    ],
+)
+def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> None:
+    one, store = session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, strike=only_drags))
+    result = one.run()
+    assert result.status is Status.TRIPPED
+    assert result.reason.startswith(cause)
+    with pytest.raises(TrippedError):
+        result.require()
+    (run,) = store.runs
+    assert run.info.status is Status.TRIPPED
+    assert run.info.reason.startswith(cause)
+    assert len(run.trace.time) >= 1400
+    assert "trip" in {event.kind for event in run.events}
+    with pytest.raises(TrippedError, match="reset"):
+        one.engine.acquire(one._recorded(one._programme.runs[0], 0.0))
+
+
+def test_lost_samples_are_counted_and_never_closed_up() -> None:
+    faults = Faults(lost_samples=LostSamples(1.2, 30), strike=only_drags)
+    result, runs = made(SHORT_DRAG, faults=faults)
+    assert result.status is Status.COMPLETE
+    assert runs[0].info.checks["lost_samples"] == 30
+    assert np.diff(runs[0].trace.time).max() == pytest.approx(0.031)
+
+
+class FullStore(MemoryStore):
+    """A store whose disk refuses data after a while."""
+
+    def open(self, header: RunHeader, expected_samples: int) -> Sink:  # type: ignore[override]
+        raise DragrigError("no room for another run.")
+
+
+def test_when_no_record_can_be_opened_nothing_moves() -> None:
+    one, _ = session(SHORT_DRAG, store=FullStore())
+    with pytest.raises(DragrigError, match="no room"):
+        one.run()
+    state = one._backend.stage.state()
+    assert not state.enabled
+    assert not state.moving
+
+
+@pytest.fixture
+def stubborn(monkeypatch: pytest.MonkeyPatch) -> tuple[Session, MemoryStore]:
+    one, store = session(SHORT_DRAG)
+
+    def refuse() -> None:
+        raise DeviceError("the sampler does not let go.")
+
+    monkeypatch.setattr(one._backend.sampler, "stop", refuse)
+    return one, store
+
+
+def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tuple[Session, MemoryStore]) -> None:
+    one, store = stubborn
+    result = one.run()
+    assert result.status is Status.FAILED
+    assert "does not let go" in result.reason
+    assert not one._backend.stage.state().enabled
+    assert len(store.runs) == 0 or store.runs[0].info.reason
+
+
+def test_a_session_goes_on_where_another_ended() -> None:
+    step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
+    person = Scripted()
+    one, store = session(step, person=person, progress=Progress(done=frozenset({0}), next_order=7))
+    assert one.run().status is Status.COMPLETE
+    assert [(run.info.kind, run.info.header.order) for run in store.runs] == [
+        ("drag", 7), ("return", 8), ("drag", 9), ("return", 10),
+    ]  # fmt: skip
+    assert person.prompts == ["fit"]
+
+
+def test_every_run_carries_the_settings_it_was_made_with() -> None:
+    import tomllib
+
+    _, runs = made(SHORT_DRAG)
+    again = parse(SessionRecord, tomllib.loads(runs[0].info.header.settings_toml), "settings")
+    assert again.plan.steps[0].parameters["speed_mm_s"] == 20.0
