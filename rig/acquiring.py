@@ -17,7 +17,7 @@ from dragrig.rig.checks import CheckReport, RunChecks
 from dragrig.rig.devices import Acquisition, Backend, Block, Contact
 from dragrig.rig.guard import Cause, Guard, Trip
 from dragrig.rig.profile import Phase
-from dragrig.rig.reading import CommandTape, Reading
+from dragrig.rig.reading import CommandTape, Look, Reading
 from dragrig.rig.runfile.model import Attribute, Event, Status
 
 _SETTLE_S = 1.0
@@ -101,17 +101,15 @@ class Acquiring:
         if block is None:
             return None
         reading = self._tape.join(block)
+        look = Look.at(block, reading.command)
         fault = self._stage.state().fault
         if fault:
             trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
         else:
-            trip = self._guard.inspect(block, reading.command, self._rate_hz)
-        if trip is not None:
-            self.trip(trip)
-            self._take(block, reading)
-            return None
-        self._take(block, reading)
-        return reading
+            trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
+        self.trip(trip)
+        self._take(block, reading, look)
+        return None if self.ended_early else reading
 
     def trip(self, trip: Trip | None) -> None:
         """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
@@ -141,7 +139,8 @@ class Acquiring:
                 block = self._sampler.read(go_on)
                 if block is None:
                     return
-                self._take(block, self._tape.join(block))
+                reading = self._tape.join(block)
+                self._take(block, reading, Look.at(block, reading.command))
 
     def finish(self) -> Outcome:
         """Stop sampling, close the record, and say how it ended."""
@@ -164,12 +163,12 @@ class Acquiring:
         mean = self._force_sum / self._samples if self._samples else float("nan")
         return Outcome(self._status, reason, self._samples, report, mean, path)
 
-    def _take(self, block: Block, reading: Reading) -> None:
+    def _take(self, block: Block, reading: Reading, look: Look) -> None:
         raw = block.channels["force"]
-        self._checks.add(reading, raw)
+        self._checks.add(reading, look, raw)
         self._samples += block.samples
         self._end_index = block.end_index
-        self._force_sum += float(raw.sum(dtype=np.float64))
+        self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
         if self._sink is not None:
             self._sink.offer(reading.first_index, reading.arrays())
         self._mark_phases(reading)

@@ -9,10 +9,12 @@ from math import sqrt
 
 import numpy as np
 
+from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import Phase
-from dragrig.rig.reading import Reading
+from dragrig.rig.reading import Look, Reading
 from dragrig.rig.runfile.model import Attribute
 
+_REST, _HOLD = int(Phase.REST), int(Phase.HOLD)
 _SETTLED_S = 0.3
 """Slip is looked for from so long after the ramp: by then the fast branch has relaxed."""
 _BIN_S = 0.1
@@ -44,19 +46,17 @@ class RunChecks:
         self._next = 0
         self._slip = _SlipWatch(rate_hz) if sticking else None
 
-    def add(self, reading: Reading, raw_force: np.ndarray[tuple[int], np.dtype[np.floating]]) -> None:
+    def add(self, reading: Reading, look: Look, raw_force: AnyFloatArray) -> None:
         """Look at a reading; `raw_force` is the force before the tare."""
         self._lost += max(reading.first_index - self._next, 0)
         self._next = reading.end_index
         lowest, highest = self._range
-        if raw_force.max() >= highest or raw_force.min() <= lowest:
+        if look.greatest_mN >= highest or look.least_mN <= lowest:
             self._clipped += int(np.count_nonzero((raw_force >= highest) | (raw_force <= lowest)))
-        force = reading.channels["force"]
-        if reading.phase[0] == Phase.REST:
-            self._rest.add(force[reading.phase == Phase.REST])
-        error = float(np.abs(reading.channels["position"] - reading.command).max())
-        self._following_mm = max(self._following_mm, error)
-        if self._slip is not None and reading.phase[-1] == Phase.HOLD:
+        if reading.phase[0] == _REST:
+            self._rest.add(reading.channels["force"][reading.phase == _REST])
+        self._following_mm = max(self._following_mm, look.following_mm)
+        if self._slip is not None and reading.phase[-1] == _HOLD:
             self._slip.add(reading)
 
     def report(self) -> CheckReport:
@@ -94,7 +94,7 @@ class _Moments:
         self._sum = 0.0
         self._squares = 0.0
 
-    def add(self, values: np.ndarray[tuple[int], np.dtype[np.floating]]) -> None:
+    def add(self, values: AnyFloatArray) -> None:
         if not self.count:
             self._shift = float(values[0])
         centred = values.astype(np.float64) - self._shift
@@ -124,12 +124,12 @@ class _SlipWatch:
         self._rate_hz = rate_hz
         self._per_bin = max(round(_BIN_S * rate_hz), 2)
         self._begun: float | None = None
-        self._left: list[np.ndarray[tuple[int], np.dtype[np.floating]]] = []
+        self._left: list[AnyFloatArray] = []
         self._gathered = 0
         self._means: list[tuple[float, float]] = []
 
     def add(self, reading: Reading) -> None:
-        hold = reading.phase == Phase.HOLD
+        hold = reading.phase == _HOLD
         if self._begun is None:
             self._begun = float(reading.time[hold.argmax()])
         settled = hold & (reading.time >= self._begun + _SETTLED_S)

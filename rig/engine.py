@@ -58,6 +58,7 @@ class Engine:
         self._guard = guard
         self._lock = Lock()
         self._status = EngineStatus()
+        self._latest: Reading | None = None
         self._cancel = Signal()
         self._abort_reason = ""
 
@@ -65,7 +66,16 @@ class Engine:
     def status(self) -> EngineStatus:
         """What the engine is doing right now."""
         with self._lock:
-            return self._status
+            status, reading = self._status, self._latest
+        if reading is None:
+            return status
+        return replace(
+            status,
+            samples=reading.end_index,
+            phase=Phase(int(reading.phase[-1])),
+            position_mm=float(reading.channels["position"][-1]),
+            force_mN=float(reading.channels["force"][-1]),
+        )
 
     @property
     def cancelled(self) -> Signal:
@@ -107,21 +117,23 @@ class Engine:
         self._guard.watch(acquisition.profile.extremes())
         run = Acquiring(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
         expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
-        self._set(State.ARMED, run_id=acquisition.run_id, expected_samples=expected, samples=0)
+        status = EngineStatus(State.ARMED, acquisition.run_id, expected_samples=expected)
+        self._latest = None
+        self._set(status)
         try:
-            self._drive(run)
+            self._drive(run, status)
         finally:
-            self._set(State.FINISHING)
+            self._set(replace(status, state=State.FINISHING))
             outcome = run.finish()
-            self._set(State.IDLE)
+            self._set(EngineStatus())
         return outcome
 
-    def _drive(self, run: Acquiring) -> None:
+    def _drive(self, run: Acquiring, status: EngineStatus) -> None:
         try:
             run.start()
-            self._set(State.RUNNING)
+            self._set(replace(status, state=State.RUNNING))
             while (reading := run.step(self._cancel)) is not None:
-                self._show(reading)
+                self._latest = reading
             if self._cancel.is_set():
                 run.end(Status.ABORTED, self.abort_reason or "aborted")
         except StaleDataError as error:
@@ -135,18 +147,9 @@ class Engine:
             raise
         finally:
             if run.ended_early:
-                self._set(State.STOPPING)
+                self._set(replace(status, state=State.STOPPING))
                 run.settle()
 
-    def _show(self, reading: Reading) -> None:
-        self._set(
-            State.RUNNING,
-            samples=reading.end_index,
-            phase=Phase(int(reading.phase[-1])),
-            position_mm=float(reading.channels["position"][-1]),
-            force_mN=float(reading.channels["force"][-1]),
-        )
-
-    def _set(self, state: State, **changes: object) -> None:
+    def _set(self, status: EngineStatus) -> None:
         with self._lock:
-            self._status = replace(self._status, state=state, **changes)  # type: ignore[arg-type]  # fields of it
+            self._status = status

@@ -6,13 +6,13 @@ trip does not replace its reason.
 
 from dataclasses import dataclass
 from enum import StrEnum
-
-import numpy as np
+from math import isfinite
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block, StageState
 from dragrig.rig.profile import Extremes
+from dragrig.rig.reading import Look
 
 
 class Cause(StrEnum):
@@ -81,11 +81,11 @@ class Guard:
         self._envelope = Envelope.around(extremes, self._settings)
         self._last = None
 
-    def inspect(self, block: Block, command: AnyFloatArray, rate_hz: float) -> Trip | None:
+    def inspect(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
         """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
         if self._trip is not None:
             return None
-        self._trip = self._judge(block, command, rate_hz)
+        self._trip = self._judge(block, command, look, rate_hz)
         return self._trip
 
     def latch(self, cause: Cause, message: str) -> Trip | None:
@@ -95,17 +95,15 @@ class Guard:
         self._trip = Trip(cause, message)
         return self._trip
 
-    def _judge(self, block: Block, command: AnyFloatArray, rate_hz: float) -> Trip | None:
-        force, position = block.channels["force"], block.channels["position"]
-        lowest, highest = float(position.min()), float(position.max())
-        strongest = max(float(force.max()), -float(force.min()))
-        if not np.isfinite(lowest + highest + strongest):
+    def _judge(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
+        strongest = max(look.greatest_mN, -look.least_mN)
+        if not isfinite(strongest + look.highest_mm):
             return Trip(Cause.NOT_A_NUMBER, "a sample of force or position is not a number")
         return (
             self._judge_force(strongest)
-            or self._judge_position(lowest, highest)
-            or self._judge_speed(block, position, rate_hz)
-            or self._judge_following(position, command, rate_hz)
+            or self._judge_position(look.lowest_mm, look.highest_mm)
+            or self._judge_speed(block, rate_hz)
+            or self._judge_following(look.following_mm, command, rate_hz)
         )
 
     def _judge_force(self, strongest: float) -> Trip | None:
@@ -125,7 +123,8 @@ class Guard:
             f"{allowed.highest_mm:.3f} mm",
         )
 
-    def _judge_speed(self, block: Block, position: AnyFloatArray, rate_hz: float) -> Trip | None:
+    def _judge_speed(self, block: Block, rate_hz: float) -> Trip | None:
+        position = block.channels["position"]
         index, before = self._last if self._last is not None else (block.first_index, float(position[0]))
         end = block.end_index - 1
         self._last = (end, float(position[-1]))
@@ -137,8 +136,7 @@ class Guard:
             return None
         return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
-    def _judge_following(self, position: AnyFloatArray, command: AnyFloatArray, rate_hz: float) -> Trip | None:
-        error = float(np.abs(position - command).max())
+    def _judge_following(self, error: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:
         if error <= self._settings.following_error_mm:
             return None
         span_s = max(len(command) - 1, 1) / rate_hz

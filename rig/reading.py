@@ -35,6 +35,29 @@ class Reading:
         return {"time": self.time, "command": self.command, "phase": self.phase, **self.channels}
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What guard and checks both need of a block, worked out once."""
+
+    lowest_mm: float
+    highest_mm: float
+    least_mN: float
+    greatest_mN: float
+    following_mm: float
+
+    @classmethod
+    def at(cls, block: Block, command: AnyFloatArray) -> "Look":
+        """Take the extremes of position and raw force, and the largest distance from the command."""
+        force, position = block.channels["force"], block.channels["position"]
+        return cls(
+            lowest_mm=float(np.minimum.reduce(position)),
+            highest_mm=float(np.maximum.reduce(position)),
+            least_mN=float(np.minimum.reduce(force)),
+            greatest_mN=float(np.maximum.reduce(force)),
+            following_mm=float(np.maximum.reduce(np.abs(position - command))),
+        )
+
+
 class CommandTape:
     """Time, command and phase of a profile's samples, worked out in long stretches and handed out in slices."""
 

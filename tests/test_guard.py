@@ -1,12 +1,14 @@
 """The guard trips on what it should, once, and stays latched."""
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.devices import Block, StageState
 from dragrig.rig.guard import Cause, Guard
 from dragrig.rig.profile import Extremes
+from dragrig.rig.reading import Look
 
 RATE = 1000.0
 CLEAR = StageState(position_mm=40.0, enabled=True, homed=True, moving=False)
@@ -22,6 +24,11 @@ def armed() -> Guard:
 def block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: int = 0) -> Block:
     position = start + speed * np.arange(50) / RATE
     return Block(first, {"force": np.full(50, force, np.float32), "position": position.astype(np.float32)})
+
+
+def seen(one: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], Look]:
+    command = (one.channels["position"] + command_off).astype(np.float32)
+    return command, Look.at(one, command)
 
 
 def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
@@ -42,7 +49,7 @@ def test_a_run_as_planned_passes() -> None:
     guard = armed()
     for first in range(0, 500, 50):
         one = block(start=5 + first * 0.02, first=first)
-        assert guard.inspect(one, one.channels["position"], RATE) is None
+        assert guard.inspect(one, *seen(one), RATE) is None
 
 
 @pytest.mark.parametrize(
@@ -58,22 +65,22 @@ def test_a_run_as_planned_passes() -> None:
     ],
 )
 def test_each_cause_trips(bad: Block, command_off: float, cause: Cause) -> None:
-    trip = armed().inspect(bad, bad.channels["position"] + np.float32(command_off), RATE)
+    trip = armed().inspect(bad, *seen(bad, command_off), RATE)
     assert trip is not None
     assert trip.cause is cause
 
 
 def test_following_error_may_grow_with_speed() -> None:
     one = block(speed=20.0)
-    assert armed().inspect(one, one.channels["position"] + np.float32(1.4), RATE) is None
-    assert armed().inspect(one, one.channels["position"] + np.float32(1.6), RATE) is not None
+    assert armed().inspect(one, *seen(one, 1.4), RATE) is None
+    assert armed().inspect(one, *seen(one, 1.6), RATE) is not None
 
 
 def test_speed_is_seen_across_blocks_and_gaps() -> None:
     guard = armed()
     first, far = block(speed=0.0), block(start=9.0, speed=0.0, first=100)
-    assert guard.inspect(first, first.channels["position"], RATE) is None
-    trip = guard.inspect(far, far.channels["position"], RATE)
+    assert guard.inspect(first, *seen(first), RATE) is None
+    trip = guard.inspect(far, *seen(far), RATE)
     assert trip is not None
     assert trip.cause is Cause.SPEED
 
@@ -81,11 +88,11 @@ def test_speed_is_seen_across_blocks_and_gaps() -> None:
 def test_it_trips_once_and_stays_latched() -> None:
     guard = armed()
     bad = block(force=9000.0)
-    assert guard.inspect(bad, bad.channels["position"], RATE) is not None
-    assert guard.inspect(bad, bad.channels["position"], RATE) is None
+    assert guard.inspect(bad, *seen(bad), RATE) is not None
+    assert guard.inspect(bad, *seen(bad), RATE) is None
     assert guard.latch(Cause.STALE_DATA, "late") is None
     assert guard.trip is not None
     assert guard.trip.cause is Cause.FORCE
     good = block()
-    assert guard.inspect(good, good.channels["position"], RATE) is None
+    assert guard.inspect(good, *seen(good), RATE) is None
     assert guard.trip.cause is Cause.FORCE
