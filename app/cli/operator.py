@@ -1,0 +1,97 @@
+"""The person at the terminal: answers to prompts, and what a session shows."""
+
+import sys
+from types import TracebackType
+from typing import Self
+
+import click
+
+from dragrig.cli.progress import Meter
+from dragrig.cli.wording import duration
+from dragrig.rig.acquiring import Outcome
+from dragrig.rig.people import Answer, Prompt
+from dragrig.rig.programme import PlannedRun, Programme
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import Status
+
+
+class Terminal:
+    """Puts a session's prompts, progress and checks on standard error, and reads answers from standard input."""
+
+    def __init__(self, *, yes: bool, real_time: bool) -> None:
+        self._yes = yes
+        self._real_time = real_time
+        self._meter = Meter("", 1.0)
+        self._left = 0
+        self._made = 0
+        self._label = ""
+        self._seen_s = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._meter.__exit__(kind, error, trace)
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put a prompt and read the answer; the first letter is enough, an empty line means done."""
+        if self._yes:
+            return Answer.DONE
+        self._meter.pause()
+        choices = [one for one in Answer if one is not Answer.REDO or prompt.can_redo]
+        words = ", ".join(f"[{one.value[0]}]{one.value[1:]}" for one in choices)
+        click.echo(f"\n{prompt.text}.", err=True)
+        while True:
+            click.echo(f"  {words}: ", err=True, nl=False)
+            line = sys.stdin.readline()
+            if not line:
+                click.echo("\nNobody answers on standard input; --yes answers every prompt with done.", err=True)
+                return Answer.ABORT
+            said = line.strip().lower() or Answer.DONE.value
+            for choice in choices:
+                if choice.value.startswith(said):
+                    return choice
+
+    def begins(self, programme: Programme, pending: int) -> None:
+        """Start the bar."""
+        self._left = pending
+        runs = programme.runs[-pending:] if pending else ()
+        waits = sum(run.wait_s for run in runs) if self._real_time else 0.0
+        self._meter = Meter(programme.plan.name, sum(run.duration_s for run in runs) + waits)
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Say what is waited for, where time is real."""
+        if self._real_time:
+            self._meter.say(f"  {why}: {duration(duration_s)}")
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Name the run that the bar is at."""
+        del order
+        self._made += 1
+        self._seen_s = 0.0
+        self._label = f"run {self._made} of {self._left}, {run.protocol.summary()}"
+        self._meter.advance(run.wait_s if self._real_time else 0.0, self._label)
+
+    def reads(self, reading: Reading) -> None:
+        """Move the bar."""
+        now = float(reading.time[-1])
+        self._meter.advance(now - self._seen_s)
+        self._seen_s = now
+
+    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+        """Say how the run ended and what its checks saw."""
+        self._meter.say(run_line(run, outcome))
+
+
+def run_line(run: PlannedRun, outcome: Outcome) -> str:
+    """One line about a run that was made: how it ended, and what the checks right after it saw."""
+    checks = outcome.checks.values
+    seen = []
+    if "rest_offset_mN" in checks:
+        seen.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
+    seen.append(f"off the command by {1000 * float(checks['following_error_mm']):.0f} µm")
+    line = f"{run.index:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(seen)}"
+    told = [outcome.reason] if outcome.status is not Status.COMPLETE else []
+    return "; ".join((line, *told, *(f"NOTE {warning}" for warning in outcome.checks.warnings)))

@@ -1,0 +1,123 @@
+"""Progress on standard error: a bar with the time left on a terminal, a plain line now and then elsewhere."""
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, TypeVar
+
+import click
+
+from dragrig.cli.console import is_quiet
+from dragrig.cli.wording import duration
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+ItemT = TypeVar("ItemT")
+
+SILENT_S = 1.0
+"""What takes less shows no progress."""
+_FIRST_LINE_S = 5.0
+_LONGEST_BETWEEN_LINES_S = 60.0
+
+
+class Meter:
+    """How far a task is; quiet for the first second, and altogether when the person asked for quiet.
+
+    Any thread may advance it, one at a time.
+    """
+
+    def __init__(self, label: str, total: float) -> None:
+        self._label = label
+        self._total = total
+        self._done = 0.0
+        self._begun = time.monotonic()
+        self._shown = not is_quiet()
+        self._line: _Bar | _Lines | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.pause()
+
+    def pause(self) -> None:
+        """Take the bar off the screen; the next step brings it back."""
+        if isinstance(self._line, _Bar):
+            self._line.close()
+            self._line = None
+
+    def advance(self, amount: float = 1.0, label: str | None = None) -> None:
+        """Tell that so much more of the total is done, and what is being done now."""
+        self._done += amount
+        self._label = self._label if label is None else label
+        elapsed = time.monotonic() - self._begun
+        if not self._shown or elapsed < SILENT_S:
+            return
+        if self._line is None:
+            self._line = _Bar(self._total) if sys.stderr.isatty() else _Lines(self._total)
+        self._line.show(self._label, self._done, elapsed)
+
+    def say(self, text: str) -> None:
+        """Print a remark on standard error, above the bar where there is one."""
+        if not self._shown:
+            return
+        if isinstance(self._line, _Bar):
+            self._line.say(text)
+        else:
+            click.echo(text, err=True)
+
+
+def tracked(items: Sequence[ItemT], label: str) -> Iterator[ItemT]:
+    """Iterate with progress."""
+    with Meter(label, len(items)) as meter:
+        for number, item in enumerate(items, 1):
+            yield item
+            meter.advance(1.0, f"{label} ({number} of {len(items)})")
+
+
+class _Bar:
+    def __init__(self, total: float) -> None:
+        self._progress, self._task = _rich_progress(total)
+        self._progress.start()
+
+    def show(self, label: str, done: float, elapsed_s: float) -> None:
+        del elapsed_s
+        self._progress.update(self._task, completed=done, description=label)
+
+    def say(self, text: str) -> None:
+        self._progress.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def close(self) -> None:
+        self._progress.stop()
+
+
+def _rich_progress(total: float) -> "tuple[Progress, TaskID]":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    progress = Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    return progress, progress.add_task("", total=total)
+
+
+class _Lines:
+    def __init__(self, total: float) -> None:
+        self._total = total
+        self._due_s = _FIRST_LINE_S
+
+    def show(self, label: str, done: float, elapsed_s: float) -> None:
+        if elapsed_s < self._due_s or done <= 0:
+            return
+        self._due_s = elapsed_s + min(elapsed_s, _LONGEST_BETWEEN_LINES_S)
+        left_s = elapsed_s * max(self._total - done, 0.0) / done
+        click.echo(f"{label}: {100 * done / self._total:.0f} %, {duration(left_s)} left", err=True)

@@ -1,0 +1,60 @@
+"""From what a person names - run files, patterns, folders - to the run files that are meant."""
+
+import glob
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from dragrig.config.errors import RunFileError
+
+RECORDING = ".recording.h5"
+"""End of the name of a run that is still being recorded, or was when its program died."""
+
+
+def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Return the run files that are named, in order and each once.
+
+    Parameters
+    ----------
+    inputs
+        Files, patterns as `runs/*-drag-*.h5` (not every shell expands them), and folders, which stand for
+        the finished run files in them.
+
+    Raises
+    ------
+    RunFileError
+        For a name that stands for no file.
+    """
+    return tuple(dict.fromkeys(path for one in inputs for path in _meant(one)))
+
+
+def _meant(name: str | Path) -> Iterator[Path]:
+    path = Path(name)
+    if path.is_dir():
+        yield from _in_folder(path)
+    elif path.exists() or not glob.has_magic(str(name)):
+        yield _existing(path)
+    else:
+        matches = glob.glob(str(name), recursive=True)  # noqa: PTH207  # Path.glob refuses an absolute pattern
+        found = sorted(one for one in map(Path, matches) if not _is_recording(one))
+        if not found:
+            raise RunFileError(f"{name}: no file fits this pattern; check it.")
+        yield from found
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    found = sorted(one for one in folder.glob("*.h5") if not _is_recording(one))
+    if found:
+        return found
+    below = sorted(one.parent.name for one in folder.glob("*/*.h5"))
+    hint = f"did you mean {folder / below[-1]}?" if below else "name a campaign's folder or a run file."
+    raise RunFileError(f"{folder}: holds no run files; {hint}")
+
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise RunFileError(f"{path}: there is no such file or folder; check the path.")
+    return path
+
+
+def _is_recording(path: Path) -> bool:
+    return path.name.endswith(RECORDING)

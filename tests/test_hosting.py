@@ -1,0 +1,95 @@
+"""Sessions that people and signals meddle with: prompts, Ctrl-C, and errors on the session's own thread."""
+
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+
+from dragrig.config.errors import PlanError, RecordingError
+from dragrig.rig.memory import MemorySink, MemoryStore
+from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import RunHeader, Status
+from dragrig.rig.session import SessionResult
+from dragrig.sessions import Terms, carry_out
+from dragrig.setup import resolve
+
+
+def carried_out(person: Nobody, store: MemoryStore | None = None, *assignments: str) -> SessionResult:
+    setup = resolve("drag", assignments=["travel_mm=10", "rig.data.root='.'", *assignments])
+    return carry_out(setup, lambda _record: store or MemoryStore(), Terms(Path()), person)
+
+
+class Interrupting(Nobody):
+    """Presses Ctrl-C in the middle of a run."""
+
+    def __init__(self) -> None:
+        self.threads: set[threading.Thread] = set()
+
+    def reads(self, reading: Reading) -> None:
+        if reading.end_index > 500 and not self.threads:
+            self.threads.add(threading.current_thread())
+            os.kill(os.getpid(), signal.SIGINT)
+            # The handler runs on the main thread; the block after this one must find its word.
+            threading.Event().wait(0.2)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_ctrl_c_ends_the_session_in_good_order() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    store = MemoryStore()
+    person = Interrupting()
+    result = carried_out(person, store)
+    assert (result.status, result.reason) == (Status.ABORTED, "Ctrl-C")
+    assert [run.info.status for run in store.runs] == [Status.ABORTED]
+    assert store.runs[0].trace.time[-1] < 2.0
+    assert threading.main_thread() not in person.threads
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+class AtThePrompt(Nobody):
+    """Answers prompts with an exception, as Ctrl-C and a closed standard input do, or with a word."""
+
+    def __init__(self, answer: Answer | BaseException) -> None:
+        self.answer = answer
+        self.thread: threading.Thread | None = None
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.thread = threading.current_thread()
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+
+@pytest.mark.parametrize("answer", [KeyboardInterrupt(), EOFError(), Answer.ABORT])
+def test_ctrl_c_at_a_prompt_ends_the_session(answer: Answer | BaseException) -> None:
+    person = AtThePrompt(answer)
+    result = carried_out(person)
+    assert result.status is Status.ABORTED
+    assert result.runs == ()
+    assert person.thread is threading.main_thread()
+
+
+def test_an_operator_who_fails_leaves_no_session_behind() -> None:
+    with pytest.raises(ZeroDivisionError):
+        carried_out(AtThePrompt(ZeroDivisionError()))
+    assert not any(thread.name == "session" for thread in threading.enumerate())
+
+
+class Refusing(MemoryStore):
+    def open(self, header: RunHeader, expected_samples: int) -> MemorySink:
+        raise RecordingError("no room.")
+
+
+def test_an_error_of_the_session_reaches_the_caller() -> None:
+    with pytest.raises(RecordingError, match="no room"):
+        carried_out(Nobody(), Refusing())
+
+
+def test_nothing_is_asked_of_a_plan_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    person = AtThePrompt(Answer.DONE)
+    with pytest.raises(PlanError, match="where the stage may go"):
+        carried_out(person, None, "travel_mm=140")
+    assert person.thread is None

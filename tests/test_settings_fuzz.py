@@ -1,0 +1,121 @@
+"""Whatever a settings file holds, it is either used or refused in one sentence."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from dragrig.cli import main
+from dragrig.config import library
+from dragrig.config.capsule import Capsule
+from dragrig.config.errors import PlanError, SettingsError
+from dragrig.config.loading import load, parse
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Specimen
+from dragrig.rig.programme import build
+
+MODELS = {"rig": RigSettings, "capsule": Capsule, "specimen": Specimen, "model": FrictionModelSettings, "plan": Plan}
+SHIPPED = [(kind, name) for kind in MODELS for name in library.shipped(kind)]
+
+
+def use(kind: str, path: Path) -> None:
+    settings = load(MODELS[kind], path)
+    if isinstance(settings, Plan):
+        build(settings, Specimen(name="s"), 40.0, str(path))
+
+
+@pytest.mark.parametrize(("kind", "name"), SHIPPED)
+def test_what_ships_is_valid(kind: str, name: str) -> None:
+    settings = library.find(MODELS[kind], kind, name)
+    if isinstance(settings, Plan):
+        assert settings.name == name
+        assert build(settings, Specimen(name="s"), 40.0, name).runs
+
+
+_PIECES = st.sampled_from(
+    ["nan", "-inf", "1e999", "''", '"', "[", "]", "{", "}", "=", ".", "\n", "# ", "[[steps]]", "true", "-1", "0", "mm",
+     "speed_mm_s", "kind", "99999999999999999999999", "2024-01-01", "\x00", "\ufeff", "µ", "[1,[2]]", "{a=1}"]
+)  # fmt: skip
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> tuple[str, bytes]:
+    kind, name = draw(st.sampled_from(SHIPPED))
+    data = library.shipped(kind)[name].read_bytes()
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(data)))
+        length = draw(st.integers(0, 12))
+        piece = draw(_PIECES.map(str.encode) | st.binary(max_size=3))
+        data = data[:start] + piece + data[start + length :]
+    return kind, data
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
+@given(mutated())
+@example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = [[1]]\n"))
+@example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = []\n"))
+@example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = 1979-05-27\n"))
+@example(("rig", b"a = " + b"[" * 5000))
+@example(("plan", b"\xff\xfe"))
+def test_any_change_to_a_shipped_file_is_used_or_refused(tmp_path: Path, change: tuple[str, bytes]) -> None:
+    kind, data = change
+    path = tmp_path / "any.toml"
+    path.write_bytes(data)
+    with suppress(SettingsError, PlanError):
+        use(kind, path)
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=10),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=150)
+@given(st.sampled_from(sorted(MODELS)), st.data())
+def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
+    known = st.sampled_from(sorted(MODELS[kind].model_fields)) | st.text(max_size=6)
+    table = data.draw(st.dictionaries(known, _VALUES, max_size=5))
+    if kind == "plan" and data.draw(st.booleans()):
+        keys = st.sampled_from(["kind", "speed_mm_s", "shear_strain", "strokes", "capsule", "repeats", "start_mm"])
+        steps = st.lists(st.dictionaries(keys, _VALUES | st.sampled_from(["drag", "motion"]), max_size=4), max_size=2)
+        table = {"name": "p", "steps": data.draw(steps)}
+    with suppress(SettingsError, PlanError):
+        found = parse(MODELS[kind], table, "any")
+        if isinstance(found, Plan):
+            build(found, Specimen(name="s"), 40.0, "any")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("name = 'p'\n[[steps]\n", ["own.toml", "not valid TOML", "line 2"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_m_s=0.02\n", ["steps[0]", "speed_m_s", "did you mean speed_mm_s?"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s='20 mm/s'\n", ["speed_mm_s = '20 mm/s'", "number"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=nan\n", ["speed_mm_s", "nan", "finite"]),
+        ("name = 'p'\n[[steps]]\nkind='drug'\nspeed_mm_s=2\n", ["kind = 'drug'", "did you mean drag?"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=60\ntravel_mm=5\n", ["travel_mm = 5", "run-up and run-down"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=20\ntravel_mm=400\n", ["from 40 to 440 mm", "0 to 150 mm"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=20\naccel_mm_s2=5000\n", ["5000 mm/s²", "3000 mm/s²"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=5\ncapsule='own2.toml'\n", ["steps[0].capsule", "own2.toml"]),
+        ("name = 'p'\n[[stpes]]\nkind='drag'\n", ["stpes", "did you mean steps?"]),
+        ("name = 'p'\n", ["steps is missing"]),
+        ("\u0000", ["own.toml", "not valid TOML"]),
+    ],
+)
+def test_a_plan_that_cannot_be_is_told_in_one_sentence(
+    text: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own.toml").write_text(text, "utf-8")
+    assert main(["check", "own.toml", "--json"]) == 2
+    told = capsys.readouterr().err
+    assert all(word in told for word in ["own.toml", *words]), told
+    assert "Traceback" not in told
+    assert told.splitlines()[0].startswith("dragrig: ")
+    assert [one.name for one in tmp_path.iterdir()] == ["own.toml"]
