@@ -65,7 +65,7 @@ def blocks(backend: Backend) -> Iterable[Block]:
         yield block
 
 
-@dataclass
+@dataclass(repr=False)
 class Recorded:
     """Blocks put together."""
 

@@ -27,8 +27,8 @@ class Track:
         When a stop has brought it to a standstill; infinite unless stopped.
     fails_s, fault
         When the drive faults and what it says; infinite and empty unless it does.
-    travels
-        False for a track that only stands still.
+    over_s
+        When nothing moves any more, at the latest with the end of the profile.
     """
 
     profile: MotionProfile
@@ -36,7 +36,7 @@ class Track:
     ends_s: float = math.inf
     fails_s: float = math.inf
     fault: str = ""
-    travels: bool = True
+    over_s: float = math.inf
 
     @property
     def stopped(self) -> bool:
@@ -46,7 +46,7 @@ class Track:
 
 def standing(position_mm: float, sample_s: float, ends_s: float = math.inf) -> Track:
     """Return a track that stays at an absolute position."""
-    return Track(standstill(sample_s), position_mm, ends_s, travels=False)
+    return Track(standstill(sample_s), position_mm, ends_s, over_s=0.0)
 
 
 class Axis:
@@ -151,7 +151,7 @@ class Axis:
                 self._track = replace(track, ends_s=now)
                 return
             braked = track.profile.stopped(now, self._stop_accel_mm_s2, hold_s=self._sample_s)
-            self._track = replace(track, profile=braked, ends_s=max(now, braked.duration_s))
+            self._track = replace(track, profile=braked, ends_s=max(now, braked.duration_s), over_s=math.inf)
 
     def clear_fault(self) -> None:
         """Forget the drive's fault."""
@@ -170,12 +170,13 @@ class Axis:
 
     def _over(self) -> bool:
         # An acquisition ends up to half a sample before its profile.
-        return self._elapsed() + 0.501 * self._sample_s >= self._track.profile.duration_s
+        over_s = min(self._track.over_s, self._track.profile.duration_s)
+        return self._elapsed() + 0.501 * self._sample_s >= over_s
 
     def _moving(self) -> bool:
         if self._began_s is None:
             return not self._track.stopped
-        return self._track.travels and not self._over()
+        return not self._over()
 
     def _position(self) -> float:
         track = self._track

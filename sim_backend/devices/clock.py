@@ -47,7 +47,7 @@ class WallClock:
 
     def __init__(self, origin: datetime | None = None) -> None:
         self._origin = aware(origin)
-        self._begun_s = time.monotonic()
+        self._begun_s = time.perf_counter()
 
     def now(self) -> datetime:
         """Time of day, with offset."""
@@ -55,8 +55,8 @@ class WallClock:
 
     def monotonic(self) -> float:
         """Seconds since the clock was made."""
-        return time.monotonic() - self._begun_s
+        return time.perf_counter() - self._begun_s
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
-        return not cancel.wait(max(duration_s, 0.0))
+        return not (cancel.wait(duration_s) if duration_s > 0 else cancel.is_set())

@@ -11,6 +11,7 @@ import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
+from dragrig.rig.profile import TIME_TOLERANCE_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ class Faults:
         """Return the force on the sensor beside the gut's [mN]."""
         if self.force_spike is None:
             return 0.0
-        since = time_s - self.force_spike.at_s
+        since = time_s - self.force_spike.at_s + TIME_TOLERANCE_S
         return np.where((since >= 0) & (since < self.force_spike.duration_s), self.force_spike.force_mN, 0.0)
 
 

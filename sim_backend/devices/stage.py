@@ -146,4 +146,6 @@ class SimulatedStage:
             return Track(profile, origin_mm)
         failing = faults.drive_fault
         braked = profile.stopped(failing.at_s, self._stop_accel_mm_s2, hold_s=profile.duration_s)
-        return Track(braked, origin_mm, fails_s=failing.at_s, fault=failing.message)
+        braking_s = abs(float(profile.velocity(failing.at_s))) / self._stop_accel_mm_s2
+        over_s = failing.at_s + braking_s
+        return Track(braked, origin_mm, fails_s=failing.at_s, fault=failing.message, over_s=over_s)
