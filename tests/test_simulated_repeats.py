@@ -96,13 +96,29 @@ def test_noise_goes_on_through_a_stop() -> None:
     np.testing.assert_array_equal(cut["force"], whole["force"][: len(cut["force"])])
 
 
+def test_braking_may_outlast_the_profile() -> None:
+    backend = session(settings(stage={"stop_accel_mm_s2": 200.0}, simulated={"noise": {"zero_mN": 0.0}}))
+    blank = acquire(stroke(travel_mm=20.0, hold_s=0.05), contact=Contact.NONE)
+    whole = record(session(settings(simulated={"noise": {"zero_mN": 0.0}})), blank)
+    begin(backend, blank)
+    got = []
+    for block in blocks(backend):
+        got.append(block)
+        if block.end_index == 450:
+            backend.stage.stop()
+    slow = Recorded(got)
+    assert len(slow["force"]) == 450 + 250 + 1 > len(whole["force"])
+    np.testing.assert_array_equal(slow["force"][: len(whole["force"])], whole["force"])
+    assert np.ptp(slow["position"][-2:]) <= 0.001
+
+
 def test_a_stop_during_a_wait_for_samples_counts_from_the_wall_s_clock() -> None:
     backend = session(settings(sampling={"block_s": 0.05}), real_time=True)
     begin(backend, acquire(stroke(travel_mm=50.0, rest_s=0.0)))
     threading.Timer(0.125, backend.stage.stop).start()
-    samples = sum(block.samples for block in blocks(backend))
-    assert 125 + 16 <= samples <= 125 + 16 + 60
-    assert backend.stage.state().position_mm < 50.0
+    got = list(blocks(backend))
+    assert 125 + 16 <= got[-1].end_index < 600
+    assert backend.stage.state().position_mm == pytest.approx(got[-1].channels["position"][-1], abs=0.0011)
 
 
 def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
