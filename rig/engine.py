@@ -85,17 +85,12 @@ class Engine:
     @property
     def abort_reason(self) -> str:
         """Why somebody asked for an end; empty when nobody did."""
-        with self._lock:
-            return self._abort_reason
+        return self._abort_reason
 
     def abort(self, reason: str) -> None:
         """Ask for an end from any thread or signal handler; the first reason stands."""
-        # A signal handler interrupts the very thread that may hold the lock, so it must not wait for it.
-        if self._lock.acquire(blocking=False):
-            try:
-                self._abort_reason = self._abort_reason or reason
-            finally:
-                self._lock.release()
+        # No lock: a signal handler may interrupt the very thread that holds it.
+        self._abort_reason = self._abort_reason or reason
         self._cancel.set()
 
     def acquire(
