@@ -107,6 +107,8 @@ class Acquiring:
             trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
         else:
             trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
+        # The stage brakes from the end of this block, so the command has to as well.
+        self._end_index = block.end_index
         self.trip(trip)
         self._take(block, reading, look)
         return None if self.ended_early else reading

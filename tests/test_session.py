@@ -207,6 +207,8 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
     assert run.info.reason.startswith(cause)
     assert len(run.trace.time) >= 1400
     assert "trip" in {event.kind for event in run.events}
+    if cause == "force":
+        np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
         one.engine.acquire(one._recorded(one._programme.runs[0], 0.0))
 
