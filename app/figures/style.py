@@ -1,0 +1,100 @@
+"""How every picture looks: colours, type, sizes, and the axes they are drawn in."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import numpy as np
+from matplotlib import colormaps, style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+
+# Okabe and Ito's colours, told apart with any kind of colour vision.
+BLACK: Final = "#1A1A1A"
+BLUE: Final = "#0072B2"
+SKY: Final = "#56B4E9"
+GREEN: Final = "#009E73"
+ORANGE: Final = "#E69F00"
+VERMILLION: Final = "#D55E00"
+PURPLE: Final = "#B0578D"
+GREY: Final = "#5F6670"
+PALE: Final = "#A9B4C0"
+PAPER: Final = "#FFFFFF"
+
+CYCLE: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""Colours of curves that stand side by side, in order."""
+
+TITLE_PT: Final = 19.0
+TEXT_PT: Final = 13.5
+SMALL_PT: Final = 12.0
+DPI: Final = 120
+
+_FONT: Final = "DejaVu Sans"
+"""Comes with matplotlib, so that pictures are alike everywhere."""
+
+_RULES: Final = {
+    "font.family": _FONT,
+    "font.size": TEXT_PT,
+    "text.color": BLACK,
+    "axes.labelsize": TEXT_PT,
+    "axes.labelcolor": BLACK,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.facecolor": PAPER,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-5, 6),
+    "grid.color": "#D3D9DF",
+    "grid.linewidth": 0.8,
+    "xtick.labelsize": SMALL_PT,
+    "ytick.labelsize": SMALL_PT,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": BLACK,
+    "ytick.labelcolor": BLACK,
+    "lines.linewidth": 2.2,
+    "lines.solid_capstyle": "round",
+    "figure.facecolor": PAPER,
+    "savefig.facecolor": PAPER,
+    "svg.hashsalt": "dragrig",
+    "svg.fonttype": "path",
+    "text.usetex": False,
+    "text.parse_math": False,
+}
+
+_RC_LOCK = threading.RLock()
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Hold matplotlib's settings at this house's for as long as something is drawn or saved.
+
+    The settings are one per process: whoever draws holds a lock, and the caller's own are put back.
+    """
+    with _RC_LOCK, style.context(["default", _RULES]):
+        yield
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure on an Agg canvas of its own, known to no window system."""
+    figure = Figure(figsize=(width_in, height_in), dpi=DPI)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def sequence(count: int) -> tuple[str, ...]:
+    """Return colours from dark to light for curves that follow one another, each dark enough for a line on white."""
+    return tuple(to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.74, count)))
+
+
+def text_width_in(text: str, size_pt: float) -> float:
+    """Width [inch] that a text takes when drawn upright."""
+    prop = FontProperties(family=_FONT)
+    return float(TextPath((0, 0), text, size=size_pt, prop=prop).get_extents().width) / 72 if text.strip() else 0.0
