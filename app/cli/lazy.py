@@ -12,6 +12,9 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "init": "Make a lab folder: rig settings, data root, calibration history.",
         "check": "Say what a plan would do; nothing moves.",
     },
+    "Look": {
+        "model": "Print and draw what the friction model says of steady sliding.",
+    },
 }
 """Commands by section, with the line that the overview shows; the overview must not load them."""
 

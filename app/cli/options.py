@@ -71,3 +71,8 @@ def inputs(function: Callable[P, R]) -> Callable[P, R]:
 def out(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--out DIR`, passed on as `out`."""
     return click.option("--out", "-o", metavar="DIR", type=click.Path(path_type=Path), help=what)
+
+
+def overwrite(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--overwrite`."""
+    return click.option("--overwrite", is_flag=True, help="Replace files that are there already.")(function)

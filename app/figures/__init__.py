@@ -1,1 +1,25 @@
-"""Pictures of run files and of the friction model, drawn with matplotlib."""
+"""Pictures of run files and of the friction model; matplotlib is loaded when a function is first asked for."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dragrig.figures.model import forces_figure, skew_figure
+    from dragrig.figures.saving import save, save_in
+    from dragrig.figures.wall import wall_figure
+
+__all__ = ["forces_figure", "save", "save_in", "skew_figure", "wall_figure"]
+
+_HOME = {
+    "forces_figure": "model",
+    "save": "saving",
+    "save_in": "saving",
+    "skew_figure": "model",
+    "wall_figure": "wall",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

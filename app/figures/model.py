@@ -38,10 +38,10 @@ def forces_figure(
     SettingsError
         For a speed that is not positive.
     """
+    dots = steady_forces(np.asarray(speeds_mm_s, dtype=float), model, capsule, wall_thickness_mm)
     low, high = min([LOWEST_MM_S, *speeds_mm_s]), max([HIGHEST_MM_S, *speeds_mm_s])
     speed = np.geomspace(low, high, 600)
     line = steady_forces(speed, model, capsule, wall_thickness_mm)
-    dots = steady_forces(np.asarray(speeds_mm_s, dtype=float), model, capsule, wall_thickness_mm)
     with drawing():
         figure = new_figure(12.0, 7.6)
         headline(figure, LEFT_IN, "Friction against speed", described(model))
@@ -92,7 +92,7 @@ def skew_figure(
     )
     end = equator + model.side_contact_mm
     front = np.linspace(0.0, equator, 800)
-    side = np.array([equator, np.nextafter(end, 0), end, end + 3.0])
+    side = np.array([equator, end - 1e-6, end + 1e-6, end + 3.0])
     with drawing():
         figure = new_figure(12.0, 7.6)
         headline(figure, LEFT_IN, "Skew resistance along the capsule", described(model))
@@ -114,9 +114,15 @@ def skew_figure(
 
 
 def described(model: FrictionModelSettings) -> str:
-    """Say in a line which model a picture shows."""
+    """Say in a line which model a picture shows: its choices, and the scales that are not 1."""
     wall = "Eq. 14" if model.wall == "eq14" else "Table 1"
-    return f"model {model.name}  ·  wall {wall}  ·  viscous {model.viscous}  ·  μ = {model.friction_coefficient:g}"
+    scales = [
+        f"{name.removesuffix('_scale').replace('_', ' ')} × {value:g}"
+        for name, value in model
+        if name.endswith("_scale") and value != 1
+    ]
+    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", f"μ = {model.friction_coefficient:g}")
+    return "  ·  ".join((*choices, *scales))
 
 
 def few_of(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:

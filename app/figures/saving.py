@@ -2,7 +2,7 @@
 
 import io
 import os
-import tempfile
+from itertools import count
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -11,7 +11,7 @@ from dragrig.config.errors import OutputError
 from dragrig.figures.style import drawing
 
 FORMATS = {".png": {"Software": "dragrig"}, ".svg": {"Date": None, "Creator": "dragrig"}}
-"""File names' endings that can be written, and what the file says of itself: never when it was made."""
+"""Endings of files that can be written, and what such a file says of itself: never when it was made."""
 
 
 def save(figure: Figure, path: Path, overwrite: bool = False) -> Path:
@@ -33,16 +33,34 @@ def save(figure: Figure, path: Path, overwrite: bool = False) -> Path:
     try:
         _put(content.getvalue(), path)
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
     return path
 
 
-def _put(content: bytes, path: Path) -> None:
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    unfinished = Path(name)
+def save_in(folder: Path, name: str, figure: Figure, overwrite: bool = False) -> Path:
+    """Write a picture under a name that nobody chose: where it is taken, a number is added to it.
+
+    The folder is made if there is none. Raises as `save` does.
+    """
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise OutputError(f"{folder}: is a file; name a folder for the pictures.") from error
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
+    path = folder / name
+    return save(figure, path if overwrite else _free(path), overwrite)
+
+
+def _free(path: Path) -> Path:
+    names = (path if number == 1 else path.with_stem(f"{path.stem}-{number}") for number in count(1))
+    return next(name for name in names if not name.exists())
+
+
+def _put(content: bytes, path: Path) -> None:
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        unfinished.write_bytes(content)
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)

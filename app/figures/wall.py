@@ -12,14 +12,9 @@ from dragrig.figures.style import BLACK, BLUE, GREY, SMALL_PT, TEXT_PT, VERMILLI
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import Disagreement, WallKind, disagreement, wall_parameters
 
-PARAMETERS = {
-    "E1": ("$E_1$", "kPa"),
-    "E2": ("$E_2$", "kPa"),
-    "E3": ("$E_3$", "kPa"),
-    "eta1": (r"$\eta_1$", "kPa·s"),
-    "eta2": (r"$\eta_2$", "kPa·s"),
-}
-"""Symbol and unit of each parameter."""
+UNITS = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
+"""Unit of each parameter."""
+_SYMBOLS = {"E1": "$E_1$", "E2": "$E_2$", "E3": "$E_3$", "eta1": r"$\eta_1$", "eta2": r"$\eta_2$"}
 
 LEFT_IN, FOOT_IN = 1.15, 0.8
 WIDE_IN, TALL_IN = 2.75, 2.55
@@ -38,10 +33,10 @@ def wall_figure() -> Figure:
             "Wall parameters: Eq. 14 does not follow Table 1",
             "of the five-element wall; in each panel the largest differences from Table 1",
         )
-        for number, name in enumerate(PARAMETERS):
+        for number, name in enumerate(UNITS):
             place = _cell(number)
             _parameter(add_panel(figure, place), name, [entry for entry in entries if entry.parameter == name])
-        _key(add_panel(figure, _cell(len(PARAMETERS))))
+        _key(add_panel(figure, _cell(len(UNITS))))
         return figure
 
 
@@ -63,8 +58,7 @@ def _parameter(axes: Axes, name: str, entries: list[Disagreement]) -> None:
     axes.set_xlim(0, 220)
     axes.set_xticks([0, 50, 100, 150, 200])
     axes.set_xlabel("Strain (%)")
-    symbol, unit = PARAMETERS[name]
-    label_y(axes, f"{symbol} ({unit})")
+    label_y(axes, f"{_SYMBOLS[name]} ({UNITS[name]})")
     axes.yaxis.label.set_parse_math(True)
     eq14 = max((entry.eq14_difference for entry in entries), key=abs)
     fitted = max((entry.quadratic_difference for entry in entries), key=abs)
