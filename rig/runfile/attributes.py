@@ -13,6 +13,8 @@ from dragrig.rig.runfile.model import Attribute, Status
 
 LONGEST_LIST = 256
 """An attribute with more values than this is damaged; asking for them could take all memory."""
+LARGEST_VALUE_BYTES = 1 << 16
+SCALAR_CLASSES = frozenset({h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM})
 
 
 class LayoutError(ValueError):
@@ -39,9 +41,12 @@ def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
     """Return all attributes as plain Python values; a list becomes comma-separated text."""
     found: dict[str, Attribute] = {}
     for name in holder.attrs:
-        shape = holder.attrs.get_id(name).shape
+        attribute = holder.attrs.get_id(name)
+        shape, kind = attribute.shape, attribute.get_type()
         if shape is not None and math.prod(shape) > LONGEST_LIST:
             raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
+        if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > LARGEST_VALUE_BYTES:
+            raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
         found[str(name)] = plain(holder.attrs[name])
     return found
 

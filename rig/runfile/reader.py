@@ -10,6 +10,7 @@ import h5py
 from dragrig.config.errors import RunFileError
 from dragrig.rig.runfile import layout, schema
 from dragrig.rig.runfile.attributes import LayoutError, attributes_of
+from dragrig.rig.runfile.heaps import damaged_text
 from dragrig.rig.runfile.model import Event, FilteredTrace, Run, RunInfo, Trace
 
 
@@ -67,6 +68,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
     if not path.is_file():
         raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
     try:
+        _refuse_damaged_text(path)
         with h5py.File(path, "r", swmr=is_recording(path), locking="best-effort") as file:
             yield file
     except (RunFileError, MemoryError):
@@ -84,6 +86,11 @@ def opened(path: Path) -> Iterator[h5py.File]:
             f"{path}: is damaged, cut short or no HDF5 file ({_first_line(fault)}); restore it from a copy or bring"
             " the data in with `dragrig import`"
         ) from fault
+
+
+def _refuse_damaged_text(path: Path) -> None:
+    if not is_recording(path) and (place := damaged_text(path)) is not None:
+        raise LayoutError(f"its text is damaged at byte {place}")
 
 
 def _layout_of(file: h5py.File) -> Layout:
