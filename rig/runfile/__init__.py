@@ -4,17 +4,59 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from dragrig.rig.runfile.campaigns import Campaign, campaign, specimen_key
+    from dragrig.rig.runfile.finisher import Finished, Finisher
+    from dragrig.rig.runfile.marks import Mark, mark_bad, read_mark, unmark
+    from dragrig.rig.runfile.naming import run_file_name
     from dragrig.rig.runfile.reader import read_info, read_run
+    from dragrig.rig.runfile.recorder import Recorder
+    from dragrig.rig.runfile.recovery import Outcome, Recovered, left_recordings, recover
+    from dragrig.rig.runfile.repack import finish
+    from dragrig.rig.runfile.rewriting import VerifyResult, rewrite, store_filtered, verify
+    from dragrig.rig.runfile.whole import write_run
 
-__all__ = ["read_info", "read_run"]
+__all__ = [
+    "Campaign",
+    "Finished",
+    "Finisher",
+    "Mark",
+    "Outcome",
+    "Recorder",
+    "Recovered",
+    "VerifyResult",
+    "campaign",
+    "finish",
+    "left_recordings",
+    "mark_bad",
+    "read_info",
+    "read_mark",
+    "read_run",
+    "recover",
+    "rewrite",
+    "run_file_name",
+    "specimen_key",
+    "store_filtered",
+    "unmark",
+    "verify",
+    "write_run",
+]
 
 _HOME = {
-    "read_info": "reader",
-    "read_run": "reader",
+    "campaigns": ("Campaign", "campaign", "specimen_key"),
+    "finisher": ("Finished", "Finisher"),
+    "marks": ("Mark", "mark_bad", "read_mark", "unmark"),
+    "naming": ("run_file_name",),
+    "repack": ("finish",),
+    "reader": ("read_info", "read_run"),
+    "recorder": ("Recorder",),
+    "recovery": ("Outcome", "Recovered", "left_recordings", "recover"),
+    "rewriting": ("VerifyResult", "rewrite", "store_filtered", "verify"),
+    "whole": ("write_run",),
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    for module, names in _HOME.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

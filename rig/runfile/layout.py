@@ -77,15 +77,15 @@ def read_trace(file: h5py.File, info: RunInfo) -> Trace:
     )
 
 
-def read_events(file: h5py.File, count: int | None = None) -> tuple[Event, ...]:
-    """Read the table of events, or its first `count` rows; a file without one has none."""
+def read_events(file: h5py.File) -> tuple[Event, ...]:
+    """Read the table of events; a file without one has none. Of a recording, the rows that are whole."""
     if schema.EVENTS not in file:
         return ()
     table = at.dataset_at(file, schema.EVENTS)
     if table.ndim != 1 or table.dtype.names != schema.EVENT_FIELDS:
         raise LayoutError(f"/entry/events is not a table of {', '.join(schema.EVENT_FIELDS)}")
     _believable(table)
-    rows = table[:count]
+    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if file.swmr_mode else None]
     return tuple(
         Event(float(time), str(at.plain(kind)), str(at.plain(message))) for time, kind, message in rows.tolist()
     )
@@ -114,9 +114,9 @@ def read_filtered(file: h5py.File) -> FilteredTrace | None:
     return FilteredTrace(time=time, channels=columns, parameters=parameters, units=units)
 
 
-def valid_count(file: h5py.File, name: str, otherwise: int) -> int:
+def valid_count(file: h5py.File, path: str, otherwise: int) -> int:
     """Return how many rows a recording says are whole; `otherwise` where it does not say."""
-    dataset = file.get(f"{schema.ENTRY}/{name}")
+    dataset = file.get(path)
     return min(int(np.ravel(dataset[()])[0]), otherwise) if isinstance(dataset, h5py.Dataset) else otherwise
 
 
@@ -137,7 +137,7 @@ def _shape_of_trace(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, .
             raise LayoutError(f"{where} holds {dataset.dtype} instead of float32 or float64")
         units = _units(dataset, where, schema.UNITS.get(name))
         if name not in schema.FRAME:
-            channels.append(Channel(name, units))
+            channels.append(Channel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     return _common_length(file, lengths), tuple(channels)
 
@@ -145,7 +145,7 @@ def _shape_of_trace(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, .
 def _common_length(file: h5py.File, lengths: dict[str, int]) -> int:
     samples = lengths[schema.TIME]
     if file.swmr_mode:
-        return valid_count(file, "valid_samples", min(lengths.values()))
+        return valid_count(file, schema.VALID_SAMPLES, min(lengths.values()))
     for name, length in lengths.items():
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")

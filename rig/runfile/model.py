@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
 
@@ -27,10 +28,11 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One recorded quantity: name of the dataset and its unit."""
+    """One recorded quantity: name of the dataset, its unit and how its numbers are stored."""
 
     name: str
     units: str
+    dtype: Literal["float32", "float64"] = "float64"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,16 @@ class Event:
     time_s: float
     kind: str
     message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """What is known once the last sample has been taken."""
+
+    status: Status
+    reason: str = ""
+    end_time: datetime | None = None
+    checks: Mapping[str, Attribute] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import h5py
 
-from dragrig.config.errors import RunFileError
+from dragrig.config.errors import DragrigError, RunFileError
 from dragrig.rig.runfile import layout, schema
 from dragrig.rig.runfile.attributes import LayoutError, attributes_of
 from dragrig.rig.runfile.heaps import damaged_text
 from dragrig.rig.runfile.model import Event, FilteredTrace, Run, RunInfo, Trace
+from dragrig.rig.runfile.naming import is_recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Layout:
 
     info: Callable[[h5py.File, Path], RunInfo]
     trace: Callable[[h5py.File, RunInfo], Trace]
-    events: Callable[[h5py.File, int | None], tuple[Event, ...]]
+    events: Callable[[h5py.File], tuple[Event, ...]]
     filtered: Callable[[h5py.File], FilteredTrace | None]
 
 
@@ -28,11 +29,6 @@ LAYOUTS: Mapping[int, Layout] = {
     1: Layout(layout.read_info, layout.read_trace, layout.read_events, layout.read_filtered),
 }
 """Every version that can be read; a new one is added, none is taken away."""
-
-
-def is_recording(path: Path) -> bool:
-    """Tell whether a name is that of a run that is still being recorded, or was left so."""
-    return path.name.endswith(schema.RECORDING_SUFFIX)
 
 
 def read_info(path: Path) -> RunInfo:
@@ -58,8 +54,7 @@ def read_run(path: Path) -> Run:
     with opened(path) as file:
         version = _layout_of(file)
         info = version.info(file, path)
-        count = layout.valid_count(file, "valid_events", 1 << 62) if file.swmr_mode else None
-        return Run(info, version.trace(file, info), version.events(file, count), version.filtered(file))
+        return Run(info, version.trace(file, info), version.events(file), version.filtered(file))
 
 
 @contextmanager
@@ -69,15 +64,18 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
     try:
         _refuse_damaged_text(path)
-        with h5py.File(path, "r", swmr=is_recording(path), locking="best-effort") as file:
+        recording = is_recording(path)
+        with h5py.File(path, "r", swmr=recording, locking=False if recording else "best-effort") as file:
             yield file
-    except (RunFileError, MemoryError):
+    except (DragrigError, MemoryError):
         raise
     except LayoutError as fault:
         raise RunFileError(
             f"{path}: {fault}; this is not a whole run file, restore it from a copy or bring the data in"
             " with `dragrig import`"
         ) from fault
+    except BlockingIOError as fault:
+        raise RunFileError(f"{path}: is being written by another program; close it there") from fault
     except PermissionError as fault:
         raise RunFileError(f"{path}: may not be read; ask for permission or copy it elsewhere") from fault
     except Exception as fault:

@@ -67,9 +67,17 @@ WRITERS_ATTRIBUTES: frozenset[str] = frozenset(
 )
 """Attributes of `/entry` that stand in a `RunInfo` or in their own fields of a `RunHeader`, not in its `entry`."""
 
+VALID_SAMPLES = "/entry/valid_samples"
+VALID_EVENTS = "/entry/valid_events"
+VALID_ANNOTATION_BYTES = "/entry/valid_annotation_bytes"
+ANNOTATIONS = "/entry/annotations"
+"""Only in a recording: how much of it is whole, and what became known late, as lines of JSON."""
+
 EVENT_KIND_BYTES = 16
 EVENT_MESSAGE_BYTES = 160
 EVENT_FIELDS = ("time_s", "kind", "message")
+FILTER_EVENT = "filter"
+"""Kind of the events that the filter writes and, run again, replaces."""
 
 
 def event_dtype() -> np.dtype[np.void]:
