@@ -13,12 +13,14 @@ if TYPE_CHECKING:
     from dragrig.rig.runfile.recovery import Outcome, Recovered, left_recordings, recover
     from dragrig.rig.runfile.repack import finish
     from dragrig.rig.runfile.rewriting import VerifyResult, rewrite, store_filtered, verify
+    from dragrig.rig.runfile.store import FolderStore
     from dragrig.rig.runfile.whole import write_run
 
 __all__ = [
     "Campaign",
     "Finished",
     "Finisher",
+    "FolderStore",
     "Mark",
     "Outcome",
     "Recorder",
@@ -51,6 +53,7 @@ _HOME = {
     "recorder": ("Recorder",),
     "recovery": ("Outcome", "Recovered", "left_recordings", "recover"),
     "rewriting": ("VerifyResult", "rewrite", "store_filtered", "verify"),
+    "store": ("FolderStore",),
     "whole": ("write_run",),
 }
 

@@ -108,6 +108,7 @@ def read_filtered(file: h5py.File) -> FilteredTrace | None:
     if schema.TIME not in columns:
         raise LayoutError(f"the dataset {schema.FILTERED}/time is missing")
     time = columns.pop(schema.TIME)
+    del units[schema.TIME]
     if any(column.shape != time.shape for column in columns.values()):
         raise LayoutError(f"the datasets of {schema.FILTERED} differ in length")
     parameters = {k: v for k, v in at.attributes_of(group).items() if k not in {"NX_class", "signal", "axes"}}

@@ -9,7 +9,6 @@ import tomli_w
 
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.runfile import files, naming
-from dragrig.rig.runfile.reader import read_info
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +31,11 @@ def mark_bad(path: Path, reason: str) -> Mark:
     """
     if not reason.strip():
         raise OutputError(f"{path}: is not marked because no reason is given; say why the run is bad")
-    info = read_info(path)
+    if not naming.finished_path(path).exists() and not naming.recording_path(path).exists():
+        raise RunFileError(f"{path}: there is no such run to mark; give the path of a run file (.h5)")
     mark = Mark(reason.strip(), datetime.now(UTC).astimezone())
     target = naming.mark_path(path)
-    text = tomli_w.dumps({"run_id": info.header.run_id, "bad": mark.reason, "marked_at": mark.marked_at})
+    text = tomli_w.dumps({"bad": mark.reason, "marked_at": mark.marked_at})
     part = naming.part_path(target)
     try:
         part.write_text(text, "utf-8")

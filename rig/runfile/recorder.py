@@ -117,7 +117,7 @@ class Recorder:
         RecordingError
             When the disk refused data or has too little room.
         ValueError
-            When arrays are missing, differ in length or lose digits, or come twice.
+            When arrays are missing, differ in length, are no real numbers, or come twice.
         """
         if (failure := self.failure) is not None:
             raise failure
@@ -175,7 +175,7 @@ class Recorder:
             column = columns[name]
             if column.shape != (count,):
                 raise ValueError(f"{name} has shape {column.shape} instead of {(count,)}")
-            if column.dtype != dtype and not np.can_cast(column.dtype, dtype):
+            if column.dtype != dtype and not np.can_cast(column.dtype, dtype, "same_kind"):
                 raise ValueError(f"{name} is {column.dtype}, which {dtype} cannot hold")
         return columns
 

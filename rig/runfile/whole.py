@@ -33,7 +33,8 @@ def write_run(
     path
         Where the file is to stand; what stands there already is never written over.
     columns
-        time [s], command [mm], phase and every channel of the header, each of shape `(N,)`.
+        time [s], command [mm], phase and every channel of the header, each of shape `(N,)`; float32 stays
+        float32, other numbers become float64.
 
     Raises
     ------
@@ -84,15 +85,21 @@ def new_file(path: Path) -> Iterator[h5py.File]:
 
 
 def _write_columns(group: h5py.Group, header: RunHeader, columns: Mapping[str, writing.Column]) -> str:
-    types, units, digest = writing.column_types(header.channels), writing.units_of(header.channels), TraceDigest()
-    for name in sorted(types):
-        dataset = writing.create_column(group, name, len(columns[name]), types[name])
+    units, digest = writing.units_of(header.channels), TraceDigest()
+    for name in sorted(columns):
+        values = np.ascontiguousarray(columns[name], dtype=_stored_type(name, np.asarray(columns[name]).dtype))
+        dataset = writing.create_column(group, name, len(values), values.dtype)
         writing.describe(dataset, name, units)
-        values = np.ascontiguousarray(columns[name], dtype=types[name])
         dataset[:] = values
         digest.begin(name, values.dtype, len(values))
         digest.update(values)
     return digest.hexdigest()
+
+
+def _stored_type(name: str, given: np.dtype[np.generic]) -> np.dtype[np.generic]:
+    """Return float32 for what is float32, float64 for any other number, the layout's type for time and phase."""
+    fixed = {schema.TIME: "<f8", schema.PHASE: "u1"}.get(name)
+    return np.dtype(fixed or ("<f4" if given.itemsize == 4 and given.kind == "f" else "<f8"))
 
 
 def _check_columns(header: RunHeader, columns: Mapping[str, writing.Column]) -> None:

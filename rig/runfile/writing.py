@@ -19,10 +19,10 @@ GZIP_LEVEL = 4
 
 
 def column_types(channels: Sequence[Channel]) -> dict[str, np.dtype[np.generic]]:
-    """Return the type of every dataset of a trace, by name."""
+    """Return the type of every dataset of a recorded trace, by name."""
     frame: dict[str, np.dtype[np.generic]] = {
         schema.TIME: np.dtype("<f8"),
-        schema.COMMAND: np.dtype("<f8"),
+        schema.COMMAND: np.dtype("<f4"),
         schema.PHASE: np.dtype("u1"),
     }
     return frame | {channel.name: np.dtype(channel.dtype).newbyteorder("<") for channel in channels}
