@@ -147,6 +147,13 @@ def free_bytes(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
+def said(fault: Exception) -> str:
+    """Return the few words of an exception that a person needs; h5py's say much more."""
+    if isinstance(fault, OSError) and fault.errno:
+        return os.strerror(fault.errno)
+    return (str(fault).splitlines() or [type(fault).__name__])[0]
+
+
 def discard(file: h5py.File) -> None:
     """Let go of an HDF5 file whose disk refuses data, leaving it on disk as it is.
 

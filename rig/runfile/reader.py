@@ -10,6 +10,7 @@ import h5py
 from dragrig.config.errors import DragrigError, RunFileError
 from dragrig.rig.runfile import layout, schema
 from dragrig.rig.runfile.attributes import LayoutError, attributes_of
+from dragrig.rig.runfile.files import said
 from dragrig.rig.runfile.heaps import damaged_text
 from dragrig.rig.runfile.model import Event, FilteredTrace, Run, RunInfo, Trace
 from dragrig.rig.runfile.naming import is_recording
@@ -81,7 +82,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
     except Exception as fault:
         # h5py reports damage as almost any class of exception; each means that the file cannot be read.
         raise RunFileError(
-            f"{path}: is damaged, cut short or no HDF5 file ({_first_line(fault)}); restore it from a copy or bring"
+            f"{path}: is damaged, cut short or no HDF5 file ({said(fault)}); restore it from a copy or bring"
             " the data in with `dragrig import`"
         ) from fault
 
@@ -106,7 +107,3 @@ def _layout_of(file: h5py.File) -> Layout:
             " install a newer dragrig"
         )
     raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
-
-
-def _first_line(fault: Exception) -> str:
-    return (str(fault).splitlines() or [type(fault).__name__])[0]

@@ -38,7 +38,7 @@ class Recorder:
     flush_s
         Wall time between flushes, also while no samples come.
     reserve_bytes
-        Free space that must be left besides twice what the run still needs.
+        Free space that must be left besides what the run and its finished copy need.
     expected_samples
         Length of the run as planned, for the watch over free space.
 
@@ -95,8 +95,8 @@ class Recorder:
         """Why recording cannot go on, or None: the disk refused data or has too little room."""
         if self._thread.failure is not None:
             return RecordingError(
-                f"{self.path}: the disk refused data ({self._thread.failure}); make room, then `dragrig recover`"
-                " finishes what was recorded"
+                f"{self.path}: the disk refused data ({files.said(self._thread.failure)}); make room, then"
+                " `dragrig recover` finishes what was recorded"
             )
         return RecordingError(self._thread.shortage) if self._thread.shortage else None
 
@@ -204,4 +204,4 @@ def _created(recording: Path, header: RunHeader, room: DiskRoom) -> RecordingFil
         create_recording(recording, header)
         return RecordingFile(recording)
     except (OSError, RuntimeError) as fault:
-        raise OutputError(f"{recording}: could not be made ({fault}); choose another folder") from fault
+        raise OutputError(f"{recording}: could not be made ({files.said(fault)}); choose another folder") from fault

@@ -79,8 +79,8 @@ def _piece(dataset: h5py.Dataset, start: int, stop: int) -> AnyFloatArray | Phas
         piece: AnyFloatArray | PhaseArray = dataset[start:stop]
     except (OSError, RuntimeError) as fault:
         raise RunFileError(
-            f"{dataset.file.filename}: {dataset.name} cannot be read from sample {start} on ({fault}); keep the file"
-            " and look after the disk"
+            f"{dataset.file.filename}: {dataset.name} cannot be read from sample {start} on ({files.said(fault)});"
+            " keep the file and look after the disk"
         ) from fault
     return piece
 

@@ -79,7 +79,9 @@ def new_file(path: Path) -> Iterator[h5py.File]:
         file.close()
         files.put_in_place(part, path)
     except (OSError, RuntimeError) as fault:
-        raise OutputError(f"{path}: could not be written ({fault}); make room or choose another folder") from fault
+        raise OutputError(
+            f"{path}: could not be written ({files.said(fault)}); make room or choose another folder"
+        ) from fault
     finally:
         part.unlink(missing_ok=True)
 

@@ -15,7 +15,7 @@ from dragrig.rig.runfile.syncer import Syncer
 
 @dataclass(frozen=True, slots=True)
 class DiskRoom:
-    """How much room a run needs: twice what is still to come of it, and a reserve."""
+    """How much room a run needs: what is still to come of it, its finished copy, and a reserve."""
 
     folder: Path
     reserve_bytes: int
@@ -23,7 +23,8 @@ class DiskRoom:
 
     def shortage(self, written_bytes: int) -> str | None:
         """Say what is missing on the disk, or None while there is room."""
-        needed = 2 * max(0, self.run_bytes - written_bytes) + self.reserve_bytes
+        whole = max(self.run_bytes, written_bytes)
+        needed = whole - written_bytes + whole + self.reserve_bytes
         free = files.free_bytes(self.folder)
         if free >= needed:
             return None
@@ -94,6 +95,7 @@ class WriterThread(Thread):
             now = time.monotonic()
             for columns in self._ring.take():
                 self._file.append(columns)
+                self.shortage = self._room.shortage(self._file.written_bytes)
             if closed or now >= flushed + self._flush_s:
                 self._flush()
                 flushed = now
@@ -106,4 +108,3 @@ class WriterThread(Thread):
             self._file.append_annotations(annotations)
         self._file.flush()
         self._syncer.request()
-        self.shortage = self._room.shortage(self._file.written_bytes)
