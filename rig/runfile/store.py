@@ -74,14 +74,16 @@ class FolderStore:
         mark_bad(self._paths[order], reason)
 
     def settle(self) -> None:
-        """Wait until every closed run is in its final place.
+        """Wait until every closed run is in its final place, and let the finishing process go.
 
         Raises
         ------
         RecordingError
             When one cannot be put there; it stays a recording that `dragrig recover` finishes.
         """
-        done = self._finisher.wait()
+        finisher, self._finisher = self._finisher, Finisher()
+        done = finisher.wait()
+        finisher.close()
         self.finished.extend(done)
         for one in done:
             if one.error is not None:
