@@ -6,6 +6,7 @@ Everything is gathered block by block, so that it costs no memory and is there t
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
+from statistics import median
 
 import numpy as np
 
@@ -19,7 +20,9 @@ _SETTLED_S = 0.3
 """Slip is looked for from so long after the ramp: by then the fast branch has relaxed."""
 _BIN_S = 0.1
 _NOISE_BINS = 8.0
-"""A drop counts as slip when it exceeds the one before by so many standard errors of a bin."""
+"""A drop counts as slip when it exceeds the one before by so many standard errors of a bin …"""
+_SMALLEST_SLIP = 0.02
+"""… and the accuracy of the sensor, plus this part of the force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,7 @@ class RunChecks:
         self._lost = 0
         self._following_mm = 0.0
         self._next = 0
-        self._slip = _SlipWatch(rate_hz) if sticking else None
+        self._slip = _SlipWatch(rate_hz, accuracy_mN) if sticking else None
 
     def add(self, reading: Reading, look: Look, raw_force: AnyFloatArray) -> None:
         """Look at a reading; `raw_force` is the force before the tare."""
@@ -119,14 +122,15 @@ class _SlipWatch:
     A relaxing wall loses force ever more slowly, whatever its time constants; a capsule that slips does not.
     """
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, accuracy_mN: float) -> None:
         self.time_s = -1.0
+        self._accuracy_mN = accuracy_mN
         self._rate_hz = rate_hz
         self._per_bin = max(round(_BIN_S * rate_hz), 2)
         self._begun: float | None = None
         self._left: list[AnyFloatArray] = []
         self._gathered = 0
-        self._means: list[tuple[float, float]] = []
+        self._bins: list[tuple[float, float]] = []
 
     def add(self, reading: Reading) -> None:
         hold = reading.phase == _HOLD
@@ -143,11 +147,13 @@ class _SlipWatch:
     def _judge(self, time_s: float) -> None:
         gathered = np.concatenate(self._left)
         self._left, self._gathered = [], 0
-        error = float(gathered.std(ddof=1)) / sqrt(len(gathered)) if len(gathered) > 1 else 0.0
-        self._means = [*self._means[-2:], (float(gathered.mean()), error)]
-        if len(self._means) < 3 or self.time_s >= 0:
+        self._bins = [*self._bins[-4:], (float(gathered.mean()), float(gathered.std(ddof=1)) / sqrt(len(gathered)))]
+        if len(self._bins) < 5 or self.time_s >= 0:
             return
-        (first, _), (second, _), (third, error_now) = self._means
-        slow_noise = max(error_now, error)
-        if (second - third) - (first - second) > _NOISE_BINS * slow_noise + 0.01 * abs(first):
-            self.time_s = time_s
+        means = [mean for mean, _ in self._bins]
+        # The median, because the bin that holds the slip looks noisy by itself.
+        noise = median(error for _, error in self._bins)
+        # Over two bins each, because a slip may fall into the middle of one.
+        before, now = means[0] - means[2], means[2] - means[4]
+        if now - before > max(_NOISE_BINS * noise, self._accuracy_mN) + _SMALLEST_SLIP * abs(means[0]):
+            self.time_s = time_s - 2 * self._per_bin / self._rate_hz

@@ -1,0 +1,98 @@
+"""The checks right after a run see what they should, and nothing where there is nothing."""
+
+import numpy as np
+import pytest
+
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Specimen
+from dragrig.rig.arrays import AnyFloatArray
+from dragrig.rig.checks import CheckReport, RunChecks
+from dragrig.rig.devices import Block
+from dragrig.rig.profile import MotionProfile
+from dragrig.rig.protocols.drag import Drag
+from dragrig.rig.protocols.relaxation import Relaxation
+from dragrig.rig.reading import CommandTape, Look
+
+RATE = 1000.0
+SPECIMEN = Specimen(name="jejunum")
+RANGE = (-10_000.0, 10_000.0)
+
+
+def report(
+    profile: MotionProfile, force: AnyFloatArray, *, sticking: bool = False, lost: slice | None = None
+) -> CheckReport:
+    checks = RunChecks(RATE, RANGE, 5.0, sticking=sticking)
+    tape = CommandTape(profile, RATE)
+    position = profile.position(np.arange(len(force)) / RATE).astype(np.float32)
+    for start in range(0, len(force), 50):
+        if lost is not None and lost.start <= start < lost.stop:
+            continue
+        channels = {"force": force[start : start + 50], "position": position[start : start + 50]}
+        block = Block(start, channels)
+        reading = tape.join(block)
+        checks.add(reading, Look.at(block, reading.command), block.channels["force"])
+    return checks.report()
+
+
+def relaxing(seed: int, strain: float = 1.0, slips_at_s: float = np.inf, drop: float = 0.0) -> CheckReport:
+    profile = Relaxation(shear_strain=strain).profile(SPECIMEN)
+    time = np.arange(profile.samples(RATE)) / RATE
+    since = np.maximum(time - 1.15, 0.0)
+    held = 650 * strain * (1 + 1.1 * np.exp(-since / 0.46) + 2.9 * np.exp(-since / 0.025))
+    rng = np.random.default_rng(seed)
+    slow = np.convolve(rng.normal(0, 0.5, len(time) + 199), np.ones(200) / np.sqrt(200), "valid")
+    force = np.where(time < 1.0, 0.0, held) + rng.normal(0, 1.5, len(time)) + slow
+    force[time >= slips_at_s] *= 1 - drop
+    return report(profile, force.astype(np.float32), sticking=True)
+
+
+def test_a_clean_drag_warns_of_nothing() -> None:
+    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    noise = np.random.default_rng(1).normal(2.5, 1.5, profile.samples(RATE)).astype(np.float32)
+    seen = report(profile, noise)
+    assert seen.warnings == ()
+    assert seen.values["rest_offset_mN"] == pytest.approx(2.5, abs=0.2)
+    assert seen.values["rest_noise_mN"] == pytest.approx(1.5, rel=0.1)
+    assert seen.values["following_error_mm"] < 1e-4
+    assert "slip_time_s" not in seen.values
+
+
+def test_clipped_and_lost_samples_are_counted() -> None:
+    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    force = np.zeros(profile.samples(RATE), np.float32)
+    force[2000:2007] = 10_000.0
+    force[2100:2103] = -10_000.0
+    seen = report(profile, force, lost=slice(3000, 3200))
+    assert seen.values["clipped_samples"] == 10
+    assert seen.values["lost_samples"] == 200
+    assert len(seen.warnings) == 2
+
+
+def test_a_loud_sensor_is_told() -> None:
+    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    noise = np.random.default_rng(1).normal(0, 8.0, profile.samples(RATE)).astype(np.float32)
+    assert any("noise at rest" in warning for warning in report(profile, noise).warnings)
+
+
+@pytest.mark.parametrize(("at_s", "drop"), [(2.0, 0.15), (5.0, 0.05), (15.0, 0.05)])
+def test_a_capsule_that_slips_is_told_with_its_time(at_s: float, drop: float) -> None:
+    seen = relaxing(1, slips_at_s=at_s, drop=drop)
+    assert seen.values["slip_time_s"] == pytest.approx(at_s, abs=0.25)
+    assert any("slipped" in warning for warning in seen.warnings)
+
+
+@pytest.mark.parametrize("strain", [0.5, 1.0, 1.5, 2.0])
+def test_a_wall_that_relaxes_is_not_taken_for_slip(strain: float) -> None:
+    for seed in range(10):
+        assert relaxing(seed, strain).values["slip_time_s"] == -1.0
+
+
+def test_the_simulated_walls_relaxation_is_not_taken_for_slip() -> None:
+    import dragrig
+
+    runs = dragrig.simulate("relaxation", assignments=["repeats=3", "rig.data.root='.'"])
+    slips = [run.info.checks["slip_time_s"] for run in runs if run.info.kind == "relaxation"]
+    assert slips == [-1.0] * 12
+    assert RigSettings().sampling.rate_hz == RATE
+    assert FrictionModelSettings().wall == "eq14"
