@@ -6,6 +6,7 @@ paper's curves, `wall_parameters` and `disagreement` the two published parameter
 
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
 from dragrig.sim_backend.friction.prepared import PreparedForce, prepare
+from dragrig.sim_backend.friction.recorded import RecordedMotion
 from dragrig.sim_backend.friction.sliding import Components
 from dragrig.sim_backend.friction.steady import SteadyForces, skew_resistance, steady_forces
 from dragrig.sim_backend.friction.wall import Disagreement, WallKind, WallParameters, disagreement, wall_parameters
@@ -16,6 +17,7 @@ __all__ = [
     "Motion",
     "PreparedForce",
     "ProfileMotion",
+    "RecordedMotion",
     "SteadyForces",
     "WallKind",
     "WallParameters",
