@@ -10,7 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.rig.arrays import BoolArray, FloatArray
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile
+
+STANDSTILL_MM_S = 1e-9
+"""Slower than this is rounding."""
 
 SignArray = npt.NDArray[np.int8]
 
@@ -78,28 +81,18 @@ class ProfileMotion:
     @classmethod
     def of(cls, profile: MotionProfile) -> "ProfileMotion":
         """Prepare a profile; an empty one stands still for no time."""
-        turning = [
-            float(start - speed / acceleration)
-            for start, end, speed, acceleration in zip(
-                profile.start_s,
-                np.append(profile.start_s[1:], profile.duration_s),
-                profile.velocity_mm_s,
-                profile.acceleration_mm_s2,
-                strict=True,
-            )
-            if acceleration != 0 and start < start - speed / acceleration < end
-        ]
-        begin = np.union1d(profile.start_s, turning) if profile.start_s.size else np.zeros(1)
-        if profile.start_s.size:
-            piece = np.searchsorted(profile.start_s, begin, side="right") - 1
-            velocity = np.where(np.isin(begin, turning), 0.0, profile.velocity(begin))
-            acceleration = profile.acceleration_mm_s2[piece]
-            start = profile.position(begin)
-        else:
-            velocity = acceleration = start = np.zeros(1)
+        if not profile.start_s.size:
+            nothing = np.zeros(1)
+            return cls(np.zeros(2), np.zeros(1, dtype=np.int8), nothing == 0, nothing, nothing, nothing)
+        turns = _turning_times(profile)
+        begin = np.union1d(profile.start_s, turns)
+        piece = np.searchsorted(profile.start_s, begin, side="right") - 1
+        velocity = np.where(np.isin(begin, turns), 0.0, profile.velocity(begin))
+        acceleration = profile.acceleration_mm_s2[piece]
         breaks = np.append(begin, profile.duration_s)
-        middle = velocity + 0.5 * acceleration * np.diff(breaks)
-        return cls(breaks, np.sign(middle).astype(np.int8), acceleration == 0, start, velocity, acceleration)
+        mean = velocity + 0.5 * acceleration * np.diff(breaks)
+        signs = np.where(np.abs(mean) < STANDSTILL_MM_S, 0.0, np.sign(mean)).astype(np.int8)
+        return cls(breaks, signs, acceleration == 0, profile.position(begin), velocity, acceleration)
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Position [mm] at any times within the motion."""
@@ -142,3 +135,12 @@ class ProfileMotion:
     def _position(self, index: npt.NDArray[np.intp], elapsed: FloatArray) -> FloatArray:
         speed = self.velocity_mm_s[index] + 0.5 * self.acceleration_mm_s2[index] * elapsed
         return np.asarray(self.start_mm[index] + speed * elapsed)
+
+
+def _turning_times(profile: MotionProfile) -> FloatArray:
+    """Return when pieces turn round; at a piece's very end it is rounding, not a turn."""
+    end = np.append(profile.start_s[1:], profile.duration_s)
+    moving = profile.acceleration_mm_s2 != 0
+    after = -profile.velocity_mm_s[moving] / profile.acceleration_mm_s2[moving]
+    inside = (after > TIME_TOLERANCE_S) & (after < (end - profile.start_s)[moving] - TIME_TOLERANCE_S)
+    return np.asarray((profile.start_s[moving] + after)[inside])

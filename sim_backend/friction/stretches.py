@@ -14,7 +14,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.history import ContactHistory, Segment, Stroke
 
 SHORTEST_S = 1e-9
-"""Stretches shorter than this are joined to the next."""
+"""Stretches shorter than this are joined to their neighbour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ def stretches(history: ContactHistory, contact_mm: float) -> Iterator[Stretch]:
         )
         edges = [begin]
         for time in np.sort(events[(events > begin) & (events < end)]):
-            if time - edges[-1] > SHORTEST_S:
+            if min(time - edges[-1], end - time) > SHORTEST_S:
                 edges.append(float(time))
         for start, stop in pairwise((*edges, end)):
             yield _stretch(history, stroke, contact_mm, start, stop)

@@ -1,0 +1,114 @@
+"""A motion known only from encoder counts gives the force of the motion itself."""
+
+import numpy as np
+import pytest
+from friction_cases import moves, sliding, sticking
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dragrig.config.errors import AnalysisError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.friction import RecordedMotion, prepare
+
+MODEL = FrictionModelSettings()
+
+PROFILES = {
+    "slow": moves((20.0, 0.5)),
+    "fast": moves((40.0, 60.0)),
+    "turning": moves((30.0, 10.0), (-30.0, 10.0)),
+    "turning after rests": moves((3.0, 10.0), (-2.0, 20.0), (1.0, 5.0), (-10.0, 2.0), (4.0, 60.0), between=0.3),
+}
+
+
+def counts(profile: MotionProfile, rate: float) -> tuple[FloatArray, FloatArray]:
+    time = np.arange(profile.samples(rate)) / rate
+    return time, np.round(profile.position(time) * 1000) / 1000
+
+
+def away_from_starts_and_stops(profile: MotionProfile, time: FloatArray) -> np.ndarray:
+    """Where no start, stop or turn lies within 5 ms: a count more or less says no more than that."""
+    ends = np.append(profile.start_s, profile.duration_s)
+    still = np.abs(profile.velocity(ends)) < 1e-9
+    return np.abs(time[:, None] - ends[still]).min(axis=1) > 0.005
+
+
+@pytest.mark.parametrize("rate", [200.0, 1000.0, 10000.0])
+@pytest.mark.parametrize("name", PROFILES)
+def test_counts_give_the_force_of_the_motion(name: str, rate: float) -> None:
+    profile = PROFILES[name]
+    time, position = counts(profile, rate)
+    truth = prepare(sliding(profile), MODEL).force(time)
+    found = prepare(sliding(profile), MODEL, RecordedMotion.of(time, position)).force(time)
+    away = away_from_starts_and_stops(profile, time)
+    assert away.mean() > 0.9
+    # f_c jumps when fresh wall comes to the equator: a sample or two may fall on the other side of that.
+    error = np.sort(np.abs(found - truth)[away])[:-3]
+    assert error.max() < 0.005 * np.ptp(truth)
+
+
+def test_a_resting_stage_makes_no_friction() -> None:
+    time, position = counts(PROFILES["slow"], 1000.0)
+    motion = RecordedMotion.of(time, position)
+    assert not motion.velocity(np.linspace(0.0, 0.99, 100)).any()
+    parts = prepare(sliding(PROFILES["slow"]), MODEL, motion).components(time[time < 0.99])
+    assert not parts.f_c.any()
+    assert not parts.f_v.any()
+
+
+def test_a_dithering_encoder_is_still_at_rest_when_its_jitter_is_told() -> None:
+    profile = moves((20.0, 5.0))
+    time, position = counts(profile, 1000.0)
+    noisy = position + np.round(np.random.default_rng(0).normal(0.0, 1.0, time.size)) / 1000
+    motion = RecordedMotion.of(time, noisy, jitter_mm=0.007)
+    assert motion.signs.tolist() == [0, *[1] * (motion.signs.size - 2), 0]
+    truth = prepare(sliding(profile), MODEL).force(time)
+    found = prepare(sliding(profile), MODEL, motion).force(time)
+    away = np.abs(time[:, None] - profile.start_s[[1, -1]]).min(axis=1) > 0.02
+    assert np.abs(found - truth)[away].max() < 0.01 * np.ptp(truth)
+
+
+def test_a_sticking_run_takes_a_recorded_motion_too() -> None:
+    profile = moves((2.5, 20.0), acceleration=2000.0, hold=5.0)
+    time, position = counts(profile, 1000.0)
+    acquisition = sticking(profile, 1.0)
+    truth = prepare(acquisition, MODEL).force(time)
+    found = prepare(acquisition, MODEL, RecordedMotion.of(time, position)).force(time)
+    assert np.abs(found - truth).max() < 0.02 * np.ptp(truth)
+    assert np.abs(found - truth)[time > 1.2].max() < 0.002 * np.ptp(truth)
+
+
+def test_a_gap_is_bridged() -> None:
+    profile = moves((20.0, 5.0))
+    time, position = counts(profile, 1000.0)
+    kept = (time < 3.0) | (time > 3.1)
+    truth = prepare(sliding(profile), MODEL).force(time)
+    found = prepare(sliding(profile), MODEL, RecordedMotion.of(time[kept], position[kept])).force(time)
+    away = away_from_starts_and_stops(profile, time)
+    assert np.abs(found - truth)[away].max() < 0.01 * np.ptp(truth)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), samples=st.integers(5, 400), scale=st.sampled_from([0.0, 0.001, 0.1, 5.0]))
+def test_any_record_gives_a_finite_force_near_its_positions(seed: int, samples: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.5e-3, 2e-3, samples))
+    position = np.cumsum(rng.normal(0.0, scale, samples)) * 0.01
+    motion = RecordedMotion.of(time, position)
+    force = prepare(sliding(moves()), MODEL, motion).force(time - time[0])
+    assert np.isfinite(force).all()
+    assert np.abs(motion.position(time - time[0])).max() <= np.ptp(position) * 1.2 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "message"),
+    [
+        ([0.0, 1.0], [0.0, 1.0], "at least 5"),
+        ([0.0, 1.0, 2.0, 2.0, 3.0], [0.0] * 5, "must rise"),
+        ([0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 0.0, float("nan"), 0.0, 0.0], "NaN"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(time: list[float], position: list[float], message: str) -> None:
+    with pytest.raises(AnalysisError, match=message):
+        RecordedMotion.of(time, position)
