@@ -1,10 +1,11 @@
 """Environmental resistance f_e of a contact history, by Gauss–Legendre quadrature over contact ages (Eq. 9)."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import FloatArray, read_only
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory, Segment, Stroke
 
@@ -35,9 +36,8 @@ class EnvironmentalResistance:
     def of(cls, contact: HemisphereContact, history: ContactHistory, nodes: int = NODES) -> "EnvironmentalResistance":
         """Lay out the panels: geometric in age, as the fast branch relaxes within milliseconds of first contact."""
         longest = float(history.motion.breaks_s[-1])
-        at, weights = np.polynomial.legendre.leggauss(nodes)
         ages = panel_ages(contact.fastest_rate, longest)
-        return cls(contact, history, ages, 0.5 * (1 + at), 0.5 * weights)
+        return cls(contact, history, ages, *gauss_legendre(nodes))
 
     def at(self, stroke: Stroke, time_s: FloatArray) -> FloatArray:
         """f_e [mN] at times of shape `(n,)` within a stroke, of the stroke's sign."""
@@ -99,3 +99,13 @@ def panel_ages(fastest_rate: float, longest_s: float) -> FloatArray:
     first = FIRST_PANEL / fastest_rate
     count = max(1, int(np.ceil(np.log(max(longest_s, first) / first) / np.log(PANEL_RATIO))) + 1)
     return np.concatenate(([0.0], first * PANEL_RATIO ** np.arange(count)))
+
+
+@cache
+def gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of the quadrature on (0, 1)."""
+    at, weights = np.polynomial.legendre.leggauss(nodes)
+    at, weights = 0.5 * (1 + at), 0.5 * weights
+    read_only(at)
+    read_only(weights)
+    return at, weights

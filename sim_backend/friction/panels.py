@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from scipy.interpolate import PPoly
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import FloatArray, read_only
 
 NODES = 8
 """Chebyshev nodes per panel."""
@@ -44,4 +44,7 @@ def interpolate(evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArra
 def _rule() -> tuple[FloatArray, FloatArray]:
     """Nodes on (0, 1) and the matrix from values there to coefficients of ascending powers."""
     nodes = 0.5 * (1 - np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES))
-    return nodes, np.asarray(np.linalg.inv(np.vander(nodes, increasing=True)))
+    to_powers = np.linalg.inv(np.vander(nodes, increasing=True))
+    read_only(nodes)
+    read_only(to_powers)
+    return nodes, np.asarray(to_powers)

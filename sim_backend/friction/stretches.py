@@ -38,16 +38,29 @@ def stretches(history: ContactHistory, contact_mm: float) -> Iterator[Stretch]:
     """Divide a motion where its force jumps or bends; `contact_mm` is the length L of the contact."""
     motion = history.motion
     for stroke in history.strokes:
-        begin, end = float(motion.breaks_s[stroke.first]), float(motion.breaks_s[stroke.last + 1])
-        events = np.concatenate(
-            (motion.breaks_s[stroke.first : stroke.last + 1], _at_equator(history, stroke, contact_mm))
-        )
-        edges = [begin]
-        for time in np.sort(events[(events > begin) & (events < end)]):
-            if min(time - edges[-1], end - time) > SHORTEST_S:
-                edges.append(float(time))
-        for start, stop in pairwise((*edges, end)):
-            yield _stretch(history, stroke, contact_mm, start, stop)
+        edges = _edges(history, stroke, contact_mm)
+        middle = 0.5 * (edges[:-1] + edges[1:])
+        position = motion.position(middle)
+        index = np.searchsorted(motion.breaks_s[:-1], middle, side="right") - 1
+        uniform, signs = motion.uniform[index], motion.signs[index]
+        # Once a contact length has been travelled at one velocity, every age is x / v.
+        settled = np.abs(position - motion.position(motion.breaks_s[index])) >= contact_mm
+        steady = uniform & (signs != 0) & settled
+        sides = [_segment_at(stroke, float(z)) for z in history.wall_at(stroke, contact_mm, position)]
+        times = pairwise(edges.tolist())
+        for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
+            sign, constant_velocity, constant_force = (int(flag) for flag in flags)
+            yield Stretch(begin, end, stroke, side, sign, bool(constant_velocity), bool(constant_force))
+
+
+def _edges(history: ContactHistory, stroke: Stroke, contact_mm: float) -> FloatArray:
+    """Begin of a stroke, every event in it, and its end."""
+    breaks = history.motion.breaks_s[stroke.first : stroke.last + 2]
+    edges, end = [float(breaks[0])], float(breaks[-1])
+    for time in np.sort(np.concatenate((breaks[1:-1], _at_equator(history, stroke, contact_mm)))).tolist():
+        if min(time - edges[-1], end - time) > SHORTEST_S:
+            edges.append(time)
+    return np.array([*edges, end])
 
 
 def _at_equator(history: ContactHistory, stroke: Stroke, contact_mm: float) -> FloatArray:
@@ -67,20 +80,7 @@ def _at_equator(history: ContactHistory, stroke: Stroke, contact_mm: float) -> F
     return motion.arrival(inside, stroke.first, stroke.last)
 
 
-def _stretch(history: ContactHistory, stroke: Stroke, contact_mm: float, begin_s: float, end_s: float) -> Stretch:
-    motion = history.motion
-    middle = np.array([0.5 * (begin_s + end_s)])
-    index = int(np.searchsorted(motion.breaks_s[:-1], middle[0], side="right")) - 1
-    side = _segment_at(history, stroke, contact_mm, middle)
-    uniform = bool(motion.uniform[index])
-    sign = int(motion.signs[index])
-    oldest = history.begin(side, history.wall_at(stroke, contact_mm, motion.position(middle)))
-    steady = uniform and sign != 0 and side is stroke.fresh and bool(oldest[0] >= motion.breaks_s[index])
-    return Stretch(begin_s, end_s, stroke, side, sign, uniform, steady)
-
-
-def _segment_at(history: ContactHistory, stroke: Stroke, contact_mm: float, time_s: FloatArray) -> Segment:
-    """Return the segment that the wall at the equator belongs to."""
-    z = float(history.wall_at(stroke, contact_mm, history.motion.position(time_s))[0])
+def _segment_at(stroke: Stroke, z_mm: float) -> Segment:
+    """Return the segment that a wall point belongs to."""
     segments = (*stroke.found, stroke.fresh)
-    return min(segments, key=lambda segment: max(segment.rear_mm - z, z - segment.front_mm))
+    return min(segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))
