@@ -83,9 +83,7 @@ class ProfileMotion:
         """Prepare a profile; an empty one stands still for an instant."""
         if not profile.start_s.size:
             nothing, instant = np.zeros(1), np.array([0.0, TIME_TOLERANCE_S])
-            return cls(
-                np.array([0.0, TIME_TOLERANCE_S]), np.zeros(1, dtype=np.int8), nothing == 0, nothing, nothing, nothing
-            )
+            return cls(instant, nothing.astype(np.int8), nothing == 0, nothing, nothing, nothing)
         turns = _turning_times(profile)
         begin = np.union1d(profile.start_s, turns)
         piece = np.searchsorted(profile.start_s, begin, side="right") - 1
