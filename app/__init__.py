@@ -10,11 +10,11 @@ Examples
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dragrig.api import check, simulate
+    from dragrig.api import check, resume, run, simulate
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "check", "simulate"]
+__all__ = ["__version__", "check", "resume", "run", "simulate"]
 
 
 def __getattr__(name: str) -> object:

@@ -5,9 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from dragrig.config.errors import RunFileError
-
-RECORDING = ".recording.h5"
-"""End of the name of a run that is still being recorded, or was when its program died."""
+from dragrig.rig.runfile.schema import RECORDING_SUFFIX
 
 
 def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
@@ -57,4 +55,4 @@ def _existing(path: Path) -> Path:
 
 
 def _is_recording(path: Path) -> bool:
-    return path.name.endswith(RECORDING)
+    return path.name.endswith(RECORDING_SUFFIX)

@@ -1,7 +1,7 @@
 """Carrying out a plan: backend, record, store and people put together, and the session run to its end."""
 
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -46,7 +46,10 @@ class Terms:
 
 
 def carry_out(
-    setup: Setup, open_store: Callable[[SessionRecord], Store], terms: Terms, person: Person | None = None
+    setup: Setup,
+    open_store: Callable[[SessionRecord], AbstractContextManager[Store]],
+    terms: Terms,
+    person: Person | None = None,
 ) -> SessionResult:
     """Check a plan and carry it out, with Ctrl-C heard and people asked on the calling thread.
 
@@ -71,8 +74,9 @@ def carry_out(
         preflight(programme, setup.rig, backend.stage.limits, terms.folder, setup.plan_source).require()
         record = _record(setup, backend, terms)
         operator = HandedOver(someone)
-        session = Session(backend, programme, record, open_store(record), operator, someone, terms.progress)
-        return host(session, operator)
+        with open_store(record) as store:
+            session = Session(backend, programme, record, store, operator, someone, terms.progress)
+            return host(session, operator)
 
 
 def _record(setup: Setup, backend: Backend, terms: Terms) -> SessionRecord:

@@ -1,9 +1,9 @@
 """What a session runs with: plan, rig, specimen and model, each found by name or file and changed by assignments."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TypedDict, TypeVar, Unpack
 
 from dragrig.config.base import Settings
 from dragrig.config.errors import PlanError, SettingsError
@@ -24,6 +24,17 @@ DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "
 
 PlanLike = str | Path | Plan | Protocol
 """A plan by name or file, a plan, or the one run of a protocol."""
+
+
+class Choices(TypedDict, total=False):
+    """The keyword arguments of `resolve`; none and None mean the usual."""
+
+    rig: str | Path | None
+    specimen: str | Path | None
+    model: str | Path | None
+    capsule: str | Path | None
+    backend: str | None
+    assignments: Sequence[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,46 +71,43 @@ class Setup:
         stage = self.rig.stage
         return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
 
+    def with_rig(self, assignments: Sequence[str]) -> "Setup":
+        """Return this with assignments to the rig applied; any other is refused with `SettingsError`."""
+        changes = _Changes.of(assignments)
+        if changes.steps or any(found for name, found in changes.others.items() if name != "rig"):
+            raise SettingsError(
+                f"--set {' '.join(assignments)}: a campaign goes on with its own plan, specimen and model, so only "
+                "rig.… can be changed."
+            )
+        return replace(self, rig=changes.laid_over(self.rig, "rig"))
+
     def programme(self) -> Programme:
         """Lay out the plan's runs; raises `PlanError` or `SettingsError`."""
         return build(self.plan, self.specimen, self.rig.stage.start_mm, self.plan_source, self.plan_folder)
 
 
-def resolve(
-    plan: PlanLike,
-    *,
-    rig: str | Path | None = None,
-    specimen: str | Path | None = None,
-    model: str | Path | None = None,
-    capsule: str | Path | None = None,
-    backend: str | None = None,
-    assignments: Sequence[str] = (),
-    folder: Path | None = None,
-) -> Setup:
+def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Choices]) -> Setup:
     """Find all settings of a session and apply the assignments.
 
     Parameters
     ----------
-    rig, specimen, model
-        A file or a shipped name. The rig is the lab folder's unless given, and the shipped one outside of a lab.
-    capsule
-        A file or a shipped name, for every step.
-    backend
-        Name of an installed backend; the rig's own unless given.
-    assignments
-        Each `key=value`. A path that begins with rig, model, specimen or plan changes that; a bare key changes
-        every step that has it.
     folder
         Where to look for the lab folder; the working folder unless given.
+    choices
+        `rig`, `specimen`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the
+        shipped one outside of a lab. `capsule`: the same, for every step. `backend`: the rig's own unless given.
+        `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
+        key every step that has it.
 
     Raises
     ------
     SettingsError, PlanError
         One sentence that names file, key and what is allowed.
     """
-    lab_rig = rig_file_of(folder or Path.cwd()) if rig is None else None
-    rig_settings, rig_folder = _found(RigSettings, "rig", lab_rig or rig)
-    changes = _Changes.of(assignments)
+    rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
+    rig_settings, rig_folder = _found(RigSettings, "rig", rig)
+    changes = _Changes.of(choices.get("assignments", ()))
+    capsule = choices.get("capsule")
     if capsule is not None:
         changes.steps["capsule"] = _absolute(capsule)
     base_plan, source, plan_folder = _plan(plan)
@@ -109,10 +117,10 @@ def resolve(
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
-        specimen=changes.laid_over(_found(Specimen, "specimen", specimen)[0], "specimen"),
-        model=changes.laid_over(_found(FrictionModelSettings, "model", model)[0], "model"),
+        specimen=changes.laid_over(_found(Specimen, "specimen", choices.get("specimen"))[0], "specimen"),
+        model=changes.laid_over(_found(FrictionModelSettings, "model", choices.get("model"))[0], "model"),
         rig_folder=rig_folder,
-        backend=backend or rig_changed.backend,
+        backend=choices.get("backend") or rig_changed.backend,
     )
 
 

@@ -10,7 +10,7 @@ LINES = {
     "python -c pass": ["-c", "pass"],
     "python -c 'import click'": ["-c", "import click"],
     "dragrig --help": ["-m", "dragrig", "--help"],
-    "dragrig check --help": ["-m", "dragrig", "check", "--help"],
+    "dragrig run --help": ["-m", "dragrig", "run", "--help"],
 }
 
 

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -19,34 +20,36 @@ from dragrig.setup import resolve
 
 def carried_out(person: Nobody, store: MemoryStore | None = None, *assignments: str) -> SessionResult:
     setup = resolve("drag", assignments=["travel_mm=10", "rig.data.root='.'", *assignments])
-    return carry_out(setup, lambda _record: store or MemoryStore(), Terms(Path()), person)
+    return carry_out(setup, lambda _record: nullcontext(store or MemoryStore()), Terms(Path()), person)
 
 
 class Interrupting(Nobody):
-    """Presses Ctrl-C in the middle of a run."""
+    """Presses Ctrl-C, or sends another signal, in the middle of a run."""
 
-    def __init__(self) -> None:
+    def __init__(self, number: signal.Signals) -> None:
+        self.number = number
         self.threads: set[threading.Thread] = set()
 
     def reads(self, reading: Reading) -> None:
         if reading.end_index > 500 and not self.threads:
             self.threads.add(threading.current_thread())
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), self.number)
             # The handler runs on the main thread; the block after this one must find its word.
             threading.Event().wait(0.2)
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
-def test_ctrl_c_ends_the_session_in_good_order() -> None:
-    before = signal.getsignal(signal.SIGINT)
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "ended by SIGTERM")])
+def test_a_signal_ends_the_session_in_good_order(number: signal.Signals, reason: str) -> None:
+    before = signal.getsignal(number)
     store = MemoryStore()
-    person = Interrupting()
+    person = Interrupting(number)
     result = carried_out(person, store)
-    assert (result.status, result.reason) == (Status.ABORTED, "Ctrl-C")
+    assert (result.status, result.reason) == (Status.ABORTED, reason)
     assert [run.info.status for run in store.runs] == [Status.ABORTED]
     assert store.runs[0].trace.time[-1] < 2.0
     assert threading.main_thread() not in person.threads
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
 
 
 class AtThePrompt(Nobody):

@@ -74,7 +74,8 @@ def _tell(error: Exception) -> int:
 
 def complain(sentence: str, code: int = BAD_INPUT) -> int:
     """Tell what is wrong in one line on standard error; return the exit code."""
-    click.echo("dragrig: " + " ".join(sentence.splitlines()), err=True)
+    line = " ".join(sentence.splitlines())
+    click.echo(f"dragrig: {line}{'' if line.endswith(('.', '?')) else '.'}", err=True)
     return code
 
 

@@ -11,8 +11,10 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Measure": {
         "init": "Make a lab folder: rig settings, data root, calibration history.",
         "check": "Say what a plan would do; nothing moves.",
+        "run": "Carry out a plan and write one run file per run.",
     },
     "Look": {
+        "info": "Say what run files hold.",
         "model": "Print and draw what the friction model says of steady sliding.",
     },
 }

@@ -6,6 +6,7 @@ from typing import Self
 
 import click
 
+from dragrig.cli.console import is_quiet
 from dragrig.cli.progress import Meter
 from dragrig.cli.wording import duration
 from dragrig.rig.acquiring import Outcome
@@ -21,7 +22,9 @@ class Terminal:
     def __init__(self, *, yes: bool, real_time: bool) -> None:
         self._yes = yes
         self._real_time = real_time
-        self._meter = Meter("", 1.0)
+        # Asked here: on the session's own thread there is no command line.
+        self._quiet = is_quiet()
+        self._meter = Meter("", 1.0, quiet=self._quiet)
         self._left = 0
         self._made = 0
         self._label = ""
@@ -59,7 +62,7 @@ class Terminal:
         self._left = pending
         runs = programme.runs[-pending:] if pending else ()
         waits = sum(run.wait_s for run in runs) if self._real_time else 0.0
-        self._meter = Meter(programme.plan.name, sum(run.duration_s for run in runs) + waits)
+        self._meter = Meter(programme.plan.name, sum(run.duration_s for run in runs) + waits, quiet=self._quiet)
 
     def waits(self, duration_s: float, why: str) -> None:
         """Say what is waited for, where time is real."""
@@ -91,7 +94,7 @@ def run_line(run: PlannedRun, outcome: Outcome) -> str:
     seen = []
     if "rest_offset_mN" in checks:
         seen.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
-    seen.append(f"off the command by {1000 * float(checks['following_error_mm']):.0f} µm")
+    seen.append(f"off the command by {1000 * float(checks['following_error_mm']):.1f} µm")
     line = f"{run.index:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(seen)}"
     told = [outcome.reason] if outcome.status is not Status.COMPLETE else []
     return "; ".join((line, *told, *(f"NOTE {warning}" for warning in outcome.checks.warnings)))

@@ -46,7 +46,7 @@ _SETTINGS = (
 
 
 class SettingsOptions(TypedDict):
-    """What `settings` adds, as keyword arguments of the functions of `dragrig.api`."""
+    """What `settings` adds; it fits `dragrig.setup.Choices`, which the command line's start must not load."""
 
     rig: str | None
     specimen: str | None

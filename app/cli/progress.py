@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -23,17 +23,18 @@ _LONGEST_BETWEEN_LINES_S = 60.0
 
 
 class Meter:
-    """How far a task is; quiet for the first second, and altogether when the person asked for quiet.
+    """How far a task is; silent for its first second, and altogether when it is told to be quiet.
 
     Any thread may advance it, one at a time.
     """
 
-    def __init__(self, label: str, total: float) -> None:
+    def __init__(self, label: str, total: float, *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
         self._label = label
         self._total = total
         self._done = 0.0
-        self._begun = time.monotonic()
-        self._shown = not is_quiet()
+        self._clock = clock
+        self._begun = clock()
+        self._shown = not quiet
         self._line: _Bar | _Lines | None = None
 
     def __enter__(self) -> Self:
@@ -54,7 +55,7 @@ class Meter:
         """Tell that so much more of the total is done, and what is being done now."""
         self._done += amount
         self._label = self._label if label is None else label
-        elapsed = time.monotonic() - self._begun
+        elapsed = self._clock() - self._begun
         if not self._shown or elapsed < SILENT_S:
             return
         if self._line is None:
@@ -73,7 +74,7 @@ class Meter:
 
 def tracked(items: Sequence[ItemT], label: str) -> Iterator[ItemT]:
     """Iterate with progress."""
-    with Meter(label, len(items)) as meter:
+    with Meter(label, len(items), quiet=is_quiet()) as meter:
         for number, item in enumerate(items, 1):
             yield item
             meter.advance(1.0, f"{label} ({number} of {len(items)})")

@@ -1,0 +1,117 @@
+"""Campaigns: the folder that a session's runs go to, and going on with one that ended early."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from dragrig.config.errors import OutputError
+from dragrig.config.lab import rig_file_of
+from dragrig.rig.record import SessionRecord, latest_record, write_record
+from dragrig.rig.runfile import Campaign, FolderStore, campaign, recover
+from dragrig.rig.runfile.model import Status
+from dragrig.rig.session import Progress, SessionResult
+from dragrig.sessions import Person, Terms, carry_out
+from dragrig.setup import Setup
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a session left: the campaign's folder, and how each run ended."""
+
+    folder: Path
+    session: SessionResult
+
+    def summary(self) -> str:
+        """One line for a person."""
+        counts: dict[str, int] = {}
+        for one in self.session.runs:
+            counts[one.outcome.status.value] = counts.get(one.outcome.status.value, 0) + 1
+        return f"{len(self.session.runs)} runs: " + ", ".join(f"{count} {status}" for status, count in counts.items())
+
+
+def begin(setup: Setup, out: Path | None, terms: Terms, person: Person | None) -> Made:
+    """Carry out a plan into a new campaign.
+
+    Parameters
+    ----------
+    out
+        The campaign's folder, new or without runs; one below the data root unless given.
+
+    Raises
+    ------
+    OutputError
+        When the folder cannot be made or holds a campaign already.
+    DragrigError
+        What `carry_out` raises.
+    """
+    now = terms.origin or datetime.now().astimezone()
+    folder = out or setup.data_root / f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}"
+    if folder.is_dir() and any(folder.glob("*.h5")):
+        raise OutputError(f"{folder}: holds runs already; name another folder, or go on with --resume {folder}.")
+    terms = replace(terms, folder=folder)
+    return Made(folder, carry_out(setup, _store_in(folder), terms, person))
+
+
+def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequence[str] = ()) -> Made:
+    """Make the runs that a campaign still lacks, with the settings it was begun with.
+
+    Runs that a crash left behind are recovered first. A run counts as made when it is complete and not marked bad.
+
+    Parameters
+    ----------
+    assignments
+        Changes to the rig, each `rig.key=value`.
+
+    Raises
+    ------
+    RunFileError, SettingsError
+        When there is no campaign, or its record is damaged.
+    DragrigError
+        What `carry_out` raises.
+    """
+    record = latest_record(folder)
+    recover(folder)
+    before = campaign(folder)
+    # A dry run's rests take no time, so that its last run may have ended later than it is now.
+    ended = [one.end_time or one.header.start_time for one in before.runs]
+    origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
+    setup = _setup_of(record, folder).with_rig(assignments)
+    terms = replace(terms, folder=folder, origin=origin, progress=_progress(before))
+    return Made(folder, carry_out(setup, _store_in(folder), terms, person))
+
+
+def _store_in(folder: Path) -> Callable[[SessionRecord], FolderStore]:
+    def opened(record: SessionRecord) -> FolderStore:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_record(record, folder)
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
+            ) from error
+        return FolderStore(folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb)
+
+    return opened
+
+
+def _setup_of(record: SessionRecord, folder: Path) -> Setup:
+    rig_file = rig_file_of(folder)
+    return Setup(
+        plan=record.plan,
+        plan_source=f"{folder}, plan {record.plan.name}",
+        plan_folder=record.beside,
+        rig=record.rig,
+        specimen=record.specimen,
+        model=record.model,
+        rig_folder=rig_file.parent if rig_file is not None else None,
+        backend=record.backend,
+    )
+
+
+def _progress(before: Campaign) -> Progress:
+    planned = [one.header.entry.get("plan_run") for one in before.good if one.status is Status.COMPLETE]
+    return Progress(
+        done=frozenset(place for place in planned if isinstance(place, int)),
+        next_order=max((one.header.order + 1 for one in before.runs), default=0),
+    )

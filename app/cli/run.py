@@ -1,0 +1,102 @@
+"""`dragrig run`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Unpack
+
+import click
+
+from dragrig.cli import options
+from dragrig.cli.console import result, result_json, say, shown_path
+
+if TYPE_CHECKING:
+    from dragrig.campaigns import Made
+    from dragrig.rig.people import RunResult
+
+
+@click.command("run")
+@click.argument("plan", required=False)
+@options.settings
+@options.out("Folder of the campaign, new or empty; one below the rig's data root unless given.")
+@click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Go on where this campaign ended.")
+@click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept in the run files.")
+@click.option("--note", metavar="TEXT", default="", help="Kept in the run files.")
+@click.option(
+    "--pace", type=click.Choice(["fast", "real"]), default="fast", show_default=True, help="Of the simulated rig."
+)
+@click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done.")
+@options.as_json
+@options.quiet
+def command(
+    plan: str | None,
+    out: Path | None,
+    resume: Path | None,
+    operator: str,
+    note: str,
+    pace: Literal["fast", "real"],
+    yes: bool,
+    as_json: bool,
+    **settings: Unpack[options.SettingsOptions],
+) -> None:
+    """Carry out PLAN, a file or a shipped name, and write one run file per run.
+
+    Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded. The
+    campaign's folder is printed at the end.
+
+    Exit codes: 0 done, 2 bad input, 3 aborted, 4 the guard tripped, 5 device fault.
+    """
+    fixed = {**settings, "assignments": (), "out": out}
+    _require_plan_or_campaign(plan, resume, [name for name, value in fixed.items() if value])
+    from dragrig import api
+    from dragrig.cli.operator import Terminal
+
+    real_time = pace == "real"
+    with Terminal(yes=yes, real_time=real_time) as person:
+        made = (
+            api.resume(
+                resume,
+                operator=operator,
+                note=note,
+                pace=pace,
+                person=person,
+                assignments=settings["assignments"],
+            )
+            if resume is not None
+            else api.run(plan or "", out=out, operator=operator, note=note, pace=pace, person=person, **settings)
+        )
+    if as_json:
+        result_json(_plain(made))
+    else:
+        say(made.summary())
+        result(shown_path(made.folder))
+    made.session.require()
+
+
+def _require_plan_or_campaign(plan: str | None, campaign: Path | None, given: list[str]) -> None:
+    context = click.get_current_context()
+    if (plan is None) == (campaign is None):
+        raise click.UsageError("Name a plan, or a campaign to go on with after --resume", context)
+    if campaign is not None and given:
+        raise click.UsageError(f"A campaign goes on with its own settings, so leave out --{' --'.join(given)}", context)
+
+
+def _plain(made: "Made") -> dict[str, object]:
+    return {
+        "folder": made.folder,
+        "status": made.session.status,
+        "reason": made.session.reason,
+        "runs": [_plain_run(one) for one in made.session.runs],
+    }
+
+
+def _plain_run(one: "RunResult") -> dict[str, object]:
+    return {
+        "file": one.path,
+        "order": one.order,
+        "kind": one.run.protocol.kind,
+        "parameters": one.run.protocol.attributes(),
+        "status": one.outcome.status,
+        "reason": one.outcome.reason,
+        "samples": one.outcome.samples,
+        "checks": one.outcome.checks.values,
+        "warnings": one.outcome.checks.warnings,
+    }

@@ -1,0 +1,176 @@
+"""What a plan would do, and doing it: in memory, or into run files."""
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Literal, Unpack
+
+from dragrig import backends, campaigns
+from dragrig.campaigns import Made
+from dragrig.config.errors import OutputError
+from dragrig.rig.memory import MemoryStore
+from dragrig.rig.preflight import Preflight, preflight
+from dragrig.rig.runfile import read_run
+from dragrig.rig.runfile.model import Run
+from dragrig.sessions import Person, Terms, carry_out
+from dragrig.setup import Choices, PlanLike, resolve
+
+Pace = Literal["fast", "real"]
+
+
+def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Choices]) -> Preflight:
+    """Say what a plan would do and what forbids it; nothing moves.
+
+    Parameters
+    ----------
+    plan
+        A shipped plan's name, a file, a `Plan`, or a protocol.
+    out
+        Folder whose free space counts; the rig's data root unless given.
+    choices
+        `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each; `backend`: a name; `assignments`:
+        changes as on the command line, `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
+
+    Raises
+    ------
+    SettingsError, PlanError
+        For settings that cannot be used at all.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.check("drag").findings
+    ()
+    """
+    setup = resolve(plan, **choices)
+    backends.find(setup.backend)
+    folder = Path(out) if out is not None else setup.data_root
+    return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source)
+
+
+def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Choices]) -> tuple[Run, ...]:
+    """Carry out a plan on the simulated rig, with every prompt answered done.
+
+    Parameters
+    ----------
+    plan
+        A shipped plan's name, a file, a `Plan`, or a protocol, as `Drag(speed_mm_s=5)`.
+    out
+        Folder for run files, new or without runs; unless given, the runs stay in memory.
+    choices
+        As of `check`.
+
+    Returns
+    -------
+    The runs in the order they were made, ways back included.
+
+    Raises
+    ------
+    SettingsError, PlanError
+        For settings that cannot be used.
+    TrippedError, DeviceError
+        When the session ended early.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> drag, back = dragrig.simulate("drag", assignments=["speed_mm_s=10"])
+    >>> drag.trace.force.shape
+    (8025,)
+    """
+    choices["backend"] = "simulated"
+    setup = resolve(plan, **choices)
+    if out is not None:
+        made = campaigns.begin(setup, Path(out), Terms(Path(out)), None)
+        made.session.require()
+        return tuple(read_run(one.path) for one in made.session.runs if one.path is not None)
+    store = MemoryStore()
+    carry_out(setup, lambda _record: nullcontext(store), Terms(Path())).require()
+    return tuple(store.runs)
+
+
+def run(
+    plan: PlanLike,
+    *,
+    out: str | Path | None = None,
+    operator: str = "",
+    note: str = "",
+    pace: Pace = "fast",
+    person: Person | None = None,
+    **choices: Unpack[Choices],
+) -> Made:
+    """Carry out a plan on the rig, one run file per run.
+
+    Everything is checked before anything moves; Ctrl-C stops the stage first and keeps what was recorded.
+
+    Parameters
+    ----------
+    plan
+        A shipped plan's name, a file, a `Plan`, or a protocol.
+    out
+        Folder of the campaign, new or without runs; one below the rig's data root unless given.
+    operator, note
+        Kept in the run files.
+    pace
+        Of a simulated rig: as fast as it can, or as fast as a real one.
+    person
+        Who answers prompts and watches; without one, every prompt counts as done.
+    choices
+        As of `check`.
+
+    Returns
+    -------
+    The campaign's folder and how the session ended; `made.session.require()` raises when it ended early.
+
+    Raises
+    ------
+    SettingsError, PlanError, OutputError
+        Before anything moves.
+    RecordingError
+        When the disk takes no more; the stage is stopped first.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> made = dragrig.run("drag", out="first-drag", operator="me")  # doctest: +SKIP
+    >>> dragrig.table(made.folder)  # doctest: +SKIP
+    """
+    setup = resolve(plan, **choices)
+    folder = Path(out) if out is not None else None
+    return campaigns.begin(setup, folder, _terms(operator, note, pace), person)
+
+
+def resume(
+    campaign: str | Path,
+    *,
+    operator: str = "",
+    note: str = "",
+    pace: Pace = "fast",
+    person: Person | None = None,
+    assignments: Sequence[str] = (),
+) -> Made:
+    """Go on with a campaign that ended early, with the settings it was begun with.
+
+    Runs that a crash left unfinished are recovered first; every run that is not complete, or is marked bad, is
+    made again.
+
+    Parameters
+    ----------
+    assignments
+        Changes to the rig, as `["rig.guard.force_limit_mN=9000"]`; nothing else can be changed.
+
+    Raises
+    ------
+    RunFileError
+        When `campaign` is no folder of a session.
+    DragrigError
+        As `run`.
+    """
+    folder = Path(campaign)
+    if not folder.is_dir():
+        raise OutputError(f"{folder}: there is no such campaign; name the folder that run printed.")
+    return campaigns.go_on(folder, _terms(operator, note, pace), person, assignments)
+
+
+def _terms(operator: str, note: str, pace: Pace) -> Terms:
+    return Terms(Path(), operator=operator, note=note, real_time=pace == "real")

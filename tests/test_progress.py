@@ -1,0 +1,101 @@
+"""Progress: silent for a second, a bar on a terminal, plain lines elsewhere, nothing when quiet is asked for."""
+
+import io
+import sys
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from dragrig.cli import options
+from dragrig.cli.console import is_quiet
+from dragrig.cli.operator import Terminal
+from dragrig.cli.progress import Meter, tracked
+from dragrig.rig.people import Answer, Prompt
+from dragrig.setup import resolve
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def steps(clock: Clock, count: int, each_s: float) -> None:
+    with Meter("work", count, quiet=is_quiet(), clock=clock) as meter:
+        for number in range(count):
+            clock.now += each_s
+            meter.advance(1.0, f"item {number}")
+        meter.say("remark")
+
+
+def test_what_is_quick_shows_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    steps(Clock(), 10, 0.05)
+    assert capsys.readouterr() == ("", "remark\n")
+
+
+def test_without_a_terminal_there_is_a_line_now_and_then(capsys: pytest.CaptureFixture[str]) -> None:
+    steps(Clock(), 1000, 0.125)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "item 39: 4 %, 2 min 00 s left"
+    assert 3 <= len(lines) <= 8
+
+
+class Tty(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_gets_a_bar_with_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = Tty()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    steps(Clock(), 20, 0.2)
+    shown = screen.getvalue()
+    assert "item 19" in shown
+    assert "100%" in shown
+    assert "0:00:00" in shown
+    assert "remark" in shown
+
+
+def test_quiet_shows_nothing() -> None:
+    @click.command()
+    @options.quiet
+    def command() -> None:
+        steps(Clock(), 100, 1.0)
+        assert list(tracked([1, 2], "x")) == [1, 2]
+
+    assert CliRunner().invoke(command, ["--quiet"]).output == ""
+    assert "left" in CliRunner().invoke(command, []).output
+
+
+@pytest.mark.parametrize(
+    ("typed", "can_redo", "answer"),
+    [
+        ("\n", False, Answer.DONE),
+        ("d\n", False, Answer.DONE),
+        ("SKIP\n", False, Answer.SKIP),
+        ("r\nwhat\na\n", False, Answer.ABORT),
+        ("r\n", True, Answer.REDO),
+        ("", False, Answer.ABORT),
+    ],
+)
+def test_a_prompt_takes_the_first_letter(
+    typed: str, can_redo: bool, answer: Answer, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    run = resolve("drag").programme().runs[0]
+    assert Terminal(yes=False, real_time=False).ask(Prompt("Fit a fresh specimen", run, can_redo)) is answer
+    told = capsys.readouterr()
+    assert "Fit a fresh specimen." in told.err
+    assert ("[r]edo" in told.err) is can_redo
+    assert told.out == ""
+
+
+def test_yes_answers_every_prompt(capsys: pytest.CaptureFixture[str]) -> None:
+    run = resolve("drag").programme().runs[0]
+    assert Terminal(yes=True, real_time=False).ask(Prompt("Fit a fresh specimen", run, False)) is Answer.DONE
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,211 @@
+"""`dragrig run` as a process: files, prompts, Ctrl-C, trips, resuming, exit codes."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dragrig.cli import main
+from dragrig.rig.runfile import campaign, mark_bad, read_run
+from dragrig.rig.runfile.model import RunInfo, Status
+
+QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
+
+
+class Runner:
+    """Calls `dragrig run` in this process and reads what it prints."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        self._monkeypatch, self._capsys = monkeypatch, capsys
+
+    def __call__(self, *words: str, typed: str = "") -> Any:
+        told = self.told(*words, typed=typed)
+        return json.loads(told.out)
+
+    def told(self, *words: str, typed: str = "", code: int = 0) -> Any:
+        self._monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+        got = main(["run", *words, "--json"])
+        told = self._capsys.readouterr()
+        assert got == code, told.err
+        return told
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Runner:
+    monkeypatch.chdir(tmp_path)
+    return Runner(monkeypatch, capsys)
+
+
+def statuses(folder: Path) -> list[tuple[str, Status]]:
+    return [(one.kind, one.status) for one in campaign(folder).runs]
+
+
+def test_a_plan_becomes_one_file_a_run(run: Runner, tmp_path: Path) -> None:
+    made = run(*QUICK, "--yes", "--operator", "Ada", "--note", "first", "--capsule", "smooth")
+    folder = tmp_path / made["folder"]
+    assert folder.parent == tmp_path / "runs"
+    assert folder.name.endswith("-drag")
+    assert statuses(folder) == [("drag", Status.COMPLETE), ("return", Status.COMPLETE)]
+    first: RunInfo = campaign(folder).runs[0]
+    assert (first.header.entry["operator"], first.header.entry["note"]) == ("Ada", "first")
+    assert first.header.capsule["name"] == "smooth"
+    assert [Path(one["file"]).name for one in made["runs"]] == [one.path.name for one in campaign(folder).runs]
+    assert made["runs"][0]["checks"]["lost_samples"] == 0
+
+
+def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> None:
+    each = (*QUICK, "--set", "prompt_each=true", "--set", "repeats=3", "--set", "way_back=by_hand")
+    made = run(*each, "--out", "c", typed="done\nredo\nd\nskip\nd\n")
+    orders = [(one["order"], one["status"]) for one in made["runs"]]
+    assert orders == [(0, "complete"), (1, "complete"), (2, "complete")]
+    found = campaign(tmp_path / "c")
+    assert [found.marks[one.path].reason for one in found.runs if one.path in found.marks] == [
+        "made again at the operator's word"
+    ]
+
+
+def test_without_anybody_to_answer_the_session_ends_and_says_so(run: Runner) -> None:
+    told = run.told(*QUICK, code=3)
+    assert json.loads(told.out)["status"] == "aborted"
+    assert "--yes" in told.err
+    assert "the session ended early" in told.err
+
+
+def test_quiet_leaves_the_result_alone(run: Runner) -> None:
+    assert run.told(*QUICK, "--yes", "--quiet").err == ""
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    slow = ("drag", "--yes", "--pace", "real", "--set", "wait_s=0", "--set", "rest_s=0.2", "--set", "speed_mm_s=2")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dragrig", "run", *slow, "--out", "c", "--json"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def until_it_records(folder: Path) -> Path:
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        found = list(folder.glob("*.recording.h5"))
+        if found and time.time() - found[0].stat().st_ctime < 5 and found[0].stat().st_size > 20_000:
+            return found[0]
+        time.sleep(0.02)
+    raise AssertionError("nothing was recorded")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole console there")
+def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.Popen[str]", tmp_path: Path) -> None:
+    until_it_records(tmp_path / "c")
+    time.sleep(0.8)  # into the steady phase
+    sent = time.time()
+    waiting.send_signal(signal.SIGINT)
+    told, remarks = waiting.communicate(timeout=30)
+    assert waiting.returncode == 3, remarks
+    assert json.loads(told)["status"] == "aborted"
+    (info,) = campaign(tmp_path / "c").runs
+    assert (info.status, info.reason) == (Status.ABORTED, "Ctrl-C")
+    trace = read_run(info.path).trace
+    braking = trace.time[trace.phase == 3]
+    stopped = datetime.timestamp(info.header.start_time) + float(braking[0])
+    assert stopped - sent < 0.1
+
+
+def test_a_trip_is_told_and_the_campaign_goes_on_after_it(run: Runner, tmp_path: Path) -> None:
+    words = (*QUICK, "--yes", "--out", "c")
+    told = run.told(*words, "--set", "rig.guard.force_limit_mN=100", code=4)
+    made = json.loads(told.out)
+    assert made["status"] == "tripped"
+    assert "limit of 100 mN" in made["reason"]
+    assert "limit of 100 mN" in told.err
+    again = run("--resume", "c", "--yes", "--set", "rig.guard.force_limit_mN=8000")
+    assert [(one["order"], one["kind"]) for one in again["runs"]] == [(1, "drag"), (2, "return")]
+    starts = [one.header.start_time for one in campaign(tmp_path / "c").runs]
+    assert starts == sorted(starts)
+    assert run("--resume", "c", "--yes")["runs"] == []
+    assert "only rig" in run.told("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
+
+
+def test_a_crashed_campaign_goes_on(waiting: "subprocess.Popen[str]", run: Runner, tmp_path: Path) -> None:
+    recording = until_it_records(tmp_path / "c")
+    waiting.kill()
+    waiting.wait()
+    again = run("--resume", "c", "--yes")
+    assert not recording.exists()
+    assert statuses(tmp_path / "c") == [
+        ("drag", Status.RECOVERED),
+        ("drag", Status.COMPLETE),
+        ("return", Status.COMPLETE),
+    ]
+    assert again["status"] == "complete"
+
+
+def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
+    run(*QUICK, "--yes", "--out", "c")
+    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    made = run("--resume", "c", "--yes")
+    assert [one["kind"] for one in made["runs"]] == ["drag"]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ((), "name a plan"),
+        (("drag", "--resume", "c"), "name a plan"),
+        (("--resume", "c", "--specimen", "jejunum"), "leave out --specimen"),
+        (("--resume", "c"), "there is no such"),
+        (("--resume", "."), "session-"),
+        (("drag", "--backend", "simulatd"), "did you mean simulated?"),
+        (("drag", "--pace", "slow"), "--pace"),
+        (("drag", "--out", "taken"), "taken"),
+        (("drag", "--out", "taken/below"), "taken"),
+        (("drag", "--set", "travel_mm=140"), "where the stage may go"),
+        (("drag", "--set", "rig.recording.reserve_mb=1e9"), "MB are free"),
+    ],
+)
+def test_what_cannot_be_run_is_told_before_anything_moves(
+    run: Runner, tmp_path: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    (tmp_path / "taken").write_text("mine", "utf-8")
+    told = run.told(*words, "--yes", code=2).err
+    assert sentence.lower() in told.lower()
+    assert told.count("\n") == 1
+    assert (tmp_path / "taken").read_text("utf-8") == "mine"
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_campaign_is_not_written_into_twice(run: Runner, tmp_path: Path) -> None:
+    run(*QUICK, "--yes", "--out", "c")
+    before = sorted((tmp_path / "c").iterdir())
+    assert "--resume" in run.told(*QUICK, "--yes", "--out", "c", code=2).err
+    assert sorted((tmp_path / "c").iterdir()) == before
+
+
+def test_a_backend_that_an_entry_point_adds_can_fail_in_words(
+    run: Runner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = tmp_path / "site"
+    (site / "broken-1.dist-info").mkdir(parents=True)
+    (site / "broken-1.dist-info" / "METADATA").write_text("Name: broken\nVersion: 1\n", "utf-8")
+    (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.backends]\nbroken = broken:open_it\n")
+    (site / "broken.py").write_text("def open_it(request):\n    raise OSError('no drive at COM3')\n", "utf-8")
+    monkeypatch.syspath_prepend(site)
+    told = run.told("drag", "--yes", "--backend", "broken", code=5).err
+    assert "no drive at COM3" in told
+    assert told.count("\n") == 1
