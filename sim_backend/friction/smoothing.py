@@ -7,8 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.signal import find_peaks, savgol_filter
 
 from dragrig.rig.arrays import BoolArray, FloatArray
 
@@ -26,6 +24,8 @@ def smooth_between_rests(position_mm: FloatArray, window: int, jitter_mm: float)
 
     Returns the smoothed position, and the edges of rests and of ways from turn to turn.
     """
+    from scipy.signal import savgol_filter
+
     still = _still(position_mm, window, jitter_mm)
     changes = np.flatnonzero(np.diff(still))
     edges = np.unique(np.concatenate(([0], np.where(still[changes], changes, changes + 1), [still.size - 1])))
@@ -46,12 +46,16 @@ def smooth_between_rests(position_mm: FloatArray, window: int, jitter_mm: float)
 
 def _still(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
     """Whether each sample lies in some window that spans no more than `span_mm`."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     quiet = maximum_filter1d(position_mm, window) - minimum_filter1d(position_mm, window) <= span_mm
     return np.asarray(maximum_filter1d(quiet.astype(np.uint8), window) > 0)
 
 
 def _turns(position_mm: FloatArray, least_mm: float) -> IndexArray:
     """Peaks and valleys of a way, each at least `least_mm` above or below what is around it."""
+    from scipy.signal import find_peaks
+
     return np.concatenate([find_peaks(side * position_mm, prominence=least_mm)[0] for side in (1.0, -1.0)])
 
 
