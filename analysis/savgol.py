@@ -137,13 +137,13 @@ def smooth(
         When the window is longer than the whole trace, or does not suit the order or the rate.
     """
     source = np.asarray(values, dtype=np.float64)
-    kernel = settings.kernel(sample_rate_hz)
-    window = kernel.window
+    window = settings.samples(sample_rate_hz)
     if window > len(source):
         raise AnalysisError(
             f"A filter window of {window} samples is longer than the whole run of {len(source)} samples; "
             "choose a shorter window."
         )
+    kernel = settings.kernel(sample_rate_hz)
     result = np.full(len(source), np.nan)
     events: list[Event] = []
     for piece in unbroken(source, gaps):

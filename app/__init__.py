@@ -10,11 +10,40 @@ Examples
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dragrig.api import check, resume, run, simulate
+    from dragrig.api import (
+        Campaign,
+        Made,
+        Run,
+        campaign,
+        check,
+        export,
+        filter,  # noqa: A004  # the word that people look for
+        load,
+        model,
+        resume,
+        run,
+        simulate,
+        table,
+    )
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__", "check", "resume", "run", "simulate"]
+__all__ = [
+    "Campaign",
+    "Made",
+    "Run",
+    "__version__",
+    "campaign",
+    "check",
+    "export",
+    "filter",
+    "load",
+    "model",
+    "resume",
+    "run",
+    "simulate",
+    "table",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -1,6 +1,23 @@
 """What people type they can also call: the functions behind `import dragrig`."""
 
 from dragrig.campaigns import Made
+from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.measuring import check, resume, run, simulate
+from dragrig.rig.runfile import Campaign
+from dragrig.rig.runfile.model import Run
 
-__all__ = ["Made", "check", "resume", "run", "simulate"]
+__all__ = [
+    "Campaign",
+    "Made",
+    "Run",
+    "campaign",
+    "check",
+    "export",
+    "filter",
+    "load",
+    "model",
+    "resume",
+    "run",
+    "simulate",
+    "table",
+]

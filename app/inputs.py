@@ -1,10 +1,12 @@
 """From what a person names - run files, patterns, folders - to the run files that are meant."""
 
 import glob
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from dragrig.config.errors import RunFileError
+from dragrig.rig.runfile import read_mark
 from dragrig.rig.runfile.schema import RECORDING_SUFFIX
 
 
@@ -23,6 +25,31 @@ def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
         For a name that stands for no file.
     """
     return tuple(dict.fromkeys(path for one in inputs for path in _meant(one)))
+
+
+@dataclass(frozen=True, slots=True)
+class GoodRuns:
+    """Run files to work on, and those that were left out because they are marked bad, with the reason."""
+
+    paths: tuple[Path, ...]
+    left_out: Mapping[Path, str]
+
+
+def good_runs(inputs: Sequence[str | Path]) -> GoodRuns:
+    """Return the run files that are named, without those marked bad that a folder or pattern stands for.
+
+    A run that is named itself is meant, whatever its mark says.
+
+    Raises
+    ------
+    RunFileError
+        As `run_files`, and for a mark that cannot be read.
+    """
+    named = {Path(one) for one in inputs}
+    paths = run_files(inputs)
+    marks = {path: read_mark(path) for path in paths if path not in named}
+    left_out = {path: mark.reason for path, mark in marks.items() if mark is not None}
+    return GoodRuns(tuple(path for path in paths if path not in left_out), left_out)
 
 
 def _meant(name: str | Path) -> Iterator[Path]:

@@ -68,6 +68,8 @@ def _tell(error: Exception) -> int:
             return 0
         case OSError() if error.filename is not None:
             return complain(f"{error.filename}: {error.strerror}; check the path and who may use it.")
+        case MemoryError():
+            return complain("there is not enough memory for this; take fewer samples, or close other programs.")
         case _:
             return complain(_bug_sentence(error), BUG)
 

@@ -12,10 +12,17 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "init": "Make a lab folder: rig settings, data root, calibration history.",
         "check": "Say what a plan would do; nothing moves.",
         "run": "Carry out a plan and write one run file per run.",
+        "recover": "Finish the runs that a crash left behind.",
     },
     "Look": {
         "info": "Say what run files hold.",
+        "table": "Tabulate a campaign: a line per run, and means per speed.",
         "model": "Print and draw what the friction model says of steady sliding.",
+    },
+    "Work": {
+        "mark": "Mark runs as bad, or take the mark back; everything later honours it.",
+        "filter": "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",
+        "export": "Write runs as CSV, Parquet, MAT or NPZ.",
     },
 }
 """Commands by section, with the line that the overview shows; the overview must not load them."""

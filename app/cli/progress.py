@@ -62,6 +62,15 @@ class Meter:
             self._line = _Bar(self._total) if sys.stderr.isatty() else _Lines(self._total)
         self._line.show(self._label, self._done, elapsed)
 
+    def to(self, done: float, label: str | None = None) -> None:
+        """Tell how much of the total is done altogether."""
+        self.advance(done - self._done, label)
+
+    def at(self, done: float, of: float) -> None:
+        """Tell how far the task is when the total is known only now."""
+        self._total = of
+        self.to(done)
+
     def say(self, text: str) -> None:
         """Print a remark on standard error, above the bar where there is one."""
         if not self._shown:
@@ -74,10 +83,20 @@ class Meter:
 
 def tracked(items: Sequence[ItemT], label: str) -> Iterator[ItemT]:
     """Iterate with progress."""
+    for item, _ in tracked_within(items, label):
+        yield item
+
+
+def tracked_within(items: Sequence[ItemT], label: str) -> Iterator[tuple[ItemT, Callable[[int, int], None]]]:
+    """Iterate with progress; each item comes with a function that tells how far the work on it is."""
     with Meter(label, len(items), quiet=is_quiet()) as meter:
-        for number, item in enumerate(items, 1):
-            yield item
-            meter.advance(1.0, f"{label} ({number} of {len(items)})")
+        for number, item in enumerate(items):
+
+            def within(done: int, of: int, before: int = number) -> None:
+                meter.to(before + done / max(of, 1))
+
+            yield item, within
+            meter.to(number + 1, f"{label} ({number + 1} of {len(items)})")
 
 
 class _Bar:

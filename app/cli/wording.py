@@ -1,5 +1,6 @@
 """Numbers and tables as a person reads them."""
 
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -45,4 +46,8 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _is_numeric(cells: Sequence[str]) -> bool:
-    return all(cell[:1] in "-−+.0123456789" for cell in cells if cell)
+    return all(_NUMBER.fullmatch(cell) for cell in cells if cell)
+
+
+_NUMBER = re.compile(r"[-−+±]?[\d.,]+(e[-+]?\d+)?( .*)?")
+"""A number, with a unit or whatever follows a space."""

@@ -1,0 +1,224 @@
+"""What is made of runs: filtered traces, tables, exports; and what the friction model says."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from dragrig.analysis.export import ExportFormat, export_campaign, export_run, write_export
+from dragrig.analysis.exporting.text import CsvStyle
+from dragrig.analysis.filtering import filter_file, filter_run, usual_settings
+from dragrig.analysis.savgol import SavgolSettings
+from dragrig.analysis.table import as_frame, row_of
+from dragrig.analysis.table import table as table_of
+from dragrig.config.capsule import Capsule
+from dragrig.config.library import find
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.specimen import Specimen
+from dragrig.rig.runfile import Campaign, read_info, read_run
+from dragrig.rig.runfile import campaign as read_campaign
+from dragrig.rig.runfile.model import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Format = Literal["csv", "parquet", "mat", "npz"]
+
+
+def load(path: str | Path) -> Run:
+    """Read a run file whole.
+
+    Raises
+    ------
+    RunFileError
+        When it is missing, foreign, damaged, or of a newer format.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> run = dragrig.load("20260504-091500-drag-000.h5")  # doctest: +SKIP
+    >>> run.trace.force.mean(), run.info.header.protocol["speed_mm_s"]  # doctest: +SKIP
+    """
+    return read_run(Path(path))
+
+
+def campaign(folder: str | Path) -> Campaign:
+    """Look at every run file of a folder, attributes only; `campaign(folder).good` leaves out those marked bad.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+    """
+    return read_campaign(Path(folder))
+
+
+def filter_settings(
+    sample_rate_hz: float, window_s: float | None, window_samples: int | None, order: int | None, derivative: int
+) -> SavgolSettings:
+    """Return a filter's settings: the usual window and order at this rate where none are given.
+
+    Raises
+    ------
+    AnalysisError
+        When they contradict each other.
+    """
+    usual = usual_settings(sample_rate_hz)
+    if window_s is None and window_samples is None:
+        window_s, window_samples = usual.window_s, usual.window_samples
+    return SavgolSettings(window_s, window_samples, usual.order if order is None else order, derivative)
+
+
+def filter(  # noqa: A001  # the word that people look for
+    run: Run | str | Path,
+    *,
+    window_s: float | None = None,
+    window_samples: int | None = None,
+    order: int | None = None,
+    derivative: int = 0,
+) -> Run:
+    """Smooth every force of a run with a Savitzky–Golay filter, and measure the speed from its position.
+
+    Parameters
+    ----------
+    run
+        A run in memory, which stays as it is; or a run file, in which the result is stored beside the raw trace.
+    window_s, window_samples
+        Length of the window, one of the two; 0.05 s unless given.
+    order
+        Order of the polynomial; 3 unless given.
+    derivative
+        0 smooths the forces, k gives their k-th derivative by time.
+
+    Returns
+    -------
+    The run with its `filtered` trace: `filtered.channels["force"]`, `["speed"]`, …, shape `(N,)` each.
+
+    Raises
+    ------
+    AnalysisError
+        When the window does not suit the order, the rate or the run.
+    RunFileError, OutputError
+        When the file cannot be read or replaced.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> drag, back = dragrig.simulate("drag")
+    >>> smooth = dragrig.filter(drag, window_s=0.1).filtered.channels["force"]
+    """
+    if isinstance(run, Run):
+        settings = filter_settings(run.trace.sample_rate_hz, window_s, window_samples, order, derivative)
+        return replace(run, filtered=filter_run(run, settings).trace)
+    path = Path(run)
+    rate = read_info(path).header.sample_rate_hz
+    filter_file(path, filter_settings(rate, window_s, window_samples, order, derivative))
+    return read_run(path)
+
+
+def table(runs: str | Path | Iterable[Run]) -> "pd.DataFrame":
+    """Tabulate a campaign, one row per run: kind, speed, steady force and its standard error, checks, ….
+
+    Parameters
+    ----------
+    runs
+        A campaign's folder, or runs in memory.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> frame = dragrig.table(dragrig.simulate("drag"))
+    >>> frame[["kind", "speed_mm_s", "steady_force_mN", "steady_force_error_mN"]]  # doctest: +SKIP
+    """
+    rows = table_of(Path(runs)) if isinstance(runs, str | Path) else tuple(row_of(run) for run in runs)
+    return as_frame(rows)
+
+
+def export(
+    run: Run | str | Path,
+    to: str | Path,
+    *,
+    format: Format = "csv",  # noqa: A002  # as on the command line
+    decimal: str = ".",
+    delimiter: str = "",
+    overwrite: bool = False,
+) -> tuple[Path, ...]:
+    """Write runs for other programs.
+
+    Parameters
+    ----------
+    run
+        A run in memory, a run file, or a campaign's folder (runs marked bad are left out).
+    to
+        A file, or a folder; a folder for a campaign.
+    decimal, delimiter
+        Of CSV: `.` or `,`; comma, or semicolon with decimal commas, unless given.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    OutputError
+        When a file exists already, or the folder refuses.
+    RunFileError, AnalysisError
+        When the run cannot be read, or decimal mark and delimiter are the same.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.export("runs/first", "csv", decimal=",", delimiter=";")  # doctest: +SKIP
+    """
+    kind, style = ExportFormat(format), CsvStyle(decimal, delimiter)
+    if isinstance(run, Run):
+        return (write_export(run, Path(to), kind, style, overwrite=overwrite),)
+    if Path(run).is_dir():
+        return export_campaign(Path(run), Path(to), kind, style, overwrite=overwrite).written
+    return (export_run(Path(run), Path(to), kind, style, overwrite=overwrite),)
+
+
+def model(
+    speeds_mm_s: Sequence[float] = (0.5, 1, 2, 5, 10, 15, 20, 30, 40, 50, 60),
+    *,
+    model: str | Path | FrictionModelSettings = "paper",
+    capsule: str | Path = "drag",
+    specimen: str | Path = "jejunum",
+) -> "pd.DataFrame":
+    """Tabulate what the friction model says of sliding at steady speeds.
+
+    Returns
+    -------
+    Columns speed_mm_s, f_e_mN (environmental resistance), f_v_mN (viscous), f_c_mN (Coulomb), total_mN.
+
+    Raises
+    ------
+    SettingsError
+        For a speed that is not positive, or unknown names.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.model([1, 10]).round(1)  # doctest: +SKIP
+    """
+    import pandas as pd
+
+    from dragrig.sim_backend.friction import steady_forces
+
+    settings = model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
+    body = find(Capsule, "capsule", str(capsule))
+    forces = steady_forces(speeds_mm_s, settings, body, find(Specimen, "specimen", str(specimen)).wall_thickness_mm)
+    return pd.DataFrame(
+        {
+            "speed_mm_s": forces.speed_mm_s,
+            "f_e_mN": forces.f_e,
+            "f_v_mN": forces.f_v,
+            "f_c_mN": forces.f_c,
+            "total_mN": forces.total,
+        }
+    )

@@ -1,0 +1,179 @@
+"""The commands that work on run files, on measured campaigns made by others and on runs of our own."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dragrig
+from dragrig.cli import main
+from dragrig.rig.runfile import read_mark, read_run
+
+PRACTICE = Path(__file__).parent / "data" / "practice"
+
+
+class Command:
+    """Calls a command in this process and reads what it prints."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def json(self, *words: str | Path, code: int = 0) -> Any:
+        return json.loads(self(*words, "--json", code=code).out)
+
+    def __call__(self, *words: str | Path, code: int = 0) -> Any:
+        self._capsys.readouterr()
+        got = main([str(word) for word in words])
+        told = self._capsys.readouterr()
+        assert got == code, told.err
+        return told
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Command:
+    return Command(capsys)
+
+
+@pytest.fixture
+def practice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(PRACTICE, tmp_path / "c"))
+
+
+def test_filter_stores_the_result_beside_the_raw_trace(command: Command, practice: Path) -> None:
+    before = read_run(practice / "009-drag.h5").trace.force.copy()
+    done = command.json("filter", "c", "--window-s", "0.1", "--order", "2")
+    assert len(done) == len(list(practice.glob("*.h5")))
+    run = dragrig.load(practice / "009-drag.h5")
+    assert run.filtered is not None
+    assert (run.filtered.parameters["order"], run.filtered.parameters["window_s"]) == (2, pytest.approx(0.1, rel=0.03))
+    assert np.array_equal(run.trace.force, before)
+    assert np.nanstd(np.diff(run.filtered.channels["force"])) < 0.2 * np.std(np.diff(before))
+
+
+def test_info_says_what_is_inside_and_verifies_it(command: Command, practice: Path) -> None:
+    found = command.json("info", "c")
+    assert {one["kind"] for one in found} == {"relaxation", "blank", "coulomb", "drag"}
+    assert all(one["channels"]["force"] == "mN" for one in found)
+    assert "drag" in command("info", "c/009-drag.h5").out
+    (run,) = dragrig.simulate("blank", out=practice / "own", assignments=["speed_mm_s=40", "way_back=stay"])
+    assert command.json("info", "c/own", "--verify")[0]["intact"] is True
+    tampered = run.info.path
+    tamper(tampered)
+    told = command("info", tampered, "--verify", code=2)
+    assert tampered.name in told.err
+
+
+def tamper(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        file["entry/trace/force"][10] += 1.0
+
+
+def test_a_mark_is_honoured_by_everything_later_and_can_be_taken_back(command: Command, practice: Path) -> None:
+    drag = practice / "009-drag.h5"
+    command("mark", "c/009-drag.h5", "--bad", "capsule slipped off")
+    mark = read_mark(drag)
+    assert mark is not None
+    assert mark.reason == "capsule slipped off"
+    assert command.json("info", drag)[0]["bad"] == "capsule slipped off"
+    row = next(one for one in command.json("table", "c")["runs"] if one["file"] == drag.name)
+    assert (row["bad"], row["mark"]) == (True, "capsule slipped off")
+    assert "BAD: capsule slipped off" in command("table", "c").out
+    filtered = command("filter", "c")
+    assert "left out, marked bad: capsule slipped off" in filtered.err
+    assert drag.name not in filtered.out
+    assert drag.name in command("filter", drag).out
+    assert drag.name not in [Path(one["run"]).name for one in command.json("export", "c", "--out", "x")]
+    command("mark", "c", "--good")
+    assert read_mark(drag) is None
+
+
+def test_nothing_is_marked_when_one_of_the_names_is_no_run(command: Command, practice: Path) -> None:
+    (practice / "broken.h5").write_bytes(b"x")
+    assert "broken.h5" in command("mark", "c", "--bad", "no", code=2).err
+    assert list(practice.glob("*.toml")) == []
+
+
+def test_table_gives_the_same_numbers_to_people_and_programs(command: Command, practice: Path) -> None:
+    found = command.json("table", "c")
+    steady = {row["file"]: row for row in found["runs"]}["009-drag.h5"]
+    assert steady["steady_force_mN"] > 5 * steady["steady_force_error_mN"] > 0
+    shown = command("table", "c").out
+    assert f"{steady['steady_force_mN']:.1f}" in shown
+    frame = dragrig.table(practice)
+    assert frame.set_index("file").loc["009-drag.h5", "steady_force_mN"] == pytest.approx(steady["steady_force_mN"])
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
+def test_export_writes_every_form_and_writes_nothing_over(command: Command, practice: Path, form: str) -> None:
+    words = ("export", "c/009-drag.h5", "--format", form, "--out", "x")
+    (done,) = command.json(*words)
+    written = Path(done["file"])
+    assert written == Path("x") / f"009-drag.{form}"
+    before = written.read_bytes()
+    assert "exists already" in command(*words, code=2).err
+    assert written.read_bytes() == before
+    command(*words, "--overwrite")
+
+
+def test_a_spreadsheet_of_another_country_reads_the_export(command: Command, practice: Path) -> None:
+    command("export", "c/009-drag.h5", "--decimal", ",", "--delimiter", ";", "--out", "x")
+    frame = pd.read_csv("x/009-drag.csv", sep=";", decimal=",", comment="#")
+    force = next(frame[name] for name in frame if name.startswith("force"))
+    assert np.allclose(force, read_run(practice / "009-drag.h5").trace.force, atol=1e-3)
+
+
+def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command, practice: Path) -> None:
+    (practice / "000-broken.h5").write_bytes(b"not HDF5")
+    good = len(list(practice.glob("*.h5"))) - 1
+    told = command("export", "c", "--out", "x", "--format", "npz", code=2)
+    assert "000-broken.h5" in told.err
+    assert len(list(Path("x").glob("*.npz"))) == good
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("export", "c", "--format", "npz", "--decimal", ","), "--format csv alone"),
+        (("export", "c", "--decimal", ";"), "decimal mark"),
+        (("export", "c", "--decimal", ",", "--delimiter", ","), "choose ; as the delimiter"),
+        (("export", "c/009-drag.h5", "--out", "taken"), "taken"),
+        (("filter", "c/009-drag.h5", "--window-samples", "10"), "odd number"),
+        (("filter", "c/009-drag.h5", "--window-s", "nan"), "window"),
+        (("filter", "c/009-drag.h5", "--window-s", "1e9"), "window"),
+        (("filter", "c/009-drag.h5", "--window-s", "1", "--window-samples", "9"), "give one of the two"),
+        (("filter", "c/009-drag.h5", "--order", "99"), "order"),
+        (("filter", "c/009-drag.h5", "--window-s", "abc"), "--window-s"),
+        (("mark", "c/009-drag.h5"), "--bad REASON or --good"),
+        (("mark", "c/009-drag.h5", "--bad", " "), "reason"),
+        (("table", "nowhere"), "nowhere"),
+        (("recover", "nowhere"), "nowhere"),
+        (("info", "nowhere"), "nowhere"),
+        (("filter", "c/*.txt"), "pattern"),
+    ],
+)
+def test_what_cannot_be_done_is_told_in_one_sentence(
+    command: Command, practice: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    (practice.parent / "taken").write_text("mine", "utf-8")
+    before = {path: path.read_bytes() for path in practice.parent.rglob("*") if path.is_file()}
+    told = command(*words, code=2)
+    assert sentence in told.err
+    assert told.err.count("\n") == 1, told.err
+    assert {path: path.read_bytes() for path in practice.parent.rglob("*") if path.is_file()} == before
+
+
+def test_recover_finishes_what_a_crash_left(command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "nothing to recover" in command("recover").err
+    (tmp_path / "x.recording.h5").write_bytes(b"not HDF5")
+    told = command("recover", "--json", code=2)
+    assert json.loads(told.out)[0]["outcome"] == "left"
+    assert "x.recording.h5" in told.err
+    assert (tmp_path / "x.recording.h5").read_bytes() == b"not HDF5"
