@@ -57,21 +57,27 @@ def exit_code_of(command: click.Command, arguments: Sequence[str] | None) -> int
 
 
 def _tell(error: Exception) -> int:
+    if isinstance(error, OSError) and _reader_is_gone(error):
+        return 0
+    return complain(*_sentence_and_code(error))
+
+
+def _sentence_and_code(error: Exception) -> tuple[str, int]:
+    code = BAD_INPUT
     match error:
         case DragrigError():
-            return complain(str(error), error.exit_code)
+            sentence, code = str(error), error.exit_code
         case click.Abort():
-            return complain("aborted.", AbortedError.exit_code)
+            sentence, code = "aborted", AbortedError.exit_code
         case click.ClickException():
-            return complain(_usage_sentence(error), BAD_INPUT)
-        case OSError() if _reader_is_gone(error):
-            return 0
+            sentence = _usage_sentence(error)
         case OSError() if error.filename is not None:
-            return complain(f"{error.filename}: {error.strerror}; check the path and who may use it.")
+            sentence = f"{error.filename}: {error.strerror}; check the path and who may use it"
         case MemoryError():
-            return complain("there is not enough memory for this; take fewer samples, or close other programs.")
+            sentence = "there is not enough memory for this; take fewer samples, or close other programs"
         case _:
-            return complain(_bug_sentence(error), BUG)
+            sentence, code = _bug_sentence(error), BUG
+    return sentence, code
 
 
 def complain(sentence: str, code: int = BAD_INPUT) -> int:
