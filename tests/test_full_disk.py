@@ -1,0 +1,82 @@
+"""A truly full disk under a running session: the stage is stopped, the error said, the data kept."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dragrig.rig.runfile import campaign, read_run
+from dragrig.rig.runfile.model import Status
+
+MEGABYTES = 24
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """Mount a file system of a few megabytes; only root on Linux can."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = shutil.which("mount")
+    if mount is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("mounting a small disk needs root on Linux")
+    done = subprocess.run([mount, "-t", "tmpfs", "-o", f"size={MEGABYTES}m", "tmpfs", place], check=False)
+    if done.returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", place], check=True)
+
+
+def fill(disk: Path) -> None:
+    with (disk / "filler").open("wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(b"\0" * 65536)
+        except OSError:
+            pass
+
+
+def recorded_samples(folder: Path) -> int:
+    found = list(folder.glob("*.recording.h5"))
+    return read_run(found[0]).info.samples if found else 0
+
+
+def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path, tmp_path: Path) -> None:
+    folder = small_disk / "campaign"
+    command = [sys.executable, "-m", "dragrig", "run", "drag", "--pace", "real", "--yes", "--out", str(folder)]
+    changes = ["wait_s=0", "speed_mm_s=2", "hold_s=0.5", "rig.recording.reserve_mb=1"]
+    for change in changes:
+        command += ["--set", change]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as session:
+        try:
+            until = time.monotonic() + 30
+            while recorded_samples(folder) < 1500:
+                assert session.poll() is None, session.communicate()
+                assert time.monotonic() < until
+                time.sleep(0.05)
+            kept = recorded_samples(folder)
+            fill(small_disk)
+            _, said = session.communicate(timeout=20)
+        finally:
+            session.kill()
+    assert session.returncode == 5, said
+    assert "Traceback" not in said
+    assert "disk" in said or "free" in said
+    (small_disk / "filler").unlink()
+    recovered = subprocess.run(
+        [sys.executable, "-m", "dragrig", "recover", str(folder)], capture_output=True, text=True, check=False
+    )
+    assert recovered.returncode == 0, recovered.stderr
+    (info,) = campaign(folder).runs
+    assert info.status in {Status.FAILED, Status.RECOVERED}
+    run = read_run(info.path)
+    assert run.info.samples >= kept
+    np.testing.assert_allclose(np.diff(run.trace.time), 1e-3, atol=1e-9)
+    np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.01)
