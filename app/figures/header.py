@@ -1,15 +1,16 @@
 """The lines above a picture of a run: what it is, where it came from, how it ended."""
 
+from bisect import bisect_right
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from dragrig.figures.style import BLACK, BLUE, GREY, PURPLE, SMALL_PT, TITLE_PT, VERMILLION
+from dragrig.figures.style import BLACK, BLUE, GREY, PURPLE, SMALL_PT, TITLE_PT, VERMILLION, text_width_in
 from dragrig.rig.runfile.model import Attribute, RunInfo, Status
 
 HEADER_IN = 1.0
-"""Height of the header."""
+"""Height of a header without trouble."""
 
 _BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
 _KINDS = {
@@ -20,7 +21,7 @@ _KINDS = {
     "motion": "Motion",
     "relaxation": "Relaxation",
 }
-_LONGEST_REASON = 70
+_LINE_IN = 0.3
 
 
 def title_of(info: RunInfo) -> str:
@@ -43,14 +44,18 @@ def subtitle_of(info: RunInfo) -> str:
     return f"{began} {offset}  ·  run {info.header.run_id[:8]}  ·  {info.path.name}"
 
 
-def status_of(info: RunInfo, bad_reason: str = "") -> tuple[str, str]:
-    """Return how a run ended in words, and the colour to write it in."""
-    if bad_reason:
-        return _shortened(f"marked bad: {bad_reason}"), VERMILLION
+def trouble_of(info: RunInfo, bad_reason: str | None = None) -> str:
+    """Say what is wrong with a run: that it was marked bad, or how it ended early; empty for a good one."""
+    if bad_reason is not None:
+        return f"marked bad: {bad_reason}"
     if info.status is Status.COMPLETE:
-        return "complete", GREY
-    text = f"{info.status}: {info.reason}" if info.reason else str(info.status)
-    return _shortened(text), VERMILLION
+        return ""
+    return f"{info.status}: {info.reason}" if info.reason else str(info.status)
+
+
+def header_in(trouble: str) -> float:
+    """Height of the header [inch]: trouble has a line of its own."""
+    return HEADER_IN + (_LINE_IN if trouble else 0.0)
 
 
 def headline(figure: Figure, left_in: float, title: str, subtitle: str) -> Text:
@@ -61,38 +66,45 @@ def headline(figure: Figure, left_in: float, title: str, subtitle: str) -> Text:
     return figure.text(left, 1 - 0.84 / height, subtitle, fontsize=SMALL_PT, color=GREY, va="baseline")
 
 
-def write_header(
-    figure: Figure, left_in: float, title: str, subtitle: str, status: tuple[str, str], badge: str
-) -> None:
-    """Write title, subtitle and status at the figure's upper edge, and the badge of the backend in its corner."""
+def write_header(figure: Figure, left_in: float, info: RunInfo, trouble: str) -> None:
+    """Write title, subtitle and trouble at the figure's upper edge, and a badge for the backend in its corner."""
     width, height = figure.get_size_inches()
-    right = 1 - 0.45 / width
-    second = headline(figure, left_in, title, subtitle)
-    words, colour = status
-    weight = "normal" if colour == GREY else "bold"
-    after = second.get_window_extent().x1 / figure.dpi
-    figure.text(
-        after / width, 1 - 0.84 / height, f"  ·  {words}", fontsize=SMALL_PT, color=colour, weight=weight, va="baseline"
-    )
-    if badge:
+    complete = "  ·  complete" if info.status is Status.COMPLETE else ""
+    headline(figure, left_in, title_of(info), subtitle_of(info) + complete)
+    if trouble:
         figure.text(
-            right,
-            1 - 0.43 / height,
-            badge.upper(),
+            left_in / width,
+            1 - (0.84 + _LINE_IN) / height,
+            fitting(trouble, SMALL_PT, width - left_in - 0.45),
             fontsize=SMALL_PT,
             fontweight="bold",
-            color="white",
-            ha="right",
-            va="center",
-            bbox={"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(badge, BLACK), "edgecolor": "none"},
+            color=VERMILLION,
+            va="baseline",
         )
+    badge = info.header.backend
+    figure.text(
+        1 - 0.45 / width,
+        1 - 0.43 / height,
+        badge.upper(),
+        fontsize=SMALL_PT,
+        fontweight="bold",
+        color="white",
+        ha="right",
+        va="center",
+        bbox={"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(badge, BLACK), "edgecolor": "none"},
+    )
+
+
+def fitting(text: str, size_pt: float, room_in: float) -> str:
+    """Return the text on one line, cut off with an ellipsis where it would be wider than the room for it."""
+    text = " ".join(text.split())
+    bold = 1.15
+    if bold * text_width_in(text, size_pt) <= room_in:
+        return text
+    kept = bisect_right(range(len(text)), room_in, key=lambda count: bold * text_width_in(text[:count] + "…", size_pt))
+    return text[: kept - 1].rstrip() + "…"
 
 
 def _number(parameters: Mapping[str, Attribute], name: str) -> float | None:
     value = parameters.get(name)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def _shortened(text: str) -> str:
-    text = " ".join(text.split())
-    return text if len(text) <= _LONGEST_REASON else text[: _LONGEST_REASON - 1].rstrip() + "…"

@@ -1,14 +1,14 @@
 """What happened during a run, marked over its traces: missing samples, trips, stops."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from dragrig.figures.panels import height_in, width_in
 from dragrig.figures.placement import spread
-from dragrig.figures.style import BLACK, SMALL_PT, VERMILLION, text_width_in
+from dragrig.figures.style import GREY, PALE, SMALL_PT, VERMILLION, text_width_in
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.runfile.model import Event
 
@@ -17,34 +17,22 @@ ORDINARY = frozenset({"start", "phase", "end"})
 
 GAP = "gap"
 MOST_LABELS = 6
+_NARROW = 0.004
+"""A gap of a smaller share of the time shown is a line; a longer one is hatched."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A time and the word that stands beside it."""
+    """A time, the word that stands beside it, and for how long it lasted."""
 
     time_s: float
     word: str
+    lasted_s: float = 0.0
 
-
-def mark_gaps(panels: Sequence[Axes], time: FloatArray, gap: BoolArray) -> None:
-    """Hatch the times for which samples are missing."""
-    before = np.flatnonzero(gap)
-    if before.size == 0:
-        return
-    bars = np.column_stack((time[before], time[before + 1] - time[before])).tolist()
-    for axes in panels:
-        axes.broken_barh(
-            bars,
-            (0, 1),
-            transform=axes.get_xaxis_transform(),
-            facecolor="none",
-            edgecolor=BLACK,
-            hatch="////",
-            linewidth=0.6,
-            alpha=0.55,
-            zorder=1.5,
-        )
+    @property
+    def colour(self) -> str:
+        """Colour of line and word: missing samples are no alarm."""
+        return GREY if self.lasted_s else VERMILLION
 
 
 def marks_of(events: Sequence[Event], time: FloatArray, gap: BoolArray) -> tuple[Mark, ...]:
@@ -65,46 +53,64 @@ def marks_of(events: Sequence[Event], time: FloatArray, gap: BoolArray) -> tuple
 
 
 def draw_marks(panels: Sequence[Axes], marks: Sequence[Mark]) -> None:
-    """Draw a line through all panels at each mark, and name it at the foot of the first panel.
+    """Draw a line through all panels at each mark, or hatch the time it lasted, and name it in the first panel.
 
     Of very many the first are named, and the rest counted.
     """
     if not marks:
         return
+    low, high = panels[0].get_xlim()
+    long = [mark for mark in marks if mark.lasted_s > _NARROW * (high - low)]
+    short = [mark for mark in marks if mark not in long]
     for axes in panels:
+        _hatch(axes, long)
         axes.vlines(
-            [mark.time_s for mark in marks],
+            [mark.time_s for mark in short],
             0,
             1,
             transform=axes.get_xaxis_transform(),
-            color=VERMILLION,
+            colors=[mark.colour for mark in short],
             linewidth=1.3,
             linestyle=(0, (4, 2)),
             zorder=3,
         )
-    words = [mark.word for mark in marks[:MOST_LABELS]]
-    if len(marks) > MOST_LABELS:
-        words[-1] += f" + {len(marks) - MOST_LABELS} more"
-    _write(panels[0], [mark.time_s for mark in marks[:MOST_LABELS]], words)
+    seen = [mark for mark in marks if low <= mark.time_s <= high]
+    named = seen[:MOST_LABELS]
+    if len(seen) > MOST_LABELS:
+        named[-1] = replace(named[-1], word=f"{named[-1].word} + {len(seen) - MOST_LABELS} more")
+    _write(panels[0], named)
 
 
-def _write(axes: Axes, times: Sequence[float], words: Sequence[str]) -> None:
+def _hatch(axes: Axes, marks: Sequence[Mark]) -> None:
+    axes.broken_barh(
+        [(mark.time_s, mark.lasted_s) for mark in marks],
+        (0, 1),
+        transform=axes.get_xaxis_transform(),
+        facecolor="#FFFFFF",
+        edgecolor=PALE,
+        hatch="////",
+        linewidth=0.0,
+        zorder=1.5,
+    )
+
+
+def _write(axes: Axes, marks: Sequence[Mark]) -> None:
     low, high = axes.get_xlim()
     wide, tall = width_in(axes), height_in(axes)
-    centres = [(time - low) / (high - low) * wide for time in times]
-    widths = [text_width_in(word, SMALL_PT) + 0.24 for word in words]
-    for word, place in zip(words, spread(centres, widths, 0.0, wide), strict=True):
+    centres = [(mark.time_s + mark.lasted_s / 2 - low) / (high - low) * wide for mark in marks]
+    widths = [text_width_in(mark.word, SMALL_PT) + 0.24 for mark in marks]
+    for mark, place in zip(marks, spread(centres, widths, 0.0, wide), strict=True):
         axes.text(
             place / wide,
             0.16 / tall,
-            word,
+            mark.word,
             transform=axes.transAxes,
             ha="center",
             va="center",
             fontsize=SMALL_PT,
             color="white",
             zorder=6,
-            bbox={"boxstyle": "round,pad=0.22", "facecolor": VERMILLION, "edgecolor": "none"},
+            bbox={"boxstyle": "round,pad=0.22", "facecolor": mark.colour, "edgecolor": "none"},
         )
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from dragrig.figures.envelope import envelope
 from dragrig.figures.panels import Pen, draw, fit_y, label_y, write_words
-from dragrig.figures.style import BLACK, BLUE, GREEN, PURPLE
+from dragrig.figures.style import BLACK, BLUE, GREEN, GREY, PURPLE
 from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import Attribute, FilteredTrace, Run
@@ -30,11 +30,12 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """One quantity against time; its range is never narrower than `smallest_span`."""
+    """One quantity against time; its range is never narrower than `smallest_span`, and holds `level` if there is one."""
 
     label: str
     curves: tuple[Curve, ...]
     smallest_span: float
+    level: float = np.nan
 
 
 def force_panel(run: Run, filtered: FilteredTrace | None, gap: BoolArray, channel: str = "") -> Panel:
@@ -70,8 +71,10 @@ def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> Panel:
     wanted, steady = _wanted_speed(run), run.trace.phase == Phase.STEADY
     if wanted is not None and steady.any():
         level = np.where(steady, wanted, np.nan)
-        curves.append(Curve(run.trace.time, level, gap, Pen(f"set {wanted:g} mm/s", BLACK, 1.0, dashed=True)))
-    return Panel("Speed (mm/s)", tuple(curves), 0.05)
+        curves.append(
+            Curve(run.trace.time, level, gap, Pen(f"set {wanted:g} mm/s".replace("-", "−"), BLACK, 1.0, dashed=True))
+        )
+    return Panel("Speed (mm/s)", tuple(curves), 0.05, level=0.0)
 
 
 def draw_panel(axes: Axes, panel: Panel, below_in: float = 0.1, window: tuple[float, float] | None = None) -> None:
@@ -81,7 +84,9 @@ def draw_panel(axes: Axes, panel: Panel, below_in: float = 0.1, window: tuple[fl
         time, value, gap = _cropped(curve, window)
         shown.append(value)
         draw(axes, *envelope(time, value, gap), curve.pen)
-    fit_y(axes, shown, panel.smallest_span, below_in)
+    fit_y(axes, [*shown, np.array([panel.level])], panel.smallest_span, below_in)
+    if not any(np.isfinite(value).any() for value in shown):
+        axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center", va="center", color=GREY)
     label_y(axes, panel.label)
     write_words(axes, [curve.pen for curve in panel.curves])
 
