@@ -41,7 +41,7 @@ def column(
     """
     time = run.trace.time
     gap = gap_after(time, run.trace.sample_rate_hz)
-    marks = marks_of(run.events, time, gap)
+    marks = marks_of(run.events, time, gap, run.trace.sample_rate_hz)
     stack = _stacked(figure, heights, foot)
     for axes, panel in zip(stack, panels, strict=True):
         draw_panel(axes, panel, MARKS_IN if marks and axes is stack[0] else 0.1, window)

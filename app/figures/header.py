@@ -68,30 +68,39 @@ def headline(figure: Figure, left_in: float, title: str, subtitle: str) -> Text:
 
 def write_header(figure: Figure, left_in: float, info: RunInfo, trouble: str) -> None:
     """Write title, subtitle and trouble at the figure's upper edge, and a badge for the backend in its corner."""
-    width, height = figure.get_size_inches()
     complete = "  ·  complete" if info.status is Status.COMPLETE else ""
     headline(figure, left_in, title_of(info), subtitle_of(info) + complete)
-    if trouble:
-        figure.text(
-            left_in / width,
-            1 - (0.84 + _LINE_IN) / height,
-            fitting(trouble, SMALL_PT, width - left_in - 0.45),
-            fontsize=SMALL_PT,
-            fontweight="bold",
-            color=VERMILLION,
-            va="baseline",
-        )
-    badge = info.header.backend
+    write_trouble(figure, left_in, trouble)
+    write_badge(figure, info.header.backend)
+
+
+def write_trouble(figure: Figure, left_in: float, trouble: str) -> None:
+    """Write what is wrong below the subtitle, as much of it as fits."""
+    width, height = figure.get_size_inches()
+    figure.text(
+        left_in / width,
+        1 - (0.84 + _LINE_IN) / height,
+        fitting(trouble, SMALL_PT, width - left_in - 0.45),
+        fontsize=SMALL_PT,
+        fontweight="bold",
+        color=VERMILLION,
+        va="baseline",
+    )
+
+
+def write_badge(figure: Figure, backend: str) -> None:
+    """Say in the figure's corner whether it shows simulated, measured or foreign data."""
+    width, height = figure.get_size_inches()
     figure.text(
         1 - 0.45 / width,
         1 - 0.43 / height,
-        badge.upper(),
+        backend.upper(),
         fontsize=SMALL_PT,
         fontweight="bold",
         color="white",
         ha="right",
         va="center",
-        bbox={"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(badge, BLACK), "edgecolor": "none"},
+        bbox={"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(backend, BLACK), "edgecolor": "none"},
     )
 
 

@@ -35,14 +35,16 @@ class Mark:
         return GREY if self.lasted_s else VERMILLION
 
 
-def marks_of(events: Sequence[Event], time: FloatArray, gap: BoolArray) -> tuple[Mark, ...]:
+def marks_of(events: Sequence[Event], time: FloatArray, gap: BoolArray, sample_rate_hz: float) -> tuple[Mark, ...]:
     """Gather what is out of the ordinary: gaps, as the sample times show them, and events."""
     if time.size == 0:
         return ()
     before = np.flatnonzero(gap)
     starts, ends = time[before], time[before + 1]
+    missing = ends - starts - 1 / sample_rate_hz
     marks = [
-        Mark(float(start), f"gap {_duration(float(end - start))}") for start, end in zip(starts, ends, strict=True)
+        Mark(float(start), f"gap {_duration(float(length))}", float(length))
+        for start, length in zip(starts, missing, strict=True)
     ]
     for event in events:
         told = event.kind not in ORDINARY and time[0] <= event.time_s <= time[-1]

@@ -11,11 +11,11 @@ from dragrig.figures.columns import (
     WIDTH_IN,
     column,
 )
+from dragrig.figures.derived import filtered_of, measured_speed, steady_level
 from dragrig.figures.envelope import gap_after
 from dragrig.figures.header import header_in, trouble_of, write_header
 from dragrig.figures.panels import Place
 from dragrig.figures.relaxation import draw_relaxation, ramp_of
-from dragrig.figures.smoothing import filtered_of, measured_speed
 from dragrig.figures.style import drawing, new_figure
 from dragrig.figures.views import force_panel, position_panel, speed_panel
 from dragrig.rig.runfile.model import Run
@@ -41,7 +41,7 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
     smooth = filtered_of(run) if filtered else None
     gap = gap_after(run.trace.time, run.trace.sample_rate_hz)
     panels = [
-        force_panel(run, smooth, gap),
+        force_panel(run, smooth, gap, steady=steady_level(run)),
         position_panel(run, gap),
         speed_panel(run, measured_speed(run), gap),
     ]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 
-from dragrig.figures.envelope import envelope
+from dragrig.figures.derived import SteadyLevel
+from dragrig.figures.envelope import envelope, gap_after
 from dragrig.figures.panels import Pen, draw, fit_y, label_y, write_words
 from dragrig.figures.style import BLACK, BLUE, GREEN, GREY, PURPLE
 from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray
@@ -30,7 +31,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """One quantity against time; its range is never narrower than `smallest_span`, and holds `level` if there is one."""
+    """One quantity against time; its range is at least `smallest_span` wide and holds `level`, if there is one."""
 
     label: str
     curves: tuple[Curve, ...]
@@ -38,8 +39,13 @@ class Panel:
     level: float = np.nan
 
 
-def force_panel(run: Run, filtered: FilteredTrace | None, gap: BoolArray, channel: str = "") -> Panel:
-    """Measured force, thin and light, with the filtered one over it; `channel` names another than the run's signal."""
+def force_panel(
+    run: Run, filtered: FilteredTrace | None, gap: BoolArray, channel: str = "", steady: SteadyLevel | None = None
+) -> Panel:
+    """Measured force, thin and light, with the filtered one over it and the level of steady sliding.
+
+    `channel` names another than the run's signal.
+    """
     name = channel or run.trace.signal
     motor = name == "motor_force"
     strong, light = (PURPLE, RAW_MOTOR) if motor else (BLUE, RAW)
@@ -48,10 +54,14 @@ def force_panel(run: Run, filtered: FilteredTrace | None, gap: BoolArray, channe
     if filtered is None or smooth is None:
         curves = [Curve(time, run.trace.channels[name], gap, Pen("raw", strong, 1.0))]
     else:
+        smooth_gap = gap_after(filtered.time, run.trace.sample_rate_hz)
         curves = [
             Curve(time, run.trace.channels[name], gap, Pen("raw", light, 1.0)),
-            Curve(filtered.time, smooth, gap, Pen("filtered", strong, 2.0, detail=_how(filtered.parameters))),
+            Curve(filtered.time, smooth, smooth_gap, Pen("filtered", strong, 2.0, detail=_how(filtered.parameters))),
         ]
+    if steady is not None:
+        ends, level = np.array([steady.begin_s, steady.end_s]), np.full(2, steady.force_mN)
+        curves.append(Curve(ends, level, np.zeros(1, dtype=np.bool_), Pen(steady.text, BLACK, 1.2, dashed=True)))
     return Panel(LABELS.get(name, name), tuple(curves), 1.0)
 
 

@@ -1,8 +1,13 @@
-"""What a picture shows beside the recorded traces: the filtered force and the measured speed."""
+"""What a picture shows beside the recorded traces: filtered force, measured speed, mean force of steady sliding."""
+
+from dataclasses import dataclass
+from math import floor, log10
 
 import numpy as np
 
 from dragrig.analysis.gaps import gap_starts
+from dragrig.analysis.measures import measure
+from dragrig.analysis.phases import steady_stretch
 from dragrig.analysis.savgol import SavgolSettings, smooth
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.runfile.model import FilteredTrace, Run
@@ -11,6 +16,16 @@ WINDOW_S = 0.05
 ORDER = 3
 FEWEST_SAMPLES = 11
 """A slow sampler has fewer than this in a window; the window is then longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyLevel:
+    """Mean force of steady sliding [mN], and from when to when it was taken [s]."""
+
+    begin_s: float
+    end_s: float
+    force_mN: float
+    text: str
 
 
 def filtered_of(run: Run) -> FilteredTrace | None:
@@ -38,6 +53,25 @@ def measured_speed(run: Run) -> FloatArray:
     if run.trace.time.size < settings.samples(run.trace.sample_rate_hz):
         return np.full(run.trace.time.shape, np.nan)
     return _smoothed(run, run.trace.position, settings)
+
+
+def steady_level(run: Run) -> SteadyLevel | None:
+    """Return the mean force of steady sliding; None where the run does not support one."""
+    estimate = measure(run).steady_force
+    stretch, _ = steady_stretch(run)
+    if estimate.value is None or not stretch.any():
+        return None
+    inside = run.trace.time[stretch]
+    text = f"steady {with_error(estimate.value, estimate.standard_error)} mN"
+    return SteadyLevel(float(inside[0]), float(inside[-1]), estimate.value, text)
+
+
+def with_error(value: float, standard_error: float | None) -> str:
+    """Spell a value with its error, both to the error's second digit: 113.24 ± 0.21."""
+    if standard_error is None or not standard_error > 0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - floor(log10(standard_error)))
+    return f"{value:.{digits}f} ± {standard_error:.{digits}f}"
 
 
 def _settings(run: Run, derivative: int) -> SavgolSettings:
