@@ -17,6 +17,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Look": {
         "info": "Say what run files hold.",
         "table": "Tabulate a campaign: a line per run, and means per speed.",
+        "show": "Draw runs: force, raw and filtered, position and speed, with the phases.",
         "model": "Print and draw what the friction model says of steady sliding.",
     },
     "Work": {

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +15,17 @@ from dragrig.figures.header import header_in, headline, write_badge, write_troub
 from dragrig.figures.labels import EndLabel, label_ends
 from dragrig.figures.model import few_of
 from dragrig.figures.panels import Place, add_panel, fit_y, height_in, label_y, plain_log_x, time_axis, width_in
-from dragrig.figures.style import BLUE, GREY, SMALL_PT, TEXT_PT, VERMILLION, drawing, new_figure, sequence, text_width_in
+from dragrig.figures.style import (
+    BLUE,
+    GREY,
+    SMALL_PT,
+    TEXT_PT,
+    VERMILLION,
+    drawing,
+    new_figure,
+    sequence,
+    text_width_in,
+)
 from dragrig.rig.runfile.model import Run
 
 WIDTH_IN, TALL_IN = 14.0, 7.0
@@ -25,7 +36,7 @@ LOOKS = {"drag": (BLUE, "o"), "coulomb": (VERMILLION, "s"), "blank": (GREY, "^")
 """Colour and marker of each kind."""
 
 
-def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[str] = ()) -> Figure:
+def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] = ()) -> Figure:
     """Draw an overview of a campaign.
 
     Parameters
@@ -35,7 +46,7 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[str] = 
     name
         What to call the campaign.
     bad
-        Ids of runs that were marked bad; they are counted and not drawn, as are those that ended early.
+        Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
     """
     digests = [digest(run, bad) for run in runs]
     with drawing():

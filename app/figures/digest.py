@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -52,10 +53,10 @@ class RunDigest:
     force_mN: FloatArray = field(default_factory=_nothing)
 
 
-def digest(run: Run, bad: Collection[str] = ()) -> RunDigest:
-    """Reduce a run; `bad` holds the ids of runs that were marked bad."""
+def digest(run: Run, bad: Collection[Path] = ()) -> RunDigest:
+    """Reduce a run; `bad` holds the files of runs that were marked bad."""
     info = run.info
-    good = info.status is Status.COMPLETE and info.header.run_id not in bad
+    good = info.status is Status.COMPLETE and info.path not in bad
     head = (info.kind, info.header.start_time, info.header.backend, str(info.header.specimen.get("name", "")), good)
     if not good:
         return RunDigest(*head)

@@ -31,19 +31,20 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
     Parameters
     ----------
     filtered
-        Whether to draw the filtered force over the raw one: what the filter stored in the file, or else
-        Savitzky–Golay with a window of 50 ms.
+        Whether to draw the filtered force over the raw one: what the filter stored in the file, or else what
+        its usual settings give.
     motor_force
         Whether to add the motor's force, where it was recorded beside the force.
     bad_reason
         Why the run was marked bad; None when it was not.
     """
-    smooth = filtered_of(run) if filtered else None
+    found = filtered_of(run)
+    smooth = found if filtered else None
     gap = gap_after(run.trace.time, run.trace.sample_rate_hz)
     panels = [
         force_panel(run, smooth, gap, steady=steady_level(run)),
         position_panel(run, gap),
-        speed_panel(run, measured_speed(run), gap),
+        speed_panel(run, measured_speed(run, found), gap),
     ]
     if motor_force and run.trace.signal != "motor_force" and "motor_force" in run.trace.channels:
         panels.append(force_panel(run, smooth, gap, "motor_force"))

@@ -1,0 +1,405 @@
+"""Pictures of runs and campaigns, and the command that draws them."""
+
+import io
+import json
+import os
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import dragrig
+from dragrig.cli import main
+from dragrig.cli.lazy import group
+from dragrig.figures import campaign_figure, run_figure
+from dragrig.figures.columns import WIDTH_IN
+from dragrig.figures.derived import with_error
+from dragrig.figures.header import fitting
+from dragrig.figures.style import SMALL_PT, drawing, new_figure
+from dragrig.rig.profile import Phase
+from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig.runfile.model import Event, FilteredTrace, Run, Status
+
+DATA = Path(__file__).parent / "data"
+CAMPAIGN = DATA / "campaign"
+
+
+@pytest.fixture(scope="module")
+def drag() -> Run:
+    return dragrig.simulate("drag", assignments=["speed_mm_s=10", "travel_mm=20"])[0]
+
+
+@pytest.fixture(scope="module")
+def relaxation() -> Run:
+    return dragrig.simulate("relaxation", assignments=["shear_strain=1.0"])[0]
+
+
+def panel(figure: Figure, label: str) -> Axes:
+    return next(axes for axes in figure.axes if axes.get_ylabel() == label)
+
+
+def line(axes: Axes, word: str) -> tuple[np.ndarray, np.ndarray]:
+    (found,) = [one for one in axes.lines if str(one.get_label()).startswith(word)]
+    return np.asarray(found.get_xdata(), dtype=float), np.asarray(found.get_ydata(), dtype=float)
+
+
+def texts(figure: Figure) -> list[str]:
+    return [one.get_text() for one in figure.findobj(Text) if one.get_text()]
+
+
+def drawn(figure: Figure) -> bytes:
+    content = io.BytesIO()
+    with drawing():
+        figure.savefig(content, format="png", metadata={"Software": "dragrig"})
+    return content.getvalue()
+
+
+def without(run: Run, lost: Sequence[slice]) -> Run:
+    keep = np.ones(run.trace.time.size, dtype=bool)
+    for one in lost:
+        keep[one] = False
+    trace = run.trace
+    return replace(
+        run,
+        trace=replace(
+            trace,
+            time=trace.time[keep],
+            command=trace.command[keep],
+            phase=trace.phase[keep],
+            channels={name: values[keep] for name, values in trace.channels.items()},
+        ),
+    )
+
+
+def first(run: Run, samples: int) -> Run:
+    return without(run, [slice(samples, None)])
+
+
+def test_the_raw_force_is_drawn_as_recorded_and_the_filtered_one_over_it(drag: Run) -> None:
+    axes = panel(run_figure(drag), "Force (mN)")
+    time, raw = line(axes, "raw")
+    np.testing.assert_array_equal(time, drag.trace.time)
+    np.testing.assert_array_equal(raw, drag.trace.force)
+    time, smooth = line(axes, "filtered")
+    steady = (time > 2) & (time < 2.8)
+    assert smooth[steady].std() < 0.6 * raw[steady].std()
+    assert smooth[steady].mean() == pytest.approx(raw[steady].mean(), abs=0.2)
+    words = [text.get_text() for text in axes.texts]
+    assert words[:2] == ["raw", "filtered by Savitzky–Golay, 51 ms, order 3"]
+
+
+def test_what_the_filter_stored_is_what_is_shown(drag: Run) -> None:
+    ones = np.ones(drag.trace.time.size)
+    stored = FilteredTrace(
+        drag.trace.time, {"force": ones, "speed": 3 * ones}, {"window_s": 0.2, "order": 2}, {"force": "mN"}
+    )
+    figure = run_figure(replace(drag, filtered=stored))
+    np.testing.assert_array_equal(line(panel(figure, "Force (mN)"), "filtered")[1], ones)
+    np.testing.assert_array_equal(line(panel(figure, "Speed (mm/s)"), "measured")[1], 3 * ones)
+    assert "filtered by Savitzky–Golay, 0.2 s, order 2" in texts(figure)
+    derivative = replace(stored, units={"force": "mN/s^1"})
+    shown = line(panel(run_figure(replace(drag, filtered=derivative)), "Force (mN)"), "filtered")[1]
+    assert shown.max() > 50
+
+
+def test_the_filtered_force_can_be_left_out(drag: Run) -> None:
+    figure = run_figure(drag, filtered=False)
+    assert not any("filtered" in text for text in texts(figure))
+    assert line(panel(figure, "Speed (mm/s)"), "measured")[1].max() > 9
+
+
+def test_position_speed_and_set_speed(drag: Run) -> None:
+    figure = run_figure(drag)
+    np.testing.assert_array_equal(line(panel(figure, "Position (mm)"), "encoder")[1], drag.trace.position)
+    time, speed = line(panel(figure, "Speed (mm/s)"), "measured")
+    assert speed[(time > 1.5) & (time < 2.5)] == pytest.approx(10, abs=0.05)
+    during, wanted = line(panel(figure, "Speed (mm/s)"), "set")
+    np.testing.assert_array_equal(during, drag.trace.time[drag.trace.phase == Phase.STEADY])
+    assert (wanted == 10).all()
+    assert "set 10 mm/s" in texts(figure)
+
+
+def test_the_way_back_has_a_negative_speed() -> None:
+    back = dragrig.simulate("drag", assignments=["speed_mm_s=20", "travel_mm=10"])[1]
+    figure = run_figure(back)
+    assert np.nanmin(line(panel(figure, "Speed (mm/s)"), "set")[1]) < 0
+    assert any(text.startswith("set −") for text in texts(figure))
+
+
+def test_every_phase_is_named_and_shaded(drag: Run) -> None:
+    figure = run_figure(drag)
+    assert {"rest", "accelerate", "steady", "decelerate", "hold"} <= set(texts(figure))
+    axes = panel(figure, "Force (mN)")
+    shaded = sum(len(collection.get_paths()) for collection in axes.collections)
+    assert shaded == 5
+
+
+def test_the_motor_force_is_drawn_on_demand(drag: Run) -> None:
+    labels = [axes.get_ylabel() for axes in run_figure(drag).axes]
+    assert "Motor force (mN)" not in labels
+    axes = panel(run_figure(drag, motor_force=True), "Motor force (mN)")
+    np.testing.assert_array_equal(line(axes, "raw")[1], drag.trace.channels["motor_force"])
+
+
+def test_a_run_of_the_stage_alone_shows_the_motor_force(drag: Run) -> None:
+    channels = {name: values for name, values in drag.trace.channels.items() if name != "force"}
+    alone = replace(drag, trace=replace(drag.trace, signal="motor_force", channels=channels))
+    axes = panel(run_figure(alone, motor_force=True), "Motor force (mN)")
+    np.testing.assert_array_equal(line(axes, "raw")[1], channels["motor_force"])
+
+
+def test_lost_samples_break_every_line_and_are_named(drag: Run) -> None:
+    gappy = without(drag, [slice(1500, 1800)])
+    figure = run_figure(gappy)
+    for label, word in (("Force (mN)", "raw"), ("Force (mN)", "filtered"), ("Position (mm)", "encoder")):
+        time, value = line(panel(figure, label), word)
+        broken = np.flatnonzero(np.isnan(value))
+        assert broken.size == 1
+        assert 1.49 < time[broken[0] - 1] <= 1.5
+        assert 1.8 <= time[broken[0] + 1] < 1.81
+    assert "gap 0.3 s" in texts(figure)
+
+
+def test_missing_values_break_the_line(drag: Run) -> None:
+    force = drag.trace.force.copy()
+    force[2000:2100] = np.nan
+    holed = replace(drag, trace=replace(drag.trace, channels={**drag.trace.channels, "force": force}))
+    _, raw = line(panel(run_figure(holed), "Force (mN)"), "raw")
+    assert np.isnan(raw).sum() == 1
+    assert np.isfinite(raw).sum() == force.size - 100
+
+
+def test_a_trip_is_marked_and_the_status_says_why(drag: Run) -> None:
+    tripped = replace(
+        drag,
+        events=(*drag.events, Event(1.6, "trip", "force: 1200 mN")),
+        info=replace(drag.info, status=Status.TRIPPED, reason="force: 1200 mN " + "and so on " * 30),
+    )
+    figure = run_figure(tripped)
+    shown = texts(figure)
+    assert "trip" in shown
+    assert "start" not in shown
+    status = next(text for text in figure.texts if text.get_text().startswith("tripped: force: 1200 mN"))
+    assert status.get_window_extent().x1 < WIDTH_IN * figure.dpi
+
+
+def test_header_says_what_it_is_where_it_came_from_and_that_it_is_bad(drag: Run) -> None:
+    shown = texts(run_figure(drag, bad_reason="gut slipped"))
+    assert "Drag at 10 mm/s · jejunum" in shown
+    assert "SIMULATED" in shown
+    assert "marked bad: gut slipped" in shown
+    (subtitle,) = [text for text in shown if drag.info.header.run_id[:8] in text and "complete" in text]
+    assert f"{drag.info.header.start_time:%Y-%m-%d %H:%M:%S}" in subtitle
+
+
+def test_words_of_a_person_are_not_read_as_formulas(drag: Run) -> None:
+    header = replace(drag.info.header, specimen={**drag.info.header.specimen, "name": "a_b$^{"})
+    figure = run_figure(replace(drag, info=replace(drag.info, header=header)), bad_reason="cost $5 and $\\frac$")
+    assert drawn(figure)
+
+
+def test_a_relaxation_shows_its_ramp_and_the_time_since(relaxation: Run) -> None:
+    figure = run_figure(relaxation)
+    force = [axes for axes in figure.axes if axes.get_ylabel() == "Force (mN)"]
+    whole, since, ramp = force
+    begin, end = (float(relaxation.trace.time[relaxation.trace.phase == phase][0]) for phase in (1, 4))
+    assert since.get_xscale() == "log"
+    assert since.get_xlim()[0] <= 2e-3
+    time, value = line(since, "raw")
+    assert value[0] == pytest.approx(relaxation.trace.force[relaxation.trace.time > end][0])
+    assert time[-1] == pytest.approx(relaxation.trace.time[-1] - end)
+    low, high = ramp.get_xlim()
+    assert low < begin < end < high
+    assert high - low < 4 * (end - begin)
+    assert whole.get_xlim()[1] > 20
+    assert "ramp" in texts(figure)
+    assert "Relaxation at 100 % shear strain · jejunum" in texts(figure)
+
+
+def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run) -> None:
+    time, level = line(panel(run_figure(drag), "Force (mN)"), "steady")
+    assert level[0] == level[1]
+    inside = (drag.trace.time >= time[0]) & (drag.trace.time <= time[1])
+    assert level[0] == pytest.approx(drag.trace.force[inside].mean(), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (113.2444, 0.213, "113.24 ± 0.21"),
+        (113.2444, 13.1, "113 ± 13"),
+        (0.5, 0.0012, "0.5000 ± 0.0012"),
+        (40.07, None, "40.07"),
+        (40.07, 0.0, "40.07"),
+    ],
+)
+def test_a_value_has_as_many_digits_as_its_error(value: float, error: float | None, text: str) -> None:
+    assert with_error(value, error) == text
+
+
+@pytest.mark.parametrize("path", sorted(CAMPAIGN.glob("*.h5")), ids=lambda path: path.stem)
+def test_every_practice_file_draws(path: Path) -> None:
+    assert drawn(run_figure(read_run(path))).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2, 60])
+def test_a_run_cut_short_draws(drag: Run, relaxation: Run, samples: int) -> None:
+    for run in (drag, relaxation):
+        short = replace(first(run, samples), events=())
+        assert drawn(run_figure(short, motor_force=True))
+    if samples == 0:
+        assert "no samples" in texts(run_figure(short))
+
+
+def test_a_run_without_one_valid_force_says_so(drag: Run) -> None:
+    nothing = np.full(drag.trace.time.size, np.nan)
+    figure = run_figure(replace(drag, trace=replace(drag.trace, channels={**drag.trace.channels, "force": nothing})))
+    assert "no samples" in texts(figure)
+
+
+def test_a_run_of_a_thousand_gaps_and_phases_draws_and_counts_them(drag: Run) -> None:
+    gappy = without(drag, [slice(at, at + 2) for at in range(5, 5000, 5)])
+    phase = (np.arange(gappy.trace.time.size) // 3 % 5).astype(np.uint8)
+    gappy = replace(gappy, trace=replace(gappy.trace, phase=phase))
+    figure = run_figure(gappy)
+    assert any("more" in text for text in texts(figure))
+    assert drawn(figure)
+
+
+def test_millions_of_samples_draw_in_seconds_and_lose_no_peak(drag: Run) -> None:
+    repeats = 2_000_000 // drag.trace.time.size
+    size = repeats * drag.trace.time.size
+    force = np.tile(drag.trace.force, repeats)
+    force[1_234_567] = 4000.0
+    long = replace(
+        drag,
+        trace=replace(
+            drag.trace,
+            time=np.arange(size) / 1000.0,
+            command=np.tile(drag.trace.command, repeats),
+            phase=np.tile(drag.trace.phase, repeats),
+            channels={"force": force, "position": np.tile(drag.trace.position, repeats)},
+        ),
+    )
+    begun = time.process_time()
+    figure = run_figure(long)
+    assert drawn(figure)
+    assert time.process_time() - begun < 20
+    t, raw = line(panel(figure, "Force (mN)"), "raw")
+    assert raw.max() == 4000.0
+    assert t.size < 10_000
+
+
+def test_the_same_run_is_the_same_picture(relaxation: Run) -> None:
+    assert drawn(run_figure(relaxation)) == drawn(run_figure(relaxation))
+
+
+def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, relaxation: Run) -> None:
+    runs = [drag, relaxation, read_run(CAMPAIGN / "008-coulomb.h5")]
+    gappy = without(drag, [slice(at, at + 20) for at in range(500, 5000, 200)])
+    for figure in [*(run_figure(run, motor_force=True) for run in (*runs, gappy)), campaign_figure(runs, "mixed")]:
+        with drawing():
+            figure.draw_without_rendering()
+            everything = figure.get_tightbbox()
+            labels = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
+            boxes = [Text.get_window_extent(text) for text in labels]  # without the line that an annotation has
+        width, height = figure.get_size_inches()
+        assert everything.x0 >= 0
+        assert everything.y0 >= 0
+        assert everything.x1 <= width
+        assert everything.y1 <= height
+        for place, (text, box) in enumerate(zip(labels, boxes, strict=True)):
+            covered = [
+                other.get_text() for other, area in zip(labels[:place], boxes, strict=False) if box.overlaps(area)
+            ]
+            assert not [other for other in covered if other], text
+
+
+def test_a_sentence_is_cut_to_the_room_it_has() -> None:
+    with drawing():
+        new_figure(4, 3)
+        assert fitting("short", SMALL_PT, 5.0) == "short"
+        cut = fitting("long " * 100, SMALL_PT, 5.0)
+    assert cut.endswith("…")
+    assert 20 < len(cut) < 120
+
+
+def test_a_campaign_shows_each_kind_and_leaves_out_what_is_bad(tmp_path: Path) -> None:
+    runs = [read_run(path) for path in sorted(CAMPAIGN.glob("*.h5"))]
+    drags = [run for run in runs if run.info.kind == "drag"]
+    figure = campaign_figure(runs, "practice", bad=[drags[0].info.path])
+    shown = texts(figure)
+    assert {"Campaign · practice", "Steady force", "Relaxation", "Drag along the way", "Coulomb", "blank"} <= set(shown)
+    assert "1 of them ended early or are marked bad, and are not drawn" in shown
+    steady = figure.axes[0]
+    assert steady.get_xscale() == "log"
+    points = [container for container in steady.containers if len(container.lines[0].get_xdata()) == len(drags) - 1]
+    assert points
+    assert drawn(campaign_figure([], ""))
+    assert drawn(campaign_figure(runs[:1]))
+
+
+def invoke(*arguments: str) -> str:
+    done = CliRunner().invoke(group, ["show", *arguments], catch_exceptions=False, standalone_mode=False)
+    assert done.exit_code == 0
+    return done.stdout
+
+
+def test_show_says_where_each_picture_is_and_writes_over_none(tmp_path: Path) -> None:
+    run = Path(shutil.copy(CAMPAIGN / "014-drag.h5", tmp_path / "mine.h5"))
+    before = run.read_bytes()
+    assert invoke(str(run)).splitlines() == [str(tmp_path / "mine.png")]
+    assert invoke(str(run)).splitlines() == [str(tmp_path / "mine-2.png")]
+    mark_bad(run, "slipped")
+    assert invoke(str(run), "--overwrite").splitlines() == [str(tmp_path / "mine.png")]
+    assert (tmp_path / "mine.png").read_bytes() != (tmp_path / "mine-2.png").read_bytes()
+    assert run.read_bytes() == before
+
+
+def test_show_draws_a_folder_and_its_overview(tmp_path: Path) -> None:
+    folder = tmp_path / "camp"
+    folder.mkdir()
+    for name in ("005-blank.h5", "014-drag.h5"):
+        shutil.copy(CAMPAIGN / name, folder)
+    found = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "out")))
+    assert [Path(one["source"]).name for one in found] == ["005-blank.h5", "014-drag.h5", "camp"]
+    assert all(Path(one["picture"]).read_bytes().startswith(b"\x89PNG") for one in found)
+    assert {path.name for path in folder.iterdir()} == {"005-blank.h5", "014-drag.h5"}
+
+
+def test_show_to_a_named_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, picture = str(CAMPAIGN / "005-blank.h5"), tmp_path / "picture.svg"
+    assert main(["show", run, "--out", str(picture), "--no-filtered"]) == 0
+    assert picture.read_text("utf-8").startswith("<?xml")
+    assert main(["show", run, "--out", str(picture)]) == 2
+    assert main(["show", run, str(CAMPAIGN / "014-drag.h5"), "--out", str(tmp_path / "two.png")]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert "is there already" in said[0]
+    assert "2 pictures do not fit into" in said[1]
+    assert len(said) == 2
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a folder that refuses")
+def test_runs_in_a_folder_that_takes_no_files_are_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "archive"
+    folder.mkdir()
+    shutil.copy(CAMPAIGN / "005-blank.h5", folder)
+    folder.chmod(0o555)
+    monkeypatch.chdir(tmp_path)
+    assert invoke(str(folder / "005-blank.h5")).strip() == "005-blank.png"
+
+
+def test_what_is_no_run_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "text.h5"
+    path.write_text("no run")
+    assert main(["show", str(path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [path]
