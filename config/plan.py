@@ -49,7 +49,7 @@ class Step(Settings):
     repeats: int = Field(default=1, ge=1, le=1000)
     order: Order = Order.LISTED
     wait_s: float = Field(default=60.0, ge=0, le=86_400)
-    """Rest before each run; with a capsule in the gut, the age of the contact when the run begins."""
+    """Rest before each run, from the last standstill on; with a capsule in the gut, the age of the contact."""
     way_back: WayBack = WayBack.DRIVEN
     way_back_speed_mm_s: float = Field(default=20.0, gt=0)
     start_mm: float | None = None

@@ -71,15 +71,15 @@ class RunChecks:
         }
         if self._rest.count:
             values["rest_offset_mN"] = self._rest.mean
-            values["rest_noise_mN"] = self._rest.sd
+            values["rest_noise_mN"] = self._rest.noise
         warnings = []
         if self._lost:
             warnings.append(f"{self._lost} samples were lost")
         if self._clipped:
             warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
-        if self._rest.sd > self._accuracy_mN:
+        if self._rest.noise > self._accuracy_mN:
             warnings.append(
-                f"noise at rest is {self._rest.sd:.1f} mN, where the sensor is good to {self._accuracy_mN:g}"
+                f"noise at rest is {self._rest.noise:.1f} mN, where the sensor is good to {self._accuracy_mN:g}"
             )
         if self._slip is not None:
             values["slip_time_s"] = self._slip.time_s
@@ -89,31 +89,28 @@ class RunChecks:
 
 
 class _Moments:
-    """Running mean and standard deviation."""
+    """Running mean, and noise from sample to sample, which a force that still relaxes does not hide."""
 
     def __init__(self) -> None:
         self.count = 0
-        self._shift = 0.0
         self._sum = 0.0
+        self._steps = 0
         self._squares = 0.0
 
     def add(self, values: AnyFloatArray) -> None:
-        if not self.count:
-            self._shift = float(values[0])
-        centred = values.astype(np.float64) - self._shift
-        self.count += len(centred)
-        self._sum += float(centred.sum())
-        self._squares += float(centred @ centred)
+        self.count += len(values)
+        self._sum += float(values.sum(dtype=np.float64))
+        steps = np.diff(values.astype(np.float64))
+        self._steps += len(steps)
+        self._squares += float(steps @ steps)
 
     @property
     def mean(self) -> float:
-        return self._shift + self._sum / self.count
+        return self._sum / self.count
 
     @property
-    def sd(self) -> float:
-        if self.count < 2:
-            return 0.0
-        return sqrt(max(self._squares - self._sum**2 / self.count, 0.0) / (self.count - 1))
+    def noise(self) -> float:
+        return sqrt(self._squares / self._steps / 2) if self._steps else 0.0
 
 
 class _SlipWatch:

@@ -97,6 +97,15 @@ class MotionProfile:
             for duration, acceleration, phase in zip(durations, self.acceleration_mm_s2, self.phase, strict=True)
         )
 
+    @property
+    def motion_ends_s(self) -> float:
+        """When the stage comes to its last standstill; 0 when it never moves."""
+        moving = (self.velocity_mm_s != 0) | (self.acceleration_mm_s2 != 0)
+        if not moving.any():
+            return 0.0
+        ends = np.append(self.start_s[1:], self.duration_s)
+        return float(ends[moving][-1])
+
     def samples(self, sample_rate_hz: float) -> int:
         """Return how many samples the whole profile takes at a rate."""
         return round(self.duration_s * sample_rate_hz)

@@ -176,7 +176,8 @@ class Session:
         self._watcher.run_begins(run, self._order)
         sink = self._store.open(header, run.profile.samples(header.sample_rate_hz))
         outcome = self.engine.acquire(acquisition, sink, self._watcher.reads, tare or 0.0)
-        self._contact_since = clock.monotonic()
+        # The contact ages from the last standstill on, so the hold counts.
+        self._contact_since = clock.monotonic() - (run.profile.duration_s - run.profile.motion_ends_s)
         self._results.append(RunResult(run, self._order, outcome, outcome.path))
         self._order += 1
         self._watcher.run_ends(run, outcome)
