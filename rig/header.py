@@ -25,10 +25,10 @@ def header_of(
         "plan_run": run.index,
         "origin_mm": backend.stage.state().position_mm,
         "insertion_dwell_s": acquisition.insertion_dwell_s,
-        "way_back_of": run.follows,
         "operator": record.operator,
         "note": "; ".join(part for part in (record.note, run.note) if part),
         "calibration_id": record.calibration_id,
+        **({"way_back_of": run.follows} if run.follows >= 0 else {}),
         **backend.description(),
         **facts,
     }
