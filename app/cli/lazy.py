@@ -9,6 +9,7 @@ from dragrig import __version__
 
 SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Measure": {
+        "demo": "Run a short programme on the simulated rig: run files, CSV, pictures.",
         "init": "Make a lab folder: rig settings, data root, calibration history.",
         "check": "Say what a plan would do; nothing moves.",
         "run": "Carry out a plan and write one run file per run.",

@@ -28,13 +28,18 @@ def command(campaign: Path, as_json: bool) -> None:
 
     with Meter("measuring", 1.0, quiet=is_quiet()) as meter:
         rows = table(campaign, meter.at)
-    means = mean_per_speed(rows)
     if as_json:
-        result_json({"runs": rows, "means": means})
-        return
-    result(_runs(rows))
-    if means:
-        result("\n" + _means(means))
+        result_json({"runs": rows, "means": mean_per_speed(rows)})
+    else:
+        result(table_text(rows))
+
+
+def table_text(rows: "tuple[TableRow, ...]") -> str:
+    """Return the table of runs and that of their means, as text."""
+    from dragrig.analysis.table import mean_per_speed
+
+    means = mean_per_speed(rows)
+    return f"{_runs(rows)}\n\n{_means(means)}" if means else _runs(rows)
 
 
 def _runs(rows: "tuple[TableRow, ...]") -> str:
