@@ -33,7 +33,7 @@ def measure(out: Path, person: Person) -> Made:
 
 
 def evaluate(made: Made, progress: Callable[[int, int], None]) -> Path:
-    """Filter and export every run of the campaign and draw it; return the picture of the whole.
+    """Filter and export every run of the campaign, draw all but the ways back; return the picture of the whole.
 
     Raises
     ------
@@ -43,12 +43,14 @@ def evaluate(made: Made, progress: Callable[[int, int], None]) -> Path:
     from dragrig.figures import campaign_figure, run_figure, save_in
 
     paths = [one.path for one in made.session.runs if one.path is not None]
+    own = {one.path for one in made.session.runs if one.run.follows < 0}
     tables = made.folder / TABLES
     tables.mkdir(exist_ok=True)
     for done, path in enumerate(paths):
         progress(done, len(paths) + 1)
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
-        save_in(made.folder / PICTURES, f"{path.stem}.png", run_figure(read_run(path)))
+        if path in own:
+            save_in(made.folder / PICTURES, f"{path.stem}.png", run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
-    return save_in(made.folder, OVERVIEW, campaign_figure(map(read_run, paths), made.folder.name))
+    return save_in(made.folder, OVERVIEW, campaign_figure(map(read_run, paths), PLAN))
