@@ -104,8 +104,9 @@ def _peak(run: Run, bad: Mask) -> tuple[Estimate, float | None]:
         smoothed = smooth(force, trace.sample_rate_hz, setting, gap_starts(trace.time, trace.sample_rate_hz)).values
     except AnalysisError:
         return missing(f"only {len(force)} samples"), None
+    smoothed = np.where(np.isnan(smoothed), force, smoothed)
     if np.isnan(smoothed).any():
-        return missing("samples are missing around gaps, and the peak may be among them"), None
+        return missing("samples are missing (NaN), and the peak may be among them"), None
     kernel = setting.kernel(trace.sample_rate_hz)
     own_weight = float(kernel.weights[kernel.half])
     at = int(np.abs(smoothed).argmax())

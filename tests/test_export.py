@@ -56,7 +56,7 @@ def test_csv_says_first_what_the_run_is(filtered: Path) -> None:
     assert json.loads(said["kind"]) == "drag"
     assert json.loads(said["protocol"])["speed_mm_s"] == 60.0
     assert json.loads(said["filter"])["window_s"] == 0.05
-    assert json.loads(said["columns"])["force_filtered_mN"] == ["filtered/force", "mN"]
+    assert json.loads(said["columns"])["force_filtered_mN"] == ["filtered/force", "mN", "float64"]
 
 
 def test_missing_values_are_empty_cells(filtered: Path) -> None:

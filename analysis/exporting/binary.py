@@ -49,7 +49,9 @@ def write_npz(part: Path, content: Content) -> None:
 
 
 def write_mat(part: Path, content: Content) -> None:
-    """Write a version 5 MAT file with one struct `run`: a field for each column, and `metadata` as a struct.
+    """Write a version 5 MAT file with one struct `run`: a field for each column, and the metadata.
+
+    The metadata are there twice, as the struct `metadata` and, for reading back, as JSON text.
 
     Raises
     ------
@@ -63,6 +65,7 @@ def write_mat(part: Path, content: Content) -> None:
             raise AnalysisError(f"{column.name} has more than 2 GB, which a MAT file cannot hold; export to parquet.")
     fields: dict[str, _Mat] = {_mat_name(column.name): column.values for column in content.columns}
     fields["metadata"] = _struct(content.metadata)
+    fields["metadata_json"] = json.dumps(content.metadata)
     savemat(str(part), {"run": fields}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 

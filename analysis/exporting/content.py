@@ -77,7 +77,7 @@ def _metadata(run: Run, columns: list[Column]) -> dict[str, Json]:
         "sample_rate_hz": header.sample_rate_hz,
         "signal": run.trace.signal,
         "phases": list(PHASE_NAMES),
-        "columns": {column.name: [column.dataset, column.units] for column in columns},
+        "columns": {column.name: [column.dataset, column.units, column.values.dtype.name] for column in columns},
         "entry": _plain(header.entry),
         "protocol": _plain(header.protocol),
         "capsule": _plain(header.capsule),

@@ -1,0 +1,138 @@
+"""How a text file tells columns apart and where its table begins."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dragrig.analysis.importing.units import canonical
+from dragrig.config.errors import ImportDataError
+
+DELIMITERS = ("\t", ";", "|", ",", " ")
+"""In the order in which they win when two would do as well; the last stands for any white space."""
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\d*[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.IGNORECASE)
+_COMMENT = re.compile(r"\s*(#|%|//)\s?")
+_SAMPLE = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """What is known of a text table before its numbers are read.
+
+    Attributes
+    ----------
+    first_row
+        Index of the first line of numbers, from 0.
+    names, units
+        One for each column; empty where the file has none.
+    """
+
+    delimiter: str
+    first_row: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Split a line into cells, without the white space and quotes around them."""
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def is_number(cell: str) -> bool:
+    """Tell whether a cell is a number with either decimal mark."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def detect(path: Path, lines: Sequence[str], delimiter: str = "", header_lines: int | None = None) -> Dialect:
+    """Find delimiter, first row, names and units; what is given is taken as it is.
+
+    Raises
+    ------
+    ImportDataError
+        When there is no table of numbers.
+    """
+    sample = _sample(lines[header_lines or 0 :])
+    found = max((_grade(sample, one), -rank, one) for rank, one in enumerate([delimiter] if delimiter else DELIMITERS))
+    (numeric, _), _, chosen = found
+    if numeric == 0:
+        raise ImportDataError(
+            f"{path}: holds no table of numbers that could be told apart by tab, semicolon, bar, comma or white space; "
+            "state delimiter and header_lines if it does."
+        )
+    width, numbers = _shape(sample, chosen)
+    first = header_lines if header_lines is not None else _first_row(lines, chosen, numbers)
+    while first < len(lines) and not lines[first].strip():
+        first += 1
+    width = max(width, 1)
+    names, units = _header(lines[:first], chosen, width)
+    return Dialect(chosen, first, names, units)
+
+
+def _sample(lines: Sequence[str]) -> list[str]:
+    """Lines from all over the file, fewer from its head, where a preamble may stand."""
+    filled = [line for line in lines if line.strip() and not _COMMENT.match(line)]
+    step = max(1, len(filled) // _SAMPLE)
+    return filled[::step]
+
+
+def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...]]:
+    """Most common number of cells, and which of them are mostly numbers."""
+    rows = [split(line, delimiter) for line in sample]
+    with_numbers = [row for row in rows if any(map(is_number, row))]
+    if not with_numbers:
+        return 0, ()
+    width = Counter(map(len, with_numbers)).most_common(1)[0][0]
+    rows = [row for row in with_numbers if len(row) == width]
+    counts = [sum(is_number(row[k]) for row in rows) for k in range(width)]
+    texts = [sum(bool(row[k]) and not is_number(row[k]) for row in rows) for k in range(width)]
+    return width, tuple(k for k in range(width) if counts[k] > texts[k])
+
+
+def _grade(sample: Sequence[str], delimiter: str) -> tuple[int, float]:
+    """How many columns of numbers a delimiter yields, then what part of all columns they are."""
+    width, numbers = _shape(sample, delimiter)
+    return len(numbers), len(numbers) / width if width else 0.0
+
+
+def _first_row(lines: Sequence[str], delimiter: str, numbers: Sequence[int]) -> int:
+    """First line with numbers in at least half of the columns that hold numbers."""
+    for k, line in enumerate(lines):
+        if not line.strip() or _COMMENT.match(line):
+            continue
+        cells = split(line, delimiter)
+        good = sum(column < len(cells) and is_number(cells[column]) for column in numbers)
+        if good and 2 * good >= len(numbers):
+            return k
+    return len(lines)
+
+
+def _header(lines: Sequence[str], delimiter: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units from the last lines before the table, as far as they have its width."""
+    rows = [cells for line in lines if line.strip() and (cells := _header_cells(line, delimiter, width))]
+    if not rows:
+        return (), ()
+    if len(rows) > 1 and _are_units(rows[-1]) and not _are_units(rows[-2]):
+        return tuple(rows[-2]), tuple(rows[-1])
+    return tuple(rows[-1]), ()
+
+
+def _header_cells(line: str, delimiter: str, width: int) -> list[str]:
+    """Cells of a line that is as wide as the table, but for empty cells at the end; else none."""
+    cells = split(_COMMENT.sub("", line, count=1), delimiter)
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    missing = width - len(cells)
+    if missing and not (missing == 1 and delimiter != " " and width > 2):
+        return []
+    return cells + [""] * missing
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and all(canonical(cell) is not None for cell in filled)

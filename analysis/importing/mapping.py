@@ -1,0 +1,140 @@
+"""What a person says of a foreign file: which column is what, how it is written, what the run was."""
+
+import re
+from collections.abc import Iterable
+from typing import Literal
+
+from pydantic import AwareDatetime, Field, ValidationError, field_validator, model_validator
+
+from dragrig.analysis.importing.units import TARGETS
+from dragrig.config.base import Settings
+from dragrig.config.errors import ImportDataError
+from dragrig.config.loading import describe, nearest
+
+_UNIT = re.compile(
+    r"(?P<unit>[^*+]*?)\s*(\*\s*(?P<factor>[-+]?[\d.]+(e[-+]?\d+)?))?\s*(?P<offset>[-+]\s*[\d.]+(e[-+]?\d+)?)?", re.I
+)
+
+
+class ColumnSource(Settings):
+    """A column of the foreign file, and how its numbers become ours: `value * factor + offset`."""
+
+    column: str | int
+    """Name, name without its unit, or number from 1."""
+    unit: str = ""
+    """Unit of the column; what the file says of itself when left out."""
+    factor: float | None = None
+    """Multiplies besides the unit's own factor; needed for a unit of another kind (mV, rad, A, 1)."""
+    offset: float = 0.0
+    """Added at the end, in mN, mm, s or degC."""
+
+    @field_validator("factor")
+    @classmethod
+    def _not_zero(cls, factor: float | None) -> float | None:
+        if factor == 0:
+            raise ValueError("a factor of 0 would leave nothing of the data")
+        return factor
+
+
+class ColumnMap(Settings):
+    """Which column is which quantity. What is not mapped is kept as a further channel."""
+
+    time: ColumnSource | None = None
+    force: ColumnSource | None = None
+    position: ColumnSource | None = None
+    command: ColumnSource | None = None
+    motor_force: ColumnSource | None = None
+    temperature: ColumnSource | None = None
+
+    def mapped(self) -> dict[str, ColumnSource]:
+        """Return what is mapped, by quantity."""
+        sources = {name: getattr(self, name) for name in TARGETS}
+        return {name: source for name, source in sources.items() if source is not None}
+
+
+class ImportSettings(Settings):
+    """Everything about an import that can be set; empty means: as the file itself says, or as detected."""
+
+    columns: ColumnMap = ColumnMap()
+    encoding: str = ""
+    delimiter: str = Field(default="", max_length=1)
+    """Comma, semicolon, tab, bar; a space for any white space."""
+    decimal: Literal["", ".", ","] = ""
+    header_lines: int | None = Field(default=None, ge=0)
+    """Lines before the first row of numbers; the last of them hold names and perhaps units."""
+    table: str = ""
+    """Variable or struct of a MAT file, or group of a TDMS file; the largest table when empty."""
+    sample_rate_hz: float | None = Field(default=None, gt=0)
+    """Rows are evenly spaced at this rate; time stamps then only have to agree with it on the whole."""
+    resample_hz: float | None = Field(default=None, gt=0)
+    """Rate to which rows at uneven times are interpolated; never done unasked."""
+    tolerance: float = Field(default=0.1, gt=0, lt=0.5)
+    """How far a time stamp may be off an even grid, in sample periods."""
+    from_s: float | None = None
+    """Leave out rows before this time, as the file counts it."""
+    to_s: float | None = None
+    """Leave out rows after this time."""
+    kind: str = Field(default="motion", pattern=r"^[a-z][a-z0-9_-]*$")
+    protocol: dict[str, str | float | int | bool] = Field(default_factory=dict)
+    """What is known of the motion, by the run file's names: speed_mm_s, travel_mm, …."""
+    specimen: str = ""
+    operator: str = ""
+    note: str = ""
+    order: int = Field(default=0, ge=0)
+    start_time: AwareDatetime | None = None
+    """When the measurement began; when the file was last changed, if nobody knows better."""
+
+    @model_validator(mode="after")
+    def _one_rate(self) -> "ImportSettings":
+        if self.sample_rate_hz is not None and self.resample_hz is not None:
+            raise ValueError("sample_rate_hz says that rows are evenly spaced, resample_hz that they are not; give one")
+        if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
+            raise ValueError("from_s must come before to_s")
+        if self.delimiter and self.delimiter == self.decimal:
+            raise ValueError("decimal mark and delimiter are the same, so that columns cannot be told apart")
+        return self
+
+
+def parse_map(assignments: Iterable[str]) -> ColumnMap:
+    """Read what is given as `--map QUANTITY=COLUMN[:UNIT[*FACTOR][+OFFSET]]`, each quantity once.
+
+    `force="Load (N)":N`, `force=3:mV*12.5`, `force=Friction:1*1000`, `position="Pos":rad*5`. A column whose name
+    holds a colon is put into quotes.
+
+    Raises
+    ------
+    ImportDataError
+        When one is not of this form, or the quantity is not known.
+    """
+    found: dict[str, object] = {}
+    for text in assignments:
+        quantity, equals, source = (part.strip() for part in text.partition("="))
+        if not equals or not source:
+            raise ImportDataError(f"--map {text}: is not of the form QUANTITY=COLUMN:UNIT, as in force=Load:N.")
+        if quantity not in TARGETS:
+            raise ImportDataError(f"--map {text}: {quantity!r} is not a quantity; {nearest(quantity, list(TARGETS))}")
+        if quantity in found:
+            raise ImportDataError(f"--map {text}: {quantity} is mapped twice; map it once.")
+        found[quantity] = _source(text, source)
+    try:
+        return ColumnMap.model_validate(found)
+    except ValidationError as error:
+        raise ImportDataError(describe(error, ColumnMap, "--map")) from error
+
+
+def _source(text: str, source: str) -> dict[str, object]:
+    quoted = re.fullmatch(r"(?P<quote>[\"'])(?P<column>.+)(?P=quote)\s*(:(?P<unit>.*))?", source)
+    if quoted:
+        column, unit = quoted["column"], quoted["unit"] or ""
+    else:
+        column, colon, unit = source.rpartition(":")
+        column, unit = (column, unit) if colon else (source, "")
+    parts = _UNIT.fullmatch(unit.strip())
+    if parts is None or not column.strip():
+        raise ImportDataError(f"--map {text}: {unit!r} is not of the form UNIT, UNIT*FACTOR or UNIT*FACTOR+OFFSET.")
+    try:
+        factor = float(parts["factor"]) if parts["factor"] else None
+        offset = float(parts["offset"].replace(" ", "")) if parts["offset"] else 0.0
+    except ValueError:
+        raise ImportDataError(f"--map {text}: {unit!r} holds a number that cannot be read.") from None
+    return {"column": column.strip(), "unit": parts["unit"].strip(), "factor": factor, "offset": offset}
