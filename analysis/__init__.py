@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dragrig.analysis.measures import RunMeasures, measure
     from dragrig.analysis.savgol import SavgolSettings, smooth
     from dragrig.analysis.savgol_stream import SavgolStream
-    from dragrig.analysis.table import SpeedMean, TableRow, as_frame, campaign_table, mean_per_speed
+    from dragrig.analysis.table import SpeedMean, TableRow, as_frame, mean_per_speed
 
 __all__ = [
     "CsvStyle",
@@ -38,7 +38,6 @@ __all__ = [
     "SpeedMean",
     "TableRow",
     "as_frame",
-    "campaign_table",
     "export_campaign",
     "export_run",
     "filter_file",
@@ -62,7 +61,6 @@ _HOME = {
     "SpeedMean": "table",
     "TableRow": "table",
     "as_frame": "table",
-    "campaign_table": "table",
     "export_campaign": "export",
     "export_run": "export",
     "filter_file": "filtering",

@@ -73,7 +73,7 @@ class SpeedMean:
     standard_error_mN: float | None
 
 
-def campaign_table(folder: Path, progress: Progress = silent) -> tuple[TableRow, ...]:
+def table(folder: Path, progress: Progress = silent) -> tuple[TableRow, ...]:
     """Measure every run of a campaign, in order; files that cannot be read get a row that says so.
 
     Raises

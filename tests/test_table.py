@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dragrig.analysis.table import TableRow, as_frame, campaign_table, mean_per_speed, row_of
+from dragrig.analysis.table import TableRow, as_frame, mean_per_speed, row_of, table
 from dragrig.config.errors import RunFileError
 from dragrig.rig.runfile import mark_bad, read_run
 
@@ -23,7 +23,7 @@ def campaign(tmp_path: Path) -> Path:
 
 def test_every_run_has_a_row_in_order(campaign: Path) -> None:
     seen: list[tuple[int, int]] = []
-    rows = campaign_table(campaign, lambda done, of: seen.append((done, of)))
+    rows = table(campaign, lambda done, of: seen.append((done, of)))
     assert [row.order for row in rows] == [1, 5, 8, 10, 14, 18, 22, 23]
     assert [row.kind for row in rows] == ["relaxation", "blank", "coulomb", *["drag"] * 5]
     assert seen[0] == (0, 8)
@@ -43,10 +43,10 @@ def test_every_run_has_a_row_in_order(campaign: Path) -> None:
 
 
 def test_a_bad_run_is_shown_and_left_out_of_the_mean(campaign: Path) -> None:
-    before = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(campaign_table(campaign))}
+    before = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(table(campaign))}
     assert before["drag", 60.0].runs == 2
     mark_bad(campaign / "014-drag.h5", "the gut slid off")
-    rows = campaign_table(campaign)
+    rows = table(campaign)
     bad = next(row for row in rows if row.bad)
     assert bad.order == 14
     assert bad.mark == "the gut slid off"
@@ -72,7 +72,7 @@ def test_repeats_are_averaged_with_the_larger_error() -> None:
 def test_a_damaged_file_and_a_recording_get_rows_that_say_so(campaign: Path) -> None:
     (campaign / "005-blank.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     shutil.copy(campaign / "008-coulomb.h5", campaign / "099-drag.recording.h5")
-    rows = {row.file: row for row in campaign_table(campaign)}
+    rows = {row.file: row for row in table(campaign)}
     assert rows["005-blank.h5"].status == "unreadable"
     assert rows["005-blank.h5"].remark
     assert rows["099-drag.recording.h5"].status == "recording"
@@ -88,7 +88,7 @@ def test_checks_are_told_in_words() -> None:
 
 
 def test_the_frame_has_the_fields_as_columns() -> None:
-    rows = campaign_table(CAMPAIGN)
+    rows = table(CAMPAIGN)
     frame = as_frame(rows)
     assert len(frame) == 8
     assert frame["steady_force_mN"].dtype == np.float64
@@ -100,4 +100,4 @@ def test_the_frame_has_the_fields_as_columns() -> None:
 
 def test_a_missing_folder_is_said(tmp_path: Path) -> None:
     with pytest.raises(RunFileError, match="no such folder"):
-        campaign_table(tmp_path / "nowhere")
+        table(tmp_path / "nowhere")
