@@ -19,7 +19,10 @@ from matplotlib.text import Text
 import dragrig
 from dragrig.cli import main
 from dragrig.cli.lazy import group
-from dragrig.figures import campaign_figure, run_figure
+from dragrig.config.capsule import Capsule
+from dragrig.config.library import find
+from dragrig.config.model import FrictionModelSettings
+from dragrig.figures import campaign_figure, forces_figure, run_figure, skew_figure, wall_figure
 from dragrig.figures.columns import WIDTH_IN
 from dragrig.figures.derived import with_error
 from dragrig.figures.header import fitting
@@ -270,7 +273,7 @@ def test_a_run_of_a_thousand_gaps_and_phases_draws_and_counts_them(drag: Run) ->
     phase = (np.arange(gappy.trace.time.size) // 3 % 5).astype(np.uint8)
     gappy = replace(gappy, trace=replace(gappy.trace, phase=phase))
     figure = run_figure(gappy)
-    assert any("more" in text for text in texts(figure))
+    assert any("999 gaps, 2 s missing" in text for text in texts(figure))
     assert drawn(figure)
 
 
@@ -305,7 +308,15 @@ def test_the_same_run_is_the_same_picture(relaxation: Run) -> None:
 def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, relaxation: Run) -> None:
     runs = [drag, relaxation, read_run(CAMPAIGN / "008-coulomb.h5")]
     gappy = without(drag, [slice(at, at + 20) for at in range(500, 5000, 200)])
-    for figure in [*(run_figure(run, motor_force=True) for run in (*runs, gappy)), campaign_figure(runs, "mixed")]:
+    model, capsule = FrictionModelSettings(), find(Capsule, "capsule", "drag")
+    pictures = (
+        *(run_figure(run, motor_force=True) for run in (*runs, gappy)),
+        campaign_figure(runs, "mixed"),
+        forces_figure(model, capsule, 2.5, (0.01, 300.0)),
+        skew_figure(model, capsule, 2.5, (0.5, 0.6, 0.7, 100.0)),
+        wall_figure(),
+    )
+    for figure in pictures:
         with drawing():
             figure.draw_without_rendering()
             everything = figure.get_tightbbox()
@@ -397,9 +408,38 @@ def test_runs_in_a_folder_that_takes_no_files_are_drawn_here(tmp_path: Path, mon
     assert invoke(str(folder / "005-blank.h5")).strip() == "005-blank.png"
 
 
+def test_a_damaged_run_does_not_keep_the_others_from_being_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = Path(shutil.copy(CAMPAIGN / "005-blank.h5", tmp_path / "2.h5"))
+    (tmp_path / "1.h5").write_bytes(whole.read_bytes()[:9000])
+    assert main(["show", str(tmp_path)]) == 2
+    assert (tmp_path / "2.png").is_file()
+    said = capsys.readouterr()
+    assert "2.png" in said.out
+    assert "1.h5" in said.err
+
+
 def test_what_is_no_run_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "text.h5"
     path.write_text("no run")
     assert main(["show", str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_samples_on_their_own_are_seen_and_a_crowd_of_gaps_is_summed_up(drag: Run) -> None:
+    keep = np.zeros(drag.trace.time.size, dtype=bool)
+    keep[:1000:10] = True
+    keep[1000:] = True
+    sparse = without(drag, [slice(at, at + 1) for at in np.flatnonzero(~keep)])
+    figure = run_figure(sparse)
+    dots = [one for one in panel(figure, "Force (mN)").lines if one.get_marker() == "." and one.get_color() != "k"]
+    assert max(len(one.get_xdata()) for one in dots) == 100
+    assert "100 gaps, 0.9 s missing" in texts(figure)
+
+
+def test_only_steady_sliding_has_a_steady_level(drag: Run) -> None:
+    other = replace(drag, info=replace(drag.info, header=replace(drag.info.header, kind="motion")))
+    assert not any(text.startswith("steady ") for text in texts(run_figure(other)))
+    assert any(text.startswith("steady ") for text in texts(run_figure(drag)))

@@ -1,27 +1,21 @@
 """`dragrig show`."""
 
 import os
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from dragrig.cli import options
+from dragrig.cli.batch import Batch
 from dragrig.cli.console import result, result_json, shown_path
-from dragrig.cli.progress import tracked
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PICTURES = (".png", ".svg")
-
-
-@dataclass(frozen=True, slots=True)
-class _Drawn:
-    source: Path
-    picture: Path
 
 
 @click.command("show")
@@ -51,13 +45,20 @@ def command(
     paths = run_files(inputs)
     campaigns = [Path(one) for one in inputs if Path(one).is_dir()]
     target = _target(out, len(paths) + len(campaigns), overwrite)
+    runs, overviews = Batch(paths, "drawing runs"), Batch(campaigns, "drawing the campaign")
+    pictures = chain(
+        runs.each(lambda path, _: _run(path, target, filtered=not raw_only, motor_force=motor_force)),
+        overviews.each(lambda folder, _: _campaign(folder, target)),
+    )
     drawn = []
-    for one in _drawn(paths, campaigns, target, filtered=not raw_only, motor_force=motor_force):
-        drawn.append(one)
+    for source, picture in pictures:
+        drawn.append({"source": source, "picture": picture})
         if not as_json:
-            result(shown_path(one.picture))
+            result(shown_path(picture))
     if as_json:
         result_json(drawn)
+    runs.close()
+    overviews.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +85,6 @@ def _target(out: Path | None, pictures: int, overwrite: bool) -> _Target:
     if pictures > 1:
         raise click.UsageError(f"{pictures} pictures do not fit into {out}; name a folder", click.get_current_context())
     return _Target(out, None, overwrite)
-
-
-def _drawn(
-    paths: Sequence[Path], campaigns: Sequence[Path], target: _Target, *, filtered: bool, motor_force: bool
-) -> Iterator[_Drawn]:
-    for path in tracked(paths, "drawing runs"):
-        yield _Drawn(path, _run(path, target, filtered=filtered, motor_force=motor_force))
-    for folder in tracked(campaigns, "drawing the campaign"):
-        yield _Drawn(folder, _campaign(folder, target))
 
 
 def _run(path: Path, target: _Target, *, filtered: bool, motor_force: bool) -> Path:

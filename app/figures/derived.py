@@ -12,6 +12,9 @@ from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import FilteredTrace, Run
 
+SLIDING_KINDS = frozenset({"drag", "coulomb", "blank", "return"})
+"""Kinds of run whose steady phase is one stretch of steady sliding."""
+
 
 @dataclass(frozen=True, slots=True)
 class SteadyLevel:
@@ -44,7 +47,9 @@ def measured_speed(run: Run, filtered: FilteredTrace | None) -> FloatArray:
 
 
 def steady_level(run: Run) -> SteadyLevel | None:
-    """Return the mean force of steady sliding; None where the run does not support one."""
+    """Return the mean force of steady sliding; None where the run is of another kind, or does not support one."""
+    if run.info.kind not in SLIDING_KINDS:
+        return None
     estimate = measure(run).steady_force
     stretch, _ = steady_stretch(run)
     if estimate.value is None or not stretch.any():

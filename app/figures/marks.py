@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from dragrig.figures.panels import height_in, width_in
 from dragrig.figures.placement import spread
-from dragrig.figures.style import GREY, PALE, SMALL_PT, VERMILLION, text_width_in
+from dragrig.figures.style import GREY, PALE, PAPER, SMALL_PT, VERMILLION, text_width_in
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.runfile.model import Event
 
@@ -17,11 +17,12 @@ ORDINARY = frozenset({"start", "phase", "end"})
 
 GAP = "gap"
 MOST_LABELS = 6
+MOST_GAPS = 40
 _NARROW = 0.004
 """A gap of a smaller share of the time shown is a line; a longer one is hatched."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class Mark:
     """A time, the word that stands beside it, and for how long it lasted."""
 
@@ -51,49 +52,58 @@ def marks_of(events: Sequence[Event], time: FloatArray, gap: BoolArray, sample_r
         seen = event.kind == GAP and bool(((starts <= event.time_s) & (event.time_s <= ends)).any())
         if told and not seen:
             marks.append(Mark(event.time_s, event.kind))
-    return tuple(sorted(marks, key=lambda mark: mark.time_s))
+    return tuple(sorted(marks))
 
 
 def draw_marks(panels: Sequence[Axes], marks: Sequence[Mark]) -> None:
     """Draw a line through all panels at each mark, or hatch the time it lasted, and name it in the first panel.
 
-    Of very many the first are named, and the rest counted.
+    Of very many the first are named, and the rest counted; very many gaps are shaded and summed up.
     """
-    if not marks:
-        return
     low, high = panels[0].get_xlim()
-    long = [mark for mark in marks if mark.lasted_s > _NARROW * (high - low)]
+    gaps = [mark for mark in marks if mark.lasted_s]
+    crowded = len(gaps) > MOST_GAPS
+    long = [mark for mark in gaps if crowded or mark.lasted_s > _NARROW * (high - low)]
     short = [mark for mark in marks if mark not in long]
     for axes in panels:
-        _hatch(axes, long)
+        _shade(axes, long, hatched=not crowded)
+        _lines(axes, short)
+    seen = [mark for mark in (short if crowded else marks) if low <= mark.time_s <= high]
+    named = seen[:MOST_LABELS]
+    if len(seen) > MOST_LABELS:
+        named[-1] = replace(named[-1], word=f"{named[-1].word} + {len(seen) - MOST_LABELS} more")
+    if crowded:
+        missing = _duration(sum(gap.lasted_s for gap in gaps))
+        named = sorted([Mark(gaps[0].time_s, f"{len(gaps)} gaps, {missing} missing", gaps[0].lasted_s), *named])
+    _write(panels[0], named)
+
+
+def _lines(axes: Axes, marks: Sequence[Mark]) -> None:
+    if marks:
         axes.vlines(
-            [mark.time_s for mark in short],
+            [mark.time_s for mark in marks],
             0,
             1,
             transform=axes.get_xaxis_transform(),
-            colors=[mark.colour for mark in short],
+            colors=[mark.colour for mark in marks],
             linewidth=1.3,
             linestyle=(0, (4, 2)),
             zorder=3,
         )
-    seen = [mark for mark in marks if low <= mark.time_s <= high]
-    named = seen[:MOST_LABELS]
-    if len(seen) > MOST_LABELS:
-        named[-1] = replace(named[-1], word=f"{named[-1].word} + {len(seen) - MOST_LABELS} more")
-    _write(panels[0], named)
 
 
-def _hatch(axes: Axes, marks: Sequence[Mark]) -> None:
-    axes.broken_barh(
-        [(mark.time_s, mark.lasted_s) for mark in marks],
-        (0, 1),
-        transform=axes.get_xaxis_transform(),
-        facecolor="#FFFFFF",
-        edgecolor=PALE,
-        hatch="////",
-        linewidth=0.0,
-        zorder=1.5,
-    )
+def _shade(axes: Axes, marks: Sequence[Mark], *, hatched: bool) -> None:
+    if marks:
+        axes.broken_barh(
+            [(mark.time_s, mark.lasted_s) for mark in marks],
+            (0, 1),
+            transform=axes.get_xaxis_transform(),
+            facecolor=PAPER if hatched else "#D5DAE0",
+            edgecolor=PALE,
+            hatch="////" if hatched else None,
+            linewidth=0.0,
+            zorder=0.5,
+        )
 
 
 def _write(axes: Axes, marks: Sequence[Mark]) -> None:

@@ -16,7 +16,7 @@ WORDS_IN = 0.36
 
 
 _SWATCH_IN, _APART_IN = 0.38, 0.3
-LABEL_IN = 0.7
+LABEL_IN = 0.8
 """From the axes to the label of its y axis."""
 
 
@@ -65,7 +65,7 @@ def _size_in(axes: Axes) -> FloatArray:
 
 
 def draw(axes: Axes, time: AnyFloatArray, value: AnyFloatArray, pen: Pen) -> None:
-    """Draw a line, broken where it is NaN."""
+    """Draw a line, broken where it is NaN; a sample on its own between two breaks becomes a dot."""
     axes.plot(
         time,
         value,
@@ -75,6 +75,12 @@ def draw(axes: Axes, time: AnyFloatArray, value: AnyFloatArray, pen: Pen) -> Non
         label=pen.word,
         solid_joinstyle="round",
     )
+    breaks = np.flatnonzero(np.isnan(value))
+    firsts, lasts = np.append(0, breaks + 1), np.append(breaks, value.size) - 1
+    firsts, lasts = firsts[lasts >= firsts], lasts[lasts >= firsts]
+    lone = firsts[time[firsts] == time[lasts]]
+    if lone.size:
+        axes.plot(time[lone], value[lone], ".", color=pen.colour, markersize=3 + pen.width)
 
 
 def fit_y(axes: Axes, values: Sequence[AnyFloatArray], smallest_span: float, below_in: float = 0.1) -> None:

@@ -72,7 +72,7 @@ def position_panel(run: Run, gap: BoolArray) -> Panel:
         Curve(time, run.trace.position, gap, Pen("encoder", "#59BFA0", 3.2)),
         Curve(time, run.trace.command, gap, Pen("command", BLACK, 1.0, dashed=True)),
     )
-    return Panel("Position (mm)", curves, 0.02)
+    return Panel("Position (mm)", curves, 2e-3)
 
 
 def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> Panel:
@@ -84,7 +84,7 @@ def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> Panel:
         curves.append(
             Curve(run.trace.time, level, gap, Pen(f"set {wanted:g} mm/s".replace("-", "−"), BLACK, 1.0, dashed=True))
         )
-    return Panel("Speed (mm/s)", tuple(curves), 0.05, level=0.0)
+    return Panel("Speed (mm/s)", tuple(curves), 2e-3, level=0.0)
 
 
 def draw_panel(axes: Axes, panel: Panel, below_in: float = 0.1, window: tuple[float, float] | None = None) -> None:

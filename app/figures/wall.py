@@ -17,8 +17,8 @@ UNITS = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·
 _SYMBOLS = {"E1": "$E_1$", "E2": "$E_2$", "E3": "$E_3$", "eta1": r"$\eta_1$", "eta2": r"$\eta_2$"}
 
 LEFT_IN, FOOT_IN = 1.15, 0.8
-WIDE_IN, TALL_IN = 2.75, 2.55
-STEP_X_IN, STEP_Y_IN = 3.75, 3.6
+WIDE_IN, TALL_IN = 2.7, 2.55
+STEP_X_IN, STEP_Y_IN = 3.85, 3.6
 DASHES = (0, (4, 2))
 
 
@@ -63,7 +63,7 @@ def _parameter(axes: Axes, name: str, entries: list[Disagreement]) -> None:
     eq14 = max((entry.eq14_difference for entry in entries), key=abs)
     fitted = max((entry.quadratic_difference for entry in entries), key=abs)
     _above(axes, 0.0, "left", f"Eq. 14 {percent(eq14)}", BLUE)
-    _above(axes, 1.0, "right", f"quadratic {percent(fitted)}", VERMILLION)
+    _above(axes, 1.0, "right", f"fit {percent(fitted)}", VERMILLION)
 
 
 def _above(axes: Axes, x: float, side: Literal["left", "right"], text: str, colour: str) -> None:
@@ -77,7 +77,7 @@ def _key(axes: Axes) -> None:
     rows = (
         (0.85, "Table 1", BLACK, "none"),
         (0.6, "Eq. 14, as printed", BLUE, "-"),
-        (0.35, "least-squares quadratic\nthrough Table 1", VERMILLION, DASHES),
+        (0.35, "least-squares fit\nof a quadratic", VERMILLION, DASHES),
     )
     for y, text, colour, dashes in rows:
         if dashes == "none":
@@ -85,7 +85,7 @@ def _key(axes: Axes) -> None:
         else:
             axes.plot([0.0, 0.18], [y, y], color=colour, linestyle=dashes)
         axes.text(0.25, y, text, va="center", fontsize=TEXT_PT, color=colour)
-    axes.text(0.0, 0.05, "η stands as kPa in Table 1; it is kPa·s.", fontsize=SMALL_PT, color=GREY, va="center")
+    axes.text(0.0, 0.05, "Table 1 prints η in kPa; it is kPa·s.", fontsize=SMALL_PT, color=GREY, va="center")
 
 
 def percent(difference: float) -> str:
