@@ -27,6 +27,21 @@ def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(path for one in inputs for path in _meant(one)))
 
 
+def files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Return the files that are named, of any kind: files and patterns, in order and each once.
+
+    Raises
+    ------
+    RunFileError
+        For a name that stands for no file.
+    """
+    found = [path for one in inputs for path in ((Path(one),) if Path(one).is_dir() else _meant(one))]
+    folder = next((path for path in found if path.is_dir()), None)
+    if folder is not None:
+        raise RunFileError(f"{folder}: is a folder; name the files in it, as {folder / '*.csv'}.")
+    return tuple(dict.fromkeys(found))
+
+
 @dataclass(frozen=True, slots=True)
 class GoodRuns:
     """Run files to work on, and those that were left out because they are marked bad, with the reason."""

@@ -61,6 +61,18 @@ def test_a_terminal_gets_a_bar_with_the_time_left(monkeypatch: pytest.MonkeyPatc
     assert "remark" in shown
 
 
+class Closed(io.StringIO):
+    def write(self, text: str) -> int:
+        raise BrokenPipeError(32, "Broken pipe")
+
+
+def test_work_goes_on_when_nobody_looks_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with Meter("work", 1.0, quiet=False) as meter:
+        meter.say("first")
+        meter.say("second")
+
+
 def test_quiet_shows_nothing() -> None:
     @click.command()
     @options.quiet

@@ -47,11 +47,10 @@ def command(
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")
     batch = Batch.of_good_runs(inputs, "exporting")
-    if out is not None:
-        _make_folder(out)
+    folder = options.made_folder(out) if out is not None else None
 
     def write(path: Path, within: Within) -> Path:
-        target = (out if out is not None else path.parent) / f"{path.stem}.{form}"
+        target = (folder or path.parent) / f"{path.stem}.{form}"
         return export_run(path, target, ExportFormat(form), style, overwrite=overwrite, progress=within)
 
     done = []
@@ -62,12 +61,3 @@ def command(
     if as_json:
         result_json(done)
     batch.close()
-
-
-def _make_folder(folder: Path) -> None:
-    from dragrig.config.errors import OutputError
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: no folder can be made here ({error.strerror}); name another.") from error

@@ -76,3 +76,14 @@ def out(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def overwrite(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--overwrite`."""
     return click.option("--overwrite", is_flag=True, help="Replace files that are there already.")(function)
+
+
+def made_folder(folder: Path) -> Path:
+    """Make the folder that `--out` names unless it is there; raises `OutputError`."""
+    from dragrig.config.errors import OutputError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: no folder can be made here ({error.strerror}); name another.") from error
+    return folder

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -58,9 +59,10 @@ class Meter:
         elapsed = self._clock() - self._begun
         if not self._shown or elapsed < SILENT_S:
             return
-        if self._line is None:
-            self._line = _Bar(self._total) if sys.stderr.isatty() else _Lines(self._total)
-        self._line.show(self._label, self._done, elapsed)
+        with self._until_nobody_looks():
+            if self._line is None:
+                self._line = _Bar(self._total) if sys.stderr.isatty() else _Lines(self._total)
+            self._line.show(self._label, self._done, elapsed)
 
     def to(self, done: float, label: str | None = None) -> None:
         """Tell how much of the total is done altogether."""
@@ -75,10 +77,19 @@ class Meter:
         """Print a remark on standard error, above the bar where there is one."""
         if not self._shown:
             return
-        if isinstance(self._line, _Bar):
-            self._line.say(text)
-        else:
-            click.echo(text, err=True)
+        with self._until_nobody_looks():
+            if isinstance(self._line, _Bar):
+                self._line.say(text)
+            else:
+                click.echo(text, err=True)
+
+    @contextmanager
+    def _until_nobody_looks(self) -> Iterator[None]:
+        """Go on in silence once standard error is closed: a run must not end because nobody watches it."""
+        try:
+            yield
+        except OSError:
+            self._shown = False
 
 
 def tracked(items: Sequence[ItemT], label: str) -> Iterator[ItemT]:

@@ -1,0 +1,132 @@
+"""Files that are no run files, or no longer: every command says so in one sentence and touches nothing."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import pytest
+
+from dragrig.cli import main
+
+GOOD = Path(__file__).parent / "data" / "practice" / "009-drag.h5"
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(GOOD.read_bytes()[: GOOD.stat().st_size // 2])
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def text(path: Path) -> None:
+    path.write_text("time,force\n0,1\n", "utf-8")
+
+
+def foreign(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["data"] = [1.0, 2.0]
+
+
+def newer(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 99
+
+
+def without_force(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/trace/force"]
+
+
+def without_kind(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/protocol"].attrs["kind"]
+
+
+SPOILT: dict[str, tuple[Callable[[Path], None], str]] = {
+    "truncated": (truncated, "bad.h5"),
+    "empty": (empty, "bad.h5"),
+    "text": (text, "bad.h5"),
+    "foreign": (foreign, "dragrig import"),
+    "newer": (newer, "99"),
+    "without force": (without_force, "force"),
+    "without kind": (without_kind, "kind"),
+}
+COMMANDS = [
+    ["info", "bad.h5"],
+    ["info", "bad.h5", "--verify"],
+    ["filter", "bad.h5"],
+    ["export", "bad.h5"],
+    ["show", "bad.h5"],
+    ["mark", "bad.h5", "--bad", "broken"],
+]
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_a_file_that_is_no_run_is_told_and_left_alone(
+    spoilt: str,
+    arguments: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    spoil, words = SPOILT[spoilt]
+    spoil(tmp_path / "bad.h5")
+    before = (tmp_path / "bad.h5").read_bytes()
+    assert main(arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.count("\n") == 1, told.err
+    assert "bad.h5" in told.err
+    assert words in told.err
+    assert (tmp_path / "bad.h5").read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["bad.h5"]
+
+
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_a_table_shows_the_good_runs_and_what_is_wrong_with_the_others(
+    spoilt: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    spoil, _ = SPOILT[spoilt]
+    spoil(tmp_path / "bad.h5")
+    shutil.copy(GOOD, tmp_path / "good.h5")
+    assert main(["table", "."]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("good.h5") and "complete" in line for line in lines)
+    assert any(line.startswith("bad.h5") and "unreadable" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["export", "good.h5", "--out", "{}"],
+        ["show", "good.h5", "--out", "{}"],
+        ["run", "drag", "--yes", "--out", "{}"],
+        ["demo", "--out", "{}"],
+        ["init", "{}"],
+    ],
+    ids=lambda words: words[0],
+)
+@pytest.mark.parametrize("place", ["taken", "taken/below"])
+def test_a_place_that_cannot_be_written_is_told(
+    place: str,
+    arguments: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(GOOD, tmp_path / "good.h5")
+    (tmp_path / "taken").write_text("mine", "utf-8")
+    assert main([word.format(place) for word in arguments]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("dragrig: ")
+    assert "taken" in told
+    assert (tmp_path / "taken").read_text("utf-8") == "mine"
