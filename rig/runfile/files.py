@@ -60,7 +60,7 @@ def _locked(path: Path) -> int:
             ) from None
         if not _try_lock(descriptor):
             os.close(descriptor)
-            raise BusyError(f"{path.with_suffix('.h5')}: another process is writing this run; let it finish")
+            raise BusyError(f"{path.with_suffix('')}: another process is writing this run; let it finish")
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor

@@ -9,7 +9,17 @@ from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import attributes as at
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.attributes import LayoutError
-from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, Channel, Event, FilteredTrace, RunHeader, RunInfo, Trace
+from dragrig.rig.runfile.model import (
+    PHASE_NAMES,
+    Attribute,
+    Channel,
+    Event,
+    FilteredTrace,
+    RunHeader,
+    RunInfo,
+    Status,
+    Trace,
+)
 
 DEFLATE_LIMIT = 1100
 """Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
@@ -85,7 +95,7 @@ def read_events(file: h5py.File) -> tuple[Event, ...]:
     if table.ndim != 1 or table.dtype.names != schema.EVENT_FIELDS:
         raise LayoutError(f"/entry/events is not a table of {', '.join(schema.EVENT_FIELDS)}")
     _believable(table)
-    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if file.swmr_mode else None]
+    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if still_recording(file) else None]
     return tuple(
         Event(float(time), str(at.plain(kind)), str(at.plain(message))) for time, kind, message in rows.tolist()
     )
@@ -121,6 +131,11 @@ def valid_count(file: h5py.File, path: str, otherwise: int) -> int:
     return min(int(np.ravel(dataset[()])[0]), otherwise) if isinstance(dataset, h5py.Dataset) else otherwise
 
 
+def still_recording(file: h5py.File) -> bool:
+    """Tell whether a file is a recording, whose datasets may be longer than what is whole of them."""
+    return at.attributes_of(file[schema.ENTRY]).get("status") == Status.RECORDING
+
+
 def _shape_of_trace(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]]:
     trace = file[schema.TRACE]
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
@@ -145,7 +160,7 @@ def _shape_of_trace(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, .
 
 def _common_length(file: h5py.File, lengths: dict[str, int]) -> int:
     samples = lengths[schema.TIME]
-    if file.swmr_mode:
+    if still_recording(file):
         return valid_count(file, schema.VALID_SAMPLES, min(lengths.values()))
     for name, length in lengths.items():
         if length != samples:

@@ -46,12 +46,12 @@ def recording_path(path: Path) -> Path:
 
 def part_path(path: Path) -> Path:
     """Return where a file is made before it is put in place."""
-    return path.with_name(path.name + ".part")
+    return path.with_name(path.name + schema.PART_SUFFIX)
 
 
 def lock_path(path: Path) -> Path:
     """Return the file whose lock the one process holds that writes a run."""
-    return path.with_name(run_name(path) + ".lock")
+    return path.with_name(run_name(path) + schema.LOCK_SUFFIX)
 
 
 def mark_path(path: Path) -> Path:

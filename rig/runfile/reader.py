@@ -1,9 +1,10 @@
 """Reading run files of every version, finished or still being recorded."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import h5py
 
@@ -13,7 +14,10 @@ from dragrig.rig.runfile.attributes import LayoutError, attributes_of
 from dragrig.rig.runfile.files import said
 from dragrig.rig.runfile.heaps import damaged_text
 from dragrig.rig.runfile.model import Event, FilteredTrace, Run, RunInfo, Trace
-from dragrig.rig.runfile.naming import is_recording
+from dragrig.rig.runfile.unfinished import UnfinishedFile, left_open
+
+ReadT = TypeVar("ReadT")
+LIVE_ATTEMPTS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +44,12 @@ def read_info(path: Path) -> RunInfo:
     RunFileError
         When the file is missing, foreign, damaged, of a newer format, or lacks something it must have.
     """
-    with opened(path) as file:
-        return _layout_of(file).info(file, path)
+
+    def read() -> RunInfo:
+        with opened(path) as file, refused(path):
+            return layout_of(file).info(file, path)
+
+    return _steadily(read, path)
 
 
 def read_run(path: Path) -> Run:
@@ -52,23 +60,40 @@ def read_run(path: Path) -> Run:
     RunFileError
         As `read_info` does, and when the samples break the format.
     """
-    with opened(path) as file:
-        version = _layout_of(file)
-        info = version.info(file, path)
-        return Run(info, version.trace(file, info), version.events(file), version.filtered(file))
+
+    def read() -> Run:
+        with opened(path) as file, refused(path):
+            version = layout_of(file)
+            info = version.info(file, path)
+            return Run(info, version.trace(file, info), version.events(file), version.filtered(file))
+
+    return _steadily(read, path)
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Open a run file for reading; whatever goes wrong inside is said as a `RunFileError`."""
-    if not path.is_file():
-        raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
+    """Open a run file for reading, also one that is being written; raises `RunFileError` when it cannot be opened."""
+    with ExitStack() as stack:
+        with refused(path):
+            if not path.is_file():
+                raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
+            if (place := damaged_text(path)) is not None:
+                raise LayoutError(f"its text is damaged at byte {place}")
+            if left_open(path):
+                view = UnfinishedFile(stack.enter_context(path.open("rb", buffering=0)))
+                file = h5py.File(view, "r")
+            else:
+                file = h5py.File(path, "r", locking="best-effort")
+            stack.enter_context(file)
+        yield file
+
+
+@contextmanager
+def refused(path: Path) -> Iterator[None]:
+    """Say whatever goes wrong while a file is read as a `RunFileError`."""
     try:
-        _refuse_damaged_text(path)
-        recording = is_recording(path)
-        with h5py.File(path, "r", swmr=recording, locking=False if recording else "best-effort") as file:
-            yield file
-    except (DragrigError, MemoryError):
+        yield
+    except DragrigError:
         raise
     except LayoutError as fault:
         raise RunFileError(
@@ -79,6 +104,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise RunFileError(f"{path}: is being written by another program; close it there") from fault
     except PermissionError as fault:
         raise RunFileError(f"{path}: may not be read; ask for permission or copy it elsewhere") from fault
+    except MemoryError as fault:
+        raise RunFileError(f"{path}: does not fit into memory; close other programs or use a larger machine") from fault
     except Exception as fault:
         # h5py reports damage as almost any class of exception; each means that the file cannot be read.
         raise RunFileError(
@@ -87,12 +114,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
         ) from fault
 
 
-def _refuse_damaged_text(path: Path) -> None:
-    if not is_recording(path) and (place := damaged_text(path)) is not None:
-        raise LayoutError(f"its text is damaged at byte {place}")
-
-
-def _layout_of(file: h5py.File) -> Layout:
+def layout_of(file: h5py.File) -> Layout:
+    """Return how a file is read, by its version."""
     root = attributes_of(file)
     if root.get("format") != schema.FORMAT:
         raise LayoutError(f"the attribute format of / is not {schema.FORMAT!r}")
@@ -107,3 +130,14 @@ def _layout_of(file: h5py.File) -> Layout:
             " install a newer dragrig"
         )
     raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
+
+
+def _steadily(read: Callable[[], ReadT], path: Path) -> ReadT:
+    """Read; again when a file that is being written changed under the reader's eyes."""
+    for _ in range(LIVE_ATTEMPTS - 1):
+        try:
+            return read()
+        except RunFileError:
+            if not (path.is_file() and left_open(path)):
+                raise
+    return read()

@@ -1,11 +1,12 @@
 """Finishing the recordings that a crash left behind."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from dragrig.config.errors import DragrigError, RunFileError
+from dragrig.config.errors import DragrigError, OutputError, RunFileError
 from dragrig.rig.runfile import files, schema
 from dragrig.rig.runfile.naming import is_recording
 from dragrig.rig.runfile.reader import read_info
@@ -65,10 +66,12 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
     """
     if not place.exists():
         raise RunFileError(f"{place}: there is no such folder or recording; give the folder of a campaign")
-    found = []
+    found: list[Recovered] = []
     for recording in left_recordings(place):
         progress(recording)
         found.append(_recovered(recording))
+    if place.is_dir():
+        _sweep(place)
     return found
 
 
@@ -80,3 +83,13 @@ def _recovered(recording: Path) -> Recovered:
         return Recovered(recording, Outcome.IN_USE, message=str(fault))
     except DragrigError as fault:
         return Recovered(recording, Outcome.LEFT, message=str(fault))
+
+
+def _sweep(folder: Path) -> None:
+    """Remove half-made copies and locks of writers that are not alive; neither ever holds the only copy."""
+    for part in folder.rglob(f"*{schema.FINISHED_SUFFIX}{schema.PART_SUFFIX}"):
+        with suppress(OutputError), files.writing(part.with_suffix("")):
+            part.unlink(missing_ok=True)
+    for lock in folder.rglob(f"*{schema.LOCK_SUFFIX}"):
+        with suppress(OutputError), files.writing(lock.with_suffix(schema.FINISHED_SUFFIX)):
+            pass  # a lock is removed by whoever lets go of it

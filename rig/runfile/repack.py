@@ -6,8 +6,7 @@ from pathlib import Path
 import h5py
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray
-from dragrig.rig.runfile import files, layout, naming, reader, schema, writing
+from dragrig.rig.runfile import files, naming, reader, schema, writing
 from dragrig.rig.runfile.digest import PIECE, TraceDigest, trace_sha256
 from dragrig.rig.runfile.model import Ending, RunInfo, Status
 from dragrig.rig.runfile.recording import annotations_in
@@ -46,13 +45,15 @@ def finish(recording: Path) -> Path:
 
 def _repack(recording: Path, target: Path) -> None:
     with reader.opened(recording) as source:
-        info = layout.read_info(source, recording)
-        late, ending = annotations_in(source)
+        with reader.refused(recording):
+            version = reader.layout_of(source)
+            info = version.info(source, recording)
+            events = version.events(source)
+            late, ending = annotations_in(source)
         header = replace(info.header, entry={**info.header.entry, **late})
         ending = ending or Ending(
             Status.RECOVERED, f"the recording process ended before the run did; {info.samples} samples were kept"
         )
-        events = layout.read_events(source)
         _make_sure_of_room(source, target)
         with new_file(target) as file:
             writing.write_header(file, header, ending.status)
@@ -68,21 +69,11 @@ def _copy_trace(source: h5py.File, file: h5py.File, info: RunInfo) -> str:
         writing.describe(copy, name, units)
         digest.begin(name, original.dtype, info.samples)
         for start in range(0, info.samples, PIECE):
-            piece = _piece(original, start, min(start + PIECE, info.samples))
+            with reader.refused(info.path):
+                piece = original[start : min(start + PIECE, info.samples)]
             copy[start : start + len(piece)] = piece
             digest.update(piece)
     return digest.hexdigest()
-
-
-def _piece(dataset: h5py.Dataset, start: int, stop: int) -> AnyFloatArray | PhaseArray:
-    try:
-        piece: AnyFloatArray | PhaseArray = dataset[start:stop]
-    except (OSError, RuntimeError) as fault:
-        raise RunFileError(
-            f"{dataset.file.filename}: {dataset.name} cannot be read from sample {start} on ({files.said(fault)});"
-            " keep the file and look after the disk"
-        ) from fault
-    return piece
 
 
 def _make_sure_of_room(source: h5py.File, target: Path) -> None:
@@ -97,7 +88,7 @@ def _make_sure_of_room(source: h5py.File, target: Path) -> None:
 
 def _make_sure_finished(recording: Path, target: Path) -> None:
     left, done = reader.read_info(recording), reader.read_info(target)
-    with reader.opened(target) as file:
+    with reader.opened(target) as file, reader.refused(target):
         whole = trace_sha256(file[schema.TRACE]) == done.raw_sha256
     if left.header.run_id != done.header.run_id or not whole:
         raise RunFileError(f"{target}: stands where {recording.name} belongs, but is another run; move one of them")

@@ -38,7 +38,7 @@ def verify(path: Path) -> VerifyResult:
         As `read_run` does.
     """
     run = reader.read_run(path)
-    with reader.opened(path) as file:
+    with reader.opened(path) as file, reader.refused(path):
         return VerifyResult(path, run.info.raw_sha256, trace_sha256(file[schema.TRACE]))
 
 
@@ -65,7 +65,7 @@ def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[
         raise RunFileError(f"{path}: is still a recording; finish it with `dragrig recover` first")
     with files.writing(path):
         reader.read_info(path)
-        with new_file(path) as file, h5py.File(path, "r", locking="best-effort") as source:
+        with reader.opened(path) as source, new_file(path) as file:
             _copy(source, file, frozenset(without))
             edit(file)
 

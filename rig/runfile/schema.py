@@ -8,6 +8,8 @@ FORMAT = "dragrig-run"
 FORMAT_VERSION = 1
 FINISHED_SUFFIX = ".h5"
 RECORDING_SUFFIX = ".recording.h5"
+LOCK_SUFFIX = ".recording.lock"
+PART_SUFFIX = ".part"
 
 ENTRY = "/entry"
 TRACE = "/entry/trace"

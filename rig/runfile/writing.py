@@ -115,11 +115,13 @@ def units_of(channels: Sequence[Channel]) -> dict[str, str]:
 
 def create_column(group: h5py.Group, name: str, samples: int, dtype: np.dtype[np.generic]) -> h5py.Dataset:
     """Create a compressed dataset of a finished file."""
+    if samples == 0:
+        return group.create_dataset(name, shape=(0,), dtype=dtype)
     return group.create_dataset(
         name,
         shape=(samples,),
         dtype=dtype,
-        chunks=(max(1, min(samples, CHUNK)),),
+        chunks=(min(samples, CHUNK),),
         compression="gzip",
         compression_opts=GZIP_LEVEL,
         shuffle=True,
