@@ -183,13 +183,13 @@ def test_missing_values_break_the_line(drag: Run) -> None:
 def test_a_trip_is_marked_and_the_status_says_why(drag: Run) -> None:
     tripped = replace(
         drag,
-        events=(*drag.events, Event(1.6, "trip", "force: 1200 mN")),
+        events=(*drag.events, Event(0.0, "import", "no command"), Event(1.6, "trip", "force: 1200 mN")),
         info=replace(drag.info, status=Status.TRIPPED, reason="force: 1200 mN " + "and so on " * 30),
     )
     figure = run_figure(tripped)
     shown = texts(figure)
     assert "trip" in shown
-    assert "start" not in shown
+    assert not {"start", "phase", "import"} & set(shown)
     status = next(text for text in figure.texts if text.get_text().startswith("tripped: force: 1200 mN"))
     assert status.get_window_extent().x1 < WIDTH_IN * figure.dpi
 
@@ -240,6 +240,7 @@ def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run) -> None:
         (113.2444, 0.213, "113.24 ± 0.21"),
         (113.2444, 13.1, "113 ± 13"),
         (0.5, 0.0012, "0.5000 ± 0.0012"),
+        (-1.404, 0.57, "−1.40 ± 0.57"),
         (40.07, None, "40.07"),
         (40.07, 0.0, "40.07"),
     ],

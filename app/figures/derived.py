@@ -62,6 +62,6 @@ def steady_level(run: Run) -> SteadyLevel | None:
 def with_error(value: float, standard_error: float | None) -> str:
     """Spell a value with its error, both to the error's second digit: 113.24 ± 0.21."""
     if standard_error is None or not standard_error > 0:
-        return f"{value:.4g}"
+        return f"{value:.4g}".replace("-", "−")
     digits = max(0, 1 - floor(log10(standard_error)))
-    return f"{value:.{digits}f} ± {standard_error:.{digits}f}"
+    return f"{value:.{digits}f} ± {standard_error:.{digits}f}".replace("-", "−")

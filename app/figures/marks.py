@@ -12,8 +12,8 @@ from dragrig.figures.style import GREY, PALE, PAPER, SMALL_PT, VERMILLION, text_
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.runfile.model import Event
 
-ORDINARY = frozenset({"start", "phase", "end"})
-"""Kinds of events that every run has; phases are shaded instead."""
+ORDINARY = frozenset({"start", "phase", "end", "import", "filter"})
+"""Kinds of events that are no alarm: phases are shaded, what an import or the filter remarks is told by `info`."""
 
 GAP = "gap"
 MOST_LABELS = 6

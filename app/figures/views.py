@@ -66,13 +66,13 @@ def force_panel(
 
 
 def position_panel(run: Run, gap: BoolArray) -> Panel:
-    """Where the encoder was, and where it was told to be."""
-    time = run.trace.time
-    curves = (
-        Curve(time, run.trace.position, gap, Pen("encoder", "#59BFA0", 3.2)),
-        Curve(time, run.trace.command, gap, Pen("command", BLACK, 1.0, dashed=True)),
-    )
-    return Panel("Position (mm)", curves, 2e-3)
+    """Where the encoder was, and where it was told to be, if anybody told it."""
+    time, trace = run.trace.time, run.trace
+    curves = [Curve(time, trace.position, gap, Pen("encoder", "#59BFA0", 3.2))]
+    # Of a foreign measurement without a command the position stands for it.
+    if run.info.header.backend != "external" or not np.array_equal(trace.command, trace.position):
+        curves.append(Curve(time, trace.command, gap, Pen("command", BLACK, 1.0, dashed=True)))
+    return Panel("Position (mm)", tuple(curves), 2e-3)
 
 
 def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> Panel:
