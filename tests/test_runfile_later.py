@@ -1,0 +1,175 @@
+"""What comes after a run: filtered traces, checksums, verdicts, campaigns, and other people's viewers."""
+
+import os
+import shutil
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from nexusformat.nexus import nxload
+from runfiles import START, arrays, header, record
+
+from dragrig.config.errors import OutputError, RunFileError
+from dragrig.rig.runfile import (
+    campaign,
+    finish,
+    mark_bad,
+    read_mark,
+    read_run,
+    rewrite,
+    store_filtered,
+    unmark,
+    verify,
+    write_run,
+)
+from dragrig.rig.runfile.files import writing
+from dragrig.rig.runfile.model import Event, FilteredTrace
+
+
+@pytest.fixture
+def run_file(tmp_path: Path) -> Path:
+    return finish(record(tmp_path / "run.h5", 2000))
+
+
+def filtered(path: Path, window_s: float) -> FilteredTrace:
+    trace = read_run(path).trace
+    smooth = trace.force.astype(np.float64)
+    smooth[:3] = np.nan
+    return FilteredTrace(
+        trace.time, {"force": smooth, "speed": np.gradient(trace.position, trace.time)},
+        {"window_s": window_s, "order": 3, "method": "savgol"}, {"speed": "mm/s"},
+    )  # fmt: skip
+
+
+def test_a_filtered_trace_stands_beside_the_raw_one(run_file: Path) -> None:
+    raw, inode = read_run(run_file), run_file.stat().st_ino
+    wanted = filtered(run_file, 0.1)
+    store_filtered(run_file, wanted, [Event(0.5, "short", "piece of 3 samples")])
+    run = read_run(run_file)
+    assert run_file.stat().st_ino != inode
+    assert verify(run_file).holds
+    assert run.info == raw.info
+    np.testing.assert_array_equal(run.trace.force, raw.trace.force)
+    assert run.filtered is not None
+    assert run.filtered.parameters == {"window_s": 0.1, "order": 3, "method": "savgol"}
+    assert run.filtered.units == {"force": "mN", "speed": "mm/s"}
+    for name, column in wanted.channels.items():
+        np.testing.assert_array_equal(run.filtered.channels[name], column)
+    assert run.events == (*raw.events, Event(0.5, "filter", "piece of 3 samples"))
+
+
+def test_filtering_again_replaces_and_does_not_grow_the_file(run_file: Path) -> None:
+    store_filtered(run_file, filtered(run_file, 0.1), [Event(0.5, "filter", "first")])
+    size = run_file.stat().st_size
+    store_filtered(run_file, filtered(run_file, 0.2), [Event(0.5, "filter", "second")])
+    run = read_run(run_file)
+    assert run.filtered is not None
+    assert run.filtered.parameters["window_s"] == 0.2
+    assert [event.message for event in run.events if event.kind == "filter"] == ["second"]
+    assert run_file.stat().st_size <= size + 64
+
+
+def test_a_failing_edit_changes_nothing(run_file: Path) -> None:
+    before = run_file.read_bytes()
+
+    def fail(file: h5py.File) -> None:
+        del file["entry/trace/force"]
+        raise ValueError("no")
+
+    with pytest.raises(ValueError, match="no"):
+        rewrite(run_file, fail)
+    assert run_file.read_bytes() == before
+    assert [entry.name for entry in run_file.parent.iterdir()] == ["run.h5"]
+
+
+def test_two_writers_of_one_run_do_not_meet(run_file: Path) -> None:
+    with writing(run_file), pytest.raises(OutputError, match="another process"):
+        store_filtered(run_file, filtered(run_file, 0.1))
+    with pytest.raises(RunFileError, match="recover"):
+        rewrite(record(run_file.with_name("other.h5"), 10), lambda file: None)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder_is_said(run_file: Path) -> None:
+    run_file.parent.chmod(0o500)
+    with pytest.raises(OutputError, match="cannot be written to"):
+        store_filtered(run_file, filtered(run_file, 0.1))
+
+
+@pytest.mark.parametrize("name", ["time", "force", "position", "motor_force", "command", "phase"])
+def test_a_changed_sample_breaks_the_checksum(run_file: Path, name: str) -> None:
+    assert verify(run_file).holds
+    with h5py.File(run_file, "r+") as file:
+        dataset = file["entry/trace"][name]
+        dataset[1999] = np.nextafter(dataset[1999], 1e9) if dataset.dtype.kind == "f" else 1
+    result = verify(run_file)
+    assert not result.holds
+    assert result.stored != result.computed
+
+
+def test_the_checksum_is_of_the_samples_not_of_the_file(tmp_path: Path, run_file: Path) -> None:
+    at_once = write_run(tmp_path / "at-once.h5", header(), arrays(0, 2000))
+    assert verify(at_once).stored == verify(run_file).stored
+
+
+def test_a_verdict_is_kept_beside_the_run(run_file: Path) -> None:
+    before = run_file.read_bytes()
+    assert read_mark(run_file) is None
+    mark_bad(run_file, "  capsule slipped out ")
+    mark = read_mark(run_file)
+    assert mark is not None
+    assert mark.reason == "capsule slipped out"
+    assert run_file.read_bytes() == before
+    assert campaign(run_file.parent).good == ()
+    mark_bad(run_file, "gut torn")
+    assert campaign(run_file.parent).marks[run_file].reason == "gut torn"
+    assert unmark(run_file)
+    assert not unmark(run_file)
+    assert len(campaign(run_file.parent).good) == 1
+
+
+def test_a_verdict_needs_a_run_and_a_reason(run_file: Path) -> None:
+    with pytest.raises(RunFileError, match="no such run"):
+        mark_bad(run_file.with_name("none.h5"), "bad")
+    with pytest.raises(OutputError, match="reason"):
+        mark_bad(run_file, "  ")
+    run_file.with_name("run.mark.toml").write_text("bad = [", "utf-8")
+    with pytest.raises(RunFileError, match=r"run\.mark\.toml"):
+        read_mark(run_file)
+    assert campaign(run_file.parent).runs == ()
+
+
+def test_a_campaign_is_in_the_order_that_each_specimen_lived_through(tmp_path: Path) -> None:
+    lived = [("b", 0, 1), ("a", 5, 2), ("a", 0, 0), ("a", 0, 1), ("b", 0, 0)]
+    for number, (specimen, minutes, order) in enumerate(lived):
+        made = replace(header(order, specimen=specimen), start_time=START + timedelta(minutes=minutes))
+        write_run(tmp_path / f"{number}.h5", made, arrays(0, 10))
+    renamed = replace(header(9), specimen={**header().specimen, "id": "aa"})
+    write_run(tmp_path / "5.h5", renamed, arrays(0, 10))
+    record(tmp_path / "6.h5", 10)
+    shutil.copy(tmp_path / "0.h5", tmp_path / "notes.txt")
+    found = campaign(tmp_path)
+    assert [run.path.stem for run in found.runs] == ["2", "3", "1", "5", "4", "0"]
+    assert [path.name for path in found.recordings] == ["6.recording.h5"]
+    assert found.unreadable == ()
+    with pytest.raises(RunFileError, match="no such folder"):
+        campaign(tmp_path / "none")
+
+
+def test_a_nexus_reader_opens_the_file_with_force_against_time(run_file: Path) -> None:
+    store_filtered(run_file, filtered(run_file, 0.1))
+    root = nxload(str(run_file))
+    plot = root.get_default()
+    assert plot.nxpath == "/entry/trace"
+    assert plot.nxsignal.nxname == "force"
+    assert plot.nxsignal.attrs["units"] == "mN"
+    (axis,) = plot.nxaxes
+    assert axis.nxname == "time"
+    assert axis.attrs["units"] == "s"
+    wanted = arrays(0, 2000)
+    np.testing.assert_array_equal(plot.nxsignal.nxdata, wanted["force"])
+    np.testing.assert_array_equal(axis.nxdata, wanted["time"])
+    assert root["entry/filtered"].nxsignal.nxname == "force"

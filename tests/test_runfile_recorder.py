@@ -1,0 +1,311 @@
+"""The recorder: whatever the blocks, the file is the same; what flows in is on disk soon; a full disk is said."""
+
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from runfiles import START, arrays, blocks, header, record
+
+from dragrig.config.errors import OutputError, RecordingError, RunFileError
+from dragrig.rig.runfile import Recorder, finish, read_info, read_run, recover, verify
+from dragrig.rig.runfile.model import Event, Run, Status
+from dragrig.rig.runfile.ring import SampleRing
+from dragrig.rig.store import Store
+
+
+def trace_of(run: Run) -> dict[str, np.ndarray]:
+    trace = run.trace
+    return {"time": trace.time, "command": trace.command, "phase": trace.phase, **trace.channels}
+
+
+def same(run: Run, wanted: dict[str, np.ndarray]) -> None:
+    found = trace_of(run)
+    assert found.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(sizes=st.lists(st.integers(1, 9000), min_size=1, max_size=12), timed=st.booleans())
+def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int], timed: bool) -> None:
+    path = tmp_path / "run.h5"
+    path.unlink(missing_ok=True)
+    with Recorder(path, header(), reserve_bytes=0) as recorder:
+        first = 0
+        for size in sizes:
+            block = arrays(first, size)
+            if not timed:
+                del block["time"]
+            recorder.offer(first, block)
+            first += size
+        left = recorder.close(Status.COMPLETE, "as planned")
+    same(read_run(finish(left)), arrays(0, sum(sizes)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(capacity=st.integers(4, 40), sizes=st.lists(st.integers(0, 90), max_size=12))
+def test_the_ring_hands_over_every_sample_in_order(capacity: int, sizes: list[int]) -> None:
+    ring = SampleRing({"time": np.dtype("f8")}, capacity)
+    taken: list[float] = []
+
+    def take() -> None:
+        closed = False
+        while not closed:
+            closed = ring.wait(0.001)
+            for columns in ring.take():
+                taken.extend(columns["time"].tolist())  # type: ignore[arg-type]
+
+    taker = threading.Thread(target=take)
+    taker.start()
+    first = 0
+    for size in sizes:
+        assert ring.give({"time": np.arange(first, first + size, dtype=float)})
+        first += size
+    ring.close()
+    taker.join()
+    assert taken == list(range(first))
+    assert not ring.give({"time": np.zeros(1)})
+
+
+def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        for first in (0, 100, 250, 350, 1000):
+            block = arrays(first, 100)
+            del block["time"]
+            recorder.offer(first, block)
+        assert recorder.lost_samples == 50 + 550
+        left = recorder.close(Status.COMPLETE, "as planned")
+    run = read_run(finish(left))
+    index = np.concatenate([np.arange(first, first + 100) for first in (0, 100, 250, 350, 1000)])
+    np.testing.assert_array_equal(run.trace.time, index / 1000.0)
+    assert [(event.time_s, event.kind) for event in run.events] == [(0.2, "gap"), (0.45, "gap")]
+    assert "50 samples" in run.events[0].message
+
+
+def test_all_that_is_said_of_a_run_is_in_its_file(tmp_path: Path) -> None:
+    long = "µ" * 200
+    with Recorder(tmp_path / "run.h5", header(order=4), reserve_bytes=0) as recorder:
+        recorder.event(Event(0.0, "start", "drag"))
+        recorder.offer(0, arrays(0, 10))
+        recorder.annotate({"command_t0_uncertainty_s": 2e-5, "origin_mm": 13.0, "note": "ü\n"})
+        recorder.event(Event(0.01, "trip", long))
+        left = recorder.close(Status.TRIPPED, "force: 500 mN", START, {"rest_offset_mN": 0.1, "clipped": True})
+    run = read_run(finish(left))
+    assert run.info.header.entry == {
+        "operator": "Åsa", "origin_mm": 13.0, "command_t0_uncertainty_s": 2e-5, "note": "ü\n",
+    }  # fmt: skip
+    assert (run.info.status, run.info.reason, run.info.end_time) == (Status.TRIPPED, "force: 500 mN", START)
+    assert run.info.checks == {"rest_offset_mN": 0.1, "clipped": True}
+    assert run.info.header.settings_toml == 'title = "drag"\n'
+    assert run.events[0] == Event(0.0, "start", "drag")
+    assert run.events[1].message == "µ" * 78 + "…"
+    assert verify(run.info.path).holds
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_finished_file_is_plain_hdf5_for_old_readers(tmp_path: Path) -> None:
+    path = finish(record(tmp_path / "run.h5", 1000))
+    assert path.read_bytes()[8] == 0  # the version of the superblock
+    with h5py.File(path) as file:
+        force = file["entry/trace/force"]
+        assert (force.compression, force.shuffle) == ("gzip", True)
+
+
+def snapshots(recording: Path, copy: Path) -> Iterator[Run]:
+    """What is on disk at moments of the next seconds, seen through a copy of the bytes."""
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        shutil.copy(recording, copy)
+        yield read_run(copy)
+
+
+def test_what_came_last_is_on_disk_soon_though_nothing_follows(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 321))
+        recorder.event(Event(0.3, "phase", "steady"))
+        copy = tmp_path / "copy.recording.h5"
+        seen = next(run for run in snapshots(recorder.path, copy) if run.info.samples == 321 and run.events)
+        same(seen, arrays(0, 321))
+        assert seen.info.status is Status.RECORDING
+        assert seen.events == (Event(0.3, "phase", "steady"),)
+        recorder.close(Status.COMPLETE, "as planned")
+
+
+def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
+    viewer = (
+        "import sys, h5py\n"
+        "file = h5py.File(sys.argv[1], 'r', swmr=True)\n"
+        "force = file['entry/trace/force']\n"
+        "while len(force) < 3000: force.id.refresh()\n"
+        "print(force[2999], flush=True)\n"
+    )
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 1000))
+        with subprocess.Popen(
+            [sys.executable, "-c", viewer, str(recorder.path)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            recorder.offer(1000, arrays(1000, 2000))
+            assert float(process.stdout.readline()) == 2999
+        recorder.close(Status.COMPLETE, "as planned")
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("first", "change", "said"),
+    [
+        (50, lambda block: block, "100 comes next"),
+        (100, lambda block: {**block, "extra": block["force"]}, "extra"),
+        (100, lambda block: {**block, "force": block["force"][:5]}, "force has shape"),
+        (100, lambda block: {**block, "force": block["force"] * 1j}, "complex"),
+        (100, lambda block: {name: block[name] for name in block if name != "position"}, "position"),
+    ],
+)
+def test_samples_that_do_not_fit_are_refused_and_the_run_goes_on(
+    tmp_path: Path, first: int, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], said: str
+) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 100))
+        with pytest.raises(ValueError, match=said):
+            recorder.offer(first, change(arrays(first, 10)))
+        recorder.offer(100, arrays(100, 100))
+        left = recorder.close(Status.COMPLETE, "as planned")
+    same(read_run(finish(left)), arrays(0, 200))
+
+
+def test_a_run_is_never_recorded_over_another(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    left = record(path, 100)
+    with pytest.raises(OutputError, match="already"):
+        Recorder(path, header())
+    finish(left)
+    with pytest.raises(OutputError, match="already"):
+        Recorder(path, header())
+    with pytest.raises(OutputError, match="choose another folder"):
+        Recorder(tmp_path / "none" / "run.h5", header())
+    with pytest.raises(RunFileError, match="diameter_mm"):
+        Recorder(tmp_path / "other.h5", replace(header(), capsule={}))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"), [(KeyboardInterrupt(), Status.ABORTED), (RuntimeError("the stage is gone"), Status.FAILED)]
+)
+def test_a_recorder_left_by_an_error_says_so_in_its_file(tmp_path: Path, fault: BaseException, status: Status) -> None:
+    def fail() -> None:
+        with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+            recorder.offer(0, arrays(0, 100))
+            raise fault
+
+    with pytest.raises(type(fault)):
+        fail()
+    (found,) = recover(tmp_path)
+    assert found.path is not None
+    info = read_info(found.path)
+    assert (info.status, info.samples) == (status, 100)
+    assert str(fault) in info.reason
+
+
+def test_a_disk_with_too_little_room_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    free = shutil.disk_usage(tmp_path).free
+    with pytest.raises(RecordingError, match="make room"):
+        Recorder(tmp_path / "run.h5", header(), expected_samples=free // 20)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
+    from dragrig.rig.runfile import FolderStore, campaign
+
+    with FolderStore(tmp_path / "data" / "campaign", reserve_mb=0) as folder:
+        store: Store = folder
+        for order in range(2):
+            sink = store.open(header(order=order), 1000)
+            for first, block in blocks(1000, 50):
+                sink.offer(first, block)
+            path = sink.close(Status.COMPLETE, "as planned", START, {})
+        store.mark_bad(0, "spilled")
+        store.settle()
+    found = campaign(tmp_path / "data" / "campaign")
+    assert [run.path.name for run in found.runs] == ["20260504-093000-drag-000.h5", "20260504-093000-drag-001.h5"]
+    assert [run.header.order for run in found.good] == [1]
+    same(read_run(path), arrays(0, 1000))
+
+
+FILLER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from runfiles import arrays, header
+from dragrig.config.errors import RecordingError
+from dragrig.rig.runfile import Recorder, files
+from dragrig.rig.runfile.model import Status
+folder = Path(sys.argv[1])
+if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
+    files.free_bytes = lambda _: 1 << 60
+recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=14 << 20)
+first = 0
+try:
+    while True:
+        recorder.offer(first, arrays(first, 5000, 250e3))
+        first += 5000
+except RecordingError as error:
+    print(error)
+try:
+    recorder.close(Status.FAILED, "no room")
+except RecordingError as error:
+    print(error)
+print("done", first)
+"""
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 32 MB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("only root can mount a small disk to fill it")
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32m", "tmpfs", str(folder)], check=False)
+    if mounted.returncode != 0:
+        pytest.skip("this machine lets nobody mount a small disk to fill it")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("watch", ["watched", "blind"])
+def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FILLER, str(small_disk), str(Path(__file__).parent), watch],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert "make room" in lines[0]
+    assert lines[-1].startswith("done")
+    offered = int(lines[-1].split()[1])
+    if watch == "blind":
+        assert "No space left on device" in lines[0]
+        (found,) = recover(small_disk)
+        assert "make room" in found.message
+        shutil.copy(found.recording, tmp_path)
+        (found,) = recover(tmp_path / found.recording.name)
+        assert found.samples > 0
+    else:
+        (found,) = recover(small_disk)
+        assert found.samples == offered
+    assert found.path is not None
+    same(read_run(found.path), arrays(0, found.samples, 250e3))
+    assert read_info(found.path).status is (Status.RECOVERED if watch == "blind" else Status.FAILED)
