@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         check,
         export,
         filter,  # noqa: A004  # the word that people look for
+        import_run,
         load,
         model,
         resume,
@@ -37,6 +38,7 @@ __all__ = [
     "check",
     "export",
     "filter",
+    "import_run",
     "load",
     "model",
     "resume",

@@ -2,6 +2,7 @@
 
 from dragrig.campaigns import Made
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
+from dragrig.importing import import_run
 from dragrig.measuring import check, resume, run, simulate
 from dragrig.rig.runfile import Campaign
 from dragrig.rig.runfile.model import Run
@@ -14,6 +15,7 @@ __all__ = [
     "check",
     "export",
     "filter",
+    "import_run",
     "load",
     "model",
     "resume",

@@ -24,6 +24,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Work": {
         "mark": "Mark runs as bad, or take the mark back; everything later honours it.",
         "filter": "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",
+        "import": "Turn measurements from elsewhere into run files.",
         "export": "Write runs as CSV, Parquet, MAT or NPZ.",
     },
 }

@@ -147,7 +147,7 @@ class _Lines:
         self._due_s = _FIRST_LINE_S
 
     def show(self, label: str, done: float, elapsed_s: float) -> None:
-        if elapsed_s < self._due_s or done <= 0:
+        if elapsed_s < self._due_s or not 0 < done < self._total:
             return
         self._due_s = elapsed_s + min(elapsed_s, _LONGEST_BETWEEN_LINES_S)
         left_s = elapsed_s * max(self._total - done, 0.0) / done

@@ -1,0 +1,125 @@
+"""`dragrig import`: from an instrument's text to a run file, and what cannot be."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.cli import main
+from dragrig.rig.protocols.drag import Drag
+
+DRAG = {"speed_mm_s": 2, "travel_mm": 4, "accel_mm_s2": 400, "rest_s": 0, "hold_s": 0}
+KNOWN = ("--kind", "drag", *(word for key, value in DRAG.items() for word in ("--set", f"{key}={value}")))
+MAP = ("--map", "time=1:s", "--map", "position=Weg:µm", "--map", "force=Kraft:N")
+
+
+class Importer:
+    """Calls `dragrig import` in a folder of its own."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *words: str, code: int = 0) -> Any:
+        got = main(["import", *words])
+        told = self._capsys.readouterr()
+        assert got == code, told.err
+        return told
+
+
+@pytest.fixture
+def importer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Importer:
+    monkeypatch.chdir(tmp_path)
+    return Importer(capsys)
+
+
+def german(path: str, encoding: str = "cp1252", spoil: str = "") -> None:
+    rows = [f"{0.01 * k:.2f};{20 * k};{0.1 + 0.001 * k:.4f}".replace(".", ",") for k in range(200)]
+    if spoil:
+        rows[100] = spoil
+    Path(path).write_bytes("\r\n".join(["Zeit [s];Weg [µm];Kraft [N]", *rows, ""]).encode(encoding))
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8-sig", "utf-16"])
+def test_an_instruments_text_becomes_a_run(importer: Importer, encoding: str) -> None:
+    german("a.csv", encoding)
+    (done,) = json.loads(importer("a.csv", *MAP, *KNOWN, "--json").out)
+    run = dragrig.load(done["file"])
+    assert (run.info.kind, run.info.header.backend) == ("drag", "external")
+    assert run.info.header.protocol["speed_mm_s"] == 2
+    assert done["sample_rate_hz"] == pytest.approx(100)
+    assert run.trace.force[:3] == pytest.approx([100, 101, 102])
+    assert run.trace.position[:3] == pytest.approx([0, 0.02, 0.04])
+
+
+def test_several_files_follow_each_other(importer: Importer) -> None:
+    for name in ("a.csv", "b.csv"):
+        german(name)
+    importer("*.csv", *MAP, "--out", "c")
+    importer("a.csv", *MAP, "--out", "c")
+    found = dragrig.campaign("c").runs
+    assert sorted(one.header.order for one in found) == [0, 1, 2]
+    assert {one.header.entry["import_source"] for one in found} == {"a.csv", "b.csv"}
+
+
+def test_settings_that_come_again_stand_in_a_file(importer: Importer) -> None:
+    german("a.csv")
+    Path("map.toml").write_text(
+        'kind = "pull"\n[columns]\ntime = {column = 1}\nforce = {column = "Kraft", unit = "N"}\n', "utf-8"
+    )
+    importer("a.csv", "--settings", "map.toml", "--kind", "slide", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert info.kind == "slide"
+    imported = dragrig.import_run("a.csv", "c", {"time": "1:s", "force": "Kraft:N"})
+    assert dragrig.load(imported.path).info.header.order == 1
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
+def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
+    (run,) = dragrig.simulate(Drag(speed_mm_s=20, travel_mm=10, rest_s=0.2, hold_s=0.2))
+    dragrig.export(run, f"run.{form}", format=form)
+    importer(f"run.{form}", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert info.header.run_id == run.info.header.run_id
+    assert np.allclose(dragrig.load(info.path).trace.force, run.trace.force, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("text.csv", *MAP), "text.csv"),
+        (("a.csv",), "no column is mapped"),
+        (("a.csv", "--map", "forze=3:N"), "did you mean force?"),
+        (("a.csv", "--map", "force"), "QUANTITY=COLUMN"),
+        (("a.csv", "--map", "time=1:s", "--map", "force=Last:N"), "Last"),
+        (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:mV"), "factor"),
+        (("a.csv", *MAP, "--set", "speed_mm_s"), "key=value"),
+        (("a.csv", *MAP, "--kind", "drag"), "which the kind drag needs"),
+        (("a.csv", *MAP, "--decimal", "x"), "decimal"),
+        (("a.csv", *MAP, "--start-time", "yesterday"), "start_time"),
+        (("a.csv", *MAP, "--resample-hz", "nan"), "resample_hz"),
+        (("a.csv", *MAP, "--out", "a.csv"), "a.csv"),
+        (("empty.csv", *MAP), "is empty"),
+        (("binary.csv", *MAP), "binary.csv"),
+        (("sheet.xlsx", *MAP), "CSV"),
+        (("nowhere.csv", *MAP), "there is no such file"),
+        ((".", *MAP), "is a folder"),
+        (("a.csv", "--settings", "a.csv"), "not"),
+    ],
+)
+def test_what_cannot_be_imported_is_told_in_one_sentence(
+    importer: Importer, tmp_path: Path, words: tuple[str, ...], sentence: str
+) -> None:
+    german("a.csv")
+    german("text.csv", spoil="1,00;see note;0,2")
+    Path("empty.csv").write_bytes(b"")
+    Path("binary.csv").write_bytes(bytes(range(256)) * 40)
+    Path("sheet.xlsx").write_bytes(b"PK\x03\x04")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    told = importer(*words, code=2)
+    assert sentence in told.err
+    assert told.err.count("\n") == 1, told.err
+    assert told.out == ""
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
