@@ -204,7 +204,7 @@ def test_header_says_what_it_is_where_it_came_from_and_that_it_is_bad(drag: Run)
 
 
 def test_words_of_a_person_are_not_read_as_formulas(drag: Run) -> None:
-    header = replace(drag.info.header, specimen={**drag.info.header.specimen, "name": "a_b$^{"})
+    header = replace(drag.info.header, specimen={**drag.info.header.specimen, "name": "a_b$^{ 空肠"})
     figure = run_figure(replace(drag, info=replace(drag.info, header=header)), bad_reason="cost $5 and $\\frac$")
     assert drawn(figure)
 

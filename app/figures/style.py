@@ -1,8 +1,10 @@
 """How every picture looks: colours, type, sizes, and the axes they are drawn in."""
 
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -10,7 +12,7 @@ from matplotlib import colormaps, style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties
+from matplotlib.font_manager import FontProperties, fontManager
 from matplotlib.textpath import TextPath
 
 # Okabe and Ito's colours, told apart with any kind of colour vision.
@@ -35,9 +37,21 @@ DPI: Final = 120
 
 _FONT: Final = "DejaVu Sans"
 """Comes with matplotlib, so that pictures are alike everywhere."""
+_WIDER_FONTS: Final = (
+    "Noto Sans CJK SC",
+    "Noto Sans CJK JP",
+    "Source Han Sans SC",
+    "WenQuanYi Zen Hei",
+    "Microsoft YaHei",
+    "Yu Gothic",
+    "Malgun Gothic",
+    "PingFang SC",
+    "Hiragino Sans",
+    "Arial Unicode MS",
+)
+"""Asked, where installed, for characters of names and notes that the first font lacks."""
 
 _RULES: Final = {
-    "font.family": _FONT,
     "font.size": TEXT_PT,
     "text.color": BLACK,
     "axes.labelsize": TEXT_PT,
@@ -76,10 +90,18 @@ _RC_LOCK = threading.RLock()
 def drawing() -> Iterator[None]:
     """Hold matplotlib's settings at this house's for as long as something is drawn or saved.
 
-    The settings are one per process: whoever draws holds a lock, and the caller's own are put back.
+    The settings are one per process: whoever draws holds a lock, and the caller's own are put back. A
+    character that no font has is drawn as a box, without a word.
     """
-    with _RC_LOCK, style.context(["default", _RULES]):
+    with _RC_LOCK, style.context(["default", {**_RULES, "font.family": _fonts()}]), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font", category=UserWarning)
         yield
+
+
+@cache
+def _fonts() -> tuple[str, ...]:
+    installed = set(fontManager.get_font_names())
+    return (_FONT, *(font for font in _WIDER_FONTS if font in installed))
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
@@ -99,5 +121,5 @@ def text_width_in(text: str, size_pt: float) -> float:
     if not text.strip():
         return 0.0
     # The outline's points, its control points included, are quick to bound and hardly wider than the outline itself.
-    points = np.asarray(TextPath((0, 0), text, size=size_pt, prop=FontProperties(family=_FONT)).vertices)
+    points = np.asarray(TextPath((0, 0), text, size=size_pt, prop=FontProperties(family=_fonts())).vertices)
     return float(np.ptp(points[:, 0])) / 72
