@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Self
 
-from pydantic import Field, JsonValue, ModelWrapValidatorHandler, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
 from dragrig.config.base import Settings
 from dragrig.config.specimen import Fixture
@@ -40,7 +40,7 @@ class Step(Settings):
 
     kind: str = Field(min_length=1)
     """Kind of run: relaxation, coulomb, drag, blank, motion, ….."""
-    parameters: Mapping[str, JsonValue] = {}
+    parameters: Mapping[str, object] = {}
     """The protocol's keys; in a file they stand beside the step's own."""
     capsule: str = ""
     """Name of a capsule, or its file; the protocol's usual one unless given."""

@@ -6,8 +6,6 @@ from importlib import import_module
 from itertools import product
 from pkgutil import iter_modules
 
-from pydantic import JsonValue
-
 from dragrig.config.errors import PlanError
 from dragrig.config.loading import nearest, parse
 from dragrig.rig import protocols
@@ -23,9 +21,7 @@ def kinds() -> Mapping[str, type[Protocol]]:
     return {one.kind: one for one in sorted(found, key=lambda one: one.kind)}
 
 
-def swept(
-    kind: str, parameters: Mapping[str, JsonValue], source: str, own_keys: tuple[str, ...]
-) -> tuple[Protocol, ...]:
+def swept(kind: str, parameters: Mapping[str, object], source: str, own_keys: tuple[str, ...]) -> tuple[Protocol, ...]:
     """Make one protocol for each combination of the values that are given as lists, the last key fastest.
 
     Parameters
@@ -52,7 +48,7 @@ def swept(
     return tuple(parse(protocol, combination, source) for combination in _combinations(protocol, parameters))
 
 
-def _combinations(protocol: type[Protocol], parameters: Mapping[str, JsonValue]) -> Iterator[dict[str, JsonValue]]:
+def _combinations(protocol: type[Protocol], parameters: Mapping[str, object]) -> Iterator[dict[str, object]]:
     choices = [
         value if isinstance(value, list) and protocol.model_fields[key].annotation in (float, int) else [value]
         for key, value in parameters.items()
