@@ -50,9 +50,10 @@ def read_parquet(path: Path) -> ForeignTable:
 def read_npz(path: Path) -> ForeignTable:
     """Read a NumPy archive; raises `ImportDataError` when it is none."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             held = {str(name): archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError) as error:
+    except Exception as error:
+        # NumPy and zipfile report damage as many classes of exception; each means the same to the user.
         raise _damaged(path, "NumPy", error) from error
     export = str(held.pop("metadata", ""))
     return _table(path, list(_vectors("", held)), export=_json(export))

@@ -1,11 +1,10 @@
 """Time stamps of a foreign file turned into sample numbers on an even grid, or refused with the reason.
 
-Instruments write time in three ways. Most stamp rows evenly, to within their last digit. Some leave rows
-out: the stamps jump by a whole number of periods, which becomes a gap. Programs that stamp rows as these
-come off a bus stamp some late and the rows behind them in a burst, though every sample was taken on time: then as
-many rows stand between two punctual ones as there are periods, and each late row belongs where it is
-counted. A stamp can be late but never early; so a row's place cannot lie after the place that any later row's
-stamp allows, and the latest place so allowed is taken. Whatever fits none of these is uneven.
+Most instruments stamp rows evenly, to within their last digit; some leave rows out, so that the stamps jump by
+a whole number of periods, which becomes a gap. A program that stalls now and then samples late, and then in a
+burst. It is tempting to put such rows back where they are counted, but measured positions show that they were
+taken when they say (a motor's, in the tests' data: the jump of the position is that of the time, not of the
+count). So rows off the grid are never moved: either somebody asks for resampling, or states the rate.
 """
 
 from dataclasses import dataclass
@@ -19,8 +18,8 @@ from dragrig.config.errors import ImportDataError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Event
 
-MOST_LATE = 0.01
-"""Part of the rows that may be stamped late."""
+FEW_STRAY = 0.05
+"""Up to this part of all rows, those off the grid are spoken of as strays from an even rate."""
 MOST_GAPS = 0.01
 FEW_GAPS = 10
 """Fewer gaps than this are never too many, however short the file."""
@@ -107,22 +106,19 @@ def fit_grid(path: Path, stamps: FloatArray, tolerance: float) -> Grid:
         )
     digit = _last_digit(stamps)
     period = _rounded(_period(stamps), 2 * digit / len(stamps))
-    place = (stamps - stamps[0]) / period - np.arange(len(stamps))
-    allowed = np.minimum.accumulate(place[::-1])[::-1]
-    shift = np.floor(allowed - allowed[0] + 0.5)
-    late = place - shift
-    late -= np.median(late)
+    place = (stamps - stamps[0]) / period
+    place = place - float(np.angle(np.exp(2j * np.pi * place).mean())) / (2 * np.pi)
+    index = np.round(place).astype(np.int64)
     allowance = min(0.49, max(tolerance, 0.51 * digit / period))
-    is_late, lost = late > allowance, np.diff(shift)
-    gaps = np.flatnonzero(lost > 0)
-    if (
-        np.count_nonzero(is_late) > MOST_LATE * len(stamps)
-        or (late < -allowance).any()
-        or gaps.size > max(FEW_GAPS, MOST_GAPS * len(stamps))
-    ):
+    stray = np.abs(place - index) > allowance
+    stray[1:] |= np.diff(index) < 1
+    gaps = np.flatnonzero(np.diff(index) > 1)
+    if 0 < np.count_nonzero(stray) <= FEW_STRAY * len(stamps):
+        raise _strays(path, stamps, stray, 1 / period)
+    if stray.any() or gaps.size > max(FEW_GAPS, MOST_GAPS * len(stamps)):
         raise _uneven(path, stamps)
-    index = (np.arange(len(stamps)) + shift - shift[0]).astype(np.int64)
-    return Grid(1 / period, index, tuple(_events(index, lost, gaps, late, is_late, period)))
+    index -= index[0]
+    return Grid(1 / period, index, tuple(_gap_events(index, gaps, period)))
 
 
 def _period(stamps: FloatArray) -> float:
@@ -157,26 +153,20 @@ def _rounded(period: float, uncertainty: float) -> float:
     return period
 
 
-def _events(
-    index: npt.NDArray[np.int64],
-    lost: FloatArray,
-    gaps: npt.NDArray[np.intp],
-    late: FloatArray,
-    is_late: npt.NDArray[np.bool_],
-    period: float,
-) -> list[Event]:
-    events = [
-        Event(float(index[k] + 1) * period, "gap", f"{int(lost[k])} samples lost, {lost[k] * period:.6g} s")
-        for k in gaps.tolist()
+def _gap_events(index: npt.NDArray[np.int64], gaps: npt.NDArray[np.intp], period: float) -> list[Event]:
+    lost = np.diff(index)[gaps] - 1
+    return [
+        Event(float(index[k] + 1) * period, "gap", f"{count} samples lost, {count * period:.6g} s")
+        for k, count in zip(gaps.tolist(), lost.tolist(), strict=True)
     ]
-    if is_late.any():
-        first = int(is_late.argmax())
-        message = (
-            f"{int(is_late.sum())} rows were stamped up to {1e3 * period * late.max():.3g} ms late; "
-            "they stand where they are counted"
-        )
-        events.append(Event(float(index[first]) * period, IMPORT_EVENT, message))
-    return events
+
+
+def _strays(path: Path, stamps: FloatArray, stray: npt.NDArray[np.bool_], rate: float) -> UnevenError:
+    return UnevenError(
+        f"{path}: {np.count_nonzero(stray)} of {len(stamps)} rows are off an even rate of {rate:.9g} Hz, the first at "
+        f"{stamps[stray][0]:.9g} s; state resample_hz to have rows interpolated where they are missing, or "
+        "sample_rate_hz if they were sampled evenly and only stamped late."
+    )
 
 
 def _uneven(path: Path, stamps: FloatArray) -> UnevenError:
