@@ -46,19 +46,21 @@ def envelope(
     gap
         Shape `(N - 1,)`, as from `gap_after`.
     """
-    whole = np.flatnonzero(np.isfinite(value))
-    if whole.size == 0:
-        return np.zeros(0), np.zeros(0)
-    t, y = time[whole], np.asarray(value[whole], dtype=np.float64)
-    lost = np.concatenate(([0], np.cumsum(gap)))
-    breaks = np.flatnonzero((np.diff(whole) > 1) | (np.diff(lost[whole]) > 0)) + 1
+    finite = np.isfinite(value)
+    if finite.all():
+        t, y, breaks = time, value, np.flatnonzero(gap) + 1
+    else:
+        whole = np.flatnonzero(finite)
+        lost = np.concatenate(([0], np.cumsum(gap)))
+        t, y = time[whole], value[whole]
+        breaks = np.flatnonzero((np.diff(whole) > 1) | (np.diff(lost[whole]) > 0)) + 1
     if t.size > 4 * columns:
         t, y, breaks = _extremes(t, y, breaks, columns)
-    return np.insert(t, breaks, t[breaks]), np.insert(y, breaks, np.nan)
+    return np.insert(t, breaks, t[breaks]), np.insert(np.asarray(y, dtype=np.float64), breaks, np.nan)
 
 
 def _extremes(
-    t: FloatArray, y: FloatArray, breaks: "np.ndarray[tuple[int], np.dtype[np.intp]]", columns: int
+    t: FloatArray, y: AnyFloatArray, breaks: "np.ndarray[tuple[int], np.dtype[np.intp]]", columns: int
 ) -> tuple[FloatArray, FloatArray, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
     regular = np.searchsorted(t, np.linspace(t[0], t[-1], columns, endpoint=False))
     starts = np.union1d(regular, breaks)
