@@ -26,6 +26,7 @@ from dragrig.figures.style import (
     sequence,
     text_width_in,
 )
+from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 
 WIDTH_IN, TALL_IN = 14.0, 7.0
@@ -76,7 +77,8 @@ def _places(count: int) -> tuple[Place, ...]:
 
 
 def _steady(axes: Axes, digests: Sequence[RunDigest]) -> None:
-    labels = []
+    labels: list[EndLabel] = []
+    shown: list[FloatArray] = []
     for kind, (colour, marker) in LOOKS.items():
         points = [(one.speed_mm_s, one.steady) for one in digests if one.kind == kind and one.steady is not None]
         if not points:
@@ -84,6 +86,7 @@ def _steady(axes: Axes, digests: Sequence[RunDigest]) -> None:
         speed = np.array([speed for speed, _ in points])
         force = np.array([estimate.value for _, estimate in points], dtype=float)
         half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
+        shown += [force - half, force + half]
         rounded = np.array([_rounded(one) for one in speed])
         levels = np.unique(rounded)
         means = [float(force[rounded == level].mean()) for level in levels]
@@ -94,7 +97,7 @@ def _steady(axes: Axes, digests: Sequence[RunDigest]) -> None:
         labels.append(EndLabel(means[-1], kind if kind != "coulomb" else "Coulomb", colour))
     speeds = [one.speed_mm_s for one in digests]
     plain_log_x(axes, *_decade(speeds))
-    fit_y(axes, [np.array([one.steady.value for one in digests if one.steady], dtype=float), np.zeros(1)], 1.0)
+    fit_y(axes, [*shown, np.zeros(1)], 1.0)
     axes.set_xlabel("Speed (mm/s)")
     label_y(axes, "Force (mN)")
     _heading(axes, "Steady force", "zero offsets included, bars 95 %")
@@ -158,8 +161,8 @@ def _decade(speeds: Sequence[float]) -> tuple[float, float]:
 
 
 def _rounded(speed_mm_s: float) -> float:
-    """Measured speeds of runs at one set speed differ in the third digit."""
-    return float(f"{speed_mm_s:.2g}")
+    """Where no speed was set, the measured ones of equal runs differ in the fourth digit."""
+    return float(f"{speed_mm_s:.3g}")
 
 
 def _subtitle(digests: Sequence[RunDigest]) -> str:

@@ -32,7 +32,7 @@ class RunDigest:
     good
         Whether it is complete and was not marked bad; only then the rest is filled in.
     speed_mm_s
-        How fast it went, without sign; 0 where that is unknown.
+        The speed that was set, or else measured, without sign; 0 where neither is known.
     strain
         Shear strain of a relaxation, 1 being 100 %.
     steady
@@ -66,7 +66,7 @@ def digest(run: Run, bad: Collection[Path] = ()) -> RunDigest:
     if info.kind not in STEADY_KINDS:
         return RunDigest(*head)
     measures = measure(run)
-    speed = measures.speed.value if measures.speed.value is not None else _number(run, "speed_mm_s")
+    speed = _number(run, "speed_mm_s") or measures.speed.value or 0.0
     x, force = _against_position(run) if info.kind == "drag" else (_nothing(), _nothing())
     steady = measures.steady_force if measures.steady_force.value is not None else None
     return RunDigest(*head, speed_mm_s=abs(speed), steady=steady, x=x, force_mN=force)
