@@ -13,7 +13,9 @@ def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "rig.toml").write_text("backend = 'hardware'\n", "utf-8")  # a lab's own rig is left alone
+    (tmp_path / "rig.toml").write_text(
+        "backend = 'hardware'\n[stage]\nhighest_mm = 50\n", "utf-8"
+    )  # a lab's own rig is left alone
     assert main(["demo"]) == 0
     (folder,) = (tmp_path / "dragrig-demo").iterdir()
     runs = campaign(folder).runs

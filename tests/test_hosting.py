@@ -75,6 +75,22 @@ def test_ctrl_c_at_a_prompt_ends_the_session(answer: Answer | BaseException) -> 
     assert person.thread is threading.main_thread()
 
 
+class PressingCtrlC(Nobody):
+    """Presses Ctrl-C while a prompt waits for words."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        os.kill(os.getpid(), signal.SIGINT)
+        threading.Event().wait(5)
+        return Answer.DONE
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_prompt_does_not_outlast_ctrl_c() -> None:
+    result = carried_out(PressingCtrlC())
+    assert (result.status, result.runs) == (Status.ABORTED, ())
+    assert result.reason == "ended at a prompt"
+
+
 def test_an_operator_who_fails_leaves_no_session_behind() -> None:
     with pytest.raises(ZeroDivisionError):
         carried_out(AtThePrompt(ZeroDivisionError()))

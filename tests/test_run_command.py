@@ -161,6 +161,8 @@ def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     made = run("--resume", "c", "--yes")
     assert [one["kind"] for one in made["runs"]] == ["drag"]
+    *before, again = sorted(campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
+    assert all(one.end_time is not None and one.end_time < again.header.start_time for one in before)
 
 
 @pytest.mark.parametrize(
