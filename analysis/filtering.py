@@ -68,7 +68,7 @@ def filter_run(run: Run, settings: SavgolSettings | None = None) -> Filtered:
         except AnalysisError as error:
             raise AnalysisError(f"{run.info.path}: {error}") from error
 
-    forces = [name for name, values in trace.channels.items() if trace.units.get(name) == "mN" and values.size]
+    forces = [name for name in trace.channels if trace.units.get(name) == "mN"]
     results = {name: smoothed(trace.channels[name], settings) for name in forces}
     speed = replace(settings, order=max(settings.order, 1), derivative=1)
     results["speed"] = smoothed(trace.position, speed)

@@ -8,29 +8,45 @@ from numpy.polynomial import legendre
 from dragrig.rig.arrays import FloatArray
 
 LONGEST_DIRECT_WINDOW = 512
-"""Beyond this the convolution goes through the Fourier transform, which is faster by the window's length."""
+"""Beyond this the convolution goes through the Fourier transform, and nothing is convolved for the ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavgolKernel:
-    """Window, order and derivative at one sample rate, with the weights of the samples in the window.
+    """Window, order and derivative at one sample rate.
 
-    `scipy.signal` fits the ends of a piece. The weights of the middle are computed here, because
+    `scipy.signal` fits the ends of a piece, and convolves. The weights of the middle are computed here, because
     `scipy.signal.savgol_coeffs` solves with unscaled powers of the sample number: at 12501 samples
     (0.05 s at 250 kHz) and order 4 or more its answer has nothing to do with the data any more.
+
+    Attributes
+    ----------
+    orthonormal
+        Polynomials on the window, orthonormal, shape `(window, order + 1)`.
+    derived
+        Their derivative at each sample, in 1/s^k.
+    weights
+        Weights of the samples in a window for its middle, in the order of a convolution.
     """
 
     window: int
     order: int
     derivative: int
     sample_rate_hz: float
+    orthonormal: FloatArray
+    derived: FloatArray
     weights: FloatArray
 
     @classmethod
     def of(cls, window: int, order: int, derivative: int, sample_rate_hz: float) -> "SavgolKernel":
-        """Compute the weights."""
-        weights = _weights(window, order, derivative) * (2 * sample_rate_hz / (window - 1)) ** derivative
-        return cls(window, order, derivative, sample_rate_hz, weights)
+        """Work out the polynomials; Legendre's keep the fit well conditioned."""
+        at = np.linspace(-1.0, 1.0, window)
+        orthonormal, triangle = np.linalg.qr(legendre.legvander(at, order))
+        rows = [legendre.legval(at, legendre.legder(row, derivative)) for row in np.eye(order + 1)]
+        per_second = (2 * sample_rate_hz / (window - 1)) ** derivative
+        derived = np.ascontiguousarray(np.linalg.solve(triangle.T, np.array(rows)).T * per_second)
+        weights = np.ascontiguousarray((orthonormal @ derived[window // 2])[::-1])
+        return cls(window, order, derivative, sample_rate_hz, orthonormal, derived, weights)
 
     @property
     def half(self) -> int:
@@ -55,16 +71,9 @@ class SavgolKernel:
         """Evaluate the polynomial through exactly one window at each of its samples; the middle one is not used."""
         from scipy.signal import savgol_filter
 
+        if self.window > LONGEST_DIRECT_WINDOW:
+            return np.asarray(self.derived @ (self.orthonormal.T @ samples))
         fitted = savgol_filter(
             samples, self.window, self.order, self.derivative, 1 / self.sample_rate_hz, mode="interp"
         )
         return np.asarray(fitted, dtype=np.float64)
-
-
-def _weights(window: int, order: int, derivative: int) -> FloatArray:
-    """Weights for convolution, per unit of half the window: Legendre polynomials keep the fit well conditioned."""
-    at = np.linspace(-1.0, 1.0, window)
-    orthonormal, triangle = np.linalg.qr(legendre.legvander(at, order))
-    at_middle = np.array([legendre.legval(0.0, legendre.legder(row, derivative)) for row in np.eye(order + 1)])
-    fit = orthonormal @ np.linalg.solve(triangle.T, at_middle)
-    return np.ascontiguousarray(fit[::-1])

@@ -1,6 +1,8 @@
 """The filter of run files."""
 
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,3 +102,13 @@ def test_a_low_rate_gets_a_longer_usual_window() -> None:
 def test_a_window_that_does_not_fit_names_the_run() -> None:
     with pytest.raises(AnalysisError, match=r"014-drag\.h5: A filter window of 9001 samples is longer than the whole"):
         filter_run(read_run(DRAG), SavgolSettings(window_samples=9001))
+
+
+def test_naming_the_filter_loads_no_heavy_library() -> None:
+    script = (
+        "import sys, dragrig.analysis as a, dragrig.analysis.importing as i\n"
+        "a.SavgolSettings, a.filter_run, a.measure, a.export_run, a.TableRow, a.SavgolStream, i.__all__\n"
+        "print([m for m in ('scipy', 'pandas', 'h5py', 'pyarrow', 'pydantic', 'nptdms') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -14,7 +14,7 @@ DELIMITERS = ("\t", ";", "|", ",", " ")
 """In the order in which they win when two would do as well; the last stands for any white space."""
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\d*[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.IGNORECASE)
 _COMMENT = re.compile(r"\s*(#|%|//)\s?")
-_SAMPLE = 200
+_SAMPLE = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +75,9 @@ def detect(path: Path, lines: Sequence[str], delimiter: str = "", header_lines: 
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
-    """Lines from all over the file, fewer from its head, where a preamble may stand."""
-    filled = [line for line in lines if line.strip() and not _COMMENT.match(line)]
-    step = max(1, len(filled) // _SAMPLE)
-    return filled[::step]
+    """Lines from all over the file, so that a preamble is a small part of them."""
+    some = lines[:: max(1, len(lines) // _SAMPLE)]
+    return [line for line in some if line.strip() and not _COMMENT.match(line)]
 
 
 def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...]]:

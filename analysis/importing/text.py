@@ -18,7 +18,8 @@ from dragrig.analysis.importing.units import canonical, unit_of_name
 from dragrig.config.errors import ImportDataError
 
 _EXPORTED = re.compile(r"# ([\w-]+): (.*)")
-_DECIMAL_COMMA, _DECIMAL_POINT = r"^[-+]?\d*,\d+", r"^[-+]?\d*\.\d*"
+_DECIMAL_COMMA = r"^[-+]?\d*,\d+([eE][-+]?\d+)?$"
+_DECIMAL_POINT = r"^[-+]?\d*\.\d*([eE][-+]?\d+)?$"
 
 
 def read_text(
@@ -85,15 +86,22 @@ def _ragged(path: Path, lines: Sequence[str], rows: Sequence[int], dialect: Dial
 
 
 def _decimal_mark(path: Path, columns: Sequence[pa.Array]) -> str:
+    held = [[_any(column, mark) for mark in ",."] for column in columns]
+    if not all(map(any, zip(*held, strict=True))):
+        return "," if any(comma for comma, _ in held) else "."
     commas, points = (
         sum(pc.sum(pc.match_substring_regex(column, pattern)).as_py() or 0 for column in columns)
-        for pattern in (_DECIMAL_COMMA + r"([eE][-+]?\d+)?$", _DECIMAL_POINT + r"([eE][-+]?\d+)?$")
+        for pattern in (_DECIMAL_COMMA, _DECIMAL_POINT)
     )
     if commas and points:
         raise ImportDataError(
             f"{path}: has decimal commas in {commas} cells and decimal points in {points}; state the decimal mark."
         )
     return "," if commas else "."
+
+
+def _any(cells: pa.Array, text: str) -> bool:
+    return bool(pc.any(pc.match_substring(cells, text)).as_py())
 
 
 def _labels(dialect: Dialect, cells: Sequence[pa.Array]) -> tuple[list[str], list[str]]:
@@ -110,9 +118,10 @@ def _labels(dialect: Dialect, cells: Sequence[pa.Array]) -> tuple[list[str], lis
 
 def _column(name: str, units: str, cells: pa.Array, decimal: str) -> ForeignColumn:
     """Turn cells into numbers; a cell is missing when it is empty."""
-    plain = pc.replace_substring_regex(cells, r"^\+", "")
+    plain = pc.replace_substring_regex(cells, r"^\+", "") if _any(cells, "+") else cells
     if decimal == ",":
-        plain = pc.if_else(pc.match_substring(plain, "."), "a point where commas are decimal marks", plain)
+        if _any(plain, "."):
+            plain = pc.if_else(pc.match_substring(plain, "."), "a point where commas are decimal marks", plain)
         plain = pc.replace_substring(plain, ",", ".", max_replacements=1)
     filled = pc.if_else(pc.equal(plain, ""), None, plain)
     try:
