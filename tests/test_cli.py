@@ -52,6 +52,14 @@ def test_the_overview_names_commands_that_exist(name: str, line: str) -> None:
     assert line in CliRunner().invoke(group, ["--help"], terminal_width=200).output
 
 
+@pytest.mark.parametrize("name", ["run", "check"])
+def test_the_help_names_the_plans_that_ship(name: str) -> None:
+    from dragrig.config.library import shipped
+
+    told = " ".join(CliRunner().invoke(group, [name, "--help"]).output.split())
+    assert f"Shipped plans: {', '.join(shipped('plan'))}." in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -14,6 +14,7 @@ from dragrig.config.loading import load
 from dragrig.config.rig import RigSettings
 from dragrig.lab import create
 from dragrig.rig import calibration
+from dragrig.rig.runfile import campaign
 
 
 def entry(name: str, quantity: str = "force") -> Calibration:
@@ -69,3 +70,17 @@ def test_a_line_that_is_no_calibration_is_named(tmp_path: Path, line: str) -> No
     (tmp_path / "calibration.jsonl").write_bytes(entry("a").model_dump_json().encode() + b"\n" + line.encode("latin-1"))
     with pytest.raises(SettingsError, match=r"calibration\.jsonl"):
         calibration.read(tmp_path)
+
+
+def test_run_files_name_the_calibration_that_held(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    create(tmp_path)
+    calibration.append(tmp_path, entry("2024-05-a"))
+    calibration.append(tmp_path, entry("2024-06-b"))
+    monkeypatch.chdir(tmp_path / "runs")
+    assert main(["run", "drag", "--yes", "--set", "travel_mm=10", "--set", "way_back=stay"]) == 0
+    (folder,) = (tmp_path / "runs").iterdir()
+    (info,) = campaign(folder).runs
+    assert info.header.entry["calibration_id"] == "2024-06-b"
+    assert capsys.readouterr().out.strip() == folder.name

@@ -24,6 +24,8 @@ def command(
 ) -> None:
     """Say what PLAN, a file or a shipped name, would do; nothing moves.
 
+    Shipped plans: blank, coulomb, demo, drag, drag-sweep, paper, relaxation.
+
     Prints every run with the range, speed and time that it takes, and what forbids it, if anything does.
     """
     from dragrig import api
