@@ -16,6 +16,13 @@ Table = dict[str, object]
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _LARGEST_FILE = 4 * 1024 * 1024
+_SHAPES = {
+    "model_type": "a table of keys",
+    "dict_type": "a table of keys",
+    "mapping_type": "a table of keys",
+    "list_type": "a list",
+    "tuple_type": "a list",
+}
 
 
 def read_toml(path: Path) -> Table:
@@ -131,6 +138,8 @@ def _describe_one(detail: ErrorDetails, model: type[BaseModel]) -> str:
         return f"{key} is not a known key; {nearest(str(detail['loc'][-1]), known)}" if known else f"{key} is unknown"
     if kind == "missing":
         return f"{key} is missing"
+    if kind in _SHAPES:
+        return f"{key} must be {_SHAPES[kind]}, and is {detail['input']!r:.60}"
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
     return f"{key} = {detail['input']!r:.60}: {message}" if key else message

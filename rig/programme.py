@@ -13,6 +13,7 @@ from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import Protocol, swept
+from dragrig.rig.protocols.catalogue import MOST_RUNS
 from dragrig.rig.protocols.way_back import Return
 
 
@@ -118,6 +119,8 @@ def _step_runs(
     if step.kind == Return.kind:
         raise PlanError(f"{where}: a plan has no steps of kind return; say way_back = 'driven' in the step before.")
     protocols = swept(step.kind, step.parameters, where, tuple(Step.model_fields))
+    if len(protocols) * step.repeats > MOST_RUNS:
+        raise PlanError(f"{where}: makes more than {MOST_RUNS} runs; lower repeats or shorten the lists.")
     for count, protocol in enumerate(_ordered(protocols, step, draw)):
         by_hand = step.way_back is WayBack.BY_HAND and count > 0
         asks = step.prompt if count == 0 or step.prompt_each else ""

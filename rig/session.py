@@ -1,6 +1,5 @@
 """A session: the runs of a programme one after the other, with prompts, tares, waits and ways back between them."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from uuid import uuid4
 
@@ -250,11 +249,3 @@ class _EndedEarlyError(DragrigError):
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
         self.status, self.reason = status, reason
-
-
-def summary(result: SessionResult) -> Mapping[str, int]:
-    """Return how many runs ended in which way."""
-    counts: dict[str, int] = {}
-    for one in result.runs:
-        counts[one.outcome.status] = counts.get(one.outcome.status, 0) + 1
-    return counts

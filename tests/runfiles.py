@@ -14,7 +14,7 @@ from dragrig.rig.runfile.recorder import Recorder
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
-PRACTICE = Path(__file__).parent / "data" / "practice"
+PRACTICE = Path(__file__).parent / "data" / "campaign"
 CHANNELS = (Channel("force", "mN"), Channel("position", "mm"), Channel("motor_force", "mN"))
 START = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 

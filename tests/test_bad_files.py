@@ -9,7 +9,7 @@ import pytest
 
 from dragrig.cli import main
 
-GOOD = Path(__file__).parent / "data" / "practice" / "009-drag.h5"
+GOOD = Path(__file__).parent / "data" / "campaign" / "010-drag.h5"
 
 
 def truncated(path: Path) -> None:

@@ -13,7 +13,7 @@ import dragrig
 from dragrig.cli import main
 from dragrig.rig.runfile import read_mark, read_run
 
-PRACTICE = Path(__file__).parent / "data" / "practice"
+PRACTICE = Path(__file__).parent / "data" / "campaign"
 
 
 class Command:
@@ -45,10 +45,10 @@ def practice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_filter_stores_the_result_beside_the_raw_trace(command: Command, practice: Path) -> None:
-    before = read_run(practice / "009-drag.h5").trace.force.copy()
+    before = read_run(practice / "010-drag.h5").trace.force.copy()
     done = command.json("filter", "c", "--window-s", "0.1", "--order", "2")
     assert len(done) == len(list(practice.glob("*.h5")))
-    run = dragrig.load(practice / "009-drag.h5")
+    run = dragrig.load(practice / "010-drag.h5")
     assert run.filtered is not None
     assert (run.filtered.parameters["order"], run.filtered.parameters["window_s"]) == (2, pytest.approx(0.1, rel=0.03))
     assert np.array_equal(run.trace.force, before)
@@ -59,7 +59,7 @@ def test_info_says_what_is_inside_and_verifies_it(command: Command, practice: Pa
     found = command.json("info", "c")
     assert {one["kind"] for one in found} == {"relaxation", "blank", "coulomb", "drag"}
     assert all(one["channels"]["force"] == "mN" for one in found)
-    assert "drag" in command("info", "c/009-drag.h5").out
+    assert "drag" in command("info", "c/010-drag.h5").out
     (run,) = dragrig.simulate("blank", out=practice / "own", assignments=["speed_mm_s=40", "way_back=stay"])
     assert command.json("info", "c/own", "--verify")[0]["intact"] is True
     tampered = run.info.path
@@ -76,8 +76,8 @@ def tamper(path: Path) -> None:
 
 
 def test_a_mark_is_honoured_by_everything_later_and_can_be_taken_back(command: Command, practice: Path) -> None:
-    drag = practice / "009-drag.h5"
-    command("mark", "c/009-drag.h5", "--bad", "capsule slipped off")
+    drag = practice / "010-drag.h5"
+    command("mark", "c/010-drag.h5", "--bad", "capsule slipped off")
     mark = read_mark(drag)
     assert mark is not None
     assert mark.reason == "capsule slipped off"
@@ -102,20 +102,20 @@ def test_nothing_is_marked_when_one_of_the_names_is_no_run(command: Command, pra
 
 def test_table_gives_the_same_numbers_to_people_and_programs(command: Command, practice: Path) -> None:
     found = command.json("table", "c")
-    steady = {row["file"]: row for row in found["runs"]}["009-drag.h5"]
+    steady = {row["file"]: row for row in found["runs"]}["010-drag.h5"]
     assert steady["steady_force_mN"] > 5 * steady["steady_force_error_mN"] > 0
     shown = command("table", "c").out
     assert f"{steady['steady_force_mN']:.1f}" in shown
     frame = dragrig.table(practice)
-    assert frame.set_index("file").loc["009-drag.h5", "steady_force_mN"] == pytest.approx(steady["steady_force_mN"])
+    assert frame.set_index("file").loc["010-drag.h5", "steady_force_mN"] == pytest.approx(steady["steady_force_mN"])
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
 def test_export_writes_every_form_and_writes_nothing_over(command: Command, practice: Path, form: str) -> None:
-    words = ("export", "c/009-drag.h5", "--format", form, "--out", "x")
+    words = ("export", "c/010-drag.h5", "--format", form, "--out", "x")
     (done,) = command.json(*words)
     written = Path(done["file"])
-    assert written == Path("x") / f"009-drag.{form}"
+    assert written == Path("x") / f"010-drag.{form}"
     before = written.read_bytes()
     assert "exists already" in command(*words, code=2).err
     assert written.read_bytes() == before
@@ -123,10 +123,10 @@ def test_export_writes_every_form_and_writes_nothing_over(command: Command, prac
 
 
 def test_a_spreadsheet_of_another_country_reads_the_export(command: Command, practice: Path) -> None:
-    command("export", "c/009-drag.h5", "--decimal", ",", "--delimiter", ";", "--out", "x")
-    frame = pd.read_csv("x/009-drag.csv", sep=";", decimal=",", comment="#")
+    command("export", "c/010-drag.h5", "--decimal", ",", "--delimiter", ";", "--out", "x")
+    frame = pd.read_csv("x/010-drag.csv", sep=";", decimal=",", comment="#")
     force = next(frame[name] for name in frame if name.startswith("force"))
-    assert np.allclose(force, read_run(practice / "009-drag.h5").trace.force, atol=1e-3)
+    assert np.allclose(force, read_run(practice / "010-drag.h5").trace.force, atol=1e-3)
 
 
 def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command, practice: Path) -> None:
@@ -143,15 +143,15 @@ def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command,
         (("export", "c", "--format", "npz", "--decimal", ","), "--format csv alone"),
         (("export", "c", "--decimal", ";"), "decimal mark"),
         (("export", "c", "--decimal", ",", "--delimiter", ","), "choose ; as the delimiter"),
-        (("export", "c/009-drag.h5", "--out", "taken"), "taken"),
-        (("filter", "c/009-drag.h5", "--window-samples", "10"), "odd number"),
-        (("filter", "c/009-drag.h5", "--window-s", "nan"), "window"),
-        (("filter", "c/009-drag.h5", "--window-s", "1e9"), "window"),
-        (("filter", "c/009-drag.h5", "--window-s", "1", "--window-samples", "9"), "give one of the two"),
-        (("filter", "c/009-drag.h5", "--order", "99"), "order"),
-        (("filter", "c/009-drag.h5", "--window-s", "abc"), "--window-s"),
-        (("mark", "c/009-drag.h5"), "--bad REASON or --good"),
-        (("mark", "c/009-drag.h5", "--bad", " "), "reason"),
+        (("export", "c/010-drag.h5", "--out", "taken"), "taken"),
+        (("filter", "c/010-drag.h5", "--window-samples", "10"), "odd number"),
+        (("filter", "c/010-drag.h5", "--window-s", "nan"), "window"),
+        (("filter", "c/010-drag.h5", "--window-s", "1e9"), "window"),
+        (("filter", "c/010-drag.h5", "--window-s", "1", "--window-samples", "9"), "give one of the two"),
+        (("filter", "c/010-drag.h5", "--order", "99"), "order"),
+        (("filter", "c/010-drag.h5", "--window-s", "abc"), "--window-s"),
+        (("mark", "c/010-drag.h5"), "--bad REASON or --good"),
+        (("mark", "c/010-drag.h5", "--bad", " "), "reason"),
         (("table", "nowhere"), "nowhere"),
         (("recover", "nowhere"), "nowhere"),
         (("info", "nowhere"), "nowhere"),

@@ -113,6 +113,8 @@ def test_strokes_of_a_motion_are_no_sweep() -> None:
         ({"kind": "drag"}, "speed_mm_s is missing"),
         ({"kind": "drag", "speed_mm_s": 5, "capsule": "rouhg"}, "did you mean rough?"),
         ({"kind": "return", "travel_mm": 5}, "way_back"),
+        ({"kind": "drag", "speed_mm_s": [1.0] * 200, "travel_mm": [40.0] * 200}, "more than 10000 runs"),
+        ({"kind": "drag", "speed_mm_s": [1.0] * 200, "repeats": 1000}, "more than 10000 runs"),
     ],
 )
 def test_what_is_refused_is_refused_in_one_sentence(step: dict[str, object], words: str) -> None:

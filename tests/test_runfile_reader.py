@@ -230,7 +230,7 @@ def test_damaged_bytes_are_read_or_refused_but_never_worse(
 ) -> None:
     source = tmp_path / "whole.h5"
     if not own:
-        source = PRACTICE / "009-drag.h5"
+        source = PRACTICE / "010-drag.h5"
     elif not source.exists():
         whole(source)
     raw = bytearray(source.read_bytes())
@@ -243,7 +243,7 @@ def test_damaged_bytes_are_read_or_refused_but_never_worse(
 
 
 def test_damage_that_hangs_or_kills_hdf5_is_caught_before(tmp_path: Path) -> None:
-    raw = bytearray((PRACTICE / "009-drag.h5").read_bytes())
+    raw = bytearray((PRACTICE / "010-drag.h5").read_bytes())
     heap = raw.index(b"GCOL")
     stuck, greedy = bytearray(raw), bytearray(raw)
     stuck[heap + 16 : heap + 32] = bytes(16)  # a free object of no size: the library never gets past it

@@ -4,12 +4,16 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from itertools import product
+from math import prod
 from pkgutil import iter_modules
 
 from dragrig.config.errors import PlanError
 from dragrig.config.loading import nearest, parse
 from dragrig.rig import protocols
 from dragrig.rig.protocols.base import Protocol
+
+MOST_RUNS = 10_000
+"""More than a year of rig time, and what memory bears."""
 
 
 @cache
@@ -45,14 +49,18 @@ def swept(kind: str, parameters: Mapping[str, object], source: str, own_keys: tu
     for key in parameters:
         if key not in known:
             raise PlanError(f"{source}: {key} is not a key of a {kind} step; {nearest(key, [*known, *own_keys])}")
-    return tuple(parse(protocol, combination, source) for combination in _combinations(protocol, parameters))
+    return tuple(parse(protocol, combination, source) for combination in _combinations(protocol, parameters, source))
 
 
-def _combinations(protocol: type[Protocol], parameters: Mapping[str, object]) -> Iterator[dict[str, object]]:
+def _combinations(
+    protocol: type[Protocol], parameters: Mapping[str, object], source: str
+) -> Iterator[dict[str, object]]:
     choices = [
         value if isinstance(value, list) and protocol.model_fields[key].annotation in (float, int) else [value]
         for key, value in parameters.items()
     ]
+    if prod(len(values) for values in choices) > MOST_RUNS:
+        raise PlanError(f"{source}: the lists make more than {MOST_RUNS} runs; shorten them.")
     for values in product(*choices):
         yield dict(zip(parameters, values, strict=True))
 
