@@ -107,6 +107,7 @@ def test_runs_are_finished_by_a_worker_out_of_the_terminals_reach(tmp_path: Path
             assert os.getpgid(finisher.worker_pid) != os.getpgid(0)
         finisher.submit(record(tmp_path / "2.h5", 2000, 2))
         second = finisher.wait()
+        assert psutil.Process(finisher.worker_pid).status() != psutil.STATUS_ZOMBIE
     assert [done.path for done in (*first, *second)] == [tmp_path / f"{order}.h5" for order in range(3)]
     assert finisher.pending == 0
     assert left_recordings(tmp_path) == ()

@@ -289,7 +289,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FILLER, str(small_disk), str(Path(__file__).parent), watch],
-        capture_output=True, text=True, check=False,
+        capture_output=True, text=True, check=False, timeout=40,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
