@@ -1,6 +1,6 @@
 """Finishing: a recording becomes a compressed run file that is never changed again."""
 
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 
 import h5py
@@ -8,7 +8,8 @@ import h5py
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.runfile import files, naming, reader, schema, writing
 from dragrig.rig.runfile.digest import PIECE, TraceDigest, trace_sha256
-from dragrig.rig.runfile.model import Ending, RunInfo, Status
+from dragrig.rig.runfile.layout import valid_count
+from dragrig.rig.runfile.model import Attribute, Ending, Status
 from dragrig.rig.runfile.recording import annotations_in
 from dragrig.rig.runfile.whole import new_file
 
@@ -47,30 +48,47 @@ def _repack(recording: Path, target: Path) -> None:
     with reader.opened(recording) as source:
         with reader.refused(recording):
             version = reader.layout_of(source)
-            info = version.info(source, recording)
-            events = version.events(source)
             late, ending = annotations_in(source)
-        header = replace(info.header, entry={**info.header.entry, **late})
-        ending = ending or Ending(
-            Status.RECOVERED, f"the recording process ended before the run did; {info.samples} samples were kept"
-        )
+            if ending is None:
+                ending = _recovered(version.info(source, recording).samples)
+            samples = valid_count(source, schema.VALID_SAMPLES, len(source[schema.TRACE][schema.TIME]))
+            events = version.events(source)
         _make_sure_of_room(source, target)
         with new_file(target) as file:
-            writing.write_header(file, header, ending.status)
-            digest = _copy_trace(source, file, info)
+            with reader.refused(recording):
+                _copy_header(source, file, {**late, "status": str(ending.status)})
+            digest = _copy_trace(source, file, samples, recording)
             writing.write_ending(file, events, ending, digest)
 
 
-def _copy_trace(source: h5py.File, file: h5py.File, info: RunInfo) -> str:
-    units, digest = writing.units_of(info.header.channels), TraceDigest()
+def _recovered(samples: int) -> Ending:
+    # Nobody saw this one end, which is why its caller has read all of its header before.
+    return Ending(Status.RECOVERED, f"the recording process ended before the run did; {samples} samples were kept")
+
+
+def _copy_header(source: h5py.File, file: h5py.File, late: Mapping[str, Attribute]) -> None:
+    """Copy what was known before the first sample, whole groups by HDF5 itself, and add to `/entry` what came late."""
+    changed: dict[str, Mapping[str, Attribute]] = {"/": {}, schema.ENTRY: late, schema.TRACE: {}}
+    for path, also in changed.items():
+        copy = file.require_group(path)
+        for name, value in {**source[path].attrs, **also}.items():
+            copy.attrs[name] = value
+    for path in (schema.PROTOCOL, schema.CAPSULE, schema.SPECIMEN, schema.SETTINGS):
+        if path in source:
+            source.copy(path, file, name=path)
+
+
+def _copy_trace(source: h5py.File, file: h5py.File, samples: int, recording: Path) -> str:
+    digest = TraceDigest()
     for name in sorted(source[schema.TRACE]):
         original = source[schema.TRACE][name]
-        copy = writing.create_column(file[schema.TRACE], name, info.samples, original.dtype)
-        writing.describe(copy, name, units)
-        digest.begin(name, original.dtype, info.samples)
-        for start in range(0, info.samples, PIECE):
-            with reader.refused(info.path):
-                piece = original[start : min(start + PIECE, info.samples)]
+        copy = writing.create_column(file[schema.TRACE], name, samples, original.dtype)
+        for key, value in original.attrs.items():
+            copy.attrs[key] = value
+        digest.begin(name, original.dtype, samples)
+        for start in range(0, samples, PIECE):
+            with reader.refused(recording):
+                piece = original[start : min(start + PIECE, samples)]
             copy[start : start + len(piece)] = piece
             digest.update(piece)
     return digest.hexdigest()

@@ -62,10 +62,10 @@ def write_header(file: h5py.File, header: RunHeader, status: Status) -> None:
     """Write every group and attribute that is known before the first sample."""
     file.attrs["format"] = schema.FORMAT
     file.attrs["format_version"] = schema.FORMAT_VERSION
-    for path, fixed in schema.FIXED_ATTRIBUTES.items():
-        write_attributes(file.require_group(path), fixed)
-    for path, found in _groups(header, status).items():
-        write_attributes(file.require_group(path), found)
+    known = _groups(header, status)
+    for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *known)):
+        group = file if path == "/" else file.create_group(path)
+        write_attributes(group, {**schema.FIXED_ATTRIBUTES.get(path, {}), **known.get(path, {})})
     if header.settings_toml:
         file[schema.SETTINGS] = header.settings_toml
 
