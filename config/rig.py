@@ -79,7 +79,7 @@ class GuardSettings(Settings):
 class RecordingSettings(Settings):
     """How runs are put on disk."""
 
-    flush_s: float = Field(default=0.2, gt=0, le=0.25)
+    flush_s: float = Field(default=0.1, gt=0, le=0.25)
     """Longest time of data that a crash may cost."""
     reserve_mb: float = Field(default=64.0, ge=1)
     """Free space below which a run stops, besides twice the run's own size."""

@@ -102,8 +102,7 @@ class Acquiring:
             return None
         reading = self._tape.join(block)
         look = Look.at(block, reading.command)
-        fault = self._stage.state().fault
-        if fault:
+        if fault := self._stage.fault:
             trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
         else:
             trip = self._guard.inspect(block, reading.command, look, self._rate_hz)

@@ -152,7 +152,12 @@ class Stage(Protocol):
         ...
 
     def state(self) -> StageState:
-        """Where the stage is and how it is; asked at every block, so it must not wait for the drive."""
+        """Where the stage is and how it is."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """What the drive reports, empty when nothing; asked at every block, so it must not wait for the drive."""
         ...
 
 

@@ -1,12 +1,13 @@
 """What a run file says before its first sample."""
 
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 
 from dragrig.config.base import Settings
 from dragrig.rig.devices import Acquisition, Backend
 from dragrig.rig.programme import PlannedRun
-from dragrig.rig.record import SessionRecord, run_settings
+from dragrig.rig.record import SessionRecord
 from dragrig.rig.runfile.model import Attribute, RunHeader
 
 
@@ -15,12 +16,21 @@ def header_of(
     acquisition: Acquisition,
     record: SessionRecord,
     backend: Backend,
+    settings_toml: str,
     facts: Mapping[str, Attribute],
 ) -> RunHeader:
-    """Gather the header of a run about to be made; `facts` are further attributes of `/entry`."""
+    """Gather the header of a run about to be made.
+
+    Parameters
+    ----------
+    settings_toml
+        The session's record as text, written once for all its runs.
+    facts
+        Further attributes of `/entry`.
+    """
     now = backend.clock.now()
     entry: dict[str, Attribute] = {
-        "software": f"dragrig {version('dragrig')}",
+        "software": software(),
         "plan": record.plan.name,
         "plan_run": run.index,
         "origin_mm": backend.stage.state().position_mm,
@@ -44,8 +54,14 @@ def header_of(
         protocol={key: value for key, value in run.protocol.attributes().items() if key != "kind"},
         capsule=_plain(run.capsule),
         specimen={**_plain(run.specimen), "fixture": acquisition.fixture.value},
-        settings_toml=run_settings(record, run.index, acquisition.order, now),
+        settings_toml=f"# run {run.index} of this session, order {acquisition.order}\n{settings_toml}",
     )
+
+
+@cache
+def software() -> str:
+    """Return name and version of this software."""
+    return f"dragrig {version('dragrig')}"
 
 
 def _plain(settings: Settings) -> dict[str, Attribute]:

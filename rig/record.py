@@ -1,6 +1,5 @@
 """The session's record beside its run files: everything needed to go on with it, or to repeat it."""
 
-from datetime import datetime
 from pathlib import Path
 
 from pydantic import AwareDatetime
@@ -50,9 +49,3 @@ def latest_record(folder: Path) -> SessionRecord:
     if not records:
         raise RunFileError(f"{folder}: holds no session-….toml, so there is no session to go on with.")
     return load(SessionRecord, records[-1])
-
-
-def run_settings(record: SessionRecord, index: int, order: int, begun_at: datetime) -> str:
-    """Return the text that a run file keeps under /entry/settings: the record, and which of its runs this is."""
-    head = f"# run {index} of this session, order {order}, begun {begun_at.isoformat()}\n"
-    return head + to_toml(record)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from uuid import uuid4
 
 from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError, plain
+from dragrig.config.loading import to_toml
 from dragrig.config.specimen import Fixture
 from dragrig.rig.acquiring import Outcome
 from dragrig.rig.devices import Acquisition, Backend, Contact
@@ -60,6 +61,7 @@ class Session:
         progress: Progress = Progress(),
     ) -> None:
         self._backend, self._programme, self._record = backend, programme, record
+        self._settings = to_toml(record)
         self._store, self._operator, self._watcher = store, operator, watcher
         self._done, self._order = progress.done, progress.next_order
         self._guard = Guard(record.rig.guard)
@@ -171,7 +173,7 @@ class Session:
         clock = self._backend.clock
         acquisition = self._recorded(run, clock.monotonic() - self._contact_since)
         facts = {"tare_mN": tare} if tare is not None else {}
-        header = header_of(run, acquisition, self._record, self._backend, facts)
+        header = header_of(run, acquisition, self._record, self._backend, self._settings, facts)
         self._watcher.run_begins(run, self._order)
         sink = self._store.open(header, run.profile.samples(header.sample_rate_hz))
         outcome = self.engine.acquire(acquisition, sink, self._watcher.reads, tare or 0.0)

@@ -80,6 +80,12 @@ class Axis:
         with self._lock:
             return self._position(), self._moving(), self._latched_fault()
 
+    @property
+    def fault(self) -> str:
+        """The drive's fault; empty when it has none."""
+        with self._lock:
+            return self._latched_fault()
+
     def expect(self, acquisition: Acquisition) -> None:
         """Let the next motion begin with this acquisition's first sample."""
         with self._lock:
@@ -184,6 +190,6 @@ class Axis:
         return track.origin_mm + position_at(track.profile, time_s)
 
     def _latched_fault(self) -> str:
-        if self._elapsed() >= self._track.fails_s:
+        if self._track.fails_s < math.inf and self._elapsed() >= self._track.fails_s:
             self._fault = self._track.fault
         return self._fault

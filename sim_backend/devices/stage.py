@@ -95,14 +95,18 @@ class SimulatedStage:
             self._axis.clear_fault()
             self._enabled = False
 
+    @property
+    def fault(self) -> str:
+        """What the drive reports; empty when nothing."""
+        return self._axis.fault
+
     def state(self) -> StageState:
         """Where the stage is, to the encoder's resolution, and how it is."""
         position_mm, moving, fault = self._axis.look()
         return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
 
     def _refuse_fault(self) -> None:
-        _, _, fault = self._axis.look()
-        if fault:
+        if fault := self.fault:
             raise DeviceError(f"the drive reports a fault, {fault}: see to it, then switch the drive off and on.")
 
     def _refuse_unready(self) -> None:
