@@ -7,17 +7,20 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import cache
+from io import BytesIO
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from dragrig.rig.runfile import files, layout, naming, schema, writing
-from dragrig.rig.runfile.model import Attribute, Ending, Event, RunHeader, Status
+from dragrig.rig.runfile.model import Attribute, Channel, Ending, Event, RunHeader, Status
 from dragrig.rig.runfile.ring import Columns
 
 CHUNK = 4096
 EVENTS_CHUNK = 64
+VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
 VERSION_BOUNDS = ("v110", "v110")
 """The oldest layout of HDF5 that can be written while others read."""
 
@@ -26,18 +29,27 @@ def create_recording(path: Path, header: RunHeader) -> None:
     """Make a recording without samples; it has its name only once it is whole."""
     part = naming.part_path(path)
     try:
-        with h5py.File(part, "w", libver=VERSION_BOUNDS, locking=False) as file:
+        part.write_bytes(_without_header(header.channels))
+        with h5py.File(part, "r+", libver=VERSION_BOUNDS, locking=False) as file:
             writing.write_header(file, header, Status.RECORDING)
-            units = writing.units_of(header.channels)
-            for name, dtype in writing.column_types(header.channels).items():
-                writing.describe(_rows(file, f"{schema.TRACE}/{name}", dtype, CHUNK), name, units)
-            _rows(file, schema.EVENTS, schema.event_dtype(), EVENTS_CHUNK)
-            _rows(file, schema.ANNOTATIONS, np.dtype("u1"), CHUNK)
-            for name in (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES):
-                file.create_dataset(name, data=np.zeros(1, dtype="<u8"))
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@cache
+def _without_header(channels: tuple[Channel, ...]) -> bytes:
+    """Return what the recordings of all runs with these channels begin as; making it takes longer than a header."""
+    image = BytesIO()
+    with h5py.File(image, "w", libver=VERSION_BOUNDS) as file:
+        units = writing.units_of(channels)
+        for name, dtype in writing.column_types(channels).items():
+            writing.describe(_rows(file, f"{schema.TRACE}/{name}", dtype, CHUNK), name, units)
+        _rows(file, schema.EVENTS, schema.event_dtype(), EVENTS_CHUNK)
+        _rows(file, schema.ANNOTATIONS, np.dtype("u1"), CHUNK)
+        for name in VALID_COUNTS:
+            file.create_dataset(name, data=np.zeros(1, dtype="<u8"))
+    return image.getvalue()
 
 
 def _rows(file: h5py.File, path: str, dtype: np.dtype[np.generic], chunk: int) -> h5py.Dataset:
@@ -54,6 +66,7 @@ class RecordingFile:
         self._sample_bytes = sum(int(dataset.dtype.itemsize) for dataset in self._trace.values())
         self._events = self._file[schema.EVENTS]
         self._annotations = self._file[schema.ANNOTATIONS]
+        self._valid = tuple(self._file[name] for name in VALID_COUNTS)
         self.samples = 0
         """Samples written, flushed or not."""
 
@@ -82,14 +95,13 @@ class RecordingFile:
     def flush(self) -> None:
         """Hand everything to the operating system, then say how much of it is whole."""
         self._file.flush()
-        self._file[schema.VALID_SAMPLES][0] = self.samples
-        self._file[schema.VALID_EVENTS][0] = len(self._events)
-        self._file[schema.VALID_ANNOTATION_BYTES][0] = len(self._annotations)
+        whole = (self.samples, len(self._events), len(self._annotations))
+        for dataset, count in zip(self._valid, whole, strict=True):
+            dataset[0] = count
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file after a last flush."""
-        self.flush()
+        """Close the file; what was not flushed before is not counted as whole."""
         self._file.close()
 
     def discard(self) -> None:

@@ -64,7 +64,7 @@ def write_header(file: h5py.File, header: RunHeader, status: Status) -> None:
     file.attrs["format_version"] = schema.FORMAT_VERSION
     known = _groups(header, status)
     for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *known)):
-        group = file if path == "/" else file.create_group(path)
+        group = file.require_group(path)
         write_attributes(group, {**schema.FIXED_ATTRIBUTES.get(path, {}), **known.get(path, {})})
     if header.settings_toml:
         file[schema.SETTINGS] = header.settings_toml
