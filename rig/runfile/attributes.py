@@ -39,16 +39,18 @@ def dataset_at(file: h5py.File, path: str) -> h5py.Dataset:
 
 def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
     """Return all attributes as plain Python values; a list becomes comma-separated text."""
-    found: dict[str, Attribute] = {}
-    for name in holder.attrs:
-        attribute = holder.attrs.get_id(name)
-        shape, kind = attribute.shape, attribute.get_type()
-        if shape is not None and math.prod(shape) > LONGEST_LIST:
-            raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
-        if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > LARGEST_VALUE_BYTES:
-            raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
-        found[str(name)] = plain(holder.attrs[name])
-    return found
+    return {str(name): attribute_of(holder, name) for name in holder.attrs}
+
+
+def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
+    """Return one attribute as a plain Python value."""
+    attribute = holder.attrs.get_id(name)
+    shape, kind = attribute.shape, attribute.get_type()
+    if shape is not None and math.prod(shape) > LONGEST_LIST:
+        raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
+    if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > LARGEST_VALUE_BYTES:
+        raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
+    return plain(holder.attrs[name])
 
 
 def plain(value: object) -> Attribute:

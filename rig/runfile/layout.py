@@ -133,7 +133,8 @@ def valid_count(file: h5py.File, path: str, otherwise: int) -> int:
 
 def still_recording(file: h5py.File) -> bool:
     """Tell whether a file is a recording, whose datasets may be longer than what is whole of them."""
-    return at.attributes_of(file[schema.ENTRY]).get("status") == Status.RECORDING
+    entry = at.group_at(file, schema.ENTRY)
+    return "status" in entry.attrs and at.attribute_of(entry, "status") == Status.RECORDING
 
 
 def _shape_of_trace(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]]:
