@@ -159,7 +159,7 @@ def _check_free(target: Path, *, overwrite: bool) -> None:
 @contextmanager
 def _made_whole(target: Path) -> Iterator[Path]:
     """Give a file to write beside the target, and put it in the target's place once it is whole."""
-    from dragrig.rig.runfile.files import put_in_place
+    from dragrig.rig.runfile.files import drop, put_in_place
 
     part = target.with_name(f"{target.name}.part")
     try:
@@ -170,4 +170,4 @@ def _made_whole(target: Path) -> Iterator[Path]:
             f"{target}: could not be written ({error.strerror or error}); choose another folder, or make room."
         ) from error
     finally:
-        part.unlink(missing_ok=True)
+        drop(part)

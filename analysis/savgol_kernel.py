@@ -41,7 +41,7 @@ class SavgolKernel:
     def of(cls, window: int, order: int, derivative: int, sample_rate_hz: float) -> "SavgolKernel":
         """Work out the polynomials; Legendre's keep the fit well conditioned."""
         at = np.linspace(-1.0, 1.0, window)
-        orthonormal, triangle = np.linalg.qr(legendre.legvander(at, order))
+        orthonormal, triangle = np.linalg.qr(np.asarray(legendre.legvander(at, order), dtype=np.float64))
         rows = [legendre.legval(at, legendre.legder(row, derivative)) for row in np.eye(order + 1)]
         per_second = (2 * sample_rate_hz / (window - 1)) ** derivative
         derived = np.ascontiguousarray(np.linalg.solve(triangle.T, np.array(rows)).T * per_second)

@@ -2,10 +2,9 @@
 
 import io
 import json
-import os
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -399,12 +398,13 @@ def test_show_to_a_named_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert len(said) == 2
 
 
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="needs a folder that refuses")
-def test_runs_in_a_folder_that_takes_no_files_are_drawn_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_in_a_folder_that_takes_no_files_are_drawn_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, close_folder: Callable[[Path], None]
+) -> None:
     folder = tmp_path / "archive"
     folder.mkdir()
     shutil.copy(CAMPAIGN / "005-blank.h5", folder)
-    folder.chmod(0o555)
+    close_folder(folder)
     monkeypatch.chdir(tmp_path)
     assert invoke(str(folder / "005-blank.h5")).strip() == "005-blank.png"
 

@@ -1,37 +1,14 @@
 """A truly full disk under a running session: the stage is stopped, the error said, the data kept."""
 
-import os
-import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from dragrig.rig.runfile import campaign, read_run
 from dragrig.rig.runfile.model import Status
-
-MEGABYTES = 24
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """Mount a file system of a few megabytes; only root on Linux can."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mount = shutil.which("mount")
-    if mount is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
-        pytest.skip("mounting a small disk needs root on Linux")
-    done = subprocess.run([mount, "-t", "tmpfs", "-o", f"size={MEGABYTES}m", "tmpfs", place], check=False)
-    if done.returncode != 0:
-        pytest.skip("no disk can be mounted here")
-    try:
-        yield place
-    finally:
-        subprocess.run(["umount", "-l", place], check=True)
 
 
 def fill(disk: Path) -> None:

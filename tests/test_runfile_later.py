@@ -1,7 +1,7 @@
 """What comes after a run: filtered traces, checksums, verdicts, campaigns, and other people's viewers."""
 
-import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -92,9 +92,8 @@ def test_two_writers_of_one_run_do_not_meet(run_file: Path) -> None:
         rewrite(record(run_file.with_name("other.h5"), 10), lambda file: None)
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_read_only_folder_is_said(run_file: Path) -> None:
-    run_file.parent.chmod(0o500)
+def test_a_read_only_folder_is_said(run_file: Path, close_folder: Callable[[Path], None]) -> None:
+    close_folder(run_file.parent)
     with pytest.raises(OutputError, match="cannot be written to"):
         store_filtered(run_file, filtered(run_file, 0.1))
 
@@ -159,6 +158,8 @@ def test_a_campaign_is_in_the_order_that_each_specimen_lived_through(tmp_path: P
         campaign(tmp_path / "none")
 
 
+# nexusformat 2.1 itself sets an array's shape, which NumPy 2.5 announces to end.
+@pytest.mark.filterwarnings("ignore:Setting the shape:DeprecationWarning")
 def test_a_nexus_reader_opens_the_file_with_force_against_time(run_file: Path) -> None:
     store_filtered(run_file, filtered(run_file, 0.1))
     root = nxload(str(run_file))

@@ -1,6 +1,5 @@
 """The recorder: whatever the blocks, the file is the same; what flows in is on disk soon; a full disk is said."""
 
-import os
 import shutil
 import subprocess
 import sys
@@ -267,22 +266,6 @@ except RecordingError as error:
     print(error)
 print("done", first)
 """
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 32 MB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if not hasattr(os, "geteuid") or os.geteuid() != 0:
-        pytest.skip("only root can mount a small disk to fill it")
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32m", "tmpfs", str(folder)], check=False)
-    if mounted.returncode != 0:
-        pytest.skip("this machine lets nobody mount a small disk to fill it")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", str(folder)], check=True)
 
 
 @pytest.mark.parametrize("watch", ["watched", "blind"])

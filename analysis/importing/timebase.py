@@ -105,7 +105,8 @@ def fit_grid(path: Path, stamps: FloatArray, tolerance: float) -> Grid:
             "state sample_rate_hz, so that rows are counted."
         )
     digit = _last_digit(stamps)
-    period = _rounded(_period(stamps), 2 * digit / len(stamps))
+    # The longest lag of `_period` is at least a quarter of the rows, and both its ends are rounded.
+    period = _rounded(_period(stamps), 4 * digit / len(stamps))
     place = (stamps - stamps[0]) / period
     place = place - float(np.angle(np.exp(2j * np.pi * place).mean())) / (2 * np.pi)
     index = np.round(place).astype(np.int64)

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from dragrig.config.errors import OutputError
 from dragrig.figures.style import drawing
+from dragrig.rig.runfile.files import drop
 
 FORMATS = {".png": {"Software": "dragrig"}, ".svg": {"Date": None, "Creator": "dragrig"}}
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
@@ -63,4 +64,4 @@ def _put(content: bytes, path: Path) -> None:
         unfinished.write_bytes(content)
         unfinished.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        drop(unfinished)

@@ -121,6 +121,12 @@ def put_in_place(part: Path, target: Path) -> None:
     sync_folder(target.parent)
 
 
+def drop(part: Path) -> None:
+    """Remove what never got its place; a folder that refuses this too must not hide why."""
+    with contextlib.suppress(OSError):
+        part.unlink(missing_ok=True)
+
+
 def remove(path: Path) -> None:
     """Remove a file, as patiently as `put_in_place`."""
     _patiently(lambda: path.unlink(missing_ok=True), path)

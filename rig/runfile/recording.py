@@ -34,7 +34,7 @@ def create_recording(path: Path, header: RunHeader) -> None:
             writing.write_header(file, header, Status.RECORDING)
         part.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        files.drop(part)
 
 
 @cache

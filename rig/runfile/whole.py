@@ -83,7 +83,7 @@ def new_file(path: Path) -> Iterator[h5py.File]:
             f"{path}: could not be written ({files.said(fault)}); make room or choose another folder"
         ) from fault
     finally:
-        part.unlink(missing_ok=True)
+        files.drop(part)
 
 
 def _write_columns(group: h5py.Group, header: RunHeader, columns: Mapping[str, writing.Column]) -> str:
@@ -114,5 +114,5 @@ def _check_columns(header: RunHeader, columns: Mapping[str, writing.Column]) -> 
     time, phase = np.asarray(columns[schema.TIME], dtype=np.float64), np.asarray(columns[schema.PHASE])
     if not np.isfinite(time).all() or not (np.diff(time) > 0).all():
         raise LayoutError("time does not rise from sample to sample")
-    if phase.size and (phase.min() < 0 or phase.max() >= len(PHASE_NAMES)):
+    if not np.isin(phase, np.arange(len(PHASE_NAMES))).all():
         raise LayoutError(f"phase is not within 0 to {len(PHASE_NAMES) - 1}")

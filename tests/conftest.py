@@ -1,0 +1,50 @@
+"""Disks and folders that refuse, for root too."""
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+
+def is_root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+def mounted(*options: str) -> bool:
+    return subprocess.run(["mount", *options], capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 32 MB, which only root on Linux can have."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    if not is_root() or not mounted("-t", "tmpfs", "-o", "size=32m", "tmpfs", str(folder)):
+        pytest.skip("mounting a small disk to fill it needs root on Linux")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture
+def close_folder() -> Iterator[Callable[[Path], None]]:
+    """Return what makes a folder refuse files: by its mode, or for root by mounting it read-only over itself."""
+    closed: list[Path] = []
+
+    def close(folder: Path) -> None:
+        if os.name == "nt":
+            pytest.skip("a folder's mode means nothing on Windows")
+        if not is_root():
+            folder.chmod(0o500)
+        elif mounted("--bind", str(folder), str(folder)):
+            closed.append(folder)
+            assert mounted("-o", "remount,ro,bind", str(folder))
+        else:
+            pytest.skip("root may write anywhere, and nothing can be mounted here")
+
+    yield close
+    for folder in closed:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
