@@ -17,13 +17,14 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import StageLimits
 from dragrig.rig.programme import Programme, build
 from dragrig.rig.protocols import Protocol, kinds
+from dragrig.rig.record import record_in
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
 
 PlanLike = str | Path | Plan | Protocol
-"""A plan by name or file, a plan, or the one run of a protocol."""
+"""A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
 
 
 class Choices(TypedDict, total=False):
@@ -104,23 +105,28 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     SettingsError, PlanError
         One sentence that names file, key and what is allowed.
     """
+    before = record_in(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
     rig_settings, rig_folder = _found(RigSettings, "rig", rig)
+    if before is not None and not choices.get("rig"):
+        rig_settings = before.rig
     changes = _Changes.of(choices.get("assignments", ()))
     capsule = choices.get("capsule")
     if capsule is not None:
         changes.steps["capsule"] = _absolute(capsule)
-    base_plan, source, plan_folder = _plan(plan)
+    base_plan, source, plan_folder = (before.plan, str(plan), before.beside) if before is not None else _plan(plan)
+    specimen = _chosen(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
+    model = _chosen(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     rig_changed = changes.laid_over(rig_settings, "rig")
     return Setup(
         plan=_with_step_keys(changes.laid_over(base_plan, "plan"), changes.steps),
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
-        specimen=changes.laid_over(_found(Specimen, "specimen", choices.get("specimen"))[0], "specimen"),
-        model=changes.laid_over(_found(FrictionModelSettings, "model", choices.get("model"))[0], "model"),
+        specimen=changes.laid_over(specimen, "specimen"),
+        model=changes.laid_over(model, "model"),
         rig_folder=rig_folder,
-        backend=choices.get("backend") or rig_changed.backend,
+        backend=choices.get("backend") or (before.backend if before is not None else rig_changed.backend),
     )
 
 
@@ -142,6 +148,11 @@ def _plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
 def _found(model: type[SettingsT], kind: str, name_or_path: str | Path | None) -> tuple[SettingsT, Path | None]:
     data, source = table(kind, str(name_or_path or DEFAULTS[kind]))
     return parse(model, data, source), _folder_of(source)
+
+
+def _chosen(model: type[SettingsT], kind: str, name_or_path: str | Path | None, before: SettingsT | None) -> SettingsT:
+    """Return what was chosen; otherwise what a session had before, or the usual."""
+    return before if before is not None and not name_or_path else _found(model, kind, name_or_path)[0]
 
 
 def _folder_of(source: str) -> Path | None:

@@ -1,16 +1,18 @@
 """The session's record beside its run files: everything needed to go on with it, or to repeat it."""
 
+import tomllib
 from pathlib import Path
 
 from pydantic import AwareDatetime
 
 from dragrig.config.base import Settings
 from dragrig.config.errors import RunFileError
-from dragrig.config.loading import load, to_toml
+from dragrig.config.loading import load, parse, to_toml
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
+from dragrig.rig.runfile import read_info
 
 _PATTERN = "session-*.toml"
 
@@ -41,6 +43,25 @@ def write_record(record: SessionRecord, folder: Path) -> Path:
     with path.open("x", encoding="utf-8", newline="\n") as file:
         file.write(to_toml(record))
     return path
+
+
+def record_in(run_file: Path) -> SessionRecord:
+    """Read the record that a run carries of the session it belongs to.
+
+    Raises
+    ------
+    RunFileError
+        When the file is no run file, or one that was not made by this software.
+    SettingsError
+        When its settings cannot be used.
+    """
+    settings = read_info(run_file).header.settings_toml
+    if not settings:
+        raise RunFileError(f"{run_file}: carries no settings of a session, so that it cannot be made again.")
+    try:
+        return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
+    except tomllib.TOMLDecodeError as error:
+        raise RunFileError(f"{run_file}: its settings are damaged ({error}).") from error
 
 
 def latest_record(folder: Path) -> SessionRecord:

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dragrig.cli import main
@@ -59,6 +60,16 @@ def test_a_plan_becomes_one_file_a_run(run: Runner, tmp_path: Path) -> None:
     assert first.header.capsule["name"] == "smooth"
     assert [Path(one["file"]).name for one in made["runs"]] == [one.path.name for one in campaign(folder).runs]
     assert made["runs"][0]["checks"]["lost_samples"] == 0
+
+
+def test_a_session_is_made_again_from_a_run_file_alone(run: Runner, tmp_path: Path) -> None:
+    changed = ("--set", "rig.simulated.seed=5", "--set", "model.friction_coefficient=0.1", "--set", "wait_s=7")
+    first = run(*QUICK, *changed, "--yes", "--out", "first")
+    again = run(first["runs"][1]["file"], "--yes", "--out", "again")
+    for one, other in zip(first["runs"], again["runs"], strict=True):
+        before, after = read_run(tmp_path / one["file"]), read_run(tmp_path / other["file"])
+        for name, channel in before.trace.channels.items():
+            np.testing.assert_array_equal(after.trace.channels[name], channel)
 
 
 def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> None:

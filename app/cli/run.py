@@ -39,6 +39,8 @@ def command(
 ) -> None:
     """Carry out PLAN, a file or a shipped name, and write one run file per run.
 
+    A run file in place of a plan makes its whole session again, with the settings it carries.
+
     Shipped plans: blank, coulomb, demo, drag, drag-sweep, paper, relaxation.
 
     Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded. The
