@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 UNREADABLE = "unreadable"
 """Status in the table of a file that cannot be read as a run."""
-WHOLE = frozenset({Status.COMPLETE.value, Status.RECOVERED.value})
+WHOLE = frozenset({Status.COMPLETE.value})
 """Runs that ended otherwise are shown but never averaged."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from dragrig.config.errors import OutputError
 from dragrig.config.lab import rig_file_of
 from dragrig.rig.record import SessionRecord, latest_record, write_record
-from dragrig.rig.runfile import Campaign, FolderStore, campaign, recover
+from dragrig.rig.runfile import Campaign, FolderStore, Outcome, campaign, recover
 from dragrig.rig.runfile.model import Status
 from dragrig.rig.session import Progress, SessionResult
 from dragrig.sessions import Person, Terms, carry_out
@@ -71,7 +71,11 @@ def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequen
         What `carry_out` raises.
     """
     record = latest_record(folder)
-    recover(folder)
+    for one in recover(folder):
+        if one.outcome is Outcome.IN_USE:
+            raise OutputError(
+                f"{one.recording}: is being recorded right now; a campaign goes on once its session is over."
+            )
     before = campaign(folder)
     # A dry run's rests take no time, so that its last run may have ended later than it is now.
     ended = [one.end_time or one.header.start_time for one in before.runs]

@@ -109,6 +109,8 @@ def _handling(handler: Callable[[int, FrameType | None], object]) -> Iterator[No
         yield  # only the main thread may handle signals
         return
     present = [signal.Signals[name] for name in _ENDING if name in signal.Signals.__members__]
+    # What is ignored, as SIGHUP under nohup, was ignored on purpose.
+    present = [number for number in present if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, handler) for number in present}
     try:
         yield

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Protocol
@@ -71,7 +71,8 @@ def carry_out(
     programme = setup.programme()
     request = BackendRequest(setup.rig, setup.model, terms.real_time, terms.origin)
     with closing(open_backend(setup.backend, request)) as backend:
-        preflight(programme, setup.rig, backend.stage.limits, terms.folder, setup.plan_source).require()
+        left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
+        preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source).require()
         record = _record(setup, backend, terms)
         operator = HandedOver(someone)
         with open_store(record) as store:

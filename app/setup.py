@@ -174,7 +174,7 @@ class _Changes:
         steps: Table = {}
         others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
         texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
-        for text in assignments:
+        for text in (assignments,) if isinstance(assignments, str) else assignments:
             (first, *rest), value = parse_assignment(text)
             if not rest:
                 steps[first] = value

@@ -81,10 +81,12 @@ def load(model: type[ModelT], path: Path) -> ModelT:
 def describe(error: ValidationError, model: type[BaseModel], source: str) -> str:
     """One sentence for a validation error: file, key, what is allowed."""
     details = error.errors(include_url=False)
+    # A list that lost a broken member counts as too short; that is no second mistake.
+    details = [one for one in details if one["type"] != "too_short"] or details
     first = next((one for one in details if one["type"] == "extra_forbidden"), details[0])
     sentence = f"{source}: {_describe_one(first, model)}"
     if len(details) > 1:
-        sentence += f" (and {len(details) - 1} more)"
+        sentence += f" (and {len(details) - 1} more mistake{'s' if len(details) > 2 else ''})"
     return sentence if sentence.endswith(("?", ".")) else sentence + "."
 
 

@@ -27,6 +27,8 @@ class StageSettings(Settings):
     def _ordered(self) -> Self:
         if not self.lowest_mm <= self.start_mm <= self.highest_mm:
             raise ValueError("start_mm must lie between lowest_mm and highest_mm")
+        if self.stop_accel_mm_s2 < self.max_accel_mm_s2:
+            raise ValueError("stop_accel_mm_s2 must not be below max_accel_mm_s2, or a stop would overrun the travel")
         return self
 
 
@@ -145,3 +147,9 @@ class RigSettings(Settings):
     recording: RecordingSettings = RecordingSettings()
     simulated: SimulatedSettings = SimulatedSettings()
     data: DataSettings = DataSettings()
+
+    @model_validator(mode="after")
+    def _sees_the_force_limit(self) -> Self:
+        if self.guard.force_limit_mN >= self.force_sensor.range_mN:
+            raise ValueError("guard.force_limit_mN must be below force_sensor.range_mN, or no force could trip it")
+        return self

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, RecordingError, plain
+from dragrig.config.errors import DeviceError, DragrigError, RecordingError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.checks import CheckReport, RunChecks
@@ -21,7 +21,7 @@ from dragrig.rig.reading import CommandTape, Look, Reading
 from dragrig.rig.runfile.model import Attribute, Event, Status
 
 _SETTLE_S = 1.0
-"""How long a stopped stage is still recorded at most."""
+"""How long a stage that stands after a stop is still recorded at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +76,9 @@ class Acquiring:
             rig.force_sensor.accuracy_mN,
             sticking=acquisition.contact is Contact.STICKING,
         )
+        self._expected = acquisition.profile.samples(self._rate_hz)
+        self._began_s = self._clock.monotonic()
+        self._settle_until_s = 0.0
         self._samples = 0
         self._end_index = 0
         self._force_sum = 0.0
@@ -93,16 +96,19 @@ class Acquiring:
         self._sampler.arm(self._acquisition)
         self._stage.move(self._acquisition.profile)
         self._sampler.start()
+        self._began_s = self._clock.monotonic()
         self._note("start", self._acquisition.kind)
 
     def step(self, cancel: Signal) -> Reading | None:
         """Take the next block through guard, record and viewer; None when there is none, or the guard tripped."""
         block = self._sampler.read(cancel)
         if block is None:
+            if not cancel.is_set() and self._end_index < self._expected:
+                self.end(Status.FAILED, f"sampling ended after {self._end_index} of {self._expected} samples")
             return None
         reading = self._tape.join(block)
         look = Look.at(block, reading.command)
-        if fault := self._stage.fault:
+        if fault := self._fault():
             trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
         else:
             trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
@@ -117,64 +123,83 @@ class Acquiring:
         if trip is not None:
             self.end(Status.TRIPPED, f"{trip.cause}: {trip.message}")
 
-    def end(self, status: Status, reason: str) -> None:
-        """Stop the stage at once; what the first call says stands."""
-        try:
-            self._stage.stop()
-        except DeviceError as error:
-            reason = f"{reason}; and the stage did not take the stop ({plain(error)})"
+    def end(self, status: Status, reason: str, stopped_at_s: float | None = None) -> None:
+        """Stop the stage at once; what the first call says stands.
+
+        Parameters
+        ----------
+        stopped_at_s
+            Reading of the clock when the stage was told to stop already; now unless given.
+        """
+        now_s = self._clock.monotonic() if stopped_at_s is None else stopped_at_s
+        if refusal := attempt(self._stage.stop):
+            reason = f"{reason}; and the stage did not take the stop ({refusal})"
         if not self.ended_early:
             self._status, self._reason = status, reason
-            stopped = self._acquisition.profile.stopped(self._end_index / self._rate_hz, self._stop_accel, _SETTLE_S)
+            braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
+            stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _SETTLE_S)
+            self._settle_until_s = stopped.duration_s
             self._tape.replace(stopped)
             with suppress(RecordingError):
-                self._note("trip" if status is Status.TRIPPED else "stop", reason)
+                self._note("trip" if status is Status.TRIPPED else "stop", reason, braking_from)
 
     def settle(self) -> None:
         """Keep what is sampled until the stage stands still."""
-        until = self._end_index + round(_SETTLE_S * self._rate_hz)
         go_on = Signal()
-        # The reason of the end is known; a device or disk that fails again adds nothing to it.
-        with suppress(DeviceError, RecordingError):
-            while self._end_index < until:
+        # The reason of the end is known; a device that fails again adds nothing to it.
+        with suppress(Exception):
+            while self._end_index < self._settle_until_s * self._rate_hz:
                 block = self._sampler.read(go_on)
                 if block is None:
                     return
                 reading = self._tape.join(block)
-                self._take(block, reading, Look.at(block, reading.command))
+                with suppress(RecordingError):
+                    self._take(block, reading, Look.at(block, reading.command))
 
     def finish(self) -> Outcome:
-        """Stop sampling, close the record, and say how it ended."""
-        failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := _attempt(step))]
-        report = self._checks.report()
-        path = None
-        if self._sink is not None:
-            try:
-                self._note("end", self._reason or "complete")
-            except RecordingError as error:
-                failures.append(plain(error))
-            try:
-                reason = "; ".join(part for part in (self._reason, *failures) if part)
-                path = self._sink.close(self._status, reason, self._clock.now(), report.values)
-            except RecordingError as error:
-                failures.append(plain(error))
+        """Stop sampling, close the record, and say how it ended; each step is made whatever becomes of the others."""
+        failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := attempt(step))]
         if failures and not self.ended_early:
             self._status = Status.FAILED
-        reason = "; ".join(part for part in (self._reason, *failures) if part)
+        report = self._checks.report()
+        paths: list[Path] = []
+        if (sink := self._sink) is not None:
+            now, reason = self._clock.now(), self._all_reasons(failures)
+            failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
+            failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
+        if any(failures) and not self.ended_early:
+            self._status = Status.FAILED
         mean = self._force_sum / self._samples if self._samples else float("nan")
-        return Outcome(self._status, reason, self._samples, report, mean, path)
+        return Outcome(self._status, self._all_reasons(failures), self._samples, report, mean, *paths)
+
+    def _all_reasons(self, failures: list[str]) -> str:
+        return "; ".join(part for part in (self._reason, *failures) if part)
+
+    def _fault(self) -> str:
+        try:
+            return self._stage.fault
+        except DeviceError as error:
+            return plain(error)
 
     def _take(self, block: Block, reading: Reading, look: Look) -> None:
         raw = block.channels["force"]
-        self._checks.add(reading, look, raw)
+        self._checks.add(reading, look, raw, commanded=not self.ended_early)
         self._samples += block.samples
         self._end_index = block.end_index
         self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
-        if self._sink is not None:
-            self._sink.offer(reading.first_index, reading.arrays())
         self._mark_phases(reading)
         if self._view is not None:
-            self._view(reading)
+            self._show(reading)
+        if self._sink is not None:
+            self._sink.offer(reading.first_index, reading.arrays())
+
+    def _show(self, reading: Reading) -> None:
+        try:
+            if self._view is not None:
+                self._view(reading)
+        except Exception as error:  # noqa: BLE001  # whoever looks must not get in the way of the run
+            self._view = None
+            self._note("view", f"nobody watches any more: {error}")
 
     def _mark_phases(self, reading: Reading) -> None:
         phase = reading.phase
@@ -190,9 +215,12 @@ class Acquiring:
             self._sink.event(Event(self._end_index / self._rate_hz if time_s is None else time_s, kind, message))
 
 
-def _attempt(step: Callable[[], None]) -> str:
+def attempt(step: Callable[[], object]) -> str:
+    """Make a step of a clean-up; return what went wrong, whatever kind of error a driver raises, empty if nothing."""
     try:
         step()
-    except DeviceError as error:
+    except DragrigError as error:
         return plain(error)
+    except Exception as error:  # noqa: BLE001  # the steps after this one have to be made
+        return f"{type(error).__name__}: {error}"
     return ""

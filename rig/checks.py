@@ -49,8 +49,16 @@ class RunChecks:
         self._next = 0
         self._slip = _SlipWatch(rate_hz, accuracy_mN) if sticking else None
 
-    def add(self, reading: Reading, look: Look, raw_force: AnyFloatArray) -> None:
-        """Look at a reading; `raw_force` is the force before the tare."""
+    def add(self, reading: Reading, look: Look, raw_force: AnyFloatArray, *, commanded: bool = True) -> None:
+        """Look at a reading.
+
+        Parameters
+        ----------
+        raw_force
+            The force before the tare.
+        commanded
+            Whether the stage follows its command; a stage that brakes does not.
+        """
         self._lost += max(reading.first_index - self._next, 0)
         self._next = reading.end_index
         lowest, highest = self._range
@@ -58,7 +66,8 @@ class RunChecks:
             self._clipped += int(np.count_nonzero((raw_force >= highest) | (raw_force <= lowest)))
         if reading.phase[0] == _REST:
             self._rest.add(reading.channels["force"][reading.phase == _REST])
-        self._following_mm = max(self._following_mm, look.following_mm)
+        if commanded:
+            self._following_mm = max(self._following_mm, look.following_mm)
         if self._slip is not None and reading.phase[-1] == _HOLD:
             self._slip.add(reading)
 

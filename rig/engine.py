@@ -18,7 +18,7 @@ from threading import Lock
 
 from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError, plain
 from dragrig.config.rig import RigSettings
-from dragrig.rig.acquiring import Acquiring, Outcome, Sink
+from dragrig.rig.acquiring import Acquiring, Outcome, Sink, attempt
 from dragrig.rig.devices import Acquisition, Backend
 from dragrig.rig.guard import Cause, Guard
 from dragrig.rig.profile import Phase
@@ -61,6 +61,7 @@ class Engine:
         self._latest: Reading | None = None
         self._cancel = Signal()
         self._abort_reason = ""
+        self._aborted_at_s = 0.0
 
     @property
     def status(self) -> EngineStatus:
@@ -89,9 +90,12 @@ class Engine:
 
     def abort(self, reason: str) -> None:
         """Ask for an end from any thread or signal handler; the first reason stands."""
-        # No lock: a signal handler may interrupt the very thread that holds it.
-        self._abort_reason = self._abort_reason or reason
-        self._cancel.set()
+        # No lock of ours: a signal handler may interrupt the very thread that holds it. The stage is stopped from here,
+        # because the thread that acquires may be waiting for a disk or a terminal.
+        if not self._cancel.is_set():
+            self._abort_reason, self._aborted_at_s = reason, self._backend.clock.monotonic()
+            self._cancel.set()
+        attempt(self._backend.stage.stop)
 
     def acquire(
         self,
@@ -109,9 +113,14 @@ class Engine:
         """
         if self._guard.trip is not None:
             raise TrippedError(f"the guard is tripped: {self._guard.trip.message}; clear the cause and reset it.")
-        self._guard.watch(acquisition.profile.extremes())
-        run = Acquiring(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
-        expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
+        try:
+            self._guard.watch(acquisition.profile.extremes())
+            run = Acquiring(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
+            expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
+        except Exception as error:
+            if sink is not None:
+                sink.close(Status.FAILED, str(error), self._backend.clock.now(), {})
+            raise
         status = EngineStatus(State.ARMED, acquisition.run_id, expected_samples=expected)
         self._latest = None
         self._set(status)
@@ -119,8 +128,10 @@ class Engine:
             self._drive(run, status)
         finally:
             self._set(replace(status, state=State.FINISHING))
-            outcome = run.finish()
-            self._set(EngineStatus())
+            try:
+                outcome = run.finish()
+            finally:
+                self._set(EngineStatus())
         return outcome
 
     def _drive(self, run: Acquiring, status: EngineStatus) -> None:
@@ -130,7 +141,7 @@ class Engine:
             while (reading := run.step(self._cancel)) is not None:
                 self._latest = reading
             if self._cancel.is_set():
-                run.end(Status.ABORTED, self.abort_reason or "aborted")
+                run.end(Status.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
         except StaleDataError as error:
             run.trip(self._guard.latch(Cause.STALE_DATA, plain(error)))
         except RecordingError as error:

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import isfinite
 
+import numpy as np
+
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block, StageState
 from dragrig.rig.profile import Extremes
 from dragrig.rig.reading import Look
+
+_SPEED_WINDOW_S = 0.01
 
 
 class Cause(StrEnum):
@@ -62,6 +66,8 @@ class Guard:
         self._trip: Trip | None = Trip(Cause.START_UP, "the guard starts tripped and needs a reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
+        self._command: float | None = None
+        self._fastest = 0.0
 
     @property
     def trip(self) -> Trip | None:
@@ -79,7 +85,7 @@ class Guard:
     def watch(self, extremes: Extremes) -> None:
         """Set the envelope for the motion about to begin."""
         self._envelope = Envelope.around(extremes, self._settings)
-        self._last = None
+        self._last, self._command, self._fastest = None, None, 0.0
 
     def inspect(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
         """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
@@ -127,9 +133,11 @@ class Guard:
         position = block.channels["position"]
         index, before = self._last if self._last is not None else (block.first_index, float(position[0]))
         end = block.end_index - 1
-        self._last = (end, float(position[-1]))
-        if end == index:
+        self._last = self._last or (index, before)
+        # Over a shorter time, a count or two of the encoder would pass for a speed.
+        if end - index < _SPEED_WINDOW_S * rate_hz:
             return None
+        self._last = (end, float(position[-1]))
         speed = abs(float(position[-1]) - before) * rate_hz / (end - index)
         limit = self._envelope.speed_mm_s
         if speed <= limit:
@@ -137,10 +145,10 @@ class Guard:
         return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
     def _judge_following(self, error: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:
-        if error <= self._settings.following_error_mm:
-            return None
-        span_s = max(len(command) - 1, 1) / rate_hz
-        speed = abs(float(command[-1] - command[0])) / span_s
+        # What lags is where the command was before, so the speed of the block before counts too.
+        joined = command if self._command is None else np.concatenate(([self._command], command))
+        speed = float(np.abs(np.diff(joined)).max()) * rate_hz if len(joined) > 1 else 0.0
+        speed, self._fastest, self._command = max(speed, self._fastest), speed, float(command[-1])
         limit = self._settings.following_error_mm + self._settings.following_error_per_speed_s * speed
         if error <= limit:
             return None

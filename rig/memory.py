@@ -42,10 +42,16 @@ class MemorySink:
         self._header, self._runs = header, runs
         self._pieces: list[Mapping[str, AnyFloatArray | PhaseArray]] = []
         self._events: list[Event] = []
+        self._next_index = 0
 
     def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
         """Take a reading's arrays."""
-        del first_index
+        if first_index > self._next_index:
+            lost, rate_hz = first_index - self._next_index, self._header.sample_rate_hz
+            self._events.append(
+                Event(self._next_index / rate_hz, "gap", f"{lost} samples lost, {lost / rate_hz:.6g} s")
+            )
+        self._next_index = first_index + len(arrays["time"])
         self._pieces.append(arrays)
 
     def event(self, event: Event) -> None:

@@ -28,6 +28,7 @@ class Prompt:
     text: str
     run: PlannedRun
     can_redo: bool
+    can_skip: bool = True
 
 
 class Operator(Protocol):

@@ -124,7 +124,7 @@ def _step_runs(
     for count, protocol in enumerate(_ordered(protocols, step, draw)):
         by_hand = step.way_back is WayBack.BY_HAND and count > 0
         asks = step.prompt if count == 0 or step.prompt_each else ""
-        back = "Bring the capsule back to its start by hand" if by_hand else ""
+        back = "Bring the capsule back to its start by hand, outside of the gut" if by_hand else ""
         yield PlannedRun(
             index=0,
             step=number,

@@ -1,12 +1,14 @@
 """A session: the runs of a programme one after the other, with prompts, tares, waits and ways back between them."""
 
 from dataclasses import dataclass, replace
+from math import isfinite
+from threading import Event as Signal
 from uuid import uuid4
 
 from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError, plain
 from dragrig.config.loading import to_toml
 from dragrig.config.specimen import Fixture
-from dragrig.rig.acquiring import Outcome
+from dragrig.rig.acquiring import Outcome, attempt
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
@@ -19,6 +21,8 @@ from dragrig.rig.runfile.model import Status
 from dragrig.rig.store import Store
 
 _IN_PLACE_MM = 0.005
+_STANDSTILL_S = 10.0
+"""How long the end of a session waits for the stage to stand before it is switched off."""
 _POSITIONING_SPEED_MM_S = 20.0
 _POSITIONING_ACCEL_MM_S2 = 200.0
 
@@ -93,8 +97,10 @@ class Session:
         except DeviceError as error:
             status, reason = Status.FAILED, plain(error)
         finally:
-            reason = "; ".join(part for part in (reason, *self._park()) if part)
-            self._store.settle()
+            failures = [*self._park(), attempt(self._store.settle)]
+        reason = "; ".join(part for part in (reason, *failures) if part)
+        if status is Status.COMPLETE and any(failures):
+            status = Status.FAILED
         return SessionResult(status, reason, tuple(self._results))
 
     def _prepare(self) -> None:
@@ -108,20 +114,23 @@ class Session:
         self._contact_since = self._backend.clock.monotonic()
 
     def _park(self) -> list[str]:
-        failures = []
-        for step in (self._backend.stage.stop, self._backend.sampler.stop, self._backend.stage.disable):
-            try:
-                step()
-            except DeviceError as error:
-                failures.append(plain(error))
-        return failures
+        stage = self._backend.stage
+        steps = (stage.stop, self._backend.sampler.stop, self._await_standstill, stage.disable)
+        return [text for step in steps if (text := attempt(step))]
+
+    def _await_standstill(self) -> None:
+        # Switched off in motion, a stage coasts.
+        stage, clock = self._backend.stage, self._backend.clock
+        until = clock.monotonic() + _STANDSTILL_S
+        while stage.state().moving and clock.monotonic() < until:
+            clock.sleep(0.01, Signal())
 
     def _make_all(self) -> None:
         runs, place = self._programme.runs, 0
         while place < len(runs):
             self._stop_if_cancelled()
             run = runs[place]
-            if run.index in self._done or self._is_stray_way_back(run):
+            if self._is_stray_way_back(run) if run.follows >= 0 else run.index in self._done:
                 place += 1
                 continue
             match self._hands(run):
@@ -140,7 +149,9 @@ class Session:
 
     def _take_back(self) -> int:
         last = next(result for result in reversed(self._results) if result.run.follows < 0)
-        self._store.mark_bad(last.order, "made again at the operator's word")
+        for result in self._results:
+            if last.run.index in (result.run.index, result.run.follows) and result.order >= last.order:
+                self._store.mark_bad(result.order, "made again at the operator's word")
         return last.run.index
 
     def _next_prompted(self, place: int) -> int:
@@ -148,6 +159,10 @@ class Session:
         return next((later for later in range(place + 1, len(runs)) if runs[later].prompt), len(runs))
 
     def _hands(self, run: PlannedRun) -> Answer:
+        if run.follows < 0 and not run.by_hand:
+            # Whatever is asked next may put the capsule into the gut, so the stage moves before.
+            self._must(self._clear_the_way(run))
+            self._go_to(run)
         text = self._prompt_text(run)
         if text:
             can_redo = any(result.run.follows < 0 for result in self._results)
@@ -158,6 +173,19 @@ class Session:
             self._contact_since = self._backend.clock.monotonic()
         self._asked = True
         return Answer.DONE
+
+    def _clear_the_way(self, run: PlannedRun) -> Answer:
+        in_gut = bool(self._results) and self._results[-1].run.contact is not Contact.NONE
+        if not in_gut or abs(self._way_to(run)) <= _IN_PLACE_MM:
+            return Answer.DONE
+        text = f"Take the capsule out of the gut: the stage goes to {run.start_mm:g} mm"
+        return self._ask_plainly(text, run)
+
+    def _ask_plainly(self, text: str, run: PlannedRun) -> Answer:
+        return self._operator.ask(Prompt(text, run, can_redo=False, can_skip=False))
+
+    def _way_to(self, run: PlannedRun) -> float:
+        return run.start_mm - self._backend.stage.state().position_mm
 
     def _prompt_text(self, run: PlannedRun) -> str:
         if run.prompt or self._asked:
@@ -187,20 +215,27 @@ class Session:
     def _tare(self, run: PlannedRun) -> float | None:
         if not run.tare_s:
             return None
-        out = Prompt("Hold the capsule clear of the gut: the sensor's zero is taken", run, can_redo=False)
+        out = Prompt(
+            "Hold the capsule clear of the gut: the sensor's zero is taken", run, can_redo=False, can_skip=False
+        )
         self._must(self._operator.ask(out))
         rest = MotionProfile.from_pieces([still(run.tare_s, Phase.REST)])
         outcome = self.engine.acquire(self._unrecorded("tare", run, rest))
         self._require(outcome)
-        self._must(self._operator.ask(Prompt("Bring the capsule into the gut again", run, can_redo=False)))
+        if not isfinite(outcome.mean_force_mN):
+            raise _EndedEarlyError(Status.FAILED, f"a tare of {run.tare_s:g} s is too short for a sample")
+        self._must(self._ask_plainly("Bring the capsule into the gut again", run))
         self._contact_since = self._backend.clock.monotonic()
         return outcome.mean_force_mN
 
     def _go_to(self, run: PlannedRun) -> None:
-        way = run.start_mm - self._backend.stage.state().position_mm
+        way = self._way_to(run)
         if abs(way) <= _IN_PLACE_MM:
             return
-        profile = MotionProfile.from_pieces(trapezoid(way, _POSITIONING_SPEED_MM_S, _POSITIONING_ACCEL_MM_S2))
+        limits = self._backend.stage.limits
+        speed = min(_POSITIONING_SPEED_MM_S, limits.speed_mm_s)
+        accel = min(_POSITIONING_ACCEL_MM_S2, limits.acceleration_mm_s2)
+        profile = MotionProfile.from_pieces(trapezoid(way, speed, accel))
         self._require(self.engine.acquire(self._unrecorded("positioning", run, profile)))
         self._contact_since = self._backend.clock.monotonic()
 

@@ -1,5 +1,7 @@
 """The guard trips on what it should, once, and stays latched."""
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -96,3 +98,28 @@ def test_it_trips_once_and_stays_latched() -> None:
     good = block()
     assert guard.inspect(good, *seen(good), RATE) is None
     assert guard.trip.cause is Cause.FORCE
+
+
+@pytest.mark.parametrize("offset", range(0, 50, 7))
+def test_a_plain_lag_does_not_trip_where_the_stage_brakes_or_turns(offset: int) -> None:
+    from dragrig.rig.profile import MotionProfile, trapezoid
+
+    profile = MotionProfile.from_pieces([*trapezoid(40.0, 60.0, 400.0), *trapezoid(-40.0, 60.0, 400.0)])
+    guard = Guard(GuardSettings())
+    guard.reset(CLEAR)
+    guard.watch(profile.extremes())
+    starts = [0, *range(offset or 50, 1800, 50)]
+    for first, end in itertools.pairwise(starts):
+        time = np.arange(first, end) / RATE
+        command = profile.position(time).astype(np.float32)
+        lagging = profile.position(np.maximum(time - 0.02, 0.0)).astype(np.float32)
+        one = Block(first, {"force": np.zeros(end - first, np.float32), "position": lagging})
+        assert guard.inspect(one, command, Look.at(one, command), RATE) is None
+
+
+def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
+    guard = armed()
+    for first in range(0, 400, 2):
+        position = np.array([5.0, 5.001 if first % 4 else 4.999], np.float32)
+        one = Block(first, {"force": np.zeros(2, np.float32), "position": position})
+        assert guard.inspect(one, *seen(one), 20_000.0) is None

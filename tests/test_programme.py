@@ -82,7 +82,8 @@ def test_reversal_runs_stay_where_they_end_and_go_the_other_way() -> None:
 
 def test_by_hand_asks_before_every_run_but_the_first() -> None:
     programme = made({"kind": "drag", "speed_mm_s": [1, 2], "way_back": "by_hand", "prompt": "fit"})
-    assert [run.prompt for run in programme.runs] == ["fit", "Bring the capsule back to its start by hand"]
+    back = "Bring the capsule back to its start by hand, outside of the gut"
+    assert [run.prompt for run in programme.runs] == ["fit", back]
     assert [run.start_mm for run in programme.runs] == [40.0, 40.0]
 
 
@@ -113,6 +114,8 @@ def test_strokes_of_a_motion_are_no_sweep() -> None:
         ({"kind": "drag"}, "speed_mm_s is missing"),
         ({"kind": "drag", "speed_mm_s": 5, "capsule": "rouhg"}, "did you mean rough?"),
         ({"kind": "return", "travel_mm": 5}, "way_back"),
+        ({"kind": "drag", "speed_mm_s": []}, "no list of numbers"),
+        ({"kind": "drag", "speed_mm_s": True}, "is no number"),
         ({"kind": "drag", "speed_mm_s": [1.0] * 200, "travel_mm": [40.0] * 200}, "more than 10000 runs"),
         ({"kind": "drag", "speed_mm_s": [1.0] * 200, "repeats": 1000}, "more than 10000 runs"),
     ],

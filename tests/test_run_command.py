@@ -74,7 +74,7 @@ def test_a_session_is_made_again_from_a_run_file_alone(run: Runner, tmp_path: Pa
 
 def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> None:
     each = (*QUICK, "--set", "prompt_each=true", "--set", "repeats=3", "--set", "way_back=by_hand")
-    made = run(*each, "--out", "c", typed="done\nredo\nd\nskip\nd\n")
+    made = run(*each, "--out", "c", typed="done\nredo\nd\nd\nskip\nd\n")
     orders = [(one["order"], one["status"]) for one in made["runs"]]
     assert orders == [(0, "complete"), (1, "complete"), (2, "complete")]
     found = campaign(tmp_path / "c")
@@ -171,8 +171,8 @@ def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     run(*QUICK, "--yes", "--out", "c")
     mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     made = run("--resume", "c", "--yes")
-    assert [one["kind"] for one in made["runs"]] == ["drag"]
-    *before, again = sorted(campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
+    assert [one["kind"] for one in made["runs"]] == ["drag", "return"]
+    *before, again, _ = sorted(campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
     assert all(one.end_time is not None and one.end_time < again.header.start_time for one in before)
 
 
@@ -180,7 +180,7 @@ def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     ("words", "sentence"),
     [
         ((), "name a plan"),
-        (("drag", "--resume", "c"), "name a plan"),
+        (("drag", "--resume", "c"), "leave the plan out"),
         (("--resume", "c", "--specimen", "jejunum"), "leave out --specimen"),
         (("--resume", "c"), "there is no such"),
         (("--resume", "."), "session-"),

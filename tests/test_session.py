@@ -141,7 +141,7 @@ def test_redo_makes_the_run_before_again_and_marks_its_file() -> None:
     assert one.run().status is Status.COMPLETE
     speeds = [run.info.header.protocol["speed_mm_s"] for run in store.runs if run.info.kind == "drag"]
     assert speeds == [10.0, 10.0, 20.0]
-    assert list(store.bad) == [0]
+    assert list(store.bad) == [0, 1]
 
 
 def test_abort_at_a_prompt_ends_the_session() -> None:
@@ -275,3 +275,68 @@ def test_every_run_carries_the_settings_it_was_made_with() -> None:
     _, runs = made(SHORT_DRAG)
     again = parse(SessionRecord, tomllib.loads(runs[0].info.header.settings_toml), "settings")
     assert again.plan.steps[0].parameters["speed_mm_s"] == 20.0
+
+
+class Careless(Nobody):
+    """Looks at a block and falls over."""
+
+    def reads(self, reading: Reading) -> None:
+        raise OSError("the terminal is gone")
+
+
+def test_whoever_watches_does_not_get_in_the_way_of_the_run() -> None:
+    result, runs = made(SHORT_DRAG, person=Careless())
+    assert result.status is Status.COMPLETE
+    assert [event.kind for event in runs[0].events].count("view") == 1
+
+
+@pytest.mark.parametrize("step", ["stop", "disable"])
+def test_a_driver_that_raises_its_own_kind_of_error_wedges_nothing(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    one, store = session(SHORT_DRAG)
+
+    def refuse() -> None:
+        raise OSError("cable pulled")
+
+    monkeypatch.setattr(one._backend.stage, step, refuse)
+    result = one.run()
+    assert result.status is Status.FAILED
+    assert "cable pulled" in result.reason
+    assert one.engine.status.state == "idle"
+    assert all(run.info.status is not Status.RECORDING for run in store.runs)
+
+
+def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
+    class StopsTheStage(AbortsAt):
+        def reads(self, reading: Reading) -> None:
+            if self.session is not None and reading.time[-1] >= self.time_s:
+                self.session._backend.stage.stop()
+
+    person = StopsTheStage(1.2)
+    one, store = session(SHORT_DRAG, person=person)
+    person.session = one
+    assert one.run().status is Status.FAILED
+    assert store.runs[0].info.status is Status.FAILED
+    assert "samples" in store.runs[0].info.reason
+
+
+def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
+    class Looks(Scripted):
+        at_mm: float = -1.0
+        session: Session
+
+        def ask(self, prompt: Prompt) -> Answer:
+            if prompt.text == "fit":
+                self.at_mm = self.session._backend.stage.state().position_mm
+            return super().ask(prompt)
+
+    person = Looks()
+    one, _ = session(SHORT_DRAG, person=person)
+    person.session = one
+    assert one.run().status is Status.COMPLETE
+    assert person.at_mm == pytest.approx(40.0)
+
+
+def test_a_run_made_again_has_its_way_back_made_again() -> None:
+    one, store = session(SHORT_DRAG, progress=Progress(done=frozenset({1}), next_order=2))
+    assert one.run().status is Status.COMPLETE
+    assert [run.info.kind for run in store.runs] == ["drag", "return"]

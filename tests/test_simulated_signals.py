@@ -76,7 +76,7 @@ def test_force_comes_in_steps_of_the_converter_and_is_clipped_at_its_range() -> 
 
 
 def test_a_force_beyond_the_range_reads_as_the_sampler_s_range() -> None:
-    rig = settings(force_sensor={"range_mN": 50.0})
+    rig = settings(force_sensor={"range_mN": 50.0}, guard={"force_limit_mN": 40.0})
     backend = session(rig)
     force = record(backend, acquire(stroke()))["force"]
     assert float(force.max()) == backend.sampler.force_range_mN[1]

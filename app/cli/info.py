@@ -11,6 +11,7 @@ from dragrig.cli.progress import tracked
 from dragrig.cli.wording import duration, size
 
 if TYPE_CHECKING:
+    from dragrig.rig.runfile import VerifyResult
     from dragrig.rig.runfile.model import RunInfo
 
 
@@ -25,23 +26,36 @@ def command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_json: 
 
     With --verify the exit code is 2 when a file is not what was recorded.
     """
+    from dragrig.config.errors import RunFileError
     from dragrig.inputs import run_files
     from dragrig.rig import runfile
 
-    found = []
+    found, wrong = [], []
     for path in tracked(run_files(inputs), "reading"):
-        mark = runfile.read_mark(path)
-        intact = runfile.verify(path).holds if verify else None
-        found.append((runfile.read_info(path), mark.reason if mark is not None else None, intact))
+        try:
+            mark = runfile.read_mark(path)
+            verdict = runfile.verify(path) if verify else None
+            info = runfile.read_info(path)
+        except RunFileError as error:
+            wrong.append(str(error))
+            continue
+        found.append((info, mark.reason if mark is not None else None, None if verdict is None else verdict.holds))
+        if verdict is not None and not verdict.holds:
+            wrong.append(f"{path}: {_what_is_wrong(verdict)}")
     if as_json:
         result_json([_plain(*one) for one in found])
-    else:
+    elif found:
         result("\n\n".join(_text(*one) for one in found))
-    changed = [info.path for info, _, intact in found if intact is False]
-    for path in changed:
-        complain(f"{path}: no checksum says that its samples are those that were recorded; take it from a copy.")
-    if changed:
+    for sentence in wrong:
+        complain(sentence)
+    if wrong:
         ctx.exit(BAD_INPUT)
+
+
+def _what_is_wrong(verdict: "VerifyResult") -> str:
+    if not verdict.stored:
+        return "has no checksum, so that nobody can tell whether its samples are those that were recorded."
+    return "its samples are NOT those that were recorded; take it from a copy."
 
 
 def _plain(info: "RunInfo", bad: str | None, intact: bool | None) -> dict[str, object]:
@@ -77,7 +91,7 @@ def _text(info: "RunInfo", bad: str | None, intact: bool | None) -> str:
         str(info.path),
         _line("run", f"{info.kind}, {info.status.value}" + (f" ({info.reason})" if info.reason else "")),
         *([_line("marked bad", bad)] if bad is not None else []),
-        *([_line("checksum", "holds" if intact else "none, or it does not hold")] if intact is not None else []),
+        *([_line("checksum", "holds" if intact else "none, or the samples differ")] if intact is not None else []),
         _line("started", f"{header.start_time:%Y-%m-%d %H:%M:%S %z}, order {header.order}, {header.backend}"),
         _line(
             "samples",

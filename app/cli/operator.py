@@ -43,7 +43,8 @@ class Terminal:
         if self._yes:
             return Answer.DONE
         self._meter.pause()
-        choices = [one for one in Answer if one is not Answer.REDO or prompt.can_redo]
+        left_out = {Answer.REDO: not prompt.can_redo, Answer.SKIP: not prompt.can_skip}
+        choices = [one for one in Answer if not left_out.get(one, False)]
         words = ", ".join(f"[{one.value[0]}]{one.value[1:]}" for one in choices)
         click.echo(f"\n{prompt.text}.", err=True)
         while True:

@@ -77,7 +77,9 @@ def command(
 
 def _require_plan_or_campaign(plan: str | None, campaign: Path | None, given: list[str]) -> None:
     context = click.get_current_context()
-    if (plan is None) == (campaign is None):
+    if plan is not None and campaign is not None:
+        raise click.UsageError("--resume takes its plan from the campaign, so leave the plan out", context)
+    if plan is None and campaign is None:
         raise click.UsageError("Name a plan, or a campaign to go on with after --resume", context)
     if campaign is not None and given:
         raise click.UsageError(f"A campaign goes on with its own settings, so leave out --{' --'.join(given)}", context)

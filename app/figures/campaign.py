@@ -1,14 +1,14 @@
 """The picture of a campaign: steady force against speed, relaxations, and drags along their way."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig.analysis.estimates import NORMAL_95
+from dragrig.analysis.estimates import NORMAL_95, Estimate
 from dragrig.figures.columns import FOOT_IN, LEFT_IN, RIGHT_IN
 from dragrig.figures.digest import RunDigest, digest
 from dragrig.figures.header import header_in, headline, write_badge, write_trouble
@@ -80,21 +80,30 @@ def _steady(axes: Axes, digests: Sequence[RunDigest]) -> None:
     labels: list[EndLabel] = []
     shown: list[FloatArray] = []
     for kind, (colour, marker) in LOOKS.items():
-        points = [(one.speed_mm_s, one.steady) for one in digests if one.kind == kind and one.steady is not None]
-        if not points:
-            continue
-        speed = np.array([speed for speed, _ in points])
-        force = np.array([estimate.value for _, estimate in points], dtype=float)
-        half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
-        shown += [force - half, force + half]
-        rounded = np.array([_rounded(one) for one in speed])
-        levels = np.unique(rounded)
-        means = [float(force[rounded == level].mean()) for level in levels]
-        axes.plot(levels, means, color=colour, linewidth=1.2, alpha=0.5)
-        axes.errorbar(
-            speed, force, yerr=half, fmt=marker, color=colour, markersize=8, markeredgecolor="white", capsize=3
-        )
-        labels.append(EndLabel(means[-1], kind if kind != "coulomb" else "Coulomb", colour))
+        steady = [(one.speed_mm_s, one.steady) for one in digests if one.kind == kind and one.steady is not None]
+        for points, way in _by_way(kind, steady):
+            speed = np.array([speed for speed, _ in points])
+            force = np.array([estimate.value for _, estimate in points], dtype=float)
+            half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
+            if way:
+                force = np.abs(force)
+            shown += [force - half, force + half]
+            rounded = np.array([_rounded(one) for one in speed])
+            levels = np.unique(rounded)
+            means = [float(force[rounded == level].mean()) for level in levels]
+            axes.plot(levels, means, color=colour, linewidth=1.2, alpha=0.5, linestyle="--" if way else "-")
+            axes.errorbar(
+                speed,
+                force,
+                yerr=half,
+                fmt=marker,
+                color=colour,
+                markersize=8,
+                markerfacecolor="white" if way else colour,
+                markeredgecolor=colour if way else "white",
+                capsize=3,
+            )
+            labels.append(EndLabel(means[-1], (kind if kind != "coulomb" else "Coulomb") + way, colour))
     speeds = [one.speed_mm_s for one in digests]
     plain_log_x(axes, *_decade(speeds))
     fit_y(axes, [*shown, np.zeros(1)], 1.0)
@@ -102,6 +111,18 @@ def _steady(axes: Axes, digests: Sequence[RunDigest]) -> None:
     label_y(axes, "Force (mN)")
     _heading(axes, "Steady force", "zero offsets included, bars 95 %")
     label_ends(axes, labels)
+
+
+def _by_way(
+    kind: str, points: Sequence[tuple[float, Estimate]]
+) -> Iterator[tuple[Sequence[tuple[float, Estimate]], str]]:
+    """Keep the two ways of a capsule apart: a force of the other sign is that of a run backward."""
+    backward = [one for one in points if kind != "blank" and (one[1].value or 0.0) < 0]
+    forward = [one for one in points if one not in backward]
+    if forward:
+        yield forward, ""
+    if backward:
+        yield backward, " back"
 
 
 def _relaxations(axes: Axes, digests: Sequence[RunDigest]) -> None:

@@ -55,6 +55,9 @@ def swept(kind: str, parameters: Mapping[str, object], source: str, own_keys: tu
 def _combinations(
     protocol: type[Protocol], parameters: Mapping[str, object], source: str
 ) -> Iterator[dict[str, object]]:
+    for key, value in parameters.items():
+        if value == [] or any(isinstance(one, bool) for one in (value if isinstance(value, list) else [value])):
+            raise PlanError(f"{source}: {key} = {value!r} is no number and no list of numbers.")
     choices = [
         value if isinstance(value, list) and protocol.model_fields[key].annotation in (float, int) else [value]
         for key, value in parameters.items()

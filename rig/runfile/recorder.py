@@ -69,6 +69,7 @@ class Recorder:
         self._types = _checked_types(path, header)
         self._next_index = 0
         self._closed = False
+        self._shortage_told = False
         sample_bytes = sum(dtype.itemsize for dtype in self._types.values())
         room = DiskRoom(path.parent, reserve_bytes, expected_samples * sample_bytes)
         with ExitStack() as stack:
@@ -119,7 +120,7 @@ class Recorder:
         ValueError
             When arrays are missing, differ in length, are no real numbers, or come twice.
         """
-        if (failure := self.failure) is not None:
+        if self._thread.failure is not None and (failure := self.failure) is not None:
             raise failure
         if self._closed or first_index < self._next_index:
             raise ValueError(f"samples from {first_index} on are not expected, {self._next_index} comes next")
@@ -129,6 +130,10 @@ class Recorder:
         if not self._ring.give(columns) and (failure := self.failure) is not None:
             raise failure
         self._next_index = first_index + len(columns[schema.TIME])
+        if self._thread.shortage and not self._shortage_told and (failure := self.failure) is not None:
+            # Told once: the reserve is there for what is still sampled until the stage stands.
+            self._shortage_told = True
+            raise failure
 
     def event(self, event: Event) -> None:
         """Note something that happened; it is on file with the next flush."""

@@ -65,8 +65,10 @@ def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[
         raise RunFileError(f"{path}: is still a recording; finish it with `dragrig recover` first")
     with files.writing(path):
         reader.read_info(path)
-        with reader.opened(path) as source, new_file(path) as file:
-            _copy(source, file, frozenset(without))
+        with new_file(path) as file:
+            # Closed before the copy takes its place: Windows replaces no file that is open.
+            with reader.opened(path) as source:
+                _copy(source, file, frozenset(without))
             edit(file)
 
 
