@@ -109,8 +109,9 @@ def _handling(handler: Callable[[int, FrameType | None], object]) -> Iterator[No
         yield  # only the main thread may handle signals
         return
     present = [signal.Signals[name] for name in _ENDING if name in signal.Signals.__members__]
-    # What is ignored, as SIGHUP under nohup, was ignored on purpose.
-    present = [number for number in present if signal.getsignal(number) is not signal.SIG_IGN]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        # Under nohup a session outlives its terminal.
+        present.remove(signal.SIGHUP)
     before = {number: signal.signal(number, handler) for number in present}
     try:
         yield

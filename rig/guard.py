@@ -66,8 +66,7 @@ class Guard:
         self._trip: Trip | None = Trip(Cause.START_UP, "the guard starts tripped and needs a reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
-        self._command: float | None = None
-        self._fastest = 0.0
+        self._before: AnyFloatArray | None = None
 
     @property
     def trip(self) -> Trip | None:
@@ -85,7 +84,7 @@ class Guard:
     def watch(self, extremes: Extremes) -> None:
         """Set the envelope for the motion about to begin."""
         self._envelope = Envelope.around(extremes, self._settings)
-        self._last, self._command, self._fastest = None, None, 0.0
+        self._last, self._before = None, None
 
     def inspect(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
         """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
@@ -145,10 +144,12 @@ class Guard:
         return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
     def _judge_following(self, error: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:
+        before, self._before = self._before, command
+        if error <= self._settings.following_error_mm:
+            return None
         # What lags is where the command was before, so the speed of the block before counts too.
-        joined = command if self._command is None else np.concatenate(([self._command], command))
+        joined = command if before is None else np.concatenate((before, command))
         speed = float(np.abs(np.diff(joined)).max()) * rate_hz if len(joined) > 1 else 0.0
-        speed, self._fastest, self._command = max(speed, self._fastest), speed, float(command[-1])
         limit = self._settings.following_error_mm + self._settings.following_error_per_speed_s * speed
         if error <= limit:
             return None

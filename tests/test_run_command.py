@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runfiles import header
 
 from dragrig.cli import main
-from dragrig.rig.runfile import campaign, mark_bad, read_run
+from dragrig.rig.runfile import Recorder, campaign, mark_bad, read_run
 from dragrig.rig.runfile.model import RunInfo, Status
 
 QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
@@ -165,6 +166,14 @@ def test_a_crashed_campaign_goes_on(waiting: "subprocess.Popen[str]", run: Runne
         ("return", Status.COMPLETE),
     ]
     assert again["status"] == "complete"
+
+
+def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: Path) -> None:
+    run(*QUICK, "--yes", "--out", "c")
+    before = sorted((tmp_path / "c").iterdir())
+    with Recorder(tmp_path / "c" / "20260504-093000-drag-009.h5", header(order=9)):
+        assert "being recorded right now" in run.told("--resume", "c", "--yes", code=2).err
+    assert [path for path in sorted((tmp_path / "c").iterdir()) if "009" not in path.name] == before
 
 
 def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
