@@ -215,10 +215,7 @@ class Session:
     def _tare(self, run: PlannedRun) -> float | None:
         if not run.tare_s:
             return None
-        out = Prompt(
-            "Hold the capsule clear of the gut: the sensor's zero is taken", run, can_redo=False, can_skip=False
-        )
-        self._must(self._operator.ask(out))
+        self._must(self._ask_plainly("Hold the capsule clear of the gut: the sensor's zero is taken", run))
         rest = MotionProfile.from_pieces([still(run.tare_s, Phase.REST)])
         outcome = self.engine.acquire(self._unrecorded("tare", run, rest))
         self._require(outcome)
