@@ -5,7 +5,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 from dragrig.config.errors import DeviceError, DragrigError, SettingsError
 from dragrig.config.loading import nearest
-from dragrig.rig.devices import Backend, BackendRequest
+from dragrig.rig.backend import Backend, BackendRequest
 
 GROUP = "dragrig.backends"
 

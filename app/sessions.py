@@ -9,8 +9,8 @@ from typing import Protocol
 
 from dragrig.backends import open_backend
 from dragrig.hosting import HandedOver, host
+from dragrig.rig.backend import Backend, BackendRequest
 from dragrig.rig.calibration import latest
-from dragrig.rig.devices import Backend, BackendRequest
 from dragrig.rig.people import Nobody, Operator, Watcher
 from dragrig.rig.preflight import preflight
 from dragrig.rig.record import SessionRecord

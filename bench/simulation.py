@@ -18,7 +18,8 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Acquisition, Backend, BackendRequest
+from dragrig.rig.backend import Backend, BackendRequest
+from dragrig.rig.devices import Acquisition
 from dragrig.rig.programme import PlannedRun, build
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.devices.faults import NO_FAULTS

@@ -6,6 +6,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from dragrig.config.base import Settings
+from dragrig.config.hardware import HardwareSettings
 
 
 class StageSettings(Settings):
@@ -145,6 +146,7 @@ class RigSettings(Settings):
     sampling: SamplingSettings = SamplingSettings()
     guard: GuardSettings = GuardSettings()
     recording: RecordingSettings = RecordingSettings()
+    hardware: HardwareSettings = HardwareSettings()
     simulated: SimulatedSettings = SimulatedSettings()
     data: DataSettings = DataSettings()
 

@@ -13,12 +13,14 @@ import numpy as np
 from dragrig.config.errors import DeviceError, DragrigError, RecordingError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
+from dragrig.rig.backend import Backend
 from dragrig.rig.checks import CheckReport, RunChecks
-from dragrig.rig.devices import Acquisition, Backend, Block, Contact
-from dragrig.rig.guard import Cause, Guard, Trip
+from dragrig.rig.devices import Acquisition, Block, Contact
+from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
 from dragrig.rig.reading import CommandTape, Look, Reading
 from dragrig.rig.runfile.model import Attribute, Event, Status
+from dragrig.rig.trips import Cause, Trip
 
 _SETTLE_S = 1.0
 """How long a stage that stands after a stop is still recorded at most."""
@@ -108,8 +110,8 @@ class Acquiring:
             return None
         reading = self._tape.join(block)
         look = Look.at(block, reading.command)
-        if fault := self._fault():
-            trip = self._guard.latch(Cause.DRIVE_FAULT, f"the drive reports {fault}")
+        if fault := self._fault() or block.fault:
+            trip = self._guard.latch(fault)
         else:
             trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
         # The stage brakes from the end of this block, so the command has to as well.
@@ -175,11 +177,11 @@ class Acquiring:
     def _all_reasons(self, failures: list[str]) -> str:
         return "; ".join(part for part in (self._reason, *failures) if part)
 
-    def _fault(self) -> str:
+    def _fault(self) -> Trip | None:
         try:
             return self._stage.fault
         except DeviceError as error:
-            return plain(error)
+            return Trip(Cause.DRIVE_FAULT, plain(error))
 
     def _take(self, block: Block, reading: Reading, look: Look) -> None:
         raw = block.channels["force"]

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from threading import Event as Signal
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.runfile.model import Channel
+from dragrig.rig.trips import Trip
 
 LONGEST_BLOCK_S = 0.05
 """No block spans more than this, so that the guard never sees older data than this."""
@@ -69,11 +68,13 @@ class Block:
     """Consecutive samples of all channels, arrays of shape `(n,)`, read-only.
 
     `first_index` counts from the run's first sample and includes lost samples, so that a block whose
-    `first_index` is larger than the end of the block before says how many were lost.
+    `first_index` is larger than the end of the block before says how many were lost. `fault` is what the sampler
+    itself has seen go wrong: an overrun, a sensor overloaded or cut off.
     """
 
     first_index: int
     channels: Mapping[str, AnyFloatArray]
+    fault: Trip | None = None
 
     @property
     def samples(self) -> int:
@@ -98,13 +99,13 @@ class StageLimits:
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """A look at the stage. `fault` is empty when there is none."""
+    """A look at the stage. `fault` is None when nothing forbids motion."""
 
     position_mm: float
     enabled: bool
     homed: bool
     moving: bool
-    fault: str = ""
+    fault: Trip | None = None
 
 
 class Clock(Protocol):
@@ -143,6 +144,11 @@ class Stage(Protocol):
         """Begin to follow a profile from the present position; time 0 is the sampler's first sample."""
         ...
 
+    @property
+    def start_uncertainty_s(self) -> float:
+        """How far time 0 of the last motion may be off the first sample; 0 where the two are one."""
+        ...
+
     def stop(self) -> None:
         """Brake to a standstill now, whatever is under way. Must be safe to call at any time, twice too."""
         ...
@@ -156,8 +162,8 @@ class Stage(Protocol):
         ...
 
     @property
-    def fault(self) -> str:
-        """What the drive reports, empty when nothing; asked at every block, so it must not wait for the drive."""
+    def fault(self) -> Trip | None:
+        """What drive and switches report, None when nothing; asked at every block, so it must wait for nobody."""
         ...
 
 
@@ -198,52 +204,3 @@ class Sampler(Protocol):
     def stop(self) -> None:
         """End the acquisition and release what it holds. Must be safe to call at any time, twice too."""
         ...
-
-
-@runtime_checkable
-class Backend(Protocol):
-    """A rig: its devices, its clock and its name in run files."""
-
-    @property
-    def name(self) -> str:
-        """Name that the run files carry: simulated, hardware, …."""
-        ...
-
-    @property
-    def stage(self) -> Stage:
-        """The axis."""
-        ...
-
-    @property
-    def sampler(self) -> Sampler:
-        """The acquisition."""
-        ...
-
-    @property
-    def clock(self) -> Clock:
-        """The time that this rig lives in."""
-        ...
-
-    def description(self) -> Mapping[str, str | float | int | bool]:
-        """Return what run files say of the devices, as attributes of `/entry`: sensor_serial, seed, …."""
-        ...
-
-    def close(self) -> None:
-        """Release every device. Must be safe to call twice."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class BackendRequest:
-    """What a backend's factory is given.
-
-    A factory is what an entry point of the group `dragrig.backends` names: a callable that takes one of
-    these and returns a `Backend`, raising `SettingsError` or `DeviceError`.
-    """
-
-    rig: RigSettings
-    model: FrictionModelSettings
-    real_time: bool = False
-    """Whether a simulated clock runs at the pace of the wall's."""
-    origin: datetime | None = None
-    """Time of day at which a simulated session begins; now unless given."""

@@ -19,11 +19,13 @@ from threading import Lock
 from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.acquiring import Acquiring, Outcome, Sink, attempt
-from dragrig.rig.devices import Acquisition, Backend
-from dragrig.rig.guard import Cause, Guard
+from dragrig.rig.backend import Backend
+from dragrig.rig.devices import Acquisition
+from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Status
+from dragrig.rig.trips import Cause, Trip
 
 
 class State(StrEnum):
@@ -143,7 +145,7 @@ class Engine:
             if self._cancel.is_set():
                 run.end(Status.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
         except StaleDataError as error:
-            run.trip(self._guard.latch(Cause.STALE_DATA, plain(error)))
+            run.trip(self._guard.latch(Trip(Cause.STALE_DATA, plain(error))))
         except RecordingError as error:
             run.end(Status.FAILED, plain(error))
         except DeviceError as error:

@@ -5,7 +5,6 @@ trip does not replace its reason.
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import isfinite
 
 import numpy as np
@@ -15,29 +14,9 @@ from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block, StageState
 from dragrig.rig.profile import Extremes
 from dragrig.rig.reading import Look
+from dragrig.rig.trips import Cause, Trip
 
 _SPEED_WINDOW_S = 0.01
-
-
-class Cause(StrEnum):
-    """What the guard can trip on."""
-
-    START_UP = "start-up"
-    POSITION = "position"
-    SPEED = "speed"
-    FORCE = "force"
-    FOLLOWING_ERROR = "following error"
-    STALE_DATA = "stale data"
-    NOT_A_NUMBER = "not a number"
-    DRIVE_FAULT = "drive fault"
-
-
-@dataclass(frozen=True, slots=True)
-class Trip:
-    """Why the guard tripped, in a person's words."""
-
-    cause: Cause
-    message: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +54,7 @@ class Guard:
 
     def reset(self, state: StageState) -> Trip | None:
         """Release the latch if every condition is clear; return what it is still latched on."""
-        if state.fault:
-            self._trip = Trip(Cause.DRIVE_FAULT, f"the drive reports {state.fault}")
-        else:
-            self._trip = None
+        self._trip = state.fault
         return self._trip
 
     def watch(self, extremes: Extremes) -> None:
@@ -93,12 +69,12 @@ class Guard:
         self._trip = self._judge(block, command, look, rate_hz)
         return self._trip
 
-    def latch(self, cause: Cause, message: str) -> Trip | None:
-        """Trip on something that no block shows; return the trip, None when it was latched already."""
+    def latch(self, trip: Trip) -> Trip | None:
+        """Trip on something that no sample shows; return the trip, None when it was latched already."""
         if self._trip is not None:
             return None
-        self._trip = Trip(cause, message)
-        return self._trip
+        self._trip = trip
+        return trip
 
     def _judge(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
         strongest = max(look.greatest_mN, -look.least_mN)

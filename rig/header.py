@@ -5,7 +5,8 @@ from functools import cache
 from importlib.metadata import version
 
 from dragrig.config.base import Settings
-from dragrig.rig.devices import Acquisition, Backend
+from dragrig.rig.backend import Backend
+from dragrig.rig.devices import Acquisition
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.record import SessionRecord
 from dragrig.rig.runfile.model import Attribute, RunHeader

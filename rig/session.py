@@ -9,7 +9,8 @@ from dragrig.config.errors import AbortedError, DeviceError, DragrigError, Tripp
 from dragrig.config.loading import to_toml
 from dragrig.config.specimen import Fixture
 from dragrig.rig.acquiring import Outcome, attempt
-from dragrig.rig.devices import Acquisition, Backend, Contact
+from dragrig.rig.backend import Backend
+from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.header import header_of

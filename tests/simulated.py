@@ -11,7 +11,8 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.devices import Acquisition, Backend, BackendRequest, Block, Contact
+from dragrig.rig.backend import Backend, BackendRequest
+from dragrig.rig.devices import Acquisition, Block, Contact
 from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
 from dragrig.sim_backend.devices import Faults, open_backend
 

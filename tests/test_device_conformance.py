@@ -12,7 +12,8 @@ from simulated import NEVER, acquire, begin, blocks, record, rest, settings, str
 from dragrig.config.errors import DeviceError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import LONGEST_BLOCK_S, Backend, BackendRequest
+from dragrig.rig.backend import Backend, BackendRequest
+from dragrig.rig.devices import LONGEST_BLOCK_S
 from dragrig.rig.profile import MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 

@@ -8,9 +8,10 @@ import pytest
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.devices import Block, StageState
-from dragrig.rig.guard import Cause, Guard
+from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Extremes
 from dragrig.rig.reading import Look
+from dragrig.rig.trips import Cause, Trip
 
 RATE = 1000.0
 CLEAR = StageState(position_mm=40.0, enabled=True, homed=True, moving=False)
@@ -42,7 +43,8 @@ def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
 
 def test_a_reset_needs_all_conditions_clear() -> None:
     guard = Guard(GuardSettings())
-    still = guard.reset(StageState(40.0, enabled=True, homed=True, moving=False, fault="overheated"))
+    hot = Trip(Cause.DRIVE_FAULT, "the drive reports overheated")
+    still = guard.reset(StageState(40.0, enabled=True, homed=True, moving=False, fault=hot))
     assert still is not None
     assert still.cause is Cause.DRIVE_FAULT
 
@@ -92,7 +94,7 @@ def test_it_trips_once_and_stays_latched() -> None:
     bad = block(force=9000.0)
     assert guard.inspect(bad, *seen(bad), RATE) is not None
     assert guard.inspect(bad, *seen(bad), RATE) is None
-    assert guard.latch(Cause.STALE_DATA, "late") is None
+    assert guard.latch(Trip(Cause.STALE_DATA, "late")) is None
     assert guard.trip is not None
     assert guard.trip.cause is Cause.FORCE
     good = block()

@@ -14,7 +14,7 @@ from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
 from dragrig.rig.acquiring import Sink
-from dragrig.rig.devices import BackendRequest
+from dragrig.rig.backend import BackendRequest
 from dragrig.rig.memory import MemoryStore
 from dragrig.rig.people import Answer, Nobody, Prompt
 from dragrig.rig.programme import build

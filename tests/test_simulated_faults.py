@@ -11,7 +11,9 @@ from simulated import NEVER, acquire, begin, blocks, record, rest, session, sett
 from dragrig.config.errors import DeviceError, StaleDataError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import BackendRequest, Contact
+from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import Contact
+from dragrig.rig.trips import Cause, Trip
 from dragrig.sim_backend.devices import (
     DriveFault,
     Faults,
@@ -110,8 +112,8 @@ def test_drive_fault_brakes_tells_and_needs_switching_off() -> None:
     backend = session(faults=Faults(drive_fault=DriveFault(0.4, "overtemperature")))
     faults_seen = []
     got = record(backend, RUN, lambda _: faults_seen.append(backend.stage.state().fault))
-    assert faults_seen[:7] == [""] * 7
-    assert set(faults_seen[8:]) == {"overtemperature"}
+    assert faults_seen[:7] == [None] * 7
+    assert set(faults_seen[8:]) == {Trip(Cause.DRIVE_FAULT, "the drive reports overtemperature")}
     position = got["position"]
     assert np.ptp(position[430:]) <= 0.001
     assert position[-1] < 40.0
@@ -121,7 +123,7 @@ def test_drive_fault_brakes_tells_and_needs_switching_off() -> None:
         backend.stage.enable()
     backend.stage.disable()
     backend.stage.enable()
-    assert backend.stage.state().fault == ""
+    assert backend.stage.state().fault is None
     backend.stage.move(stroke())
 
 
@@ -132,7 +134,7 @@ def test_a_drive_fault_that_nobody_saw_stays() -> None:
     backend.sampler.arm(acquire(rest(0.1), kind="tare"))
     backend.sampler.start()
     list(blocks(backend))
-    assert backend.stage.state().fault == "simulated overcurrent"
+    assert backend.stage.state().fault == Trip(Cause.DRIVE_FAULT, "the drive reports simulated overcurrent")
 
 
 def test_force_spike_is_on_the_force_alone() -> None:
@@ -148,7 +150,7 @@ def test_faults_strike_only_the_chosen_acquisitions() -> None:
     faults = Faults(drive_fault=DriveFault(0.0), strike=lambda acquisition: acquisition.order == 1)
     backend = session(faults=faults)
     record(backend, acquire(stroke(), order=0))
-    assert backend.stage.state().fault == ""
+    assert backend.stage.state().fault is None
     record(backend, acquire(stroke(), order=1))
     assert backend.stage.state().fault
 

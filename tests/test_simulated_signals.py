@@ -6,7 +6,8 @@ from simulated import acquire, record, rest, session, settings, stroke
 
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import EncoderSettings, ForceSensorSettings, MotorSettings, NoiseSettings, VariationSettings
-from dragrig.rig.devices import BackendRequest, Contact
+from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import Contact
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.devices.instruments import Converter, Encoder
 from dragrig.sim_backend.devices.noise import SlowNoise, Stream, force_noise, generator

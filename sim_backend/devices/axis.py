@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from dragrig.config.errors import DeviceError
 from dragrig.rig.devices import Acquisition, Clock
 from dragrig.rig.profile import MotionProfile
+from dragrig.rig.trips import Cause, Trip
 from dragrig.sim_backend.devices.kinematics import position_at, standstill
 
 
@@ -61,7 +62,7 @@ class Axis:
         self._acquisition: Acquisition | None = None
         self._sampling = False
         self._told_s = 0.0
-        self._fault = ""
+        self._fault: Trip | None = None
         self._track = standing(0.0, sample_s)
         self._began_s: float | None = clock.monotonic()
 
@@ -75,14 +76,14 @@ class Axis:
         """What the sampler is at, from arming to its last sample."""
         return self._acquisition
 
-    def look(self) -> tuple[float, bool, str]:
+    def look(self) -> tuple[float, bool, Trip | None]:
         """Return absolute position, whether a motion is under way, and the drive's fault if it has one."""
         with self._lock:
             return self._position(), self._moving(), self._latched_fault()
 
     @property
-    def fault(self) -> str:
-        """The drive's fault; empty when it has none."""
+    def fault(self) -> Trip | None:
+        """The drive's fault; None when it has none."""
         with self._lock:
             return self._latched_fault()
 
@@ -162,7 +163,7 @@ class Axis:
     def clear_fault(self) -> None:
         """Forget the drive's fault."""
         with self._lock:
-            self._fault = ""
+            self._fault = None
             self._track = replace(self._track, fails_s=math.inf)
 
     def _stand_at(self, position_mm: float) -> None:
@@ -189,7 +190,7 @@ class Axis:
         time_s = track.profile.duration_s if self._over() and self._began_s is not None else self._elapsed()
         return track.origin_mm + position_at(track.profile, time_s)
 
-    def _latched_fault(self) -> str:
+    def _latched_fault(self) -> Trip | None:
         if self._track.fails_s < math.inf and self._elapsed() >= self._track.fails_s:
-            self._fault = self._track.fault
+            self._fault = Trip(Cause.DRIVE_FAULT, f"the drive reports {self._track.fault}")
         return self._fault

@@ -1,12 +1,14 @@
 """The simulated rig as a whole, and the factory that opens it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import BackendRequest, Clock
+from dragrig.rig.backend import BackendRequest, Finding
+from dragrig.rig.clock import WallClock
+from dragrig.rig.devices import Clock
 from dragrig.sim_backend.devices.axis import Axis
-from dragrig.sim_backend.devices.clock import VirtualClock, WallClock
+from dragrig.sim_backend.devices.clock import VirtualClock
 from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
 from dragrig.sim_backend.devices.instruments import Encoder
 from dragrig.sim_backend.devices.sampler import SimulatedSampler
@@ -62,6 +64,10 @@ class SimulatedBackend:
             "model": self._model_name,
             "specimen_drawn": self._rig.simulated.variation.specimen,
         }
+
+    def examine(self) -> Iterator[Finding]:
+        """Say that nothing here is real; there is nothing to look at."""
+        yield Finding("rig", True, f"simulated: model {self._model_name}, seed {self._rig.simulated.seed}")
 
     def close(self) -> None:
         """Stop the stage, end the acquisition and switch the drive off."""

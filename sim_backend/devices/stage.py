@@ -6,6 +6,7 @@ from dragrig.config.errors import DeviceError
 from dragrig.config.rig import StageSettings
 from dragrig.rig.devices import StageLimits, StageState
 from dragrig.rig.profile import MotionProfile
+from dragrig.rig.trips import Trip
 from dragrig.sim_backend.devices.axis import Axis, Track
 from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
 from dragrig.sim_backend.devices.instruments import Encoder
@@ -84,6 +85,11 @@ class SimulatedStage:
             self._refuse_beyond_limits(profile, origin_mm)
             self._axis.begin(self._track(profile, origin_mm))
 
+    @property
+    def start_uncertainty_s(self) -> float:
+        """0, because a motion begins with the first sample."""
+        return 0.0
+
     def stop(self) -> None:
         """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread."""
         self._axis.stop()
@@ -96,8 +102,8 @@ class SimulatedStage:
             self._enabled = False
 
     @property
-    def fault(self) -> str:
-        """What the drive reports; empty when nothing."""
+    def fault(self) -> Trip | None:
+        """What the drive reports; None when nothing."""
         return self._axis.fault
 
     def state(self) -> StageState:
@@ -107,7 +113,7 @@ class SimulatedStage:
 
     def _refuse_fault(self) -> None:
         if fault := self.fault:
-            raise DeviceError(f"the drive reports a fault, {fault}: see to it, then switch the drive off and on.")
+            raise DeviceError(f"{fault.message}: see to it, then switch the drive off and on.")
 
     def _refuse_unready(self) -> None:
         self._refuse_fault()

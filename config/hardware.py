@@ -1,0 +1,166 @@
+"""The real rig's wiring: what hangs on which terminal of the card, and how the drive is reached."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from dragrig.config.base import Settings
+
+_RANGES_V = (0.2, 1.0, 5.0, 10.0)
+
+
+def _of_the_card(range_V: float) -> float:
+    if range_V not in _RANGES_V:
+        raise ValueError(
+            f"must be one of {', '.join(f'{one:g}' for one in _RANGES_V)}, the card's ranges to either side"
+        )
+    return range_V
+
+
+InputRange = Annotated[float, AfterValidator(_of_the_card)]
+"""Volts to either side that an analog input of the card takes."""
+
+
+class AnalogInputSettings(Settings):
+    """A further analog input, recorded beside force and position on the same clock."""
+
+    name: str = Field(pattern="^[a-z][a-z0-9_]*$")
+    """Name of the channel in run files: motor_force, temperature, …."""
+    channel: str
+    """Positive input on the card, such as ai1; its negative one is ai9."""
+    unit: str
+    per_V: float = 1.0
+    """Quantity per volt."""
+    zero_V: float = 0.0
+    """Volts at which the quantity is 0."""
+    range_V: InputRange = 10.0
+
+
+class ForceInputSettings(Settings):
+    """The force sensor's wires; the calibration history's latest entry overrides gain and zero."""
+
+    channel: str = "ai0"
+    """Positive input on the card; its negative one is ai8."""
+    per_V: float = Field(default=1000.0)
+    """Force per volt [mN/V] until a calibration says better."""
+    zero_V: float = 0.0
+    range_V: InputRange = 10.0
+    overload_V: float = Field(default=9.9, gt=0, le=10.5)
+    """From so many volts on, to either side, the sensor counts as overloaded."""
+    open_V: float = Field(default=9.99, gt=0, le=10.6)
+    """From so many volts on, the amplifier is at its rail: a wire is broken or the sensor unplugged."""
+
+    @model_validator(mode="after")
+    def _tells(self) -> Self:
+        if self.per_V == 0:
+            raise ValueError("per_V must not be 0")
+        if self.open_V < self.overload_V:
+            raise ValueError("open_V must not be below overload_V")
+        return self
+
+
+class EncoderInputSettings(Settings):
+    """The encoder's wires, behind a line receiver, and its counter; encoder.resolution_um is the length of a count."""
+
+    counter: str = "ctr0"
+    a: str = "PFI8"
+    b: str = "PFI10"
+    z: str = "PFI9"
+    """Index pulse; empty when it is not wired."""
+    filter_ns: Literal[0, 125, 6425, 2_560_000] = 125
+    """Shortest pulse that counts; 6425 limits the speed to about 0.3 m/s."""
+    reversed: bool = False
+    """Whether it counts down where the stage goes up."""
+
+
+class LineSettings(Settings):
+    """Digital lines; an empty one is not wired. A broken wire reads as pressed: switches are normally closed."""
+
+    enable: str = "port1/line0"
+    """Out: the drive's enable."""
+    e_stop: str = "port1/line1"
+    """In: low when pressed."""
+    limit_low: str = "port1/line2"
+    """In: low at the lower end of travel."""
+    limit_high: str = "port1/line3"
+    """In: low at the upper end of travel."""
+    heartbeat: str = ""
+    """Out: toggled while the program is well; an external relay takes the drive's power when it stops."""
+    heartbeat_s: float = Field(default=0.05, gt=0, le=1)
+    """Time between two edges of the heartbeat."""
+
+
+class CardSettings(Settings):
+    """The PCI-6229."""
+
+    device: str = "Dev1"
+    server: str = ""
+    """Host and port of an NI gRPC device server when the card is in another computer; empty for this one."""
+    buffer_s: float = Field(default=4.0, ge=1, le=60)
+    """Length of the buffer between card and program."""
+    force: ForceInputSettings = ForceInputSettings()
+    encoder: EncoderInputSettings = EncoderInputSettings()
+    lines: LineSettings = LineSettings()
+    inputs: tuple[AnalogInputSettings, ...] = ()
+    """Further analog inputs."""
+
+
+class VelocityOutputSettings(Settings):
+    """Velocity mode: the command as a voltage, the loop closed here on the encoder."""
+
+    channel: str = "ao0"
+    per_V: float = Field(default=10.0, gt=0)
+    """Speed per volt [mm/s] that the drive is set to."""
+    counter: str = "ctr1"
+    """Counter that reads the encoder for the loop; the same terminals as the sampled one."""
+    rate_hz: float = Field(default=1000.0, ge=100, le=10_000)
+    """Samples of the voltage per second."""
+    update_s: float = Field(default=0.02, gt=0, le=0.1)
+    """Time between two corrections."""
+    gain_per_s: float = Field(default=5.0, ge=0, le=100)
+    """Speed added per distance from the command [1/s]."""
+
+
+class DriveSettings(Settings):
+    """The stage's drive."""
+
+    mode: Literal["position", "velocity"] = "position"
+    """Position commands over serial, or a velocity voltage; the latter only with a heartbeat relay."""
+    port: str = "COM1"
+    """Serial port, or socket://host:port."""
+    dialect: str = "nikki"
+    """How the drive is spoken to: a module of dragrig.rig.hardware.dialects."""
+    baud: int = Field(default=38_400, ge=1200, le=4_000_000)
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    station: int = Field(default=1, ge=0, le=99)
+    reply_s: float = Field(default=0.1, gt=0, le=2)
+    """How long a reply may take."""
+    silence_s: float = Field(default=0.5, ge=0.05, le=5)
+    """After so long without a command the drive stops by itself."""
+    thrust_limit_N: float = Field(default=20.0, gt=0)
+    """Written to the drive and read back before every run."""
+    homing_speed_mm_s: float = Field(default=5.0, gt=0, le=50)
+    homing_direction: Literal["low", "high"] = "low"
+    """Limit switch that homing goes to before it looks for the index pulse."""
+    velocity: VelocityOutputSettings = VelocityOutputSettings()
+
+
+class HardwareSettings(Settings):
+    """What only the real rig needs."""
+
+    card: CardSettings = CardSettings()
+    drive: DriveSettings = DriveSettings()
+    hang_s: float = Field(default=0.5, ge=0.1, le=5)
+    """The stage is stopped when the program has not looked at its data for so long while it moves."""
+    calibration_days: float = Field(default=90.0, gt=0)
+    """Age from which a calibration counts as too old."""
+
+    @model_validator(mode="after")
+    def _can_be_stopped(self) -> Self:
+        if self.drive.mode == "velocity" and not self.card.lines.heartbeat:
+            raise ValueError(
+                "drive.mode = 'velocity' needs a heartbeat relay in card.lines.heartbeat, because the card holds its "
+                "last voltage when the program dies"
+            )
+        return self

@@ -1,0 +1,1 @@
+"""How drives are spoken to: one module a dialect."""
