@@ -1,0 +1,58 @@
+"""The force on the sensor during one sampling, for a motion that becomes known only as it happens."""
+
+from collections.abc import Mapping
+
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import AnyFloatArray
+from dragrig.rig.devices import Acquisition
+from dragrig.rig.profile import MotionProfile, Phase, still
+from dragrig.sim_backend.devices.axis import Track
+from dragrig.sim_backend.devices.faults import NO_FAULTS
+from dragrig.sim_backend.devices.signals import Signals
+from dragrig.sim_backend.doubles.carriage import Carriage
+
+_AHEAD_S = 0.25
+_FOREVER_S = 36_000.0
+
+
+class Gut:
+    """The simulated rig's force sensor and motor, fed with what the carriage really does.
+
+    Parameters
+    ----------
+    acquisition
+        What touches what; its profile says which way the first motion will go, and no more.
+    """
+
+    def __init__(self, rig: RigSettings, model: FrictionModelSettings, acquisition: Acquisition) -> None:
+        self._rate_hz = rig.sampling.rate_hz
+        self._acquisition = acquisition
+        self._signals = Signals(rig, model, acquisition, NO_FAULTS)
+        self._seen: Carriage | None = None
+        self._waits_until_s = 0.0
+
+    def compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
+        """Return force and motor force [mN] of samples `first` to before `end`; `first` never goes back."""
+        until_s = end / self._rate_hz
+        if carriage.has_moved:
+            if carriage is not self._seen:
+                self._seen = carriage
+                pieces = (*carriage.profile.pieces(), still(_FOREVER_S, Phase.HOLD))
+                self._follow(MotionProfile.from_pieces(pieces))
+        elif until_s > self._waits_until_s:
+            self._expect_motion_after(until_s)
+        return self._signals.compute(first, end, carriage.origin_mm)
+
+    def _expect_motion_after(self, time_s: float) -> None:
+        # A rest has the sign of the motion to come, so the plan's first motion is expected until it happens.
+        planned = self._acquisition.profile.pieces()
+        moving = [place for place, piece in enumerate(planned) if piece.acceleration_mm_s2]
+        before = sum(piece.duration_s for piece in planned[: moving[0]]) if moving else 0.0
+        self._waits_until_s = max(before, time_s + _AHEAD_S)
+        rest = still(self._waits_until_s, Phase.REST)
+        to_come = planned[moving[0] :] if moving else ()
+        self._follow(MotionProfile.from_pieces((rest, *to_come, still(_FOREVER_S, Phase.HOLD))))
+
+    def _follow(self, profile: MotionProfile) -> None:
+        self._signals.follow(Track(profile, 0.0))
