@@ -15,6 +15,7 @@ from dragrig.config.capsule import Capsule
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionProfile
+from dragrig.rig.raw import RawReading
 from dragrig.rig.runfile.model import Channel
 from dragrig.rig.trips import Trip
 
@@ -203,4 +204,11 @@ class Sampler(Protocol):
 
     def stop(self) -> None:
         """End the acquisition and release what it holds. Must be safe to call at any time, twice too."""
+        ...
+
+    def measure(self, duration_s: float) -> RawReading:
+        """Sample for a while, moving nothing, and return what converter and counter say, for a calibration.
+
+        Raises `DeviceError` while an acquisition is armed, and when the device fails.
+        """
         ...

@@ -169,6 +169,19 @@ def test_sampler_insists_on_its_order_of_calls(backend: Backend) -> None:
     backend.sampler.arm(acquire(stroke()))
 
 
+def test_sampler_measures_raw_values_between_acquisitions(backend: Backend) -> None:
+    backend.sampler.arm(acquire(rest(0.1)))
+    with pytest.raises(DeviceError, match="stop"):
+        backend.sampler.measure(0.1)
+    backend.sampler.stop()
+    reading = backend.sampler.measure(0.2)
+    assert reading.samples == pytest.approx(0.2 * backend.sampler.sample_rate_hz, abs=1)
+    assert abs(reading.force_V) < 0.1
+    assert 0 < reading.force_V_sd < 0.1
+    assert abs(reading.counts_end - reading.counts_begin) <= 1
+    assert record(backend, acquire(rest(0.1))).blocks[-1].end_index == 0.1 * backend.sampler.sample_rate_hz
+
+
 @pytest.mark.parametrize(
     ("profile", "complaint"),
     [

@@ -2,14 +2,18 @@
 
 from threading import Event as Signal
 
+import numpy as np
+
 from dragrig.config.errors import DeviceError, StaleDataError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import LONGEST_BLOCK_S, Acquisition, Block, Clock
+from dragrig.rig.raw import RawReading
 from dragrig.rig.runfile.model import Channel
 from dragrig.sim_backend.devices.axis import Axis
 from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
-from dragrig.sim_backend.devices.instruments import Converter
+from dragrig.sim_backend.devices.instruments import Converter, Encoder
+from dragrig.sim_backend.devices.noise import Stream, generator
 from dragrig.sim_backend.devices.reading import Reading
 from dragrig.sim_backend.devices.signals import Signals, recorded_channels
 
@@ -36,6 +40,7 @@ class SimulatedSampler:
         self._silent_from: int | None = None
         self._silence_s = 0.0
         self._was_armed = False
+        self._measured = 0
 
     @property
     def sample_rate_hz(self) -> float:
@@ -127,6 +132,28 @@ class SimulatedSampler:
         """End the acquisition and forget it; the stage goes on with what it does."""
         self._reading = None
         self._axis.end_sampling()
+
+    def measure(self, duration_s: float) -> RawReading:
+        """Sample the sensor's zero and noise for a while, as the volts of a sensor wired as the settings say.
+
+        Raises
+        ------
+        DeviceError
+            When the sampler is armed.
+        """
+        if self._reading is not None:
+            raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")
+        rig, wired = self._rig, self._rig.hardware.card.force
+        encoder = Encoder.of(rig.encoder)
+        begin_mm = self._axis.look()[0]
+        self._clock.sleep(duration_s, Signal())
+        end_mm = self._axis.look()[0]
+        white = generator(rig.simulated.seed, Stream.FORCE_WHITE, self._measured, "measure")
+        self._measured += 1
+        noise_mN = white.standard_normal(max(1, round(duration_s * self._rate_hz))) * rig.simulated.noise.white_mN
+        force_V = Converter.of(rig.force_sensor).convert(noise_mN) / wired.per_V + wired.zero_V
+        counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)
+        return RawReading.of(force_V, counts)
 
     def _outlast_silence(self, cancel: Signal) -> bool:
         longest_s = self._rig.guard.stale_data_s
