@@ -1,0 +1,220 @@
+"""A dialect for the NLA-7SL's NIKKI DENSO drive, UNVERIFIED: it was never used with a drive.
+
+No public description of the drive's serial link was found, so that frame, checksum, command names, parameter numbers,
+units and codes below are placeholders of a usual kind, all in this one module. docs/drive-dialect.md says what to
+change once the drive's manual is at hand.
+
+::
+
+    request   STX  station(2)  command(2)  [parameter(2)] [±digits]              ETX  CRC(4)
+    reply     STX  station(2)  command(2)  [parameter(2)] = [±digits | status]   ETX  CRC(4)
+    refusal   STX  station(2)  command(2)  [parameter(2)] ! code(2)              ETX  CRC(4)
+
+Everything is ASCII; the CRC is CRC-16/XMODEM from STX to ETX in capital hexadecimal digits. Values are whole numbers of
+the steps in `_STEPS`. A status is flags(2) alarm(2) halt(1), hexadecimal.
+"""
+
+import re
+from binascii import crc_hqx
+from math import isfinite
+from typing import ClassVar
+
+from dragrig.rig.hardware.dialects.base import Command, FrameError, Halt, Parameter, Refusal, Reply, Request, Status
+
+_STX, _ETX = b"\x02", b"\x03"
+_CRC_LENGTH = 4
+_LONGEST = 64
+
+_COMMANDS = {
+    "ST": Command.STATUS,
+    "PO": Command.POSITION,
+    "WR": Command.SET,
+    "RD": Command.READ,
+    "SV": Command.ENABLE,
+    "SF": Command.DISABLE,
+    "AC": Command.CLEAR_ALARM,
+    "HM": Command.HOME,
+    "GO": Command.GO,
+    "SP": Command.STOP,
+}
+_PARAMETERS = {
+    "01": Parameter.THRUST_LIMIT_N,
+    "02": Parameter.LOWEST_MM,
+    "03": Parameter.HIGHEST_MM,
+    "04": Parameter.SPEED_MM_S,
+    "05": Parameter.ACCELERATION_MM_S2,
+    "06": Parameter.STOP_ACCELERATION_MM_S2,
+    "07": Parameter.HOMING_SPEED_MM_S,
+    "08": Parameter.SILENCE_S,
+}
+_STEPS = {  # per unit: 0.1 µm, 1 mN, 1 µm/s, 1 µm/s², 1 ms
+    Parameter.THRUST_LIMIT_N: 1000,
+    Parameter.LOWEST_MM: 10_000,
+    Parameter.HIGHEST_MM: 10_000,
+    Parameter.SPEED_MM_S: 1000,
+    Parameter.ACCELERATION_MM_S2: 1000,
+    Parameter.STOP_ACCELERATION_MM_S2: 1000,
+    Parameter.HOMING_SPEED_MM_S: 1000,
+    Parameter.SILENCE_S: 1000,
+}
+_POSITION_STEPS = 10_000
+_REFUSALS = {
+    "01": Refusal.DISABLED,
+    "02": Refusal.NOT_HOMED,
+    "03": Refusal.MOVING,
+    "04": Refusal.SOFT_LIMIT,
+    "05": Refusal.ALARM,
+    "06": Refusal.EMERGENCY_STOP,
+    "07": Refusal.LIMIT_SWITCH,
+    "08": Refusal.BAD_VALUE,
+    "09": Refusal.UNKNOWN,
+}
+_ALARMS = {
+    0x01: "overcurrent",
+    0x02: "overload of the motor",
+    0x03: "a broken encoder signal",
+    0x04: "overspeed",
+    0x05: "a following error",
+    0x06: "overvoltage",
+    0x07: "overheating",
+}
+_HALTS = dict(enumerate(Halt))
+
+_COMMAND_NAMES = {command: name for name, command in _COMMANDS.items()}
+_PARAMETER_NAMES = {parameter: name for name, parameter in _PARAMETERS.items()}
+_REFUSAL_CODES = {refusal: code for code, refusal in _REFUSALS.items()}
+_HALT_CODES = {halt: code for code, halt in _HALTS.items()}
+_ENABLED, _HOMED, _MOVING = 1, 2, 4
+
+_BODY = re.compile(
+    r"(?P<station>\d\d)(?P<command>[A-Z]{2})(?P<parameter>\d\d)?"
+    r"(?:(?P<mark>=)(?:(?P<status>[0-9A-F]{5})|(?P<answer>[+-]\d{1,10}))?|!(?P<refusal>\d\d)|(?P<value>[+-]\d{1,10}))?",
+    re.ASCII,
+)
+
+
+class NikkiDialect:
+    """The codec; see the module. It holds nothing."""
+
+    verified: ClassVar[bool] = False
+
+    def frame_length(self, received: bytes) -> int:
+        """Length up to and with the checksum; what never ends is given up after 64 bytes."""
+        end = received.find(_ETX)
+        if end < 0:
+            return _LONGEST if len(received) >= _LONGEST else 0
+        length = end + 1 + _CRC_LENGTH
+        return length if len(received) >= length else 0
+
+    def encode(self, request: Request, station: int) -> bytes:
+        """Return the frame of a request."""
+        text = ""
+        if request.value is not None:
+            text = _digits(request.value, _steps(request.command, request.parameter))
+        return _frame(station, request.command, request.parameter, text)
+
+    def decode(self, frame: bytes, station: int) -> Reply:
+        """Return what the drive says."""
+        part, command, parameter = _parts(frame, station)
+        if part["refusal"] is not None:
+            if part["refusal"] not in _REFUSALS:
+                raise FrameError(f"refusal {part['refusal']} is not known")
+            return Reply(command, parameter, refusal=_REFUSALS[part["refusal"]])
+        if part["mark"] is None:
+            raise FrameError("a request where a reply was due")
+        value = _value(part["answer"], command, parameter)
+        status = None if part["status"] is None else _status(part["status"])
+        if (status is not None) != (command is Command.STATUS):
+            raise FrameError("a status where none was due, or none where one was")
+        if (value is not None) != (command in {Command.POSITION, Command.READ}):
+            raise FrameError("a value where none was due, or none where one was")
+        return Reply(command, parameter, value, status)
+
+    def decode_request(self, frame: bytes, station: int) -> Request:
+        """Return what the program says."""
+        part, command, parameter = _parts(frame, station)
+        if part["mark"] is not None or part["refusal"] is not None:
+            raise FrameError("a reply where a request was due")
+        try:
+            return Request(command, parameter, _value(part["value"], command, parameter))
+        except ValueError as error:
+            raise FrameError(str(error)) from error
+
+    def encode_reply(self, reply: Reply, station: int) -> bytes:
+        """Return the frame of a reply."""
+        if reply.refusal is not None:
+            text = f"!{_REFUSAL_CODES[reply.refusal]}"
+        elif reply.status is not None:
+            text = f"={_flags(reply.status)}"
+        elif reply.value is not None:
+            text = f"={_digits(reply.value, _steps(reply.command, reply.parameter))}"
+        else:
+            text = "="
+        return _frame(station, reply.command, reply.parameter, text)
+
+    def resolution(self, parameter: Parameter) -> float:
+        """One step of the parameter's whole numbers."""
+        return 1.0 / _STEPS[parameter]
+
+    def alarm(self, code: int) -> str:
+        """Words for the codes of `_ALARMS`, the number for any other."""
+        return _ALARMS.get(code, f"alarm {code:02X}, which the dialect does not know")
+
+
+def _frame(station: int, command: Command, parameter: Parameter | None, text: str) -> bytes:
+    if not 0 <= station <= 99:
+        raise FrameError(f"station {station} is not between 0 and 99")
+    number = "" if parameter is None else _PARAMETER_NAMES[parameter]
+    covered = _STX + f"{station:02d}{_COMMAND_NAMES[command]}{number}{text}".encode("ascii") + _ETX
+    return covered + f"{crc_hqx(covered, 0):04X}".encode("ascii")
+
+
+def _parts(frame: bytes, station: int) -> tuple[dict[str, str | None], Command, Parameter | None]:
+    covered, checksum = frame[:-_CRC_LENGTH], frame[-_CRC_LENGTH:]
+    if not (covered.startswith(_STX) and covered.endswith(_ETX)):
+        raise FrameError("no start or end of a frame")
+    if checksum != f"{crc_hqx(covered, 0):04X}".encode("ascii"):
+        raise FrameError("the checksum does not fit")
+    match = _BODY.fullmatch(covered[1:-1].decode("ascii", errors="replace"))
+    if match is None or match["command"] not in _COMMANDS:
+        raise FrameError("no known command")
+    if int(match["station"]) != station:
+        raise FrameError(f"station {match['station']} speaks where {station:02d} was asked")
+    parameter = None if match["parameter"] is None else _PARAMETERS.get(match["parameter"])
+    command = _COMMANDS[match["command"]]
+    if (parameter is not None) != (command in {Command.SET, Command.READ}):
+        raise FrameError("a parameter that is not known, or where none was due")
+    return match.groupdict(), command, parameter
+
+
+def _steps(command: Command, parameter: Parameter | None) -> int:
+    if parameter is not None:
+        return _STEPS[parameter]
+    return 1 if command is Command.HOME else _POSITION_STEPS
+
+
+def _digits(value: float, steps: int) -> str:
+    if not isfinite(value) or abs(number := round(value * steps)) >= 10**10:
+        raise FrameError(f"{value:g} does not fit into a frame")
+    return f"{number:+d}"
+
+
+def _value(digits: str | None, command: Command, parameter: Parameter | None) -> float | None:
+    return None if digits is None else int(digits) / _steps(command, parameter)
+
+
+def _flags(status: Status) -> str:
+    flags = _ENABLED * status.enabled | _HOMED * status.homed | _MOVING * status.moving
+    if not 0 <= status.alarm <= 0xFF:
+        raise FrameError(f"alarm {status.alarm} does not fit into a frame")
+    return f"{flags:02X}{status.alarm:02X}{_HALT_CODES[status.halt]:X}"
+
+
+def _status(text: str) -> Status:
+    flags, alarm, halt = int(text[:2], 16), int(text[2:4], 16), int(text[4], 16)
+    if flags > _ENABLED | _HOMED | _MOVING or halt not in _HALTS:
+        raise FrameError(f"status {text} has bits that are not known")
+    return Status(bool(flags & _ENABLED), bool(flags & _HOMED), bool(flags & _MOVING), alarm, _HALTS[halt])
+
+
+DIALECT = NikkiDialect()
