@@ -85,6 +85,11 @@ def _in_folder(folder: Path) -> list[Path]:
     found = sorted(one for one in folder.glob("*.h5") if not _is_recording(one))
     if found:
         return found
+    if any(folder.glob(f"*{RECORDING_SUFFIX}")):
+        raise RunFileError(
+            f"{folder}: holds no finished run, only a recording that a crash left or that goes on right now; once "
+            f"nothing records, finish it with dragrig recover {folder}."
+        )
     below = sorted(one.parent.name for one in folder.glob("*/*.h5"))
     hint = f"did you mean {folder / below[-1]}?" if below else "name a campaign's folder or a run file."
     raise RunFileError(f"{folder}: holds no run files; {hint}")

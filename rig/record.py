@@ -1,6 +1,7 @@
 """The session's record beside its run files: everything needed to go on with it, or to repeat it."""
 
 import tomllib
+from datetime import UTC
 from pathlib import Path
 
 from pydantic import AwareDatetime
@@ -33,8 +34,8 @@ class SessionRecord(Settings):
     rig: RigSettings
 
     def file_name(self) -> str:
-        """Name of the record in the campaign's folder."""
-        return f"session-{self.begun_at:%Y%m%d-%H%M%S}.toml"
+        """Name of the record in the campaign's folder, in UTC, so that names stay in order when clocks are put back."""
+        return f"session-{self.begun_at.astimezone(UTC):%Y%m%d-%H%M%SZ}.toml"
 
 
 def write_record(record: SessionRecord, folder: Path) -> Path:

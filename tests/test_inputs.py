@@ -52,3 +52,9 @@ def test_what_stands_for_nothing_is_told(runs: Path, name: str, words: str) -> N
     with pytest.raises(RunFileError) as caught:
         run_files([name])
     assert words in str(caught.value)
+
+
+def test_a_folder_with_only_a_recording_points_to_its_recovery(tmp_path: Path) -> None:
+    (tmp_path / "20260301-090000-drag-000.recording.h5").touch()
+    with pytest.raises(RunFileError, match=r"dragrig recover"):
+        run_files([tmp_path])
