@@ -56,6 +56,8 @@ class ForceInputSettings(Settings):
             raise ValueError("per_V must not be 0")
         if self.open_V < self.overload_V:
             raise ValueError("open_V must not be below overload_V")
+        if self.open_V > self.range_V:
+            raise ValueError("open_V must not be above range_V, or no broken wire could be seen")
         return self
 
 
@@ -103,6 +105,15 @@ class CardSettings(Settings):
     lines: LineSettings = LineSettings()
     inputs: tuple[AnalogInputSettings, ...] = ()
     """Further analog inputs."""
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Self:
+        names = ["force", "position", "time", "command", "phase", *(one.name for one in self.inputs)]
+        channels = [self.force.channel, *(one.channel for one in self.inputs)]
+        for what, values in (("name", names), ("channel", channels)):
+            if twice := next((value for value in values if values.count(value) > 1), None):
+                raise ValueError(f"inputs: {what} = {twice!r} is there already; each input needs its own")
+        return self
 
 
 class VelocityOutputSettings(Settings):

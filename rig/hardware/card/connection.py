@@ -1,0 +1,68 @@
+"""How the card is reached: through the driver of this computer, or through an NI gRPC device server in another."""
+
+from threading import Lock
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import nidaqmx
+import nidaqmx.system
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.hardware import CardSettings
+
+if TYPE_CHECKING:
+    import grpc
+
+_UNBOUNDED = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1))
+
+
+class Connection:
+    """One way to one card, shared by every task on it. Any thread may call anything."""
+
+    def __init__(self, card: CardSettings) -> None:
+        self._card = card
+        self._lock = Lock()
+        self._channel: grpc.Channel | None = None
+
+    @property
+    def card(self) -> CardSettings:
+        """The card's wiring."""
+        return self._card
+
+    def task(self) -> nidaqmx.Task:
+        """Return a new task, which its caller closes; raises what the driver raises."""
+        return nidaqmx.Task(grpc_options=self._options())
+
+    def device(self) -> nidaqmx.system.Device:
+        """Return the card as the driver knows it; whether it is there shows when it is asked something."""
+        return nidaqmx.system.Device(self._card.device, grpc_options=self._options())
+
+    def terminal(self, name: str) -> str:
+        """Return a terminal or channel with the card before it: `Dev1/ai0`."""
+        return f"{self._card.device}/{name}"
+
+    def close(self) -> None:
+        """Let go of the server; the next task connects again."""
+        with self._lock:
+            channel, self._channel = self._channel, None
+        if channel is not None:
+            channel.close()
+
+    def _options(self) -> nidaqmx.GrpcSessionOptions | None:
+        if not self._card.server:
+            return None
+        grpc = _grpc()
+        with self._lock:
+            if self._channel is None:
+                self._channel = grpc.insecure_channel(self._card.server, options=_UNBOUNDED)
+            return nidaqmx.GrpcSessionOptions(self._channel, "")
+
+
+def _grpc() -> ModuleType:
+    try:
+        import grpc
+    except ImportError as error:
+        raise DeviceError(
+            "hardware.card.server names a computer, and to reach it gRPC is needed: install dragrig[grpc]."
+        ) from error
+    return grpc

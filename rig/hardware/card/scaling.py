@@ -1,0 +1,104 @@
+"""What volts and counts mean: forces, positions, further quantities, and what the force input's rails say."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.config.hardware import AnalogInputSettings, ForceInputSettings
+from dragrig.config.lab import Calibration
+from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
+from dragrig.rig.runfile.model import Channel
+from dragrig.rig.trips import Cause, Trip
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """The rig's scales: the latest calibrations where there are any, else the settings.
+
+    Attributes
+    ----------
+    mN_per_V, zero_mN
+        The force is `mN_per_V` times the voltage plus `zero_mN`.
+    mm_per_count
+        Signed: negative where the encoder is mounted the other way round.
+    """
+
+    mN_per_V: float
+    zero_mN: float
+    mm_per_count: float
+    force: ForceInputSettings
+    inputs: tuple[AnalogInputSettings, ...]
+
+    @classmethod
+    def of(cls, rig: RigSettings, calibrations: Mapping[str, Calibration]) -> "Scaling":
+        """Return what the settings and the calibrations that hold now (force, encoder) make of the card's inputs."""
+        card = rig.hardware.card
+        force, encoder = calibrations.get("force"), calibrations.get("encoder")
+        mm = rig.encoder.resolution_um / 1000.0 if encoder is None else encoder.gain
+        return cls(
+            mN_per_V=card.force.per_V if force is None else force.gain,
+            zero_mN=-card.force.per_V * card.force.zero_V if force is None else force.zero,
+            mm_per_count=-mm if card.encoder.reversed else mm,
+            force=card.force,
+            inputs=card.inputs,
+        )
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Force, position, then the further inputs in the settings' order."""
+        return (
+            Channel("force", "mN"),
+            Channel("position", "mm"),
+            *(Channel(one.name, one.unit) for one in self.inputs),
+        )
+
+    @property
+    def force_range_mN(self) -> tuple[float, float]:
+        """Forces at the two ends of the input's range, as they come out: in single precision."""
+        at_rails = np.array([-self.force.range_V, self.force.range_V]) * self.mN_per_V + self.zero_mN
+        low, high = np.sort(at_rails).astype(np.float32)
+        return float(low), float(high)
+
+    def scale(self, volts: FloatArray, counts: FloatArray, origin: float) -> Mapping[str, AnyFloatArray]:
+        """Return a block's channels, read-only.
+
+        Parameters
+        ----------
+        volts
+            Shape `(1 + inputs, n)`, force first.
+        counts, origin
+            Counts, shape `(n,)`, and the one that is position 0.
+        """
+        channels: dict[str, AnyFloatArray] = {
+            "force": _linear(volts[0], self.mN_per_V, self.zero_mN),
+            "position": (counts - origin) * self.mm_per_count,
+        }
+        for one, row in zip(self.inputs, volts[1:], strict=True):
+            channels[one.name] = _linear(row, one.per_V, -one.per_V * one.zero_V)
+        for array in channels.values():
+            read_only(array)
+        return channels
+
+    def fault(self, volts: FloatArray) -> Trip | None:
+        """Return what the force input's voltages, shape `(n,)`, say of the sensor; None when they are fine."""
+        return self.fault_at(max(float(volts.max()), -float(volts.min())))
+
+    def fault_at(self, strongest_V: float) -> Trip | None:
+        """Return what the force input's strongest voltage, to either side, says of sensor and amplifier."""
+        if strongest_V < self.force.overload_V:
+            return None
+        where = f"force input {self.force.channel} is at {strongest_V:.2f} V"
+        if strongest_V < self.force.open_V:
+            return Trip(Cause.SENSOR_OVERLOAD, f"{where}: the force sensor is overloaded")
+        return Trip(
+            Cause.SENSOR_OPEN, f"{where}, the amplifier's rail: the force sensor is unplugged or a wire is broken"
+        )
+
+
+def _linear(volts: FloatArray, gain: float, zero: float) -> npt.NDArray[np.float32]:
+    scaled = volts * gain
+    scaled += zero
+    return scaled.astype(np.float32)
