@@ -75,6 +75,10 @@ class GuardSettings(Settings):
     """Allowed distance between command and position at standstill …"""
     following_error_per_speed_s: float = Field(default=0.05, ge=0)
     """… plus this times the speed."""
+    encoder_silent_mm: float = Field(default=0.2, gt=0)
+    """Trip when the command has moved on by more than this …"""
+    encoder_silent_s: float = Field(default=0.04, gt=0, le=5)
+    """… and for longer than this, while the encoder showed not a single count."""
     stale_data_s: float = Field(default=0.2, gt=0, le=5)
     """Trip when no block arrives for this long."""
 
@@ -154,4 +158,13 @@ class RigSettings(Settings):
     def _sees_the_force_limit(self) -> Self:
         if self.guard.force_limit_mN >= self.force_sensor.range_mN:
             raise ValueError("guard.force_limit_mN must be below force_sensor.range_mN, or no force could trip it")
+        return self
+
+    @model_validator(mode="after")
+    def _tells_silence_from_rest(self) -> Self:
+        if self.guard.encoder_silent_mm < 3e-3 * self.encoder.resolution_um:
+            raise ValueError(
+                "guard.encoder_silent_mm must be at least three counts (encoder.resolution_um), or a healthy encoder "
+                "could trip it"
+            )
         return self

@@ -1,25 +1,23 @@
 """One acquisition under way: the path of a block through guard, record, checks and viewer."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from threading import Event as Signal
-from typing import Protocol
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, DragrigError, RecordingError, plain
+from dragrig.config.errors import DeviceError, DragrigError, RecordingError, StaleDataError, plain
 from dragrig.config.rig import RigSettings
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.backend import Backend
 from dragrig.rig.checks import CheckReport, RunChecks
 from dragrig.rig.devices import Acquisition, Block, Contact
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
 from dragrig.rig.reading import CommandTape, Look, Reading
-from dragrig.rig.runfile.model import Attribute, Event, Status
+from dragrig.rig.runfile.model import Event, Status
+from dragrig.rig.store import Sink
 from dragrig.rig.trips import Cause, Trip
 
 _SETTLE_S = 1.0
@@ -36,22 +34,6 @@ class Outcome:
     checks: CheckReport
     mean_force_mN: float
     path: Path | None = None
-
-
-class Sink(Protocol):
-    """Where readings are recorded."""
-
-    def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
-        """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
-        ...
-
-    def event(self, event: Event) -> None:
-        """Take an event."""
-        ...
-
-    def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
-        """Finish the record; return its file."""
-        ...
 
 
 class Acquiring:
@@ -85,13 +67,15 @@ class Acquiring:
         self._end_index = 0
         self._force_sum = 0.0
         self._phase = -1
+        self._uncertainty_s: float | None = None
+        self._ended = False
         self._status = Status.COMPLETE
         self._reason = ""
 
     @property
-    def ended_early(self) -> bool:
+    def ended(self) -> bool:
         """Whether it was ended before the profile was over."""
-        return self._status is not Status.COMPLETE
+        return self._ended
 
     def start(self) -> None:
         """Arm the sampler, start the stage, take the first sample."""
@@ -106,11 +90,11 @@ class Acquiring:
         block = self._sampler.read(cancel)
         if block is None:
             if not cancel.is_set() and self._end_index < self._expected:
-                self.end(Status.FAILED, f"sampling ended after {self._end_index} of {self._expected} samples")
+                self._ended_unasked()
             return None
         reading = self._tape.join(block)
         look = Look.at(block, reading.command)
-        if fault := self._fault() or block.fault:
+        if fault := self._fault() or self._unpermitted(block.fault):
             trip = self._guard.latch(fault)
         else:
             trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
@@ -118,32 +102,47 @@ class Acquiring:
         self._end_index = block.end_index
         self.trip(trip)
         self._take(block, reading, look)
-        return None if self.ended_early else reading
+        if reading.phase[-1] != Phase.REST:
+            self._tell_uncertainty()
+        return None if self._ended else reading
 
     def trip(self, trip: Trip | None) -> None:
         """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
         if trip is not None:
             self.end(Status.TRIPPED, f"{trip.cause}: {trip.message}")
 
+    def fail(self, error: DragrigError) -> None:
+        """Stop because of an error; one that only follows from the watchdog's stop is told after it."""
+        fault = self._fault()
+        if fault is not None and fault.cause is Cause.WATCHDOG:
+            self.trip(self._guard.latch(Trip(fault.cause, f"{fault.message}; {plain(error)}")))
+        elif isinstance(error, StaleDataError):
+            self.trip(self._guard.latch(Trip(Cause.STALE_DATA, plain(error))))
+        else:
+            self.end(Status.FAILED, plain(error))
+
     def end(self, status: Status, reason: str, stopped_at_s: float | None = None) -> None:
         """Stop the stage at once; what the first call says stands.
 
         Parameters
         ----------
+        status
+            `Status.COMPLETE` when what was sought is reached, so that the rest is not wanted.
         stopped_at_s
             Reading of the clock when the stage was told to stop already; now unless given.
         """
         now_s = self._clock.monotonic() if stopped_at_s is None else stopped_at_s
         if refusal := attempt(self._stage.stop):
-            reason = f"{reason}; and the stage did not take the stop ({refusal})"
-        if not self.ended_early:
-            self._status, self._reason = status, reason
+            reason = "; and ".join(part for part in (reason, f"the stage did not take the stop ({refusal})") if part)
+            status = Status.FAILED if status is Status.COMPLETE else status
+        if not self._ended:
+            self._ended, self._status, self._reason = True, status, reason
             braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
             stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _SETTLE_S)
             self._settle_until_s = stopped.duration_s
             self._tape.replace(stopped)
             with suppress(RecordingError):
-                self._note("trip" if status is Status.TRIPPED else "stop", reason, braking_from)
+                self._note("trip" if status is Status.TRIPPED else "stop", reason or "reached", braking_from)
 
     def settle(self) -> None:
         """Keep what is sampled until the stage stands still."""
@@ -161,15 +160,16 @@ class Acquiring:
     def finish(self) -> Outcome:
         """Stop sampling, close the record, and say how it ended; each step is made whatever becomes of the others."""
         failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := attempt(step))]
-        if failures and not self.ended_early:
+        if failures and self._status is Status.COMPLETE:
             self._status = Status.FAILED
         report = self._checks.report()
         paths: list[Path] = []
         if (sink := self._sink) is not None:
+            failures.append(attempt(self._tell_uncertainty))
             now, reason = self._clock.now(), self._all_reasons(failures)
             failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
             failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
-        if any(failures) and not self.ended_early:
+        if any(failures) and self._status is Status.COMPLETE:
             self._status = Status.FAILED
         mean = self._force_sum / self._samples if self._samples else float("nan")
         return Outcome(self._status, self._all_reasons(failures), self._samples, report, mean, *paths)
@@ -177,15 +177,30 @@ class Acquiring:
     def _all_reasons(self, failures: list[str]) -> str:
         return "; ".join(part for part in (self._reason, *failures) if part)
 
+    def _ended_unasked(self) -> None:
+        if fault := self._fault():
+            self.trip(self._guard.latch(fault))
+        else:
+            self.end(Status.FAILED, f"sampling ended after {self._end_index} of {self._expected} samples")
+
     def _fault(self) -> Trip | None:
         try:
-            return self._stage.fault
+            return self._unpermitted(self._stage.fault)
         except DeviceError as error:
             return Trip(Cause.DRIVE_FAULT, plain(error))
 
+    def _unpermitted(self, fault: Trip | None) -> Trip | None:
+        return None if fault is None or self._guard.permits(fault) else fault
+
+    def _tell_uncertainty(self) -> None:
+        uncertainty_s = self._stage.start_uncertainty_s
+        if self._sink is not None and uncertainty_s != self._uncertainty_s:
+            self._uncertainty_s = uncertainty_s
+            self._sink.annotate({"command_t0_uncertainty_s": uncertainty_s})
+
     def _take(self, block: Block, reading: Reading, look: Look) -> None:
         raw = block.channels["force"]
-        self._checks.add(reading, look, raw, commanded=not self.ended_early)
+        self._checks.add(reading, look, raw, commanded=not self._ended)
         self._samples += block.samples
         self._end_index = block.end_index
         self._force_sum += float(np.add.reduce(raw, dtype=np.float64))

@@ -40,6 +40,11 @@ class Backend(Protocol):
         ...
 
     @property
+    def needs_hands(self) -> bool:
+        """Whether a person has to be at the rig: one has to look before the guard is reset, and hands do the rest."""
+        ...
+
+    @property
     def clock(self) -> Clock:
         """The time that this rig lives in."""
         ...

@@ -23,6 +23,13 @@ LONGEST_BLOCK_S = 0.05
 """No block spans more than this, so that the guard never sees older data than this."""
 
 
+class Side(StrEnum):
+    """An end of the stage's travel."""
+
+    LOW = "low"
+    HIGH = "high"
+
+
 class Contact(StrEnum):
     """How capsule and gut meet during a run."""
 
@@ -152,6 +159,14 @@ class Stage(Protocol):
 
     def stop(self) -> None:
         """Brake to a standstill now, whatever is under way. Must be safe to call at any time, twice too."""
+        ...
+
+    def override_limit(self, side: Side) -> None:
+        """Let the next motion begin, away from it, although the limit switch of this side is pressed.
+
+        `fault` does not tell of that switch until the motion is over, of everything else as ever, and a position
+        beyond the soft limit of this side forbids no motion back.
+        """
         ...
 
     def disable(self) -> None:

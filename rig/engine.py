@@ -16,16 +16,16 @@ from enum import StrEnum
 from threading import Event as Signal
 from threading import Lock
 
-from dragrig.config.errors import DeviceError, RecordingError, StaleDataError, TrippedError, plain
+from dragrig.config.errors import DeviceError, RecordingError, TrippedError
 from dragrig.config.rig import RigSettings
-from dragrig.rig.acquiring import Acquiring, Outcome, Sink, attempt
+from dragrig.rig.acquiring import Acquiring, Outcome, attempt
 from dragrig.rig.backend import Backend
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Status
-from dragrig.rig.trips import Cause, Trip
+from dragrig.rig.store import Sink
 
 
 class State(StrEnum):
@@ -105,8 +105,15 @@ class Engine:
         sink: Sink | None = None,
         view: Callable[[Reading], None] | None = None,
         tare_mN: float = 0.0,
+        until: Callable[[Reading], bool] | None = None,
     ) -> Outcome:
         """Make one acquisition, guarded, recorded in `sink` and shown to `view`.
+
+        Parameters
+        ----------
+        until
+            Asked at every reading that the guard passed; once it says yes, the stage is stopped and the acquisition
+            counts as complete.
 
         Raises
         ------
@@ -127,7 +134,7 @@ class Engine:
         self._latest = None
         self._set(status)
         try:
-            self._drive(run, status)
+            self._drive(run, status, until)
         finally:
             self._set(replace(status, state=State.FINISHING))
             try:
@@ -136,25 +143,24 @@ class Engine:
                 self._set(EngineStatus())
         return outcome
 
-    def _drive(self, run: Acquiring, status: EngineStatus) -> None:
+    def _drive(self, run: Acquiring, status: EngineStatus, until: Callable[[Reading], bool] | None) -> None:
         try:
             run.start()
             self._set(replace(status, state=State.RUNNING))
             while (reading := run.step(self._cancel)) is not None:
                 self._latest = reading
+                if until is not None and until(reading):
+                    run.end(Status.COMPLETE, "")
+                    return
             if self._cancel.is_set():
                 run.end(Status.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
-        except StaleDataError as error:
-            run.trip(self._guard.latch(Trip(Cause.STALE_DATA, plain(error))))
-        except RecordingError as error:
-            run.end(Status.FAILED, plain(error))
-        except DeviceError as error:
-            run.end(Status.FAILED, plain(error))
+        except (DeviceError, RecordingError) as error:
+            run.fail(error)
         except BaseException as error:
             run.end(Status.FAILED, f"{type(error).__name__}: {error}")
             raise
         finally:
-            if run.ended_early:
+            if run.ended:
                 self._set(replace(status, state=State.STOPPING))
                 run.settle()
 

@@ -11,12 +11,16 @@ import numpy as np
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.devices import Block, StageState
+from dragrig.rig.devices import Block, Side, StageState
 from dragrig.rig.profile import Extremes
 from dragrig.rig.reading import Look
+from dragrig.rig.silence import SilenceWatch
 from dragrig.rig.trips import Cause, Trip
 
 _SPEED_WINDOW_S = 0.01
+_DITHER_COUNTS = 1.5
+SWITCHES = {Side.LOW: Cause.LIMIT_SWITCH_LOW, Side.HIGH: Cause.LIMIT_SWITCH_HIGH}
+"""What a pressed limit switch of each side trips as."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +42,24 @@ class Envelope:
 
 
 class Guard:
-    """Looks at every block; owned by the engine's thread."""
+    """Looks at every block; owned by the engine's thread.
 
-    def __init__(self, settings: GuardSettings) -> None:
+    Parameters
+    ----------
+    count_mm
+        Length of one count of the encoder.
+    """
+
+    def __init__(self, settings: GuardSettings, count_mm: float = 0.0) -> None:
         self._settings = settings
+        self._dither_mm = _DITHER_COUNTS * count_mm
         self._trip: Trip | None = Trip(Cause.START_UP, "the guard starts tripped and needs a reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
         self._before: AnyFloatArray | None = None
+        self._silence = SilenceWatch(self._dither_mm)
+        self._freed: Cause | None = None
+        self._freed_next = False
 
     @property
     def trip(self) -> Trip | None:
@@ -55,12 +69,31 @@ class Guard:
     def reset(self, state: StageState) -> Trip | None:
         """Release the latch if every condition is clear; return what it is still latched on."""
         self._trip = state.fault
+        self._freed, self._freed_next = None, False
         return self._trip
 
+    def override(self, side: Side, state: StageState) -> Trip | None:
+        """Release the latch for one motion although the limit switch of this side is pressed.
+
+        Everything else stays watched, and has to be clear now; return what it is still latched on.
+        """
+        freed = SWITCHES[side]
+        self._trip = state.fault if state.fault is not None and state.fault.cause is not freed else None
+        self._freed, self._freed_next = (freed, True) if self._trip is None else (None, False)
+        return self._trip
+
+    def permits(self, fault: Trip) -> bool:
+        """Whether a fault is the limit switch that an override freed for the motion under way."""
+        return fault.cause is self._freed
+
     def watch(self, extremes: Extremes) -> None:
-        """Set the envelope for the motion about to begin."""
+        """Set the envelope for the motion about to begin; an override of the motion before is over."""
         self._envelope = Envelope.around(extremes, self._settings)
         self._last, self._before = None, None
+        self._silence = SilenceWatch(self._dither_mm)
+        if not self._freed_next:
+            self._freed = None
+        self._freed_next = False
 
     def inspect(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
         """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
@@ -84,6 +117,7 @@ class Guard:
             self._judge_force(strongest)
             or self._judge_position(look.lowest_mm, look.highest_mm)
             or self._judge_speed(block, rate_hz)
+            or self._judge_silence(block, command, look, rate_hz)
             or self._judge_following(look.following_mm, command, rate_hz)
         )
 
@@ -118,6 +152,16 @@ class Guard:
         if speed <= limit:
             return None
         return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
+
+    def _judge_silence(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
+        silence, allowed = self._silence.look(block, command, look, rate_hz), self._settings
+        if silence.travel_mm <= allowed.encoder_silent_mm or silence.duration_s <= allowed.encoder_silent_s:
+            return None
+        return Trip(
+            Cause.ENCODER_SILENT,
+            f"the encoder showed not one count in {1000 * silence.duration_s:.0f} ms, while the command went "
+            f"{silence.travel_mm:.2f} mm; look at its cable, and whether the stage is held",
+        )
 
     def _judge_following(self, error: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:
         before, self._before = self._before, command

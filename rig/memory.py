@@ -1,6 +1,7 @@
 """A store that keeps runs in memory: for notebooks, benchmarks and what needs no files."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
@@ -57,6 +58,10 @@ class MemorySink:
     def event(self, event: Event) -> None:
         """Take an event."""
         self._events.append(event)
+
+    def annotate(self, entry: Mapping[str, Attribute]) -> None:
+        """Take attributes of `/entry` that become known while the run goes on."""
+        self._header = replace(self._header, entry={**self._header.entry, **entry})
 
     def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record; the path is a name only."""

@@ -23,12 +23,21 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """A request to a person's hands."""
+    """A request to a person.
+
+    Attributes
+    ----------
+    run
+        The run that it is about, if it is about one.
+    hands
+        Whether somebody has to do something, or look, at the rig: nothing but a person may answer then.
+    """
 
     text: str
-    run: PlannedRun
-    can_redo: bool
-    can_skip: bool = True
+    run: PlannedRun | None = None
+    can_redo: bool = False
+    can_skip: bool = False
+    hands: bool = True
 
 
 class Operator(Protocol):
@@ -64,12 +73,11 @@ class Watcher(Protocol):
 
 
 class Nobody:
-    """An operator whose hands are never needed, and a watcher who does not look: for dry runs in a program."""
+    """An operator without hands, and a watcher who does not look: for dry runs in a program."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Say done."""
-        del prompt
-        return Answer.DONE
+        """Say done where no hands are needed, and abort where they are."""
+        return Answer.ABORT if prompt.hands else Answer.DONE
 
     def begins(self, programme: Programme, pending: int) -> None:
         """Look away."""

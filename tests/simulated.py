@@ -14,7 +14,7 @@ from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.backend import Backend, BackendRequest
 from dragrig.rig.devices import Acquisition, Block, Contact
 from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
-from dragrig.sim_backend.devices import Faults, open_backend
+from dragrig.sim_backend.devices import Faults, SimulatedBackend, open_backend
 
 CAPSULE = Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1)
 NEVER = threading.Event()
@@ -27,6 +27,14 @@ def stroke(
     return MotionProfile.from_pieces(
         (still(rest_s, Phase.REST), *trapezoid(travel_mm, speed_mm_s, accel_mm_s2), still(hold_s, Phase.HOLD))
     )
+
+
+class Handed(SimulatedBackend):
+    """A simulated rig that asks for a person's hands, as the real one does."""
+
+    @property
+    def needs_hands(self) -> bool:
+        return True
 
 
 def rest(duration_s: float) -> MotionProfile:

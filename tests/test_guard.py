@@ -1,26 +1,30 @@
 """The guard trips on what it should, once, and stays latched."""
 
 import itertools
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from dragrig.config.rig import GuardSettings
-from dragrig.rig.devices import Block, StageState
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Block, Side, StageState
 from dragrig.rig.guard import Guard
-from dragrig.rig.profile import Extremes
+from dragrig.rig.profile import Extremes, MotionProfile, Phase, still, trapezoid
 from dragrig.rig.reading import Look
 from dragrig.rig.trips import Cause, Trip
 
 RATE = 1000.0
+MOTION = Extremes(lowest_mm=0.0, highest_mm=40.0, speed_mm_s=20.0, acceleration_mm_s2=400.0)
 CLEAR = StageState(position_mm=40.0, enabled=True, homed=True, moving=False)
 
 
 def armed() -> Guard:
     guard = Guard(GuardSettings())
     assert guard.reset(CLEAR) is None
-    guard.watch(Extremes(lowest_mm=0.0, highest_mm=40.0, speed_mm_s=20.0, acceleration_mm_s2=400.0))
+    guard.watch(MOTION)
     return guard
 
 
@@ -104,8 +108,6 @@ def test_it_trips_once_and_stays_latched() -> None:
 
 @pytest.mark.parametrize("offset", range(0, 50, 7))
 def test_a_plain_lag_does_not_trip_where_the_stage_brakes_or_turns(offset: int) -> None:
-    from dragrig.rig.profile import MotionProfile, trapezoid
-
     profile = MotionProfile.from_pieces([*trapezoid(40.0, 60.0, 400.0), *trapezoid(-40.0, 60.0, 400.0)])
     guard = Guard(GuardSettings())
     guard.reset(CLEAR)
@@ -125,3 +127,88 @@ def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
         position = np.array([5.0, 5.001 if first % 4 else 4.999], np.float32)
         one = Block(first, {"force": np.zeros(2, np.float32), "position": position})
         assert guard.inspect(one, *seen(one), 20_000.0) is None
+
+
+def driven(
+    guard: Guard, profile: MotionProfile, shown: Callable[[FloatArray], FloatArray], block_s: float
+) -> Trip | None:
+    """Let the guard see a motion whose encoder shows `shown` of the command, until it trips."""
+    assert guard.reset(CLEAR) is None
+    guard.watch(profile.extremes())
+    per_block = round(block_s * RATE)
+    for first in range(0, profile.samples(RATE) - per_block, per_block):
+        time = np.arange(first, first + per_block) / RATE
+        command = profile.position(time).astype(np.float32)
+        one = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
+        if trip := guard.inspect(one, command, Look.at(one, command), RATE):
+            return trip
+    return None
+
+
+@pytest.mark.parametrize("block_s", [0.01, 0.05])
+@pytest.mark.parametrize(("speed", "accel"), [(0.5, 400.0), (5.0, 50.0), (20.0, 400.0), (60.0, 400.0), (100.0, 3000.0)])
+@pytest.mark.parametrize("stuck_s", [0.0, 0.137])
+def test_a_stuck_encoder_is_told_before_anything_else(
+    speed: float, accel: float, stuck_s: float, block_s: float
+) -> None:
+    profile = MotionProfile.from_pieces([still(0.1, Phase.REST), *trapezoid(60.0, speed, accel)])
+    trip = driven(Guard(GuardSettings()), profile, lambda time: profile.position(np.minimum(time, stuck_s)), block_s)
+    assert trip is not None
+    assert trip.cause is Cause.ENCODER_SILENT
+
+
+def test_one_wire_broken_is_silence_too() -> None:
+    profile = MotionProfile.from_pieces(trapezoid(40.0, 20.0, 400.0))
+    to_and_fro = driven(
+        Guard(GuardSettings(), count_mm=0.001), profile, lambda time: 0.001 * (np.arange(len(time)) % 2), 0.05
+    )
+    assert to_and_fro is not None
+    assert to_and_fro.cause is Cause.ENCODER_SILENT
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 0.011, 0.023, 0.037])
+def test_a_late_start_is_no_silence(offset_s: float) -> None:
+    profile = MotionProfile.from_pieces([still(0.2 + offset_s, Phase.REST), *trapezoid(60.0, 100.0, 3000.0)])
+    settings = GuardSettings(following_error_mm=5.0)
+    assert driven(Guard(settings), profile, lambda time: profile.position(time - 0.02), 0.05) is None
+
+
+def test_rest_hold_and_creeping_are_no_silence() -> None:
+    rests = [still(5.0, Phase.REST), *trapezoid(0.1, 0.01, 400.0), still(5.0, Phase.HOLD)]
+    profile = MotionProfile.from_pieces(rests)
+    coarse = driven(Guard(GuardSettings()), profile, lambda time: np.rint(profile.position(time) / 0.02) * 0.02, 0.05)
+    assert coarse is None
+
+
+def pressed(cause: Cause) -> StageState:
+    return replace(CLEAR, fault=Trip(cause, "pressed"))
+
+
+def test_an_override_frees_one_switch_for_one_motion() -> None:
+    guard = Guard(GuardSettings())
+    low, high = pressed(Cause.LIMIT_SWITCH_LOW), pressed(Cause.LIMIT_SWITCH_HIGH)
+    assert guard.reset(low) is low.fault
+    assert guard.override(Side.HIGH, low) is low.fault
+    assert guard.trip is low.fault
+    assert guard.override(Side.LOW, low) is None
+    guard.watch(MOTION)
+    assert low.fault is not None
+    assert high.fault is not None
+    assert guard.permits(low.fault)
+    assert not guard.permits(high.fault)
+    bad = block(force=9000.0)
+    assert guard.inspect(bad, *seen(bad), RATE) is not None
+
+
+@pytest.mark.parametrize("reset_between", [False, True])
+def test_an_override_lasts_for_one_motion_only(reset_between: bool) -> None:
+    guard = Guard(GuardSettings())
+    low = pressed(Cause.LIMIT_SWITCH_LOW)
+    assert guard.override(Side.LOW, low) is None
+    if reset_between:
+        assert guard.reset(CLEAR) is None
+    else:
+        guard.watch(MOTION)
+    guard.watch(MOTION)
+    assert low.fault is not None
+    assert not guard.permits(low.fault)

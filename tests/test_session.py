@@ -13,7 +13,7 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.acquiring import Sink
+from dragrig.rig.acquisitions import recorded
 from dragrig.rig.backend import BackendRequest
 from dragrig.rig.memory import MemoryStore
 from dragrig.rig.people import Answer, Nobody, Prompt
@@ -22,6 +22,7 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.record import SessionRecord
 from dragrig.rig.runfile.model import Run, RunHeader, Status
 from dragrig.rig.session import Progress, Session, SessionResult
+from dragrig.rig.store import Sink
 from dragrig.sim_backend.devices import (
     DriveFault,
     Faults,
@@ -188,7 +189,7 @@ def only_drags(acquisition: object) -> bool:
     ("faults", "cause"),
     [
         (Faults(follow_error=FollowError(1.4, 3.0, ramp_s=0.5)), "following error"),
-        (Faults(stuck_encoder=StuckEncoder(1.4)), "following error"),
+        (Faults(stuck_encoder=StuckEncoder(1.4)), "encoder silent"),
         (Faults(runaway=Runaway(1.4, 60.0)), "speed"),
         (Faults(runaway=Runaway(1.4, -20.0)), "following error"),
         (Faults(force_spike=ForceSpike(1.4, 9000.0)), "force"),
@@ -211,7 +212,7 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
     if cause == "force":
         np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
-        one.engine.acquire(one._recorded(one._programme.runs[0], 0.0))
+        one.engine.acquire(recorded(0, one._programme.runs[0], 0.0))
 
 
 def test_lost_samples_are_counted_and_never_closed_up() -> None:

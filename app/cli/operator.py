@@ -39,8 +39,11 @@ class Terminal:
         self._meter.__exit__(kind, error, trace)
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put a prompt and read the answer; the first letter is enough, an empty line means done."""
-        if self._yes:
+        """Put a prompt and read the answer; the first letter is enough, an empty line means done.
+
+        `--yes` answers whatever asks for nobody's hands.
+        """
+        if self._yes and not prompt.hands:
             return Answer.DONE
         self._meter.pause()
         left_out = {Answer.REDO: not prompt.can_redo, Answer.SKIP: not prompt.can_skip}
@@ -51,7 +54,8 @@ class Terminal:
             click.echo(f"  {words}: ", err=True, nl=False)
             line = sys.stdin.readline()
             if not line:
-                click.echo("\nNobody answers on standard input; --yes answers every prompt with done.", err=True)
+                why = "this asks for hands at the rig" if prompt.hands else "--yes answers every such prompt with done"
+                click.echo(f"\nNobody answers on standard input; {why}.", err=True)
                 return Answer.ABORT
             said = line.strip().lower() or Answer.DONE.value
             for choice in choices:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option(
     "--pace", type=click.Choice(["fast", "real"]), default="fast", show_default=True, help="Of the simulated rig."
 )
-@click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done.")
+@click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done that asks for nobody's hands.")
 @options.as_json
 @options.quiet
 def command(

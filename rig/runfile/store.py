@@ -105,6 +105,10 @@ class FolderSink:
         """Take an event."""
         self._recorder.event(event)
 
+    def annotate(self, entry: Mapping[str, Attribute]) -> None:
+        """Take attributes of `/entry` that become known while the run goes on."""
+        self._recorder.annotate(entry)
+
     def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record and hand it on; return where its file will stand, after `settle` at the latest."""
         recording = self._recorder.close(status, reason, end_time, checks)

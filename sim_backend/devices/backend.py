@@ -52,6 +52,11 @@ class SimulatedBackend:
         return self._sampler
 
     @property
+    def needs_hands(self) -> bool:
+        """No."""
+        return False
+
+    @property
     def clock(self) -> Clock:
         """The time that this rig lives in."""
         return self._clock

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition
+from dragrig.rig.devices import Acquisition, Side
 from dragrig.rig.profile import TIME_TOLERANCE_S
 
 
@@ -71,6 +71,18 @@ class ForceSpike:
     duration_s: float = 0.1
 
 
+@dataclass(frozen=True, slots=True)
+class LimitSwitch:
+    """A limit switch that is pressed from an absolute position on, whatever acquisition is under way."""
+
+    side: Side
+    at_mm: float
+
+    def pressed(self, position_mm: float) -> bool:
+        """Whether a stage at this absolute position presses it."""
+        return position_mm <= self.at_mm if self.side is Side.LOW else position_mm >= self.at_mm
+
+
 def every_acquisition(acquisition: Acquisition) -> bool:
     """Choose all acquisitions, tares and ways back included."""
     del acquisition
@@ -88,6 +100,7 @@ class Faults:
     lost_samples: LostSamples | None = None
     drive_fault: DriveFault | None = None
     force_spike: ForceSpike | None = None
+    limit_switch: LimitSwitch | None = None
     strike: Callable[[Acquisition], bool] = every_acquisition
 
     def during(self, acquisition: Acquisition) -> "Faults":

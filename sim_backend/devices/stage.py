@@ -1,12 +1,13 @@
 """The simulated stage: limits, states and faults of a drive."""
 
 import threading
+from dataclasses import replace
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import StageSettings
-from dragrig.rig.devices import StageLimits, StageState
+from dragrig.rig.devices import Side, StageLimits, StageState
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.trips import Trip
+from dragrig.rig.trips import Cause, Trip
 from dragrig.sim_backend.devices.axis import Axis, Track
 from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
 from dragrig.sim_backend.devices.instruments import Encoder
@@ -34,6 +35,8 @@ class SimulatedStage:
         self._faults = faults
         self._enabled = False
         self._homed = False
+        self._override: Side | None = None
+        self._override_used = False
         self._commands = threading.RLock()
 
     @property
@@ -84,6 +87,7 @@ class SimulatedStage:
             origin_mm, _, _ = self._axis.look()
             self._refuse_beyond_limits(profile, origin_mm)
             self._axis.begin(self._track(profile, origin_mm))
+            self._override_used = self._override is not None
 
     @property
     def start_uncertainty_s(self) -> float:
@@ -94,22 +98,40 @@ class SimulatedStage:
         """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread."""
         self._axis.stop()
 
+    def override_limit(self, side: Side) -> None:
+        """Free one motion from the limit switch and the soft limit of this side."""
+        with self._commands:
+            self._override, self._override_used = side, False
+
     def disable(self) -> None:
         """Stop, switch the drive off and clear its fault."""
         self._axis.stop()
         with self._commands:
             self._axis.clear_fault()
             self._enabled = False
+            self._override = None
 
     @property
     def fault(self) -> Trip | None:
         """What the drive reports; None when nothing."""
-        return self._axis.fault
+        position_mm, moving, fault = self._axis.look()
+        return fault or self._pressed_switch(position_mm, moving)
 
     def state(self) -> StageState:
         """Where the stage is, to the encoder's resolution, and how it is."""
         position_mm, moving, fault = self._axis.look()
+        fault = fault or self._pressed_switch(position_mm, moving)
         return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
+
+    def _pressed_switch(self, position_mm: float, moving: bool) -> Trip | None:
+        switch = self._faults.limit_switch
+        if switch is None or not switch.pressed(position_mm) or switch.side is self._overridden(moving):
+            return None
+        cause = Cause.LIMIT_SWITCH_LOW if switch.side is Side.LOW else Cause.LIMIT_SWITCH_HIGH
+        return Trip(cause, f"the limit switch at the {switch.side} end is pressed")
+
+    def _overridden(self, moving: bool) -> Side | None:
+        return self._override if moving or not self._override_used else None
 
     def _refuse_fault(self) -> None:
         if fault := self.fault:
@@ -123,7 +145,7 @@ class SimulatedStage:
             raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
 
     def _refuse_beyond_limits(self, profile: MotionProfile, origin_mm: float) -> None:
-        extremes, limits = profile.extremes(), self._limits
+        extremes, limits = profile.extremes(), self._limits_from(origin_mm)
         lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
         margin = POSITION_TOLERANCE_MM
         # Written so that a NaN is refused too.
@@ -143,6 +165,15 @@ class SimulatedStage:
                 )
         if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_MM_S:
             raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")
+
+    def _limits_from(self, origin_mm: float) -> StageLimits:
+        match self._overridden(moving=False):
+            case Side.LOW:
+                return replace(self._limits, lowest_mm=min(self._limits.lowest_mm, origin_mm))
+            case Side.HIGH:
+                return replace(self._limits, highest_mm=max(self._limits.highest_mm, origin_mm))
+            case None:
+                return self._limits
 
     def _track(self, profile: MotionProfile, origin_mm: float) -> Track:
         acquisition = self._axis.acquisition
