@@ -1,0 +1,106 @@
+"""One program per rig, held by the operating system: real processes, one of them killed."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.hardware import CardSettings, DriveSettings, HardwareSettings
+from dragrig.rig.hardware.owner import Owner, machine_folder, rig_name
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from dragrig.config.hardware import HardwareSettings
+from dragrig.rig.hardware.owner import Owner
+with Owner(HardwareSettings(), Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.readline()
+print("let go", flush=True)
+sys.stdin.readline()
+"""
+
+
+def rig(device: str = "Dev1", port: str = "COM1") -> HardwareSettings:
+    return HardwareSettings(card=CardSettings(device=device), drive=DriveSettings(port=port))
+
+
+@pytest.fixture
+def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
+    """Another program that is at the rig, lets it go at a line on its standard input and lives on to the next."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "held\n"
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_second_program_is_refused_and_told_who_holds_the_rig(
+    holder: "subprocess.Popen[str]", tmp_path: Path
+) -> None:
+    with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} is at this rig") as refused:
+        Owner(rig(), tmp_path)
+    assert str(refused.value).count(".") == 1
+    Owner(rig(port="COM2"), tmp_path).close()
+    Owner(rig(device="Dev2"), tmp_path).close()
+
+
+def test_a_rig_that_was_let_go_is_free_while_its_program_lives(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
+    assert holder.stdin is not None
+    assert holder.stdout is not None
+    holder.stdin.write("\n")
+    holder.stdin.flush()
+    assert holder.stdout.readline() == "let go\n"
+    Owner(rig(), tmp_path).close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_a_killed_program_holds_nothing(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    with Owner(rig(), tmp_path), pytest.raises(DeviceError, match=str(os.getpid())):
+        Owner(rig(), tmp_path)
+
+
+def test_letting_go_twice_frees_nobody_elses_rig(tmp_path: Path) -> None:
+    first = Owner(rig(), tmp_path)
+    first.close()
+    with Owner(rig(), tmp_path):
+        first.close()
+        with pytest.raises(DeviceError, match=f"process {os.getpid()}"):
+            Owner(rig(), tmp_path)
+
+
+def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> None:
+    port = tmp_path / "ttyS0"
+    port.write_text("", "utf-8")
+    link = tmp_path / "by-id"
+    link.symlink_to(port)
+    assert rig_name(rig(port=str(port))) == rig_name(rig(port=str(link)))
+    assert rig_name(rig("dev1", "com1")) == rig_name(rig("Dev1", "COM1"))
+    names = {rig_name(rig(port=one)) for one in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
+    assert len(names) == 3
+
+
+def test_every_user_of_the_machine_comes_to_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    if not any(Path(one).is_dir() for one in ("/run/lock", "/var/lock")):
+        pytest.skip("this machine has no folder for locks")
+    before = machine_folder()
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    assert machine_folder() == before
+
+
+def test_a_folder_that_refuses_is_told(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("", "utf-8")
+    with pytest.raises(DeviceError, match="see who may write there"):
+        Owner(rig(), tmp_path / "taken")
