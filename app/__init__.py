@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         Run,
         campaign,
         check,
+        examine,
         export,
         filter,  # noqa: A004  # the word that people look for
         import_run,
@@ -36,6 +37,7 @@ __all__ = [
     "__version__",
     "campaign",
     "check",
+    "examine",
     "export",
     "filter",
     "import_run",

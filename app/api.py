@@ -2,6 +2,7 @@
 
 from dragrig.campaigns import Made
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
+from dragrig.examining import examine
 from dragrig.importing import import_run
 from dragrig.measuring import check, resume, run, simulate
 from dragrig.rig.runfile import Campaign
@@ -13,6 +14,7 @@ __all__ = [
     "Run",
     "campaign",
     "check",
+    "examine",
     "export",
     "filter",
     "import_run",

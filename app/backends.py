@@ -1,4 +1,4 @@
-"""The backends there are: entry points of the group `dragrig.backends`."""
+"""The backends there are: entry points of the group `dragrig.backends`, and their doubles, of `dragrig.doubles`."""
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
@@ -8,23 +8,35 @@ from dragrig.config.loading import nearest
 from dragrig.rig.backend import Backend, BackendRequest
 
 GROUP = "dragrig.backends"
+DOUBLES = "dragrig.doubles"
 
 
 def names() -> tuple[str, ...]:
     """Return the names of all backends that are installed."""
-    return tuple(sorted(entry_points(group=GROUP).names))
+    return _names(GROUP)
 
 
-def find(name: str) -> EntryPoint:
-    """Return the entry point of a backend without loading it; raises `SettingsError` for an unknown one."""
-    found = entry_points(group=GROUP, name=name)
-    if not found:
-        raise SettingsError(f"backend = {name!r}: no such backend is installed; {nearest(name, names())}")
-    return next(iter(found))
+def find(name: str, *, double: bool = False) -> EntryPoint:
+    """Return the entry point of a backend, or of its double, without loading it.
+
+    Raises
+    ------
+    SettingsError
+        For an unknown one.
+    """
+    found = entry_points(group=DOUBLES if double else GROUP, name=name)
+    if found:
+        return next(iter(found))
+    if double and name in names():
+        raise SettingsError(
+            f"backend = {name!r}: has no double; leave out --double, or name one with --backend: "
+            f"{', '.join(_names(DOUBLES))}."
+        )
+    raise SettingsError(f"backend = {name!r}: no such backend is installed; {nearest(name, names())}")
 
 
-def open_backend(name: str, request: BackendRequest) -> Backend:
-    """Load a backend and open its devices.
+def open_backend(name: str, request: BackendRequest, *, double: bool = False) -> Backend:
+    """Load a backend, or its double, and open its devices.
 
     Raises
     ------
@@ -33,7 +45,7 @@ def open_backend(name: str, request: BackendRequest) -> Backend:
     DeviceError
         When it cannot be loaded or what it returns is no backend.
     """
-    entry = find(name)
+    entry = find(name, double=double)
     try:
         factory: Callable[[BackendRequest], object] = entry.load()
         backend = factory(request)
@@ -46,3 +58,7 @@ def open_backend(name: str, request: BackendRequest) -> Backend:
     if not isinstance(backend, Backend):
         raise DeviceError(f"backend {name} ({entry.value}) returns a {type(backend).__name__}, which is no backend.")
     return backend
+
+
+def _names(group: str) -> tuple[str, ...]:
+    return tuple(sorted(entry_points(group=group).names))

@@ -110,6 +110,7 @@ def _setup_of(record: SessionRecord, folder: Path) -> Setup:
         model=record.model,
         rig_folder=rig_file.parent if rig_file is not None else None,
         backend=record.backend,
+        double=record.double,
     )
 
 

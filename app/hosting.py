@@ -1,4 +1,4 @@
-"""Hosting a session: it runs on a thread of its own, while the calling thread hears signals and asks people.
+"""Hosting what moves a rig: it runs on a thread of its own, while the calling thread hears signals and asks people.
 
 The calling thread wakes every few milliseconds, because on Windows nothing else lets it hear Ctrl-C.
 """
@@ -11,9 +11,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Event as Signal
 from types import FrameType
+from typing import TypeVar
 
 from dragrig.rig.people import Answer, Operator, Prompt
-from dragrig.rig.session import Session, SessionResult
+
+ResultT = TypeVar("ResultT")
 
 _WAKE_S = 0.02
 _ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
@@ -55,32 +57,39 @@ class HandedOver:
             question.answered.set()
 
 
-def host(session: Session, operator: HandedOver) -> SessionResult:
-    """Run a session to its end; Ctrl-C and the other signals that end a program end it in good order.
+def host(work: Callable[[], ResultT], abort: Callable[[str], None], operator: HandedOver) -> ResultT:
+    """Run what moves a rig to its end and return what it returns.
+
+    Parameters
+    ----------
+    work
+        Made on a thread of its own, as `Session.run`.
+    abort
+        Asks it for an end in good order: Ctrl-C and the other signals that end a program call it.
 
     Raises
     ------
     DragrigError
-        What `Session.run` raises.
+        What `work` raises.
     """
-    results: list[SessionResult] = []
+    results: list[ResultT] = []
     errors: list[BaseException] = []
 
-    def work() -> None:
+    def run() -> None:
         try:
-            results.append(session.run())
+            results.append(work())
         except BaseException as error:  # noqa: BLE001  # raised again on the calling thread
             errors.append(error)
 
-    worker = threading.Thread(target=work, name="session")
-    with _signals_call(session.abort):
+    worker = threading.Thread(target=run, name="session")
+    with _signals_call(abort):
         worker.start()
         try:
             while worker.is_alive():
                 operator.answer_next(_WAKE_S)
         finally:
             if worker.is_alive():
-                session.abort("its host failed")
+                abort("its host failed")
             worker.join()
     if errors:
         raise errors[0]

@@ -3,19 +3,18 @@
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Unpack
 
 from dragrig import backends, campaigns
 from dragrig.campaigns import Made
 from dragrig.config.errors import OutputError
+from dragrig.pacing import Pace
 from dragrig.rig.memory import MemoryStore
 from dragrig.rig.preflight import Preflight, preflight
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.sessions import Person, Terms, carry_out
 from dragrig.setup import Choices, PlanLike, resolve
-
-Pace = Literal["fast", "real"]
 
 
 def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Choices]) -> Preflight:
@@ -28,7 +27,8 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Ch
     out
         Folder whose free space counts; the rig's data root unless given.
     choices
-        `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each; `backend`: a name; `assignments`:
+        `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each; `backend`: a name; `double`: whether its
+        double is meant, in place of the hardware; `assignments`:
         changes as on the command line, `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
 
     Raises
@@ -43,7 +43,7 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Ch
     ()
     """
     setup = resolve(plan, **choices)
-    backends.find(setup.backend)
+    backends.find(setup.backend, double=setup.double)
     folder = Path(out) if out is not None else setup.data_root
     return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source)
 
@@ -95,7 +95,7 @@ def run(
     out: str | Path | None = None,
     operator: str = "",
     note: str = "",
-    pace: Pace = "fast",
+    pace: Pace | None = None,
     person: Person | None = None,
     **choices: Unpack[Choices],
 ) -> Made:
@@ -112,7 +112,8 @@ def run(
     operator, note
         Kept in the run files.
     pace
-        Of a simulated rig: as fast as it can, or as fast as a real one.
+        Of a simulated rig: as fast as it can unless given, or as fast as a real one. Of a double: as fast as a real one
+        unless given, or so many times faster.
     person
         Who answers prompts and watches; without one, every prompt counts as done.
     choices
@@ -145,7 +146,7 @@ def resume(
     *,
     operator: str = "",
     note: str = "",
-    pace: Pace = "fast",
+    pace: Pace | None = None,
     person: Person | None = None,
     assignments: Sequence[str] = (),
 ) -> Made:
@@ -172,5 +173,5 @@ def resume(
     return campaigns.go_on(folder, _terms(operator, note, pace), person, assignments)
 
 
-def _terms(operator: str, note: str, pace: Pace) -> Terms:
-    return Terms(Path(), operator=operator, note=note, real_time=pace == "real")
+def _terms(operator: str, note: str, pace: Pace | None) -> Terms:
+    return Terms(Path(), operator=operator, note=note, pace=pace)

@@ -1,6 +1,6 @@
 """Carrying out a plan: backend, record, store and people put together, and the session run to its end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Protocol
 
 from dragrig.backends import open_backend
+from dragrig.config.lab import Calibration
 from dragrig.hosting import HandedOver, host
+from dragrig.pacing import Pace, pacing
 from dragrig.rig.backend import Backend, BackendRequest
-from dragrig.rig.calibration import latest
 from dragrig.rig.people import Nobody, Operator, Watcher
 from dragrig.rig.preflight import preflight
 from dragrig.rig.record import SessionRecord
@@ -31,8 +32,8 @@ class Terms:
     ----------
     folder
         The campaign's folder, whose free space is checked.
-    real_time
-        Whether a simulated rig runs at the pace of the wall's clock.
+    pace
+        Of a simulated rig, or of a double.
     origin
         Time of day at which a simulated session begins; now unless given.
     """
@@ -40,7 +41,7 @@ class Terms:
     folder: Path
     operator: str = ""
     note: str = ""
-    real_time: bool = False
+    pace: Pace | None = None
     origin: datetime | None = None
     progress: Progress = field(default_factory=Progress)
 
@@ -69,25 +70,30 @@ def carry_out(
     """
     someone: Person = person or Nobody()
     programme = setup.programme()
-    request = BackendRequest(setup.rig, setup.model, terms.real_time, terms.origin)
-    with closing(open_backend(setup.backend, request)) as backend:
+    pace = pacing(terms.pace, double=setup.double)
+    calibrations = setup.calibrations()
+    request = BackendRequest(setup.rig, setup.model, pace.real_time, terms.origin, calibrations, pace=pace.times_faster)
+    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
         preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source).require()
-        record = _record(setup, backend, terms)
+        record = _record(setup, backend, terms, calibrations)
         operator = HandedOver(someone)
         with open_store(record) as store:
-            session = Session(backend, programme, record, store, operator, someone, terms.progress)
-            return host(session, operator)
+            timed = pace.real_time or backend.needs_hands
+            session = Session(backend, programme, record, store, operator, someone, terms.progress, real_time=timed)
+            return host(session.run, session.abort, operator)
 
 
-def _record(setup: Setup, backend: Backend, terms: Terms) -> SessionRecord:
-    calibration = latest(setup.rig_folder) if setup.rig_folder is not None else None
+def _record(setup: Setup, backend: Backend, terms: Terms, calibrations: Mapping[str, Calibration]) -> SessionRecord:
+    ids = {quantity: entry.id for quantity, entry in calibrations.items()}
     return SessionRecord(
         begun_at=backend.clock.now(),
         backend=setup.backend,
+        double=setup.double,
         operator=terms.operator,
         note=terms.note,
-        calibration_id=calibration.id if calibration is not None else "",
+        calibration_id=ids.get("force", ""),
+        encoder_calibration_id=ids.get("encoder", ""),
         beside=setup.plan_folder,
         plan=setup.plan,
         specimen=setup.specimen,

@@ -1,45 +1,36 @@
 """What a session runs with: plan, rig, specimen and model, each found by name or file and changed by assignments."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypedDict, TypeVar, Unpack
+from typing import Unpack
 
-from dragrig.config.base import Settings
 from dragrig.config.errors import PlanError, SettingsError
 from dragrig.config.lab import rig_file_of
 from dragrig.config.library import table
-from dragrig.config.loading import Table, merge, nearest, nested, parse, parse_assignment
+from dragrig.config.loading import Table, merge, nearest, parse
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan, Step
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import StageLimits
 from dragrig.rig.programme import Programme, build
 from dragrig.rig.protocols import Protocol, kinds
 from dragrig.rig.record import record_in
-
-SettingsT = TypeVar("SettingsT", bound=Settings)
-
-DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, folder_of, found_settings
 
 PlanLike = str | Path | Plan | Protocol
 """A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
 
 
-class Choices(TypedDict, total=False):
+class Choices(RigChoices, total=False):
     """The keyword arguments of `resolve`; none and None mean the usual."""
 
-    rig: str | Path | None
     specimen: str | Path | None
-    model: str | Path | None
     capsule: str | Path | None
-    backend: str | None
-    assignments: Sequence[str]
 
 
-@dataclass(frozen=True, slots=True)
-class Setup:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup(RigSetup):
     """All settings of a session.
 
     Attributes
@@ -48,33 +39,16 @@ class Setup:
         Where the plan comes from, for error messages.
     plan_folder
         Folder that capsule files in the plan are relative to; None for a shipped plan.
-    rig_folder
-        Folder of the rig file, with data root and calibration history; None for a shipped rig.
     """
 
     plan: Plan
     plan_source: str
     plan_folder: Path | None
-    rig: RigSettings
     specimen: Specimen
-    model: FrictionModelSettings
-    rig_folder: Path | None
-    backend: str
-
-    @property
-    def data_root(self) -> Path:
-        """Folder of the campaigns."""
-        return (self.rig_folder or Path()) / self.rig.data.root
-
-    @property
-    def limits(self) -> StageLimits:
-        """What the settings say that the stage can do."""
-        stage = self.rig.stage
-        return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
         """Return this with assignments to the rig applied; any other is refused with `SettingsError`."""
-        changes = _Changes.of(assignments)
+        changes = Changes.of(assignments)
         if changes.steps or any(found for name, found in changes.others.items() if name != "rig"):
             raise SettingsError(
                 f"--set {' '.join(assignments)}: a campaign goes on with its own plan, specimen and model, so only "
@@ -97,6 +71,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     choices
         `rig`, `specimen`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the
         shipped one outside of a lab. `capsule`: the same, for every step. `backend`: the rig's own unless given.
+        `double`: whether its double is meant.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
         key every step that has it.
 
@@ -107,16 +82,16 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     """
     before = record_in(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
-    rig_settings, rig_folder = _found(RigSettings, "rig", rig)
+    rig_settings, rig_folder = found_settings(RigSettings, "rig", rig)
     if before is not None and not choices.get("rig"):
         rig_settings = before.rig
-    changes = _Changes.of(choices.get("assignments", ()))
+    changes = Changes.of(choices.get("assignments", ()))
     capsule = choices.get("capsule")
     if capsule is not None:
         changes.steps["capsule"] = _absolute(capsule)
     base_plan, source, plan_folder = (before.plan, str(plan), before.beside) if before is not None else _plan(plan)
-    specimen = _chosen(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
-    model = _chosen(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
+    specimen = chosen(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
+    model = chosen(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     rig_changed = changes.laid_over(rig_settings, "rig")
     return Setup(
         plan=_with_step_keys(changes.laid_over(base_plan, "plan"), changes.steps),
@@ -127,6 +102,8 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
         model=changes.laid_over(model, "model"),
         rig_folder=rig_folder,
         backend=choices.get("backend") or (before.backend if before is not None else rig_changed.backend),
+        double=choices.get("double", False)
+        or (before is not None and before.double and choices.get("backend") in {None, before.backend}),
     )
 
 
@@ -142,55 +119,7 @@ def _plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
     if isinstance(plan, Protocol):
         return plan_of(plan), plan.kind, None
     data, source = table("plan", str(plan))
-    return parse(Plan, data, source), source, _folder_of(source)
-
-
-def _found(model: type[SettingsT], kind: str, name_or_path: str | Path | None) -> tuple[SettingsT, Path | None]:
-    data, source = table(kind, str(name_or_path or DEFAULTS[kind]))
-    return parse(model, data, source), _folder_of(source)
-
-
-def _chosen(model: type[SettingsT], kind: str, name_or_path: str | Path | None, before: SettingsT | None) -> SettingsT:
-    """Return what was chosen; otherwise what a session had before, or the usual."""
-    return before if before is not None and not name_or_path else _found(model, kind, name_or_path)[0]
-
-
-def _folder_of(source: str) -> Path | None:
-    path = Path(source)
-    return path.absolute().parent if path.is_file() else None
-
-
-@dataclass(frozen=True, slots=True)
-class _Changes:
-    """Assignments by what they change; `texts` are the assignments as they were typed."""
-
-    steps: Table
-    others: Mapping[str, Table]
-    texts: Mapping[str, tuple[str, ...]]
-
-    @classmethod
-    def of(cls, assignments: Sequence[str]) -> "_Changes":
-        """Sort assignments; raises `SettingsError`."""
-        steps: Table = {}
-        others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
-        texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
-        for text in (assignments,) if isinstance(assignments, str) else assignments:
-            (first, *rest), value = parse_assignment(text)
-            if not rest:
-                steps[first] = value
-            elif first in others:
-                others[first] = merge(others[first], nested(rest, value))
-                texts[first] = (*texts[first], text)
-            else:
-                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
-        return cls(steps, others, texts)
-
-    def laid_over(self, settings: SettingsT, name: str) -> SettingsT:
-        """Return the settings with the changes that are meant for them."""
-        if not self.others[name]:
-            return settings
-        data = merge(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
-        return parse(type(settings), data, f"--set {' '.join(self.texts[name])}")
+    return parse(Plan, data, source), source, folder_of(source)
 
 
 def _with_step_keys(plan: Plan, changes: Table) -> Plan:

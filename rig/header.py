@@ -39,6 +39,8 @@ def header_of(
         "operator": record.operator,
         "note": "; ".join(part for part in (record.note, run.note) if part),
         "calibration_id": record.calibration_id,
+        "encoder_calibration_id": record.encoder_calibration_id,
+        **({"double": True} if record.double else {}),
         **({"way_back_of": run.follows} if run.follows >= 0 else {}),
         **backend.description(),
         **facts,

@@ -23,9 +23,13 @@ class SessionRecord(Settings):
 
     begun_at: AwareDatetime
     backend: str
+    double: bool = False
+    """Whether it is the backend's double."""
     operator: str = ""
     note: str = ""
     calibration_id: str = ""
+    """Of the force sensor."""
+    encoder_calibration_id: str = ""
     beside: Path | None = None
     """Folder that files named in the plan are relative to."""
     plan: Plan

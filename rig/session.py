@@ -62,10 +62,13 @@ class Session:
         operator: Operator,
         watcher: Watcher,
         progress: Progress = Progress(),
+        *,
+        real_time: bool = False,
     ) -> None:
         self._backend, self._programme, self._record = backend, programme, record
         self._settings = to_toml(record)
         self._store, self._operator, self._watcher = store, operator, watcher
+        self._real_time = real_time
         self._done, self._order = progress.done, progress.next_order
         self._guard = Guard(record.rig.guard, 1e-3 * record.rig.encoder.resolution_um)
         self.engine = Engine(backend, record.rig, self._guard)
@@ -87,7 +90,7 @@ class Session:
             When a record cannot be opened or finished; the stage is stopped and disabled first.
         """
         pending = [run for run in self._programme.runs if run.index not in self._done]
-        self._watcher.begins(self._programme, len(pending))
+        self._watcher.begins(self._programme, len(pending), real_time=self._real_time)
         status, reason = Status.COMPLETE, ""
         try:
             self._prepare()

@@ -16,6 +16,7 @@ from dragrig.cli.console import exit_code_of, result
 from dragrig.cli.lazy import SECTIONS, group
 from dragrig.cli.plain import to_plain
 
+ALONE = "Without a plan the rig itself is looked at, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
 COMMANDS = [(name, line) for section in SECTIONS.values() for name, line in section.items()]
 
@@ -65,7 +66,8 @@ def test_the_help_names_the_plans_that_ship(name: str) -> None:
     [
         (["inti"], "inti is not a command; did you mean init?"),
         (["check", "drag", "--specimn", "x"], "check: --specimn is not an option; did you mean --specimen?"),
-        (["check"], "check: Missing argument 'PLAN'; see dragrig check --help."),
+        (["info"], "info: Missing argument 'RUN…'; see dragrig info --help."),
+        (["check", "--out", "x"], f"check: {ALONE} leave out --out; see dragrig check --help."),
         (["check", "drga"], "drga: there is no such file and no plan of this name; did you mean drag?"),
     ],
 )

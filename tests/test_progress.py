@@ -100,7 +100,7 @@ def test_a_prompt_takes_the_first_letter(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     run = resolve("drag").programme().runs[0]
-    assert Terminal(yes=False, real_time=False).ask(Prompt("Fit a fresh specimen", run, can_redo)) is answer
+    assert Terminal(yes=False).ask(Prompt("Fit a fresh specimen", run, can_redo, can_skip=True)) is answer
     told = capsys.readouterr()
     assert "Fit a fresh specimen." in told.err
     assert ("[r]edo" in told.err) is can_redo
@@ -109,5 +109,5 @@ def test_a_prompt_takes_the_first_letter(
 
 def test_yes_answers_every_prompt(capsys: pytest.CaptureFixture[str]) -> None:
     run = resolve("drag").programme().runs[0]
-    assert Terminal(yes=True, real_time=False).ask(Prompt("Fit a fresh specimen", run, False)) is Answer.DONE
+    assert Terminal(yes=True).ask(Prompt("Fit a fresh specimen", run, hands=False)) is Answer.DONE
     assert capsys.readouterr().err == ""

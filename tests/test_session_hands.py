@@ -82,7 +82,7 @@ def test_yes_answers_only_what_needs_no_hands(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    with Terminal(yes=True, real_time=False) as person:
+    with Terminal(yes=True) as person:
         assert person.ask(Prompt("Go?", hands=False)) is Answer.DONE
         assert person.ask(Prompt("Hang 20 g on the sensor")) is Answer.ABORT
     assert "hands" in capsys.readouterr().err

@@ -14,22 +14,27 @@ if TYPE_CHECKING:
 
 
 @click.command("check")
-@click.argument("plan")
+@click.argument("plan", required=False)
 @options.settings
 @options.out("Folder whose free space counts; the rig's data root unless given.")
 @options.as_json
 @click.pass_context
 def command(
-    ctx: click.Context, plan: str, out: Path | None, as_json: bool, **settings: Unpack[options.SettingsOptions]
+    ctx: click.Context, plan: str | None, out: Path | None, as_json: bool, **settings: Unpack[options.SettingsOptions]
 ) -> None:
-    """Say what PLAN, a file or a shipped name, would do; nothing moves.
+    """Say what PLAN, a file or a shipped name, would do; without PLAN, look at the rig. Nothing moves.
 
     Shipped plans: blank, coulomb, demo, drag, drag-sweep, paper, relaxation.
 
-    Prints every run with the range, speed and time that it takes, and what forbids it, if anything does.
+    With PLAN: every run with the range, speed and time that it takes, and what forbids it, if anything does.
+
+    Without: limits, calibrations and every device in turn, each ok or NOT; exit code 5 when one is not.
     """
     from dragrig import api
 
+    if plan is None:
+        _look_at_the_rig(ctx, settings, out, as_json=as_json)
+        return
     found = api.check(plan, out=out, **settings)
     if as_json:
         result_json(_plain(found))
@@ -43,6 +48,30 @@ def command(
         complain(f"{finding}.")
     if found.findings:
         ctx.exit(BAD_INPUT)
+
+
+def _look_at_the_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
+    given = {"specimen": settings["specimen"], "capsule": settings["capsule"], "out": out}
+    if spare := [name for name, value in given.items() if value]:
+        raise click.UsageError(f"Without a plan the rig itself is looked at, so leave out --{' --'.join(spare)}", ctx)
+    from dragrig import api
+    from dragrig.config.errors import DeviceError
+
+    findings = []
+    for finding in api.examine(
+        rig=settings["rig"],
+        model=settings["model"],
+        backend=settings["backend"],
+        double=settings["double"],
+        assignments=settings["assignments"],
+    ):
+        findings.append(finding)
+        if not as_json:
+            result(f"{'ok ' if finding.fine else 'NOT'}  {finding.what}: {finding.detail}")
+    if as_json:
+        result_json(findings)
+    if not all(finding.fine for finding in findings):
+        ctx.exit(DeviceError.exit_code)
 
 
 def _table(found: "Preflight") -> str:

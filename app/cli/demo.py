@@ -32,7 +32,7 @@ def command(out: Path) -> None:
     from dragrig.cli.table import table_text
 
     say("The simulated rig makes a blank run, a relaxation, a Coulomb test and drags at three speeds:")
-    with Terminal(yes=True, real_time=False) as person:
+    with Terminal(yes=True) as person:
         made = demo.measure(out, person)
     say("Filtering, exporting and drawing every run …")
     with Meter("filtering, exporting, drawing", 1.0, quiet=is_quiet()) as meter:

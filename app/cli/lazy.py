@@ -11,7 +11,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Measure": {
         "demo": "Run a short programme on the simulated rig: run files, CSV, pictures.",
         "init": "Make a lab folder: rig settings, data root, calibration history.",
-        "check": "Say what a plan would do; nothing moves.",
+        "check": "Say what a plan would do, or look at the rig; nothing moves.",
         "run": "Carry out a plan and write one run file per run.",
         "recover": "Finish the runs that a crash left behind.",
     },

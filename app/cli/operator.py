@@ -19,9 +19,9 @@ from dragrig.rig.runfile.model import Status
 class Terminal:
     """Puts a session's prompts, progress and checks on standard error, and reads answers from standard input."""
 
-    def __init__(self, *, yes: bool, real_time: bool) -> None:
+    def __init__(self, *, yes: bool) -> None:
         self._yes = yes
-        self._real_time = real_time
+        self._real_time = False
         # Asked here: on the session's own thread there is no command line.
         self._quiet = is_quiet()
         self._meter = Meter("", 1.0, quiet=self._quiet)
@@ -62,8 +62,9 @@ class Terminal:
                 if choice.value.startswith(said):
                     return choice
 
-    def begins(self, programme: Programme, pending: int) -> None:
+    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
         """Start the bar."""
+        self._real_time = real_time
         self._left = pending
         runs = programme.runs[-pending:] if pending else ()
         waits = sum(run.wait_s for run in runs) if self._real_time else 0.0

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypedDict, TypeVar
+from typing import Literal, ParamSpec, TypedDict, TypeVar
 
 import click
 
@@ -10,6 +10,8 @@ from dragrig.cli.console import QUIET
 
 P = ParamSpec("P")
 R = TypeVar("R")
+Pace = Literal["fast", "real"] | float
+"""As `dragrig.pacing.Pace`, which the command line's start must not load."""
 
 
 def as_json(function: Callable[P, R]) -> Callable[P, R]:
@@ -29,12 +31,18 @@ def _keep_quiet(context: click.Context, parameter: click.Parameter, value: bool)
     context.meta[QUIET] = value
 
 
-_SETTINGS = (
+_RIG = (
     click.option("--rig", metavar="F|NAME", help="Rig settings; the lab folder's, or the shipped bench."),
-    click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
     click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig; paper unless given."),
-    click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
     click.option("--backend", metavar="NAME", help="Backend; the rig's own unless given."),
+    click.option("--double", is_flag=True, help="The backend's double: a try without the hardware."),
+)
+_SETTINGS = (
+    *_RIG[:1],
+    click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
+    *_RIG[1:2],
+    click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
+    *_RIG[2:],
     click.option(
         "--set",
         "assignments",
@@ -43,24 +51,61 @@ _SETTINGS = (
         help="Change a key of every step that has it, or rig.…, model.…, specimen.…, plan.…; repeatable.",
     ),
 )
+_SET_RIG = click.option(
+    "--set", "assignments", metavar="KEY=VALUE", multiple=True, help="Change rig.… or model.…; repeatable."
+)
 
 
-class SettingsOptions(TypedDict):
-    """What `settings` adds; it fits `dragrig.setup.Choices`, which the command line's start must not load."""
+class RigOptions(TypedDict):
+    """What `rig` adds; it fits `dragrig.rigs.RigChoices`, which the command line's start must not load."""
 
     rig: str | None
-    specimen: str | None
     model: str | None
-    capsule: str | None
     backend: str | None
+    double: bool
     assignments: tuple[str, ...]
 
 
+class SettingsOptions(RigOptions):
+    """What `settings` adds; it fits `dragrig.setup.Choices`."""
+
+    specimen: str | None
+    capsule: str | None
+
+
 def settings(function: Callable[P, R]) -> Callable[P, R]:
-    """Add what says with which settings a plan runs: rig, specimen, model, capsule, backend and `--set`."""
+    """Add what says with which settings a plan runs: rig, specimen, model, capsule, backend, double and `--set`."""
     for option in reversed(_SETTINGS):
         function = option(function)
     return function
+
+
+def rig(function: Callable[P, R]) -> Callable[P, R]:
+    """Add what says which rig is meant: rig, model, backend, double and `--set`."""
+    for option in reversed((*_RIG, _SET_RIG)):
+        function = option(function)
+    return function
+
+
+def _pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
+    words: dict[str, Pace] = {"fast": "fast", "real": "real"}
+    if value is None or value in words:
+        return None if value is None else words[value]
+    try:
+        return float(value)
+    except ValueError:
+        said = f"{value!r} is neither fast, real, nor a number of times faster"
+        raise click.BadParameter(said, context, parameter) from None
+
+
+def pace(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--pace`."""
+    return click.option(
+        "--pace",
+        metavar="fast|real|N",
+        callback=_pace,
+        help="Of the simulated rig: fast unless given. Of a double: real unless given, or N times faster.",
+    )(function)
 
 
 def inputs(function: Callable[P, R]) -> Callable[P, R]:

@@ -1,7 +1,7 @@
 """`dragrig run`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 @click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Go on where this campaign ended.")
 @click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept in the run files.")
 @click.option("--note", metavar="TEXT", default="", help="Kept in the run files.")
-@click.option(
-    "--pace", type=click.Choice(["fast", "real"]), default="fast", show_default=True, help="Of the simulated rig."
-)
+@options.pace
 @click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done that asks for nobody's hands.")
 @options.as_json
 @options.quiet
@@ -32,7 +30,7 @@ def command(
     resume: Path | None,
     operator: str,
     note: str,
-    pace: Literal["fast", "real"],
+    pace: options.Pace | None,
     yes: bool,
     as_json: bool,
     **settings: Unpack[options.SettingsOptions],
@@ -53,8 +51,7 @@ def command(
     from dragrig import api
     from dragrig.cli.operator import Terminal
 
-    real_time = pace == "real"
-    with Terminal(yes=yes, real_time=real_time) as person:
+    with Terminal(yes=yes) as person:
         made = (
             api.resume(
                 resume,

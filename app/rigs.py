@@ -1,0 +1,152 @@
+"""The rig that is meant: settings found by name or file and changed by assignments, backend, lab folder."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict, TypeVar, Unpack
+
+from dragrig.config.base import Settings
+from dragrig.config.errors import SettingsError
+from dragrig.config.lab import Calibration, rig_file_of
+from dragrig.config.library import table
+from dragrig.config.loading import Table, merge, nested, parse, parse_assignment
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig import calibration
+from dragrig.rig.devices import StageLimits
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
+
+DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+QUANTITIES = ("force", "encoder")
+"""What is calibrated."""
+
+
+class RigChoices(TypedDict, total=False):
+    """The keyword arguments of `resolve_rig`; none and None mean the usual."""
+
+    rig: str | Path | None
+    model: str | Path | None
+    backend: str | None
+    double: bool
+    assignments: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigSetup:
+    """Everything that says which rig is meant.
+
+    Attributes
+    ----------
+    model
+        Friction model of a simulated rig, and of a double of the real one.
+    rig_folder
+        Folder of the rig file, with data root and calibration history; None for a shipped rig.
+    double
+        Whether the double of the backend is meant, in place of the hardware.
+    """
+
+    rig: RigSettings
+    model: FrictionModelSettings
+    rig_folder: Path | None
+    backend: str
+    double: bool = False
+
+    @property
+    def data_root(self) -> Path:
+        """Folder of the campaigns."""
+        return (self.rig_folder or Path()) / self.rig.data.root
+
+    @property
+    def limits(self) -> StageLimits:
+        """What the settings say that the stage can do."""
+        stage = self.rig.stage
+        return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
+
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history."""
+        if self.rig_folder is None:
+            return {}
+        found = {quantity: calibration.latest(self.rig_folder, quantity) for quantity in QUANTITIES}
+        return {quantity: entry for quantity, entry in found.items() if entry is not None}
+
+
+def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) -> RigSetup:
+    """Find the settings of a rig and apply the assignments.
+
+    Parameters
+    ----------
+    folder
+        Where to look for the lab folder; the working folder unless given.
+    choices
+        `rig`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the shipped one outside
+        of a lab. `backend`: the rig's own unless given. `double`: whether its double is meant. `assignments`: each
+        `rig.key=value` or `model.key=value`.
+
+    Raises
+    ------
+    SettingsError
+        One sentence that names file, key and what is allowed.
+    """
+    changes = Changes.of(choices.get("assignments", ()))
+    if changes.steps or changes.others["plan"] or changes.others["specimen"]:
+        raise SettingsError("--set: without a plan, only rig.… and model.… can be changed.")
+    settings, rig_folder = found_settings(RigSettings, "rig", choices.get("rig") or rig_file_of(folder or Path.cwd()))
+    rig = changes.laid_over(settings, "rig")
+    return RigSetup(
+        rig=rig,
+        model=changes.laid_over(found_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model"),
+        rig_folder=rig_folder,
+        backend=choices.get("backend") or rig.backend,
+        double=choices.get("double", False),
+    )
+
+
+def found_settings(model: type[SettingsT], kind: str, name_or_path: str | Path | None) -> tuple[SettingsT, Path | None]:
+    """Return settings by file or shipped name, the usual ones for none, and the folder of their file."""
+    data, source = table(kind, str(name_or_path or DEFAULTS[kind]))
+    return parse(model, data, source), folder_of(source)
+
+
+def chosen(model: type[SettingsT], kind: str, name_or_path: str | Path | None, before: SettingsT | None) -> SettingsT:
+    """Return what was chosen; otherwise what a session had before, or the usual."""
+    return before if before is not None and not name_or_path else found_settings(model, kind, name_or_path)[0]
+
+
+def folder_of(source: str) -> Path | None:
+    """Return the folder of the file that settings come from; None for shipped ones."""
+    path = Path(source)
+    return path.absolute().parent if path.is_file() else None
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """Assignments by what they change; `texts` are the assignments as they were typed."""
+
+    steps: Table
+    others: Mapping[str, Table]
+    texts: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, assignments: Sequence[str]) -> "Changes":
+        """Sort assignments; raises `SettingsError`."""
+        steps: Table = {}
+        others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
+        texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
+        for text in (assignments,) if isinstance(assignments, str) else assignments:
+            (first, *rest), value = parse_assignment(text)
+            if not rest:
+                steps[first] = value
+            elif first in others:
+                others[first] = merge(others[first], nested(rest, value))
+                texts[first] = (*texts[first], text)
+            else:
+                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
+        return cls(steps, others, texts)
+
+    def laid_over(self, settings: SettingsT, name: str) -> SettingsT:
+        """Return the settings with the changes that are meant for them."""
+        if not self.others[name]:
+            return settings
+        data = merge(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
+        return parse(type(settings), data, f"--set {' '.join(self.texts[name])}")

@@ -1,0 +1,182 @@
+"""`dragrig check` without a plan, and `--double` with everything that opens a rig."""
+
+import io
+import json
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import add_ons
+import pytest
+
+from dragrig.cli import main
+from dragrig.config.hardware import CardSettings, EncoderInputSettings, HardwareSettings
+from dragrig.config.lab import Calibration
+from dragrig.config.rig import RigSettings
+from dragrig.lab import create
+from dragrig.rig import calibration, sanity
+from dragrig.rig.runfile import campaign
+
+NOW = datetime.now().astimezone()
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    create(tmp_path / "lab")
+    monkeypatch.chdir(tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return add_ons.install(tmp_path / "site", monkeypatch)
+
+
+def calibrated(lab: Path, *, age_days: float = 1.0, serial: str = "") -> None:
+    for quantity in ("force", "encoder"):
+        entry = Calibration(
+            id=f"{quantity}-a",
+            made_at=NOW - timedelta(days=age_days),
+            quantity=quantity,
+            sensor_serial=serial,
+            gain=1000.0,
+        )
+        calibration.append(lab, entry)
+
+
+def opened(site: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in (site / "opened.jsonl").read_text("utf-8").splitlines()]
+
+
+def test_the_simulated_rig_is_fine(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["ok   limits", "ok   rig"]
+
+
+def test_every_device_limit_and_calibration_is_told_without_connecting(
+    lab: Path, site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibrated(lab)
+    assert main(["check", "--backend", "handed"]) == 0
+    whats = [line[5:].split(":")[0] for line in capsys.readouterr().out.splitlines()]
+    assert whats == [
+        "limits",
+        "force limit",
+        "encoder filter",
+        "calibration of force",
+        "calibration of encoder",
+        "card",
+    ]
+    (request,) = opened(site)
+    assert request["connect"] is False
+    assert request["calibrations"] == {"force": "force-a", "encoder": "encoder-a"}
+
+
+def test_what_is_not_fine_is_marked_and_the_rest_is_looked_at(
+    lab: Path, site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (site / "findings.json").write_text('[["card", false, "Dev1 is not there"], ["drive", true, "answers"]]', "utf-8")
+    assert main(["check", "--backend", "handed", "--json"]) == 5
+    found = {one["what"]: one for one in json.loads(capsys.readouterr().out)}
+    assert not found["card"]["fine"]
+    assert found["drive"]["fine"]
+    assert "calibrate force" in found["calibration of force"]["detail"]
+    assert not found["calibration of encoder"]["fine"]
+
+
+@pytest.mark.parametrize(
+    ("age_days", "serial", "rig", "word"),
+    [(91.0, "", {}, "90 are allowed"), (1.0, "A1", {"force_sensor": {"serial": "A2"}}, "the rig has A2")],
+)
+def test_a_calibration_can_be_too_old_or_anothers(
+    lab: Path, age_days: float, serial: str, rig: dict[str, object], word: str
+) -> None:
+    calibrated(lab, age_days=age_days, serial=serial)
+    finding = sanity.calibration("force", calibration.latest(lab), RigSettings.model_validate(rig), NOW)
+    assert not finding.fine
+    assert word in finding.detail
+
+
+def test_limits_that_make_no_sense_together_are_found() -> None:
+    fast = RigSettings.model_validate({"stage": {"max_speed_mm_s": 400.0}})
+    assert not sanity.limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).fine
+    assert sanity.limits(fast).fine
+    assert all(one.fine for one in sanity.wiring(fast, {}))
+    slow_filter = HardwareSettings(card=CardSettings(encoder=EncoderInputSettings(filter_ns=6425)))
+    filtered = fast.model_copy(update={"hardware": slow_filter})
+    assert [one.fine for one in sanity.wiring(filtered, {})] == [True, False]
+    weak = Calibration(id="a", made_at=NOW, quantity="force", gain=-500.0)
+    assert [one.fine for one in sanity.wiring(fast, {"force": weak})] == [False, True]
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str, typed: str = "") -> int:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    return main(["run", *words])
+
+
+QUICK = ("drag", "--set", "travel_mm=10", "--set", "way_back=stay", "--out", "c")
+
+
+def test_a_double_is_told_its_pace_and_a_campaign_stays_with_it(
+    lab: Path, site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibrated(lab)
+    stopped = ("--set", "rig.guard.force_limit_mN=100")
+    assert run(monkeypatch, *QUICK, *stopped, "--backend", "handed", "--double", "--pace", "20", typed="\n" * 9) == 4
+    raised = ("--set", "rig.guard.force_limit_mN=8000")
+    assert run(monkeypatch, "--resume", "c", *raised, "--yes", typed="\n" * 9) == 0
+    first, again = opened(site)
+    assert (first["which"], first["pace"], again["which"], again["pace"]) == ("double", 20.0, "double", 1.0)
+    for one in campaign(lab / "c").runs:
+        entry = one.header.entry
+        assert entry["double"] is True
+        assert (entry["calibration_id"], entry["encoder_calibration_id"]) == ("force-a", "encoder-a")
+    assert run(monkeypatch, *QUICK[:-1], "d", "--backend", "handed", "--yes", typed="\n" * 9) == 0
+    assert opened(site)[-1]["which"] == "hardware"
+    assert "double" not in campaign(lab / "d").runs[0].header.entry
+
+
+def test_yes_does_not_stand_for_hands_at_the_double_either(
+    lab: Path, site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, *QUICK, "--backend", "handed", "--double", "--yes") == 3
+    told = capsys.readouterr().err
+    assert "Look at the rig" in told
+    assert "hands" in told
+    assert campaign(lab / "c").runs == ()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--double",), "has no double; leave out --double, or name one with --backend: handed, hardware"),
+        (("--backend", "handd", "--double"), "did you mean handed?"),
+        (("--pace", "20"), "so many times faster is for --double"),
+        (("--pace", "fast", "--backend", "handed", "--double"), "a double's is real"),
+        (("--pace", "-3", "--backend", "handed", "--double"), "a double's is real"),
+        (("--pace", "nan", "--backend", "handed", "--double"), "a double's is real"),
+        (("--pace", "slow"), "is neither fast, real, nor a number"),
+    ],
+)
+def test_what_has_no_double_or_no_such_pace_is_told(
+    lab: Path,
+    site: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    sentence: str,
+) -> None:
+    assert run(monkeypatch, *QUICK, "--yes", *words) == 2
+    told = capsys.readouterr().err
+    assert sentence in told
+    assert told.count("\n") == 1
+    assert not (lab / "c").exists()
+
+
+@pytest.mark.parametrize("words", [["--specimen", "jejunum"], ["--capsule", "drag"], ["--set", "speed_mm_s=3"]])
+def test_a_look_at_the_rig_takes_nothing_of_a_plan(
+    lab: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", *words]) == 2
+    assert capsys.readouterr().out == ""
