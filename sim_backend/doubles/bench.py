@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Protocol
 
+from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.doubles.mishaps import Mishaps
 
@@ -24,6 +25,11 @@ class Bench(Protocol):
     """Force sensor, encoder and digital lines, as the card's terminals meet them. `World` is one."""
 
     @property
+    def rig(self) -> RigSettings:
+        """Settings of the rig: what is wired where, and how long a count of the encoder is."""
+        ...
+
+    @property
     def clock(self) -> PacedClock:
         """The time in which samples are taken."""
         ...
@@ -34,7 +40,7 @@ class Bench(Protocol):
         ...
 
     def position_mm(self) -> float:
-        """Where the carriage is."""
+        """Where the carriage is; 0 at the encoder's index pulse."""
         ...
 
     def begin_sampling(self, rate_hz: float) -> None:
