@@ -47,11 +47,11 @@ _PARAMETERS = {
     "07": Parameter.HOMING_SPEED_MM_S,
     "08": Parameter.SILENCE_S,
 }
-_STEPS = {  # per unit: 0.1 µm, 1 mN, 1 µm/s, 1 µm/s², 1 ms
+_STEPS = {  # per unit: 1 mN, 0.1 µm, 10 nm/s, 1 µm/s², 1 ms
     Parameter.THRUST_LIMIT_N: 1000,
     Parameter.LOWEST_MM: 10_000,
     Parameter.HIGHEST_MM: 10_000,
-    Parameter.SPEED_MM_S: 1000,
+    Parameter.SPEED_MM_S: 100_000,
     Parameter.ACCELERATION_MM_S2: 1000,
     Parameter.STOP_ACCELERATION_MM_S2: 1000,
     Parameter.HOMING_SPEED_MM_S: 1000,

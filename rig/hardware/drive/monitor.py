@@ -1,0 +1,174 @@
+"""Watches drive and switches from a thread of its own, and keeps the drive fed only while the program is well.
+
+A drive that hears nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees no
+edge. Both come from here, so that neither outlives the program; and both end when the program no longer looks at its
+data, so that they do not outlive its good sense either.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+
+from dragrig.config.errors import DeviceError, plain
+from dragrig.config.rig import RigSettings
+from dragrig.rig.hardware.coupling import Coupling
+from dragrig.rig.hardware.deadman import Deadman
+from dragrig.rig.hardware.lines import Lines, Pressed
+from dragrig.rig.trips import Cause, Trip
+
+_HURRY_S = 0.005
+_FEEDS_PER_SILENCE = 4
+
+
+def interval_of(settings: RigSettings) -> float:
+    """Return the time between two looks: a block's, or less where silence timeout or heartbeat are shorter."""
+    wired = settings.hardware.card.lines
+    heartbeat_s = wired.heartbeat_s if wired.heartbeat else settings.sampling.block_s
+    return min(settings.sampling.block_s, settings.hardware.drive.silence_s / _FEEDS_PER_SILENCE, heartbeat_s)
+
+
+class Monitor:
+    """The one owner of what forbids motion. `fault` may be asked for by anybody and waits for nobody.
+
+    Parameters
+    ----------
+    ask
+        Asks the drive how it is, which feeds it; returns what it reports, None when nothing. Raises `DeviceError`.
+    stop
+        Stops the stage; must return at once.
+    hang_s
+        How long the deadman may go unfed while a sampled motion is under way.
+    interval_s
+        Time between two looks, of the wall's clock.
+    """
+
+    def __init__(
+        self,
+        ask: Callable[[], Trip | None],
+        stop: Callable[[], None],
+        lines: Lines,
+        coupling: Coupling,
+        deadman: Deadman,
+        hang_s: float,
+        interval_s: float,
+    ) -> None:
+        self._ask, self._stop = ask, stop
+        self._lines, self._coupling, self._deadman = lines, coupling, deadman
+        self._hang_s, self._interval_s = hang_s, interval_s
+        # One look at a time; re-entrant is not needed, for no look leads to another.
+        self._looking = threading.Lock()
+        self._sampled_since_s: float | None = None
+        self._fault: Trip | None = None
+        self._latched: Trip | None = None
+        self._pressed = Pressed()
+        self._tolerated: Cause | None = None
+        self._ended = threading.Event()
+        self._hurried = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="drive monitor", daemon=True)
+
+    @property
+    def fault(self) -> Trip | None:
+        """What forbade motion at the last look; what was latched stays until `clear`."""
+        return self._fault
+
+    @property
+    def pressed(self) -> Pressed:
+        """Which switches were pressed at the last look."""
+        return self._pressed
+
+    def start(self) -> None:
+        """Look once, then go on looking from the monitor's own thread."""
+        self.look()
+        self._thread.start()
+
+    def look(self) -> Trip | None:
+        """Look at switches and drive now, and return what forbids motion."""
+        with self._looking:
+            return self._look()
+
+    def hurry(self) -> None:
+        """Look every few milliseconds until nothing moves any more."""
+        self._hurried.set()
+
+    def latch(self, trip: Trip) -> None:
+        """Keep a fault until `clear`, and stop what moves; the first one stands."""
+        self._latched = self._latched or trip
+        self._report(self._latched)
+
+    def clear(self) -> None:
+        """Forget what was latched; what is still wrong comes back at the next look."""
+        self._latched = None
+
+    def tolerate(self, cause: Cause | None) -> None:
+        """Let one limit switch forbid nothing; None ends that."""
+        self._tolerated = cause
+
+    def close(self) -> None:
+        """End the thread. Twice is once."""
+        self._ended.set()
+        self._hurried.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _watch(self) -> None:
+        try:
+            while not self._ended.is_set():
+                self._go_round()
+        except Exception as error:
+            # A monitor that is gone watches nothing: stop, and let the drive's own silence timeout end the rest.
+            self.latch(Trip(Cause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
+            raise
+
+    def _go_round(self) -> None:
+        if self._is_hung():
+            self.latch(
+                Trip(Cause.WATCHDOG, f"the program did not look at its data for {self._hang_s:g} s while it moved")
+            )
+            self._ended.wait(self._interval_s)
+            return
+        self._lines_beat()
+        self.look()
+        if self._hurried.is_set() and self._coupling.moving:
+            self._ended.wait(_HURRY_S)
+        else:
+            self._hurried.clear()
+            self._hurried.wait(self._interval_s)
+
+    def _is_hung(self) -> bool:
+        if not (self._coupling.moving and self._coupling.armed and self._coupling.first_sample is not None):
+            self._sampled_since_s = None
+            return False
+        now_s = time.monotonic()
+        self._sampled_since_s = now_s if self._sampled_since_s is None else self._sampled_since_s
+        return min(self._deadman.unfed_s, now_s - self._sampled_since_s) > self._hang_s
+
+    def _look(self) -> Trip | None:
+        by_lines, by_drive = self._ask_lines(), self._ask_drive()
+        self._report(self._latched or by_lines or by_drive)
+        return self._fault
+
+    def _report(self, trip: Trip | None) -> None:
+        is_new = trip is not None and self._fault is None
+        self._fault = trip
+        if is_new and self._coupling.moving:
+            self._stop()
+
+    def _lines_beat(self) -> None:
+        try:
+            self._lines.beat()
+        except DeviceError as error:
+            self.latch(Trip(Cause.DRIVE_FAULT, plain(error)))
+
+    def _ask_lines(self) -> Trip | None:
+        try:
+            self._pressed = self._lines.pressed()
+        except DeviceError as error:
+            # Switches that nobody can read count as pressed.
+            return Trip(Cause.EMERGENCY_STOP, plain(error))
+        return self._pressed.trip(but=self._tolerated)
+
+    def _ask_drive(self) -> Trip | None:
+        try:
+            return self._ask()
+        except DeviceError as error:
+            return Trip(Cause.DRIVE_FAULT, plain(error))

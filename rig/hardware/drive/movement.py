@@ -1,0 +1,63 @@
+"""What the drive is doing at present, judged by what it says of itself."""
+
+import time
+
+from dragrig.rig.hardware.dialects.base import Halt, Status
+from dragrig.rig.hardware.drive.link import DriveLink
+from dragrig.rig.trips import Cause, Trip
+
+_CAUSES = {Halt.SILENCE: Cause.WATCHDOG, Halt.EMERGENCY_STOP: Cause.EMERGENCY_STOP}
+
+
+class Movement:
+    """A command that keeps the drive moving for a while: homing, or one stroke after the other.
+
+    Times are readings of `time.monotonic`.
+    """
+
+    def __init__(self, link: DriveLink) -> None:
+        self._link = link
+        self._as_of = link.stops
+        self._began_s: float | None = None
+        self._complete_s: float | None = None
+
+    @property
+    def as_of(self) -> int:
+        """Mark of the latest stop that was asked for before this was planned."""
+        return self._as_of
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether a stop was asked for since it was planned."""
+        return self._link.stops != self._as_of
+
+    @property
+    def direction(self) -> float:
+        """Which way it goes at present: below or above 0, or 0 when that is not known."""
+        return 0.0
+
+    def begun(self) -> None:
+        """Say that the drive has taken the command; only what it says from here on counts."""
+        self._began_s = time.monotonic()
+
+    def complete(self) -> None:
+        """Say that no further command follows; what the drive said before does not end it. Twice is once."""
+        if self._complete_s is None:
+            self._complete_s = time.monotonic()
+
+    def cancel(self) -> None:
+        """Send nothing more."""
+
+    def is_over(self, status: Status, asked_s: float) -> bool:
+        """Whether a status, asked for at a time, says that nothing moves any more and nothing will."""
+        return self._complete_s is not None and asked_s >= self._complete_s and not status.moving
+
+    def mishap(self, status: Status, asked_s: float) -> Trip | None:
+        """Return why the drive ended it by itself; None while it did not."""
+        fine = {Halt.TARGET, Halt.UNKNOWN, Halt.NONE} | ({Halt.STOP} if self.is_stopped else set())
+        if self._began_s is None or asked_s < self._began_s or status.moving or status.halt in fine:
+            return None
+        cause = _CAUSES.get(status.halt, Cause.DRIVE_FAULT)
+        if status.halt is Halt.LIMIT_SWITCH and self.direction:
+            cause = Cause.LIMIT_SWITCH_LOW if self.direction < 0 else Cause.LIMIT_SWITCH_HIGH
+        return Trip(cause, f"the drive stopped by itself, because {status.halt}")

@@ -1,0 +1,252 @@
+"""The stage whose drive takes position commands over a serial link."""
+
+import threading
+
+from dragrig.config.errors import DeviceError, plain
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import Clock, StageLimits, StageState
+from dragrig.rig.hardware.coupling import Coupling
+from dragrig.rig.hardware.deadman import Deadman
+from dragrig.rig.hardware.dialects.base import Command, Request
+from dragrig.rig.hardware.drive.axis import Axis
+from dragrig.rig.hardware.drive.link import DriveLink
+from dragrig.rig.hardware.drive.monitor import Monitor, interval_of
+from dragrig.rig.hardware.drive.movement import Movement
+from dragrig.rig.hardware.drive.mover import Strokes
+from dragrig.rig.hardware.drive.parameters import write_homing, write_motion, write_safeguards
+from dragrig.rig.hardware.drive.power import Power
+from dragrig.rig.hardware.drive.readiness import Readiness
+from dragrig.rig.hardware.drive.refusals import Side, limits_of, refuse_beyond, refuse_late, refuse_towards, widened
+from dragrig.rig.hardware.drive.strokes import strokes_of
+from dragrig.rig.hardware.lines import Lines
+from dragrig.rig.profile import MotionProfile
+from dragrig.rig.trips import Cause, Trip
+
+_SWITCHES: dict[Side, Cause] = {"low": Cause.LIMIT_SWITCH_LOW, "high": Cause.LIMIT_SWITCH_HIGH}
+_LOOK_S = 0.1
+_SPARE_S = 0.1
+_STANDSTILL_S = 1.0
+_BEYOND_LIMITS_MM = 50.0
+
+
+class SerialStage:
+    """One axis in position mode. It watches drive and switches from its making until `close`.
+
+    Parameters
+    ----------
+    clock
+        The rig's time, in which motions are.
+    deadman
+        Fed by whoever reads the samples.
+
+    Raises
+    ------
+    DeviceError
+        When the drive does not answer.
+    """
+
+    def __init__(
+        self, settings: RigSettings, link: DriveLink, lines: Lines, coupling: Coupling, clock: Clock, deadman: Deadman
+    ) -> None:
+        self._settings, self._drive = settings, settings.hardware.drive
+        self._limits = limits_of(settings.stage)
+        self._link, self._coupling, self._clock = link, coupling, clock
+        self._deadman = deadman
+        # One command at a time; a stop waits for none.
+        self._commands = threading.RLock()
+        self._strokes: Strokes | None = None
+        self._override: Side | None = None
+        braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
+        self._axis = Axis(link, coupling, self._drive.silence_s + braking_s + _SPARE_S, self._let_go)
+        self._monitor = Monitor(
+            self._axis.poll, self.stop, lines, coupling, deadman, settings.hardware.hang_s, interval_of(settings)
+        )
+        self._ready, self._power = Readiness(self._monitor, coupling), Power(link, lines)
+        link.on_stop(self._heed_stop)
+        self._monitor.start()
+
+    @property
+    def limits(self) -> StageLimits:
+        """Soft limits of travel, and the greatest speed and acceleration."""
+        return self._limits
+
+    @property
+    def start_uncertainty_s(self) -> float:
+        """How far any stroke of the last motion may have begun off its time, as measured on the link."""
+        return 0.0 if self._strokes is None else self._strokes.start_uncertainty_s
+
+    @property
+    def fault(self) -> Trip | None:
+        """What drive and switches reported when the monitor last looked; what was latched stays until `disable`."""
+        return self._monitor.fault
+
+    def state(self) -> StageState:
+        """Ask drive and switches now.
+
+        Raises
+        ------
+        DeviceError
+            When the drive does not answer.
+        """
+        fault = self._monitor.look()
+        position_mm, status = self._axis.position_mm(), self._axis.status
+        return StageState(position_mm, status.enabled, status.homed, self._coupling.moving, fault)
+
+    def enable(self) -> None:
+        """Switch the drive on.
+
+        Raises
+        ------
+        DeviceError
+            When something forbids motion: see to it, then `disable`; or when the drive refuses or does not answer.
+        """
+        with self._commands:
+            self._ready.refuse_fault()
+            self._power.on()
+            self._axis.switched(on=True)
+            self._monitor.look()
+
+    def home(self) -> None:
+        """Let the drive find its index pulse, which becomes 0; returns when it stands there.
+
+        Raises
+        ------
+        DeviceError
+            When the drive is off, moving, has a fault, refuses, or was stopped before it had found the pulse.
+        """
+        with self._commands:
+            towards: Side = self._drive.homing_direction
+            self._refuse_unready(but=_SWITCHES[towards])
+            write_safeguards(self._link, self._settings)
+            write_homing(self._link, self._settings)
+            movement = Movement(self._link)
+            self._monitor.tolerate(_SWITCHES[towards])
+            self._axis.begin(movement)
+            try:
+                self._link.exchange(Request(Command.HOME, value=-1.0 if towards == "low" else 1.0), movement.as_of)
+            except DeviceError:
+                self._link.stop()
+                raise
+            finally:
+                # Whether or not it answered, it may move from here on.
+                movement.begun()
+                movement.complete()
+                self._await_homed()
+            self._ready.refuse_fault()
+            if movement.is_stopped or not self._axis.status.homed:
+                raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
+
+    def move(self, profile: MotionProfile) -> None:
+        """Begin to follow a profile: now, or with the first sample when the sampler is armed.
+
+        Raises
+        ------
+        DeviceError
+            When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
+            too long past; when the profile leaves the stage's limits, does not end at a standstill, or is none that the
+            drive can follow; and when the drive does not keep a limit that was written to it.
+        """
+        with self._commands:
+            self._refuse_unready()
+            if not self._axis.status.homed:
+                raise DeviceError("the stage does not know where it is: home it before it moves.")
+            if profile.duration_s <= 0:
+                return
+            origin_mm = self._axis.position_mm()
+            limits = widened(self._limits, self._override, origin_mm)
+            refuse_beyond(profile, origin_mm, limits)
+            if self._override is not None:
+                refuse_towards(profile, self._override, self._drive.homing_speed_mm_s)
+            strokes = strokes_of(profile)
+            if not strokes:
+                return
+            round_trip_s = write_motion(self._link, self._settings, limits, strokes[0], self._clock)
+            refuse_late(strokes[0].start_s, self._coupling, self._clock)
+            self._strokes = Strokes(
+                strokes, origin_mm, self._link, self._coupling, self._clock, round_trip_s, self._failed,
+                self._all_sent,
+            )  # fmt: skip
+            self._deadman.feed()
+            self._axis.begin(self._strokes)
+            self._strokes.set_out((strokes[0].speed_mm_s, strokes[0].acceleration_mm_s2))
+
+    def stop(self) -> None:
+        """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread.
+
+        Returns at once; the drive hears it at the latest after the reply that the link awaits.
+        """
+        self._coupling.set_stopped()
+        self._link.stop()
+
+    def disable(self) -> None:
+        """Stop, switch the drive off and clear its alarm and whatever was latched.
+
+        Raises
+        ------
+        DeviceError
+            When the drive does not answer; its enable line is taken away all the same.
+        """
+        self.stop()
+        with self._commands:
+            try:
+                self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_S)
+                self._axis.switched(on=False)
+                self._power.off()
+            finally:
+                self._let_go()
+                self._monitor.clear()
+                self._monitor.look()
+
+    def override_limit(self, side: Side) -> None:
+        """Let a pressed limit switch forbid nothing until the next move has ended, which must lead slowly away from it.
+
+        Raises
+        ------
+        DeviceError
+            When that switch is not pressed, or the stage moves.
+        """
+        with self._commands:
+            cause, fault = _SWITCHES[side], self._monitor.look()
+            self._ready.refuse_moving()
+            if fault is None or fault.cause is not cause:
+                raise DeviceError(f"nothing is to be overridden: the stage is not held by its {cause}.")
+            self._override = side
+            self._monitor.tolerate(cause)
+            self._axis.forget_mishap(cause)
+            self._monitor.look()
+
+    def close(self) -> None:
+        """Stop, and let go of the drive. Twice is once."""
+        self._link.stop()
+        self._monitor.close()
+        self._link.close()
+
+    def _heed_stop(self) -> None:
+        self._axis.cancel()
+        self._monitor.hurry()
+
+    def _let_go(self) -> None:
+        self._override = None
+        self._monitor.tolerate(None)
+
+    def _all_sent(self, strokes: Strokes) -> None:
+        if strokes.has_tried:
+            self._monitor.hurry()
+        else:
+            self._axis.forget()
+
+    def _failed(self, error: DeviceError) -> None:
+        self._monitor.latch(Trip(Cause.DRIVE_FAULT, plain(error)))
+
+    def _await_homed(self) -> None:
+        travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _BEYOND_LIMITS_MM
+        until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
+        while not self._ready.await_standstill(_LOOK_S):
+            if self._clock.monotonic() > until_s:
+                self._link.stop()
+
+    def _refuse_unready(self, but: Cause | None = None) -> None:
+        self._ready.refuse_fault(but)
+        if not self._axis.status.enabled:
+            raise DeviceError("the drive is off: enable the stage first.")
+        self._ready.refuse_moving()
