@@ -1,16 +1,13 @@
 """What a stage refuses before it moves, whatever drives it."""
 
 from dataclasses import replace
-from typing import Literal
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import StageSettings
-from dragrig.rig.devices import LONGEST_BLOCK_S, Clock, StageLimits
+from dragrig.rig.devices import LONGEST_BLOCK_S, Clock, Side, StageLimits
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.profile import MotionProfile
 
-Side = Literal["low", "high"]
-"""An end of travel."""
 POSITION_TOLERANCE_MM = 2e-3
 """A stage that stands a count or two off its limit is not beyond it."""
 STANDSTILL_MM_S = 1e-6
@@ -28,11 +25,13 @@ def limits_of(settings: StageSettings) -> StageLimits:
 
 def widened(limits: StageLimits, override: Side | None, origin_mm: float) -> StageLimits:
     """Return the limits of a move off an overridden limit switch: it begins outside the soft ones."""
-    if override == "low":
-        return replace(limits, lowest_mm=min(limits.lowest_mm, origin_mm))
-    if override == "high":
-        return replace(limits, highest_mm=max(limits.highest_mm, origin_mm))
-    return limits
+    match override:
+        case Side.LOW:
+            return replace(limits, lowest_mm=min(limits.lowest_mm, origin_mm))
+        case Side.HIGH:
+            return replace(limits, highest_mm=max(limits.highest_mm, origin_mm))
+        case None:
+            return limits
 
 
 def refuse_beyond(profile: MotionProfile, origin_mm: float, limits: StageLimits) -> None:
@@ -74,7 +73,7 @@ def refuse_towards(profile: MotionProfile, side: Side, most_mm_s: float) -> None
         When the profile goes further that way, or exceeds `most_mm_s`.
     """
     extremes = profile.extremes()
-    further_mm = -extremes.lowest_mm if side == "low" else extremes.highest_mm
+    further_mm = -extremes.lowest_mm if side is Side.LOW else extremes.highest_mm
     if not further_mm <= POSITION_TOLERANCE_MM:
         raise DeviceError(f"the {side} limit switch is overridden for a move away from it only: turn the travel round.")
     if not extremes.speed_mm_s <= most_mm_s * (1 + 1e-9):

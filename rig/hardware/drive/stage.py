@@ -4,7 +4,8 @@ import threading
 
 from dragrig.config.errors import DeviceError, plain
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Clock, StageLimits, StageState
+from dragrig.rig.devices import Clock, Side, StageLimits, StageState
+from dragrig.rig.guard import SWITCHES
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.deadman import Deadman
 from dragrig.rig.hardware.dialects.base import Command, Request
@@ -16,13 +17,12 @@ from dragrig.rig.hardware.drive.mover import Strokes
 from dragrig.rig.hardware.drive.parameters import write_homing, write_motion, write_safeguards
 from dragrig.rig.hardware.drive.power import Power
 from dragrig.rig.hardware.drive.readiness import Readiness
-from dragrig.rig.hardware.drive.refusals import Side, limits_of, refuse_beyond, refuse_late, refuse_towards, widened
+from dragrig.rig.hardware.drive.refusals import limits_of, refuse_beyond, refuse_late, refuse_towards, widened
 from dragrig.rig.hardware.drive.strokes import strokes_of
 from dragrig.rig.hardware.lines import Lines
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.trips import Cause, Trip
 
-_SWITCHES: dict[Side, Cause] = {"low": Cause.LIMIT_SWITCH_LOW, "high": Cause.LIMIT_SWITCH_HIGH}
 _LOOK_S = 0.1
 _SPARE_S = 0.1
 _STANDSTILL_S = 1.0
@@ -115,15 +115,15 @@ class SerialStage:
             When the drive is off, moving, has a fault, refuses, or was stopped before it had found the pulse.
         """
         with self._commands:
-            towards: Side = self._drive.homing_direction
-            self._refuse_unready(but=_SWITCHES[towards])
+            towards = Side(self._drive.homing_direction)
+            self._refuse_unready(but=SWITCHES[towards])
             write_safeguards(self._link, self._settings)
             write_homing(self._link, self._settings)
             movement = Movement(self._link)
-            self._monitor.tolerate(_SWITCHES[towards])
+            self._monitor.tolerate(SWITCHES[towards])
             self._axis.begin(movement)
             try:
-                self._link.exchange(Request(Command.HOME, value=-1.0 if towards == "low" else 1.0), movement.as_of)
+                self._link.exchange(Request(Command.HOME, value=-1.0 if towards is Side.LOW else 1.0), movement.as_of)
             except DeviceError:
                 self._link.stop()
                 raise
@@ -203,16 +203,13 @@ class SerialStage:
         Raises
         ------
         DeviceError
-            When that switch is not pressed, or the stage moves.
+            While the stage moves.
         """
         with self._commands:
-            cause, fault = _SWITCHES[side], self._monitor.look()
             self._ready.refuse_moving()
-            if fault is None or fault.cause is not cause:
-                raise DeviceError(f"nothing is to be overridden: the stage is not held by its {cause}.")
             self._override = side
-            self._monitor.tolerate(cause)
-            self._axis.forget_mishap(cause)
+            self._monitor.tolerate(SWITCHES[side])
+            self._axis.forget_mishap(SWITCHES[side])
             self._monitor.look()
 
     def close(self) -> None:
