@@ -1,0 +1,121 @@
+"""What the card's tests share: the real sampler before the card's double, and a witness of what the double gave."""
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+from simulated import NEVER, acquire
+
+from dragrig.config.lab import Calibration
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import AnyFloatArray, FloatArray
+from dragrig.rig.devices import Block
+from dragrig.rig.hardware.card.connection import Connection
+from dragrig.rig.hardware.card.sampler import CardSampler
+from dragrig.rig.hardware.coupling import Coupling
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.doubles import c_abi
+from dragrig.sim_backend.doubles.card import Card
+from dragrig.sim_backend.doubles.clock import DoubleClock
+from dragrig.sim_backend.doubles.world import World
+
+
+class Witness(World):
+    """A bench that keeps every sample that it was asked for."""
+
+    seen: dict[str, dict[int, float]]
+
+    def begin_sampling(self, rate_hz: float) -> None:
+        self.seen = {}
+        super().begin_sampling(rate_hz)
+
+    def sample(self, first: int, end: int) -> Mapping[str, FloatArray]:
+        given = super().sample(first, end)
+        for name, values in given.items():
+            self.seen.setdefault(name, {}).update(zip(range(first, end), values.tolist(), strict=True))
+        return given
+
+    def at(self, name: str, index: np.ndarray) -> np.ndarray:
+        return np.array([self.seen[name][one] for one in index.tolist()])
+
+
+@dataclass
+class CardRig:
+    """A sampler, and a stage that follows by itself from the first sample on."""
+
+    rig: RigSettings
+    world: Witness
+    connection: Connection
+    sampler: CardSampler
+    coupling: Coupling
+    _stages: list[threading.Thread] = field(default_factory=list)
+
+    def begin(self, profile: MotionProfile, *, moves: bool = True) -> None:
+        self.sampler.arm(acquire(profile))
+        if moves:
+            self.coupling.set_moving(True)
+            self._stages.append(threading.Thread(target=self._follow, args=(profile,)))
+            self._stages[-1].start()
+        self.sampler.start()
+
+    def blocks(self) -> Iterator[Block]:
+        while (block := self.sampler.read(NEVER)) is not None:
+            yield block
+
+    def record(self, profile: MotionProfile, between: Callable[[Block], None] = lambda _: None) -> list[Block]:
+        self.begin(profile)
+        got = []
+        for block in self.blocks():
+            got.append(block)
+            between(block)
+        self.sampler.stop()
+        self.settle()
+        return got
+
+    def stop_stage(self) -> None:
+        self.coupling.set_stopped()
+        self.world.brake(self.rig.stage.stop_accel_mm_s2)
+
+    def settle(self) -> None:
+        for stage in self._stages:
+            stage.join()
+
+    def _follow(self, profile: MotionProfile) -> None:
+        if self.coupling.await_first_sample(NEVER) is not None:
+            self.world.follow(profile.pieces())
+            while self.world.moving:
+                self.world.clock.sleep(0.005, NEVER)
+        self.coupling.set_moving(False)
+
+
+@contextmanager
+def card_rig(
+    rig: RigSettings,
+    calibrations: Mapping[str, Calibration] | None = None,
+    card: Callable[[World], Card] | None = None,
+    pace: float = 1.0,
+) -> Iterator[CardRig]:
+    world = Witness(rig, FrictionModelSettings(), DoubleClock(pace))
+    made = Card(world) if card is None else card(world)
+    coupling = Coupling()
+    connection = Connection(rig.hardware.card)
+    with c_abi.installed(made):
+        sampler = CardSampler(connection, rig, calibrations or {}, coupling, world.clock)
+        under_test = CardRig(rig, world, connection, sampler, coupling)
+        try:
+            yield under_test
+        finally:
+            world.mishaps.repair()
+            sampler.stop()
+            under_test.settle()
+
+
+def joined(blocks: list[Block], channel: str) -> AnyFloatArray:
+    return np.concatenate([block.channels[channel] for block in blocks])
+
+
+def indices(blocks: list[Block]) -> np.ndarray:
+    return np.concatenate([np.arange(block.first_index, block.end_index) for block in blocks])

@@ -1,0 +1,422 @@
+"""The sampler on the card's double, through the real nidaqmx."""
+
+import re
+import subprocess
+import sys
+import threading
+import time
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from card_bench import card_rig, indices, joined
+from simulated import NEVER, acquire, rest, settings, stroke
+
+from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
+from dragrig.config.lab import Calibration
+from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import AnyFloatArray, FloatArray
+from dragrig.rig.devices import LONGEST_BLOCK_S
+from dragrig.rig.hardware.card.examine import examine
+from dragrig.rig.hardware.card.lines import CardLines
+from dragrig.rig.hardware.card.scaling import Scaling
+from dragrig.rig.hardware.lines import Pressed
+from dragrig.rig.trips import Cause
+from dragrig.sim_backend.doubles.card import Card
+from dragrig.sim_backend.doubles.world import World
+
+INPUTS = [
+    {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0},
+    {"name": "temperature", "channel": "ai2", "unit": "degC", "per_V": 10.0, "zero_V": 0.5, "range_V": 5.0},
+]
+
+
+def wired(rate_hz: float = 1000.0, **card: object) -> RigSettings:
+    return settings(rate_hz, hardware={"card": card})
+
+
+def assert_converted(got: AnyFloatArray, volts: FloatArray, gain: float, zero: float, range_V: float = 10.0) -> None:
+    """A 16-bit converter rounds volts to its step; the noise is wider, so that a shift by a sample shows."""
+    step = 2 * range_V / 2**16
+    assert volts.std() > step / 10
+    np.testing.assert_allclose(got, volts * gain + zero, rtol=1e-6, atol=0.6 * step * abs(gain))
+
+
+def calibration(quantity: str, gain: float, zero: float = 0.0) -> Calibration:
+    return Calibration(id=quantity, made_at=datetime.now(UTC), quantity=quantity, gain=gain, zero=zero)
+
+
+@pytest.mark.parametrize("reversed_", [False, True])
+def test_force_and_position_are_the_same_instants(reversed_: bool) -> None:
+    rig = wired(encoder={"reversed": reversed_}, force={"per_V": 500.0, "zero_V": 0.25}, inputs=INPUTS)
+    profile = stroke(travel_mm=5.0)
+    with card_rig(rig) as under_test:
+        got = under_test.record(profile)
+        world, index = under_test.world, indices(got)
+        counts = world.at("encoder_counts", index)
+        volts, motor, warm = (world.at(name, index) for name in ("force_V", "motor_force", "temperature"))
+    assert index.tolist() == list(range(profile.samples(1000.0)))
+    assert joined(got, "position")[-1] == pytest.approx(5.0, abs=0.01)
+    np.testing.assert_array_equal(joined(got, "position"), counts * (-0.001 if reversed_ else 0.001))
+    assert_converted(joined(got, "force"), volts, 500.0, -125.0)
+    assert_converted(joined(got, "motor_force"), motor, 1000.0, 0.0)
+    np.testing.assert_allclose(joined(got, "temperature"), (warm - 0.5) * 10.0, atol=0.001)
+    for block in got:
+        assert 0 < block.samples <= LONGEST_BLOCK_S * 1000.0
+        assert block.fault is None
+        assert list(block.channels) == ["force", "position", "motor_force", "temperature"]
+        for name, values in block.channels.items():
+            assert values.dtype == (np.float64 if name == "position" else np.float32)
+            with pytest.raises(ValueError, match="read-only"):
+                values[0] = 0
+
+
+def test_the_stage_hears_when_the_first_sample_was() -> None:
+    with card_rig(wired()) as under_test:
+        under_test.sampler.arm(acquire(rest(0.1)))
+        assert under_test.coupling.armed
+        assert under_test.coupling.first_sample is None
+        before_s = under_test.world.clock.monotonic()
+        under_test.sampler.start()
+        after_s = under_test.world.clock.monotonic()
+        first = under_test.coupling.first_sample
+        assert first is not None
+        assert before_s <= first.at_s - first.uncertainty_s <= first.at_s + first.uncertainty_s <= after_s
+        under_test.sampler.stop()
+        assert not under_test.coupling.armed
+
+
+def test_calibrations_stand_before_settings() -> None:
+    rig = wired(force={"per_V": 500.0, "zero_V": 0.25})
+    made = {"force": calibration("force", -800.0, 12.0), "encoder": calibration("encoder", 0.00101)}
+    with card_rig(rig, made) as under_test:
+        assert under_test.sampler.force_range_mN == (-7988.0, 8012.0)
+        got = under_test.record(stroke())
+        volts = under_test.world.at("force_V", indices(got))
+        counts = under_test.world.at("encoder_counts", indices(got))
+    assert_converted(joined(got, "force"), volts, -800.0, 12.0)
+    np.testing.assert_allclose(joined(got, "position"), counts * 0.00101, rtol=1e-12)
+
+
+def test_overrun_is_a_trip_and_a_gap_of_known_length() -> None:
+    with card_rig(wired()) as under_test:
+        mishaps = under_test.world.mishaps
+        got = under_test.record(stroke(travel_mm=20.0), lambda _: mishaps.strike(overwritten_samples=90))
+        index = indices(got)
+        counts = under_test.world.at("encoder_counts", index)
+        volts = under_test.world.at("force_V", index)
+    gaps = np.flatnonzero(np.diff(index) > 1)
+    assert len(gaps) == 1
+    gap = int(index[gaps[0] + 1] - index[gaps[0]] - 1)
+    assert gap >= 90
+    assert index[-1] == stroke(travel_mm=20.0).samples(1000.0) - 1
+    faults = [block.fault for block in got if block.fault is not None]
+    assert [fault.cause for fault in faults] == [Cause.OVERRUN]
+    assert f"{gap} samples" in faults[0].message
+    assert got[[block.fault is not None for block in got].index(True)].first_index == index[gaps[0] + 1]
+    np.testing.assert_array_equal(joined(got, "position"), counts * 0.001)
+    assert_converted(joined(got, "force"), volts, 1000.0, 0.0)
+
+
+def test_what_is_lost_at_the_very_end_is_told_too() -> None:
+    with card_rig(wired()) as under_test:
+        under_test.begin(rest(0.1), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        under_test.world.mishaps.strike(overwritten_samples=500)
+        with pytest.raises(DeviceError, match="lost"):
+            list(under_test.blocks())
+
+
+def test_reads_that_time_out_lose_nothing() -> None:
+    profile = stroke(travel_mm=10.0)
+    with card_rig(wired(inputs=INPUTS)) as under_test:
+        under_test.world.mishaps.strike(short_reads=4)
+        got = under_test.record(profile)
+        index = indices(got)
+        counts = under_test.world.at("encoder_counts", index)
+        volts = under_test.world.at("force_V", index)
+        motor = under_test.world.at("motor_force", index)
+    assert min(block.samples for block in got) < 50
+    assert index.tolist() == list(range(profile.samples(1000.0)))
+    np.testing.assert_array_equal(joined(got, "position"), counts * 0.001)
+    assert_converted(joined(got, "force"), volts, 1000.0, 0.0)
+    assert_converted(joined(got, "motor_force"), motor, 1000.0, 0.0)
+
+
+def test_silence_is_stale_data() -> None:
+    rig = RigSettings.model_validate({"guard": {"stale_data_s": 0.4}})
+    with card_rig(rig) as under_test:
+        under_test.begin(rest(60.0), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        under_test.world.mishaps.strike(card_stalled=True)
+        began_s = time.monotonic()
+        with pytest.raises(StaleDataError, match=r"0\.4 s"):
+            list(under_test.blocks())
+        assert 0.3 < time.monotonic() - began_s < 5.0
+        under_test.sampler.stop()
+        under_test.world.mishaps.repair()
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+@pytest.mark.parametrize("trouble", [{"card_unplugged": True}, {"card_gone": True}], ids=["unplugged", "gone"])
+def test_card_unplugged_in_motion_is_told_and_the_next_run_is_possible(trouble: dict[str, bool]) -> None:
+    with card_rig(wired()) as under_test:
+        under_test.begin(stroke(travel_mm=100.0))
+        got = [under_test.sampler.read(NEVER)]
+        under_test.world.mishaps.strike(**trouble)
+        with pytest.raises(DeviceError, match=r"card Dev1 .*unplugged.*NI MAX") as told:
+            got.extend(under_test.blocks())
+        assert "\n" not in str(told.value)
+        assert str(told.value).count(". ") == 0
+        with pytest.raises(DeviceError, match="unplugged"):
+            under_test.sampler.read(NEVER)
+        under_test.stop_stage()
+        under_test.sampler.stop()
+        assert under_test.sampler.read(NEVER) is None
+        under_test.world.mishaps.repair()
+        under_test.settle()
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+def test_card_taken_by_another_program_or_absent() -> None:
+    with card_rig(wired()) as under_test:
+        under_test.world.mishaps.strike(card_reserved=True)
+        with pytest.raises(DeviceError, match="taken by another program"):
+            under_test.sampler.arm(acquire(rest(0.1)))
+        under_test.world.mishaps.repair()
+        under_test.world.mishaps.strike(card_absent=True)
+        with pytest.raises(DeviceError, match=r"hardware\.card\.device"):
+            under_test.sampler.arm(acquire(rest(0.1)))
+        under_test.world.mishaps.repair()
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+def test_without_nis_driver_one_sentence_says_what_to_install() -> None:
+    script = (
+        "from dragrig.config.errors import DeviceError\n"
+        "from dragrig.config.rig import RigSettings\n"
+        "from dragrig.rig.clock import WallClock\n"
+        "from dragrig.rig.hardware.card.connection import Connection\n"
+        "from dragrig.rig.hardware.card.sampler import CardSampler\n"
+        "from dragrig.rig.hardware.coupling import Coupling\n"
+        "rig = RigSettings()\n"
+        "sampler = CardSampler(Connection(rig.hardware.card), rig, {}, Coupling(), WallClock())\n"
+        "try:\n"
+        "    sampler.measure(0.1)\n"
+        "except DeviceError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    if not done.stdout:
+        pytest.skip("NI's driver is installed here")
+    assert "install it from ni.com/downloads" in done.stdout
+    assert len(done.stdout.splitlines()) == 1
+    assert done.stderr == ""
+
+
+def test_server_that_is_not_there_is_named() -> None:
+    with (
+        card_rig(wired(server="127.0.0.1:9")) as under_test,
+        pytest.raises(DeviceError, match=r"127\.0\.0\.1:9 \(hardware\.card\.server\)"),
+    ):
+        under_test.sampler.arm(acquire(rest(0.1)))
+
+
+def test_stop_from_another_thread_ends_a_read_and_the_next_run_begins() -> None:
+    with card_rig(wired()) as under_test:
+        under_test.begin(rest(60.0), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        stopper = threading.Thread(target=under_test.sampler.stop)
+        stopper.start()
+        list(under_test.blocks())
+        stopper.join()
+        under_test.sampler.stop()
+        assert under_test.sampler.read(NEVER) is None
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+def test_sampling_goes_on_until_a_stopped_stage_stands() -> None:
+    profile = stroke(travel_mm=100.0, speed_mm_s=50.0)
+    with card_rig(wired()) as under_test:
+        under_test.begin(profile)
+        got = [under_test.sampler.read(NEVER) for _ in range(3)]
+        under_test.stop_stage()
+        got.extend(under_test.blocks())
+        under_test.sampler.stop()
+        under_test.settle()
+        stands_mm = under_test.world.position_mm() - under_test.rig.stage.start_mm
+    assert len(indices(got)) < 1000
+    assert joined(got, "position")[-1] == pytest.approx(stands_mm, abs=0.002)
+    assert np.ptp(joined(got, "position")[-10:]) == 0.0
+
+
+def test_stage_stopped_before_the_first_sample_leaves_nothing_to_read() -> None:
+    with card_rig(wired()) as under_test:
+        under_test.sampler.arm(acquire(stroke()))
+        under_test.coupling.set_stopped()
+        under_test.sampler.start()
+        assert under_test.sampler.read(NEVER) is None
+
+
+@pytest.mark.parametrize(
+    ("trouble", "cause", "words"),
+    [
+        ({"force_added_mN": 9950.0}, Cause.SENSOR_OVERLOAD, "ai0 .* overloaded"),
+        ({"sensor_open": True}, Cause.SENSOR_OPEN, "ai0 .* unplugged"),
+    ],
+)
+def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
+    trouble: dict[str, float], cause: Cause, words: str
+) -> None:
+    with card_rig(wired()) as under_test:
+        got = under_test.record(rest(0.4), lambda _: under_test.world.mishaps.strike(**trouble))
+    faults = [block.fault for block in got]
+    assert faults[0] is None
+    assert faults[-1] is not None
+    assert faults[-1].cause is cause
+    assert faults[-1].message
+    assert re.search(words, faults[-1].message)
+
+
+class HangingCard(Card):
+    """A card whose driver does not return while `hangs` is set."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+        self.hangs = False
+        self.released = threading.Event()
+
+    def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
+        if self.hangs:
+            self.released.wait(30.0)
+        return super().read_analog_f64(task, samples, timeout_s, fill, out)
+
+
+def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> None:
+    cards: list[HangingCard] = []
+
+    def hanging(world: World) -> Card:
+        cards.append(HangingCard(world))
+        return cards[0]
+
+    rig = RigSettings.model_validate({"hardware": {"hang_s": 0.1}})
+    with card_rig(rig, card=hanging) as under_test:
+        under_test.begin(rest(60.0), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        cards[0].hangs = True
+        with pytest.raises(StaleDataError):
+            list(under_test.blocks())
+        with pytest.raises(DeviceError, match=r"has not returned"):
+            under_test.sampler.stop()
+        under_test.sampler.stop()
+        with pytest.raises(DeviceError, match="still held"):
+            under_test.sampler.arm(acquire(rest(0.1)))
+        cards[0].hangs = False
+        cards[0].released.set()
+        for thread in threading.enumerate():
+            if thread.name == "card reader":
+                thread.join()
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+def test_measurement_gives_raw_volts_and_directed_counts() -> None:
+    with card_rig(wired(encoder={"reversed": True}, force={"per_V": 500.0, "zero_V": 0.25})) as under_test:
+        under_test.world.follow(stroke(travel_mm=2.0, rest_s=0.1).pieces())
+        reading = under_test.sampler.measure(0.5)
+        volts = under_test.world.at("force_V", np.arange(reading.samples))
+    assert reading.samples == 500
+    assert reading.force_V == pytest.approx(volts.mean(), abs=1e-4)
+    assert reading.force_V_sd == pytest.approx(volts.std(), rel=0.02)
+    assert reading.counts_end - reading.counts_begin == pytest.approx(2000, abs=2)
+
+
+def test_what_the_card_cannot_convert_is_refused_with_the_rate_that_it_can() -> None:
+    with (
+        pytest.raises(SettingsError, match=r"83,333"),
+        card_rig(wired(100_000.0, inputs=INPUTS)),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("card", "complaint"),
+    [
+        ({"force": {"range_V": 5.0}}, "range_V"),
+        ({"inputs": [INPUTS[0], {**INPUTS[0], "channel": "ai3"}]}, "motor_force"),
+        ({"inputs": [{**INPUTS[0], "channel": "ai0"}]}, "ai0"),
+        ({"inputs": [{**INPUTS[0], "name": "position"}]}, "position"),
+    ],
+)
+def test_wiring_that_contradicts_itself_is_refused(card: dict[str, object], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        wired(**card)
+
+
+def test_switches_are_normally_closed() -> None:
+    with card_rig(wired(lines={"heartbeat": "port1/line4"})) as under_test:
+        world = under_test.world
+        lines = CardLines(under_test.connection)
+        assert lines.pressed() == Pressed()
+        world.mishaps.strike(e_stop_pressed=True)
+        assert lines.pressed() == Pressed(e_stop=True)
+        world.mishaps.repair()
+        world.mishaps.strike(limit_low_pressed=True, limit_high_pressed=True)
+        assert lines.pressed() == Pressed(limit_low=True, limit_high=True)
+        world.mishaps.repair()
+        lines.enable(True)
+        assert world.read_line("port1/line0")
+        beats = []
+        for _ in range(3):
+            lines.beat()
+            beats.append(world.read_line("port1/line4"))
+        assert beats == [True, False, True]
+        world.mishaps.strike(card_unplugged=True)
+        with pytest.raises(DeviceError, match="its switches are read: it was unplugged"):
+            lines.pressed()
+        world.mishaps.repair()
+        lines.close()
+        lines.close()
+        assert not world.read_line("port1/line0")
+        again = CardLines(under_test.connection)
+        assert again.pressed() == Pressed()
+        again.close()
+
+
+def test_lines_that_are_not_wired_are_left_alone() -> None:
+    unwired = {"enable": "", "e_stop": "", "limit_low": "", "limit_high": "port1/line3", "heartbeat": ""}
+    with card_rig(wired(lines=unwired)) as under_test:
+        under_test.world.mishaps.strike(e_stop_pressed=True, limit_low_pressed=True, limit_high_pressed=True)
+        lines = CardLines(under_test.connection)
+        lines.enable(True)
+        lines.beat()
+        assert lines.pressed() == Pressed(limit_high=True)
+        lines.close()
+
+
+def test_a_look_without_moving_finds_what_is_wrong() -> None:
+    rig = wired()
+    with card_rig(rig) as under_test:
+
+        def look() -> dict[str, tuple[bool, str]]:
+            scaling = Scaling.of(rig, {})
+            found = examine(under_test.connection, rig, under_test.sampler, scaling)
+            return {one.what: (one.fine, one.detail) for one in found}
+
+        fine = look()
+        assert all(ok for ok, _ in fine.values()), fine
+        assert "PCI-6229" in fine["card"][1]
+        assert "zero" in fine["force sensor"][1]
+        mishaps = under_test.world.mishaps
+        for trouble, what, words in (
+            ({"sensor_open": True}, "force sensor", "unplugged"),
+            ({"force_added_mN": 3000.0}, "force sensor", "hanging"),
+            ({"e_stop_pressed": True}, "switches", "emergency stop"),
+            ({"card_absent": True}, "card", "Dev1"),
+            ({"card_reserved": True}, "card", "another program"),
+            ({"card_stalled": True}, "card", "no sample"),
+        ):
+            mishaps.strike(**trouble)
+            ok, detail = look()[what]
+            assert not ok, trouble
+            assert words in detail
+            mishaps.repair()
