@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
+from inspect import getattr_static
+from typing import TypeGuard
 
 from dragrig.config.errors import DeviceError, DragrigError, SettingsError
 from dragrig.config.loading import nearest
@@ -55,9 +57,15 @@ def open_backend(name: str, request: BackendRequest, *, double: bool = False) ->
         raise DeviceError(
             f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed whole?"
         ) from error
-    if not isinstance(backend, Backend):
+    if not _is_backend(backend):
         raise DeviceError(f"backend {name} ({entry.value}) returns a {type(backend).__name__}, which is no backend.")
     return backend
+
+
+def _is_backend(candidate: object) -> TypeGuard[Backend]:
+    # Not isinstance, which in Python 3.11 asks a rig that is not connected yet for its devices.
+    wanted = [name for name in vars(Backend) if not name.startswith("_")]
+    return all(getattr_static(candidate, name, None) is not None for name in wanted)
 
 
 def _names(group: str) -> tuple[str, ...]:

@@ -26,6 +26,12 @@ def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
         link.set_and_verify(parameter, value, key)
 
 
+def write_travel(link: DriveLink, limits: StageLimits) -> None:
+    """Write the soft limits and read them back; raises as `write_safeguards`."""
+    link.set_and_verify(Parameter.LOWEST_MM, limits.lowest_mm, "stage.lowest_mm")
+    link.set_and_verify(Parameter.HIGHEST_MM, limits.highest_mm, "stage.highest_mm")
+
+
 def write_motion(link: DriveLink, settings: RigSettings, limits: StageLimits, first: Stroke, clock: Clock) -> float:
     """Write what a motion must keep to and its first stroke's speed, read it back, and return the link's round trip.
 
@@ -33,9 +39,8 @@ def write_motion(link: DriveLink, settings: RigSettings, limits: StageLimits, fi
     """
     began_s, wall_s = clock.monotonic(), time.perf_counter()
     write_safeguards(link, settings)
+    write_travel(link, limits)
     for parameter, value, key in (
-        (Parameter.LOWEST_MM, limits.lowest_mm, "stage.lowest_mm"),
-        (Parameter.HIGHEST_MM, limits.highest_mm, "stage.highest_mm"),
         (Parameter.SPEED_MM_S, first.speed_mm_s, "the motion's speed"),
         (Parameter.ACCELERATION_MM_S2, first.acceleration_mm_s2, "the motion's acceleration"),
     ):
