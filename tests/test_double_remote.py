@@ -2,10 +2,11 @@
 
 import subprocess
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import grpc
@@ -24,6 +25,7 @@ from dragrig.config.errors import DeviceError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.coupling import Coupling
@@ -31,9 +33,11 @@ from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Reply, 
 from dragrig.rig.profile import trapezoid
 from dragrig.sim_backend.doubles.card import Card
 from dragrig.sim_backend.doubles.clock import DoubleClock
+from dragrig.sim_backend.doubles.control import ControlServer
 from dragrig.sim_backend.doubles.grpc_server import UNLIMITED, CardServer
-from dragrig.sim_backend.doubles.messages import Presented
-from dragrig.sim_backend.doubles.remote import RemoteDoubles
+from dragrig.sim_backend.doubles.messages import StageLook
+from dragrig.sim_backend.doubles.mishaps import Mishaps
+from dragrig.sim_backend.doubles.remote import Control, RemoteDoubles
 from dragrig.sim_backend.doubles.world import World
 
 INPUT = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
@@ -233,10 +237,26 @@ def test_without_grpc_one_sentence_says_what_to_install(world: World, monkeypatc
 
 def test_an_acquisition_is_the_same_on_the_other_side() -> None:
     given = replace(acquire(stroke()), shear_strain=0.1, sheared_from=0.3)
-    got = Presented.model_validate_json(Presented.of(given).model_dump_json()).acquisition()
+    presented: list[Acquisition] = []
+    with ControlServer(Mishaps(), presented.append, standing, threading.Event()) as server:
+        control = Control(server.port)
+        control.present(given)
+        assert control.stage() == standing()
+        control.close()
+    (got,) = presented
     times = np.linspace(0, given.profile.duration_s, 1001)
     np.testing.assert_allclose(got.profile.position(times), given.profile.position(times), atol=1e-12)
     assert replace(got, profile=given.profile) == given
+
+
+def standing() -> StageLook:
+    return StageLook(position_mm=1.5, speed_mm_s=0.0, moving=False, enabled=True, homed=True, halt=Halt.STOP)
+
+
+@pytest.mark.parametrize("line", [b"\n", b"{}\n", b"[1]\n", b'{"ask": "dance"}\n', b"\xff\n", b'{"ask": "present"}\n'])
+def test_a_request_that_is_none_gets_a_sentence_back(line: bytes) -> None:
+    with ControlServer(Mishaps(), print, standing, threading.Event()) as server:
+        assert server.reply(line).error.startswith("Control of the doubles, ")
 
 
 def test_the_control_socket_sets_looks_and_refuses() -> None:
@@ -248,6 +268,7 @@ def test_the_control_socket_sets_looks_and_refuses() -> None:
         ):
             task.di_channels.add_di_chan("Dev1/port1/line1")
             doubles.control.set_mishaps(e_stop_pressed=True)
+            doubles.control.set_mishaps(sensor_open=True)
             assert task.read() is False
             doubles.control.set_mishaps(e_stop_pressed=False)
             assert task.read() is True
@@ -255,7 +276,6 @@ def test_the_control_socket_sets_looks_and_refuses() -> None:
             doubles.control.set_mishaps(e_stop=True)
         with pytest.raises(DeviceError, match="mishap force_added_mN"):
             doubles.control.set_mishaps(force_added_mN="much")
-        doubles.control.present(acquire(stroke()))
         doubles.control.shut_down()
         assert psutil.Process(doubles.process_id).wait(20) in {0, None}
 
@@ -337,7 +357,7 @@ def card_port(doubles: RemoteDoubles) -> int:
 PARENT = """
 import os, sys, signal
 from dragrig.config.rig import RigSettings
-from dragrig.sim_backend.doubles.remote import RemoteDoubles
+from dragrig.sim_backend.doubles.remote import Control, RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()
 print(doubles.process_id, flush=True)
@@ -349,10 +369,12 @@ def test_the_doubles_end_with_the_process_that_started_them() -> None:
     with subprocess.Popen([sys.executable, "-c", PARENT], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         doubles = psutil.Process(int(parent.stdout.readline()))
-        assert doubles.is_running()
         parent.kill()
-        doubles.wait(20)
-    assert not doubles.is_running()
+        try:
+            doubles.wait(20)
+        finally:
+            with suppress(psutil.NoSuchProcess):
+                doubles.kill()
 
 
 def test_doubles_that_cannot_start_say_so() -> None:

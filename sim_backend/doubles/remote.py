@@ -138,10 +138,10 @@ class RemoteDoubles:
             line = self._process.stdout.readline() if self._process.stdout else b""
         try:
             self._ports = Ports.model_validate_json(line)
-        except ValidationError as error:
+            self._control = Control(self._ports.control)
+        except (ValidationError, OSError) as error:
             self.stop()
             raise DeviceError("The doubles' process ended before it was ready; its own message says why.") from error
-        self._control = Control(self._ports.control)
 
     def stop(self) -> None:
         """End the process. Safe to call twice."""

@@ -40,7 +40,7 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
         return StageLook(
             position_mm=world.position_mm(),
             speed_mm_s=world.speed_mm_s(),
-            moving=world.moving,
+            moving=status.moving,
             enabled=status.enabled,
             homed=status.homed,
             halt=status.halt,
