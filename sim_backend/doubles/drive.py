@@ -37,6 +37,8 @@ FACTORY: Mapping[Parameter, float] = {
     Parameter.SILENCE_S: 0.0,
 }
 """What a drive holds before anybody sets it; a silence timeout of 0 is none."""
+RATED_THRUST_N = 100.0
+"""A drive keeps a thrust limit beyond its rating at its rating, and says nothing."""
 _TICK_S = 0.002
 _FIRST_ALARM = 1
 _NEWTON = 1e6  # g mm/s²
@@ -88,11 +90,6 @@ class DriveDouble:
     def parameter(self, parameter: Parameter) -> float:
         """Return what is set."""
         return self._parameters[parameter]
-
-    def set_parameter(self, parameter: Parameter, value: float) -> None:
-        """Set one behind the program's back."""
-        with self._lock:
-            self._parameters[parameter] = value
 
     def hear(self, frame: bytes) -> bytes:
         """Do what a frame says and return the reply; nothing for a frame that is damaged or another station's."""
@@ -157,7 +154,7 @@ class DriveDouble:
     def _set(self, parameter: Parameter, value: float) -> Refusal | None:
         if value < 0 and parameter not in {Parameter.LOWEST_MM, Parameter.HIGHEST_MM}:
             return Refusal.BAD_VALUE
-        self._parameters[parameter] = value
+        self._parameters[parameter] = min(value, RATED_THRUST_N) if parameter is Parameter.THRUST_LIMIT_N else value
         return None
 
     def _enable(self) -> Refusal | None:

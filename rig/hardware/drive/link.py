@@ -12,7 +12,7 @@ from statistics import median
 from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
-from dragrig.rig.hardware.drive.port import CABLE_ERRORS, open_port
+from dragrig.rig.hardware.drive.port import CABLE_ERRORS, close_port, open_port
 
 _REMEMBERED = 15
 _STOP = Request(Command.STOP)
@@ -164,7 +164,7 @@ class DriveLink:
         self._stopper.join()
         with self._lock:
             self._broken = "it was closed"
-            self._serial.close()
+            close_port(self._serial)
 
     def _serve_stops(self) -> None:
         while self._wakings.get():

@@ -45,3 +45,12 @@ def open_port(settings: DriveSettings) -> serial.Serial:
             f"the drive's port {settings.port} cannot be opened ({error}): connect it, close other programs that use "
             "it, or correct hardware.drive.port of the rig file."
         ) from error
+
+
+def close_port(port: serial.Serial) -> None:
+    """Close a port, whose cable may be gone."""
+    # pyserial forgets to close its socket when the other side was first.
+    connection = getattr(port, "_socket", None)
+    port.close()
+    if connection is not None:
+        connection.close()

@@ -1,0 +1,116 @@
+"""What the tests of the drive share: a drive's double on a port, and what talks to it."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import pytest
+from simulated import settings
+
+from dragrig.config.model import FrictionModelSettings
+from dragrig.rig.hardware.coupling import Coupling, FirstSample
+from dragrig.rig.hardware.deadman import Deadman
+from dragrig.rig.hardware.dialects.nikki import DIALECT
+from dragrig.rig.hardware.drive.link import DriveLink
+from dragrig.rig.hardware.drive.stage import SerialStage
+from dragrig.rig.hardware.lines import Lines, NoLines, Pressed
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.doubles.clock import DoubleClock
+from dragrig.sim_backend.doubles.drive import DriveDouble
+from dragrig.sim_backend.doubles.ports import Port, PtyPort, SocketPort
+from dragrig.sim_backend.doubles.world import World
+
+RATE = 1000.0
+PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
+         pytest.param(SocketPort, id="socket")]  # fmt: skip
+ANY_PORT = SocketPort if os.name == "nt" else PtyPort
+
+
+def until(condition: Callable[[], bool], within_s: float = 10.0) -> float:
+    """Wait for something to become true; return how long it took."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < within_s, "it never happened"
+        time.sleep(0.002)
+    return time.monotonic() - began
+
+
+class WorldLines:
+    """The lines of the bench, without a card in between."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.names = world.rig.hardware.card.lines
+        self.beats = 0
+
+    def pressed(self) -> Pressed:
+        low = {name: not self.world.read_line(getattr(self.names, name)) for name in Pressed.__dataclass_fields__}
+        return Pressed(**low)
+
+    def enable(self, on: bool) -> None:
+        self.world.write_line(self.names.enable, on)
+
+    def beat(self) -> None:
+        self.beats += 1
+
+
+@dataclass
+class Driven:
+    """A drive's double and everything on the program's side of the cable."""
+
+    world: World
+    drive: DriveDouble
+    link: DriveLink
+    stage: SerialStage
+    coupling: Coupling
+    deadman: Deadman
+    lines: Lines
+
+    def sample(self, profile: MotionProfile) -> None:
+        """Move with a first sample, as the engine does."""
+        self.coupling.arm()
+        self.stage.move(profile)
+        self.world.begin_sampling(RATE)
+        self.coupling.begin(FirstSample(self.world.clock.monotonic(), 0.0))
+
+    def ready(self) -> "Driven":
+        self.stage.enable()
+        self.world.place(0.0)
+        self.stage.home()
+        return self
+
+
+@contextmanager
+def linked(kind: type[Port] = ANY_PORT, pace: float = 1.0, **drive: object) -> Iterator[tuple[DriveDouble, DriveLink]]:
+    """A drive's double whose enable line is not wired, and a link to it."""
+    rig = settings(hardware={"drive": drive, "card": {"lines": {"enable": ""}}})
+    world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    with DriveDouble(world, DIALECT) as double, kind(double) as port:
+        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
+        try:
+            yield double, link
+        finally:
+            link.close()
+
+
+@contextmanager
+def driven(
+    kind: type[Port] = ANY_PORT, pace: float = 1.0, wired: bool = False, hang_s: float = 5.0, **drive: object
+) -> Iterator[Driven]:
+    """A stage on a drive's double; `wired` to the bench's switches and enable, or to nothing."""
+    wires = {} if wired else {"enable": ""}
+    card = {"lines": wires}
+    rig = settings(hardware={"drive": {"homing_speed_mm_s": 50, **drive}, "card": card, "hang_s": hang_s})
+    world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    with ExitStack() as stack:
+        double = stack.enter_context(DriveDouble(world, DIALECT))
+        port = stack.enter_context(kind(double))
+        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
+        stack.callback(link.close)
+        lines = WorldLines(world) if wired else NoLines()
+        coupling, deadman = Coupling(), Deadman()
+        stage = SerialStage(rig, link, lines, coupling, world.clock, deadman)
+        stack.callback(stage.close)
+        yield Driven(world, double, link, stage, coupling, deadman, lines)
