@@ -104,6 +104,9 @@ def driven(
     card = {"lines": wires}
     rig = settings(hardware={"drive": {"homing_speed_mm_s": 50, **drive}, "card": card, "hang_s": hang_s})
     world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    # The gut's first samples take seconds of imports, in which no thread would answer.
+    world.begin_sampling(RATE)
+    world.end_sampling()
     with ExitStack() as stack:
         double = stack.enter_context(DriveDouble(world, DIALECT))
         port = stack.enter_context(kind(double))

@@ -4,7 +4,9 @@ import os
 import selectors
 import socket
 import threading
+import time
 from abc import ABC, abstractmethod
+from collections import deque
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
@@ -23,6 +25,7 @@ class Port(ABC):
     def __init__(self, drive: DriveDouble) -> None:
         self._drive = drive
         self._received = b""
+        self._replies: deque[tuple[float, bytes]] = deque()
         self._selector = selectors.DefaultSelector()
         self._woken, self._waker = socket.socketpair()
         self._waker.setblocking(False)
@@ -71,12 +74,14 @@ class Port(ABC):
         if trouble.drive_garbled:
             middle = len(reply) // 2
             reply = reply[:middle] + bytes([reply[middle] ^ 0x15]) + reply[middle + 1 :]
-        if trouble.drive_reply_late_s > 0:
-            later = threading.Timer(trouble.drive_reply_late_s, self._write, (reply,))
-            later.daemon = True
-            later.start()
-        else:
-            self._write(reply)
+        due_s = time.monotonic() + trouble.drive_reply_late_s
+        # A line keeps the order of what is said on it.
+        self._replies.append((max(due_s, self._replies[-1][0]) if self._replies else due_s, reply))
+        self._send_due()
+
+    def _send_due(self) -> None:
+        while self._replies and self._replies[0][0] <= time.monotonic():
+            self._write(self._replies.popleft()[1])
 
     def _wake(self) -> None:
         with suppress(OSError):
@@ -84,8 +89,10 @@ class Port(ABC):
 
     def _serve(self) -> None:
         while not self._ended:
-            for key, _ in self._selector.select():
+            soon_s = max(self._replies[0][0] - time.monotonic(), 0.0) if self._replies else None
+            for key, _ in self._selector.select(soon_s):
                 key.data()
+            self._send_due()
             if self._drive.world.mishaps.now.drive_unplugged:
                 self._hang_up()
 
@@ -102,7 +109,6 @@ class PtyPort(Port):
         tty.setraw(self._theirs)
         self._address = os.ttyname(self._theirs)
         self._open = True
-        self._lock = threading.Lock()
         self._selector.register(self._ours, selectors.EVENT_READ, self._read)
 
     @property
@@ -114,18 +120,16 @@ class PtyPort(Port):
         self._hear(os.read(self._ours, _CHUNK))
 
     def _write(self, data: bytes) -> None:
-        with self._lock:
-            if self._open:
-                os.write(self._ours, data)
+        if self._open:
+            os.write(self._ours, data)
 
     def _hang_up(self) -> None:
-        with self._lock:
-            if not self._open:
-                return
-            self._open = False
-            self._selector.unregister(self._ours)
-            os.close(self._ours)
-            os.close(self._theirs)
+        if not self._open:
+            return
+        self._open = False
+        self._selector.unregister(self._ours)
+        os.close(self._ours)
+        os.close(self._theirs)
 
 
 class SocketPort(Port):

@@ -163,7 +163,7 @@ class DriveLink:
         self._wakings.put(False)
         self._stopper.join()
         with self._lock:
-            self._broken = "it was closed"
+            self._broken = f"the drive's port {self.port} was closed: open the rig again."
             close_port(self._serial)
 
     def _serve_stops(self) -> None:
@@ -194,17 +194,17 @@ class DriveLink:
 
     def _ask(self, request: Request) -> Reply:
         if self._broken:
-            raise DeviceError(f"the drive's port {self.port} is of no use any more: {self._broken}.")
+            raise DeviceError(self._broken)
         try:
             reply = self._talk(self._dialect.encode(request, self._settings.station), request)
         except FrameError as error:
             raise DeviceError(f"'{request.command}' cannot be told to the drive: {error}.") from error
         except CABLE_ERRORS as error:
-            self._broken = f"{error}"
-            raise DeviceError(
-                f"the drive's port {self.port} failed ({error}): check the cable, then start again "
-                "(hardware.drive.port of the rig file)."
-            ) from error
+            self._broken = (
+                f"the drive's port {self.port} failed ({error.args[-1] if error.args else error}): check the cable, "
+                "then start again (hardware.drive.port of the rig file)."
+            )
+            raise DeviceError(self._broken) from error
         if reply.refusal is not None:
             raise RefusedError(
                 f"the drive on {self.port} refuses '{request.command}', for {reply.refusal}.", reply.refusal

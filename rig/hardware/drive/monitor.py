@@ -68,7 +68,7 @@ class Monitor:
 
     @property
     def fault(self) -> Trip | None:
-        """What forbade motion at the last look; what was latched stays until `clear`."""
+        """What forbade motion at the last look; what has stopped a motion stays until `clear`."""
         return self._fault
 
     @property
@@ -100,8 +100,10 @@ class Monitor:
         self._latched = None
 
     def tolerate(self, cause: Cause | None) -> None:
-        """Let one limit switch forbid nothing; None ends that."""
+        """Let one limit switch forbid nothing, whatever it has done; None ends that."""
         self._tolerated = cause
+        if self._latched is not None and self._latched.cause is cause:
+            self._latched = None
 
     def close(self) -> None:
         """End the thread. Twice is once."""
@@ -151,6 +153,8 @@ class Monitor:
         is_new = trip is not None and self._fault is None
         self._fault = trip
         if is_new and self._coupling.moving:
+            # Whoever asks why the stage stopped may ask after the cause is gone.
+            self._latched = self._latched or trip
             self._stop()
 
     def _lines_beat(self) -> None:

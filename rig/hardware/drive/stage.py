@@ -77,7 +77,7 @@ class SerialStage:
 
     @property
     def fault(self) -> Trip | None:
-        """What drive and switches reported when the monitor last looked; what was latched stays until `disable`."""
+        """What drive and switches reported at the last look; what has stopped a motion stays until `disable`."""
         return self._monitor.fault
 
     def state(self) -> StageState:
@@ -154,9 +154,9 @@ class SerialStage:
                 return
             origin_mm = self._axis.position_mm()
             limits = widened(self._limits, self._override, origin_mm)
-            refuse_beyond(profile, origin_mm, limits)
             if self._override is not None:
                 refuse_towards(profile, self._override, self._drive.homing_speed_mm_s)
+            refuse_beyond(profile, origin_mm, limits)
             strokes = strokes_of(profile)
             if not strokes:
                 return

@@ -1,0 +1,385 @@
+"""The stage on its drive's double: the real serial library, over a pseudo-terminal and over a socket."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from driving import ANY_PORT, PORTS, RATE, Driven, WorldLines, driven, until
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated import NEVER, stroke
+
+from dragrig.config.errors import DeviceError
+from dragrig.rig.devices import Side
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request
+from dragrig.rig.hardware.drive.monitor import Monitor
+from dragrig.rig.hardware.drive.strokes import strokes_of
+from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
+from dragrig.rig.trips import Cause
+from dragrig.sim_backend.doubles.ports import Port
+
+LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
+THERE_AND_BACK = MotionProfile.from_pieces(
+    (
+        still(0.1, Phase.REST),
+        *trapezoid(5.0, 50.0, 1000.0),
+        still(0.05, Phase.HOLD),
+        *trapezoid(-3.0, 25.0, 500.0),
+        *trapezoid(3.0, 25.0, 500.0),
+        still(0.05, Phase.HOLD),
+    )
+)
+
+
+def stands(rig: Driven) -> bool:
+    return not rig.coupling.moving
+
+
+def is_under_way(rig: Driven) -> bool:
+    return abs(rig.world.speed_mm_s()) > 10.0
+
+
+def answers(rig: Driven) -> bool:
+    try:
+        rig.stage.state()
+    except DeviceError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("kind", PORTS)
+def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[Port]) -> None:
+    with driven(kind) as rig:
+        rig.ready().sample(THERE_AND_BACK)
+        assert rig.stage.state().moving
+        rig.world.clock.sleep(THERE_AND_BACK.duration_s + 0.1, NEVER)
+        assert not rig.stage.state().moving
+        samples = THERE_AND_BACK.samples(RATE)
+        seen = rig.world.sample(0, samples)["encoder_counts"] / 1000.0
+        off = np.abs(seen - THERE_AND_BACK.position(np.arange(samples) / RATE)).max()
+        assert rig.stage.start_uncertainty_s > 0
+        assert off <= 50.0 * (rig.stage.start_uncertainty_s + 1.5 / RATE) + 0.002
+        assert rig.stage.state().position_mm == pytest.approx(5.0, abs=1e-3)
+        assert rig.stage.fault is None
+
+
+def test_limits_are_written_and_read_back_before_a_move() -> None:
+    with driven(thrust_limit_N=12.5, silence_s=0.7) as rig:
+        rig.ready().stage.move(stroke())
+        until(lambda: stands(rig))
+        limits = rig.world.rig.stage
+        for parameter, value in (
+            (Parameter.THRUST_LIMIT_N, 12.5), (Parameter.SILENCE_S, 0.7), (Parameter.LOWEST_MM, limits.lowest_mm),
+            (Parameter.HIGHEST_MM, limits.highest_mm), (Parameter.STOP_ACCELERATION_MM_S2, limits.stop_accel_mm_s2),
+        ):  # fmt: skip
+            assert rig.drive.parameter(parameter) == pytest.approx(value)
+
+
+def test_a_drive_that_keeps_another_limit_moves_nothing() -> None:
+    with driven(thrust_limit_N=150.0) as rig:
+        rig.stage.enable()
+        with pytest.raises(DeviceError, match=r"holds 100\.0 as its thrust limit.*thrust_limit_N"):
+            rig.stage.home()
+        assert not {Command.HOME, Command.GO} & {request.command for request in rig.drive.heard}
+
+
+@pytest.mark.parametrize("kind", PORTS)
+def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type[Port]) -> None:
+    with driven(kind) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        stopper = threading.Thread(target=rig.stage.stop)
+        stopper.start()
+        stopper.join()
+        until(lambda: stands(rig))
+        state = rig.stage.state()
+        assert rig.drive.status.halt is Halt.STOP
+        assert state.enabled
+        assert state.fault is None
+        assert 0 < state.position_mm < 50.0
+        rig.world.end_sampling()
+        rig.coupling.disarm()
+        rig.stage.move(stroke(travel_mm=1.0))
+        until(lambda: stands(rig))
+        assert rig.stage.state().position_mm == pytest.approx(state.position_mm + 1.0, abs=1e-3)
+
+
+def test_a_stop_before_the_first_sample_drops_the_motion() -> None:
+    with driven() as rig:
+        rig.ready().coupling.arm()
+        rig.stage.move(stroke())
+        assert rig.stage.state().moving
+        rig.stage.stop()
+        until(lambda: stands(rig))
+        assert Command.GO not in {request.command for request in rig.drive.heard}
+
+
+def test_homing_goes_to_the_switch_and_back_to_the_index() -> None:
+    with driven(pace=5.0) as rig:
+        rig.stage.enable()
+        rig.world.place(20.0)
+        rig.world.begin_sampling(RATE)
+        rig.stage.home()
+        counts = rig.world.sample(0, rig.world.available())["encoder_counts"] / 1000.0 + 20.0
+        assert -4.1 < counts.min() <= -3.0
+        assert counts[-1] == pytest.approx(0.0, abs=1e-3)
+        state = rig.stage.state()
+        assert (state.homed, state.moving) == (True, False)
+        assert state.position_mm == pytest.approx(0.0, abs=1e-4)
+
+
+def test_homing_can_be_stopped_and_is_then_unknown() -> None:
+    with driven() as rig:
+        rig.stage.enable()
+        stopper = threading.Thread(target=lambda: (until(lambda: is_under_way(rig)), rig.stage.stop()))
+        stopper.start()
+        with pytest.raises(DeviceError, match="before the index pulse"):
+            rig.stage.home()
+        stopper.join()
+        state = rig.stage.state()
+        assert (state.homed, state.moving, state.enabled) == (False, False, True)
+        with pytest.raises(DeviceError, match="home it"):
+            rig.stage.move(stroke())
+
+
+@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 0.25}])
+def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
+    with driven(reply_s=0.05) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        rig.world.mishaps.strike(**trouble)
+        until(lambda: rig.stage.fault is not None)
+        assert rig.stage.fault is not None
+        assert rig.stage.fault.cause is Cause.DRIVE_FAULT
+        assert "did not answer" in rig.stage.fault.message
+        until(lambda: stands(rig))
+        assert rig.drive.status.halt is Halt.STOP
+        assert rig.world.position_mm() < 99.0
+        rig.world.mishaps.repair()
+        until(lambda: answers(rig))
+        rig.coupling.disarm()
+        rig.stage.disable()
+        rig.stage.enable()
+        rig.stage.move(stroke(travel_mm=1.0))
+        until(lambda: stands(rig))
+        assert rig.stage.fault is None
+
+
+@pytest.mark.parametrize("kind", PORTS)
+def test_a_cable_pulled_in_motion_leaves_the_stop_to_the_drive(kind: type[Port]) -> None:
+    with driven(kind, silence_s=0.2) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        rig.world.mishaps.strike(drive_unplugged=True)
+        until(lambda: rig.stage.fault is not None)
+        until(lambda: not rig.world.moving)
+        assert rig.drive.status.halt is Halt.SILENCE
+        assert rig.world.position_mm() < 50.0
+        until(lambda: stands(rig))
+        assert rig.stage.fault is not None
+        assert "check the cable" in rig.stage.fault.message
+        with pytest.raises(DeviceError):
+            rig.stage.disable()
+
+
+def test_an_alarm_stays_until_it_is_seen_to_and_the_drive_switched_off_and_on() -> None:
+    with driven() as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        rig.world.mishaps.strike(drive_alarm="overheating")
+        until(lambda: rig.stage.fault is not None)
+        assert rig.stage.fault is not None
+        assert (rig.stage.fault.cause, rig.stage.fault.message) == (Cause.DRIVE_FAULT, "the drive reports overheating")
+        until(lambda: stands(rig))
+        assert rig.drive.status.halt is Halt.ALARM
+        rig.stage.disable()
+        with pytest.raises(DeviceError, match="overheating"):
+            rig.stage.enable()
+        rig.world.mishaps.repair()
+        with pytest.raises(DeviceError, match="overheating"):
+            rig.stage.enable()
+        rig.stage.disable()
+        rig.stage.enable()
+        assert rig.stage.state().fault is None
+
+
+def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
+    with driven(silence_s=0.2) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        monitor: Monitor = rig.stage._monitor
+        monitor.close()
+        asked = time.monotonic()
+        until(lambda: not rig.world.moving)
+        assert 0.1 < time.monotonic() - asked < 1.0
+        assert rig.drive.status.halt is Halt.SILENCE
+        state = rig.stage.state()
+        assert state.fault is not None
+        assert state.fault.cause is Cause.WATCHDOG
+
+
+def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -> None:
+    with driven(hang_s=0.2) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: rig.stage.fault is not None)
+        assert rig.stage.fault is not None
+        assert rig.stage.fault.cause is Cause.WATCHDOG
+        assert "0.2 s" in rig.stage.fault.message
+        until(lambda: not rig.world.moving)
+        assert rig.drive.status.halt is Halt.STOP
+        assert rig.world.position_mm() < 50.0
+        rig.deadman.feed()
+        until(lambda: stands(rig))
+        assert rig.stage.fault is not None
+        rig.coupling.disarm()
+        rig.stage.disable()
+        assert rig.stage.state().fault is None
+
+
+def test_a_program_that_looks_is_left_alone() -> None:
+    profile = stroke(travel_mm=30.0, speed_mm_s=30.0)
+    with driven(hang_s=0.3) as rig:
+        rig.ready().sample(profile)
+        while rig.coupling.moving:
+            rig.deadman.feed()
+            time.sleep(0.01)
+        assert rig.stage.fault is None
+        assert rig.world.position_mm() == pytest.approx(30.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "cause", "halt"),
+    [({"e_stop_pressed": True}, Cause.EMERGENCY_STOP, Halt.EMERGENCY_STOP),
+     ({"limit_high_pressed": True}, Cause.LIMIT_SWITCH_HIGH, Halt.LIMIT_SWITCH)],
+)  # fmt: skip
+@pytest.mark.parametrize("wired", [True, False], ids=["seen by the card", "seen by the drive alone"])
+def test_a_switch_pressed_in_motion_stops_and_stays_told(
+    wired: bool, trouble: dict[str, float], cause: Cause, halt: Halt
+) -> None:
+    with driven(wired=wired) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        rig.world.mishaps.strike(**trouble)
+        until(lambda: rig.stage.fault is not None)
+        assert rig.stage.fault is not None
+        assert rig.stage.fault.cause is cause
+        until(lambda: stands(rig))
+        assert rig.drive.status.halt in {halt, Halt.STOP}
+        assert rig.world.position_mm() < 50.0
+        with pytest.raises(DeviceError, match="see to it"):
+            rig.stage.move(stroke(travel_mm=-1.0))
+        rig.world.mishaps.repair()
+        rig.coupling.disarm()
+        rig.stage.disable()
+        assert rig.stage.state().fault is None
+
+
+def test_an_override_frees_one_side_for_one_slow_move_away() -> None:
+    with driven(wired=True, homing_speed_mm_s=10.0) as rig:
+        rig.ready()
+        rig.world.place(-3.5)
+        assert rig.stage.state().fault is not None
+        with pytest.raises(DeviceError, match="lower limit switch"):
+            rig.stage.move(stroke(travel_mm=0.2, speed_mm_s=5.0))
+        rig.stage.override_limit(Side.LOW)
+        assert rig.stage.state().fault is None
+        with pytest.raises(DeviceError, match="away from it"):
+            rig.stage.move(stroke(travel_mm=-0.1, speed_mm_s=5.0))
+        with pytest.raises(DeviceError, match="10 mm/s at most"):
+            rig.stage.move(stroke(travel_mm=5.0, speed_mm_s=20.0))
+        rig.stage.move(stroke(travel_mm=0.2, speed_mm_s=5.0))
+        until(lambda: stands(rig))
+        assert rig.world.position_mm() == pytest.approx(-3.3, abs=1e-3)
+        fault = rig.stage.state().fault
+        assert fault is not None
+        assert fault.cause is Cause.LIMIT_SWITCH_LOW
+        rig.stage.override_limit(Side.LOW)
+        rig.world.mishaps.strike(limit_high_pressed=True)
+        fault = rig.stage.state().fault
+        assert fault is not None
+        assert fault.cause is Cause.LIMIT_SWITCH_HIGH
+
+
+def test_the_enable_line_taken_away_brakes_and_is_told() -> None:
+    with driven(wired=True) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: is_under_way(rig))
+        rig.lines.enable(False)
+        until(lambda: not rig.world.moving)
+        assert rig.drive.status.halt is Halt.DISABLED
+        until(lambda: rig.stage.fault is not None)
+        assert not rig.stage.state().enabled
+
+
+def test_the_drive_refuses_what_a_drive_refuses() -> None:
+    def go(rig: Driven, to_mm: float) -> Refusal | None:
+        frame = rig.drive.dialect.encode(Request(Command.GO, value=to_mm), 1)
+        return rig.drive.dialect.decode(rig.drive.hear(frame), 1).refusal
+
+    with driven() as rig:
+        assert go(rig, 1.0) is Refusal.DISABLED
+        rig.stage.enable()
+        assert go(rig, 1.0) is Refusal.NOT_HOMED
+        rig.ready().stage.move(stroke(travel_mm=20.0))
+        assert rig.drive.dialect.decode_request(rig.drive.dialect.encode(Request(Command.STOP), 1), 1)
+        until(lambda: is_under_way(rig))
+        assert go(rig, 1.0) is Refusal.MOVING
+        until(lambda: stands(rig))
+        assert go(rig, 151.0) is Refusal.SOFT_LIMIT
+        frame = rig.drive.dialect.encode(Request(Command.STATUS), 1)
+        assert rig.drive.hear(frame[:-1] + b"?") == b""
+
+
+def test_the_heartbeat_goes_on_while_all_is_well() -> None:
+    with driven(wired=True) as rig:
+        assert isinstance(rig.lines, WorldLines)
+        before = rig.lines.beats
+        until(lambda: rig.lines.beats >= before + 5)
+
+
+def test_a_drive_that_does_not_answer_is_no_stage() -> None:
+    with driven(ANY_PORT, reply_s=0.02) as rig:
+        rig.world.mishaps.strike(drive_silent=True)
+        with pytest.raises(DeviceError, match="did not answer"):
+            rig.stage.state()
+
+
+STROKES = st.lists(
+    st.tuples(
+        st.floats(0.01, 100.0), st.sampled_from([-1.0, 1.0]), st.floats(0.1, 100.0), st.floats(10.0, 3000.0),
+        st.sampled_from([0.0, 0.1, 2.0]),
+    ),
+    min_size=1, max_size=5,
+)  # fmt: skip
+
+
+@given(STROKES)
+def test_a_profile_is_cut_into_the_strokes_it_is_made_of(
+    moves: list[tuple[float, float, float, float, float]],
+) -> None:
+    pieces: list[Piece] = []
+    for travel, sign, speed, accel, pause in moves:
+        pieces += [still(pause, Phase.HOLD), *trapezoid(sign * travel, speed, accel)]
+    profile = MotionProfile.from_pieces(pieces)
+    strokes = strokes_of(profile)
+    assert len(strokes) == len(moves)
+    made: list[Piece] = []
+    at_s = at_mm = 0.0
+    for one in strokes:
+        again = trapezoid(one.end_mm - at_mm, one.speed_mm_s, one.acceleration_mm_s2)
+        made += [still(max(one.start_s - at_s, 0.0), Phase.HOLD), *again]
+        at_s, at_mm = one.ends_s, one.end_mm
+    times = np.linspace(0.0, profile.duration_s, 200)
+    np.testing.assert_allclose(MotionProfile.from_pieces(made).position(times), profile.position(times), atol=1e-4)
+
+
+def test_what_no_drive_follows_is_refused() -> None:
+    up, steady, down = trapezoid(5.0, 50.0, 1000.0)
+    softer = Piece(2 * down.duration_s, down.acceleration_mm_s2 / 2, Phase.DECELERATE)
+    bent = (Piece(0.05, -200.0, Phase.DECELERATE), Piece(0.08, -500.0, Phase.DECELERATE))
+    for pieces in ((up, steady, softer), (up, *bent)):
+        profile = MotionProfile.from_pieces(pieces)
+        assert profile.velocity(profile.duration_s) == pytest.approx(0.0, abs=1e-9)
+        with pytest.raises(DeviceError, match="strokes of one acceleration"):
+            strokes_of(profile)
