@@ -42,6 +42,7 @@ class HardwareBackend:
         self._clock = clock or WallClock(request.origin)
         self._coupling, self._deadman = Coupling(), Deadman()
         self._open = ExitStack()
+        self._closed = False
         self._owner: Owner | None = None
         self._connection: Connection | None = None
         self._lines: CardLines | None = None
@@ -110,12 +111,14 @@ class HardwareBackend:
 
     def close(self) -> None:
         """Stop the stage and let go of every device, whatever becomes of the others."""
+        if self._closed:
+            return
+        self._closed = True
         for device in (self._stage, self._sampler):
             if device is not None:
                 attempt(device.stop)
         if self._stage is not None:
             attempt(self._stage.disable)
-        self._stage, self._sampler = None, None
         self._open.close()
 
     def _take(self) -> None:
