@@ -403,13 +403,16 @@ def test_a_waiting_read_hears_at_once_that_the_card_is_gone(trouble: str, code: 
         assert volts(ai, 5).shape == (1, 5)
 
 
-def test_a_stop_ends_a_read_that_waits() -> None:
-    with card_on(), inputs(samples=100_000) as ai:
+def test_a_stop_ends_a_read_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    with card_on() as (world, _), inputs(samples=100_000) as ai:
+        asking: set[int | None] = set()
+        available = world.available
+        monkeypatch.setattr(world, "available", lambda: asking.add(threading.get_ident()) or available())
         ai.start()
         codes: list[int] = []
         reader = threading.Thread(target=lambda: codes.append(code_of(lambda: volts(ai, 90_000, timeout=60.0))))
         reader.start()
-        wait_until(lambda: ai.in_stream.total_samp_per_chan_acquired > 10)
+        wait_until(lambda: reader.ident in asking)
         ai.stop()
         reader.join(10)
         assert codes == [-88710]
