@@ -19,13 +19,16 @@ if TYPE_CHECKING:
         examine,
         export,
         filter,  # noqa: A004  # the word that people look for
+        home,
         import_run,
+        jog,
         load,
         model,
         resume,
         run,
         simulate,
         table,
+        touch_off,
     )
 
 __version__ = "0.1.0"
@@ -40,13 +43,16 @@ __all__ = [
     "examine",
     "export",
     "filter",
+    "home",
     "import_run",
+    "jog",
     "load",
     "model",
     "resume",
     "run",
     "simulate",
     "table",
+    "touch_off",
 ]
 
 

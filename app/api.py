@@ -3,6 +3,7 @@
 from dragrig.campaigns import Made
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
+from dragrig.handling import home, jog, touch_off
 from dragrig.importing import import_run
 from dragrig.measuring import check, resume, run, simulate
 from dragrig.rig.runfile import Campaign
@@ -17,11 +18,14 @@ __all__ = [
     "examine",
     "export",
     "filter",
+    "home",
     "import_run",
+    "jog",
     "load",
     "model",
     "resume",
     "run",
     "simulate",
     "table",
+    "touch_off",
 ]

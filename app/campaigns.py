@@ -11,6 +11,7 @@ from dragrig.rig.record import SessionRecord, latest_record, write_record
 from dragrig.rig.runfile import Campaign, FolderStore, Outcome, campaign, recover
 from dragrig.rig.runfile.model import Status
 from dragrig.rig.session import Progress, SessionResult
+from dragrig.rigs import contact_in
 from dragrig.sessions import Person, Terms, carry_out
 from dragrig.setup import Setup
 
@@ -101,6 +102,7 @@ def _store_in(folder: Path) -> Callable[[SessionRecord], FolderStore]:
 
 def _setup_of(record: SessionRecord, folder: Path) -> Setup:
     rig_file = rig_file_of(folder)
+    rig_folder = rig_file.parent if rig_file is not None else None
     return Setup(
         plan=record.plan,
         plan_source=f"{folder}, plan {record.plan.name}",
@@ -108,7 +110,8 @@ def _setup_of(record: SessionRecord, folder: Path) -> Setup:
         rig=record.rig,
         specimen=record.specimen,
         model=record.model,
-        rig_folder=rig_file.parent if rig_file is not None else None,
+        rig_folder=rig_folder,
+        contact_mm=contact_in(rig_folder, record.contact_mm),
         backend=record.backend,
         double=record.double,
     )

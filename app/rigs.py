@@ -12,7 +12,7 @@ from dragrig.config.library import table
 from dragrig.config.loading import Table, merge, nested, parse, parse_assignment
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig import calibration
+from dragrig.rig import calibration, contact
 from dragrig.rig.devices import StageLimits
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
@@ -111,6 +111,12 @@ def found_settings(model: type[SettingsT], kind: str, name_or_path: str | Path |
 def chosen(model: type[SettingsT], kind: str, name_or_path: str | Path | None, before: SettingsT | None) -> SettingsT:
     """Return what was chosen; otherwise what a session had before, or the usual."""
     return before if before is not None and not name_or_path else found_settings(model, kind, name_or_path)[0]
+
+
+def contact_in(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
+    """Return the absolute position of the contact that a lab keeps now, or else the one that was known before."""
+    kept = contact.read(rig_folder) if rig_folder is not None else None
+    return before_mm if kept is None else kept.position_mm
 
 
 def folder_of(source: str) -> Path | None:

@@ -90,6 +90,7 @@ def _record(setup: Setup, backend: Backend, terms: Terms, calibrations: Mapping[
         begun_at=backend.clock.now(),
         backend=setup.backend,
         double=setup.double,
+        contact_mm=setup.contact_mm if setup.rig.stage.start_from == "contact" else None,
         operator=terms.operator,
         note=terms.note,
         calibration_id=ids.get("force", ""),

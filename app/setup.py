@@ -16,7 +16,7 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.programme import Programme, build
 from dragrig.rig.protocols import Protocol, kinds
 from dragrig.rig.record import record_in
-from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, folder_of, found_settings
+from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, contact_in, folder_of, found_settings
 
 PlanLike = str | Path | Plan | Protocol
 """A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
@@ -39,12 +39,15 @@ class Setup(RigSetup):
         Where the plan comes from, for error messages.
     plan_folder
         Folder that capsule files in the plan are relative to; None for a shipped plan.
+    contact_mm
+        Absolute position of the contact that touch-off found; None where it is not known.
     """
 
     plan: Plan
     plan_source: str
     plan_folder: Path | None
     specimen: Specimen
+    contact_mm: float | None = None
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
         """Return this with assignments to the rig applied; any other is refused with `SettingsError`."""
@@ -58,7 +61,14 @@ class Setup(RigSetup):
 
     def programme(self) -> Programme:
         """Lay out the plan's runs; raises `PlanError` or `SettingsError`."""
-        return build(self.plan, self.specimen, self.rig.stage.start_mm, self.plan_source, self.plan_folder)
+        stage, zero_mm = self.rig.stage, 0.0
+        if stage.start_from == "contact":
+            if self.contact_mm is None:
+                raise SettingsError(
+                    "stage.start_from = 'contact': no contact is known to this lab; find it with dragrig touch-off."
+                )
+            zero_mm = self.contact_mm
+        return build(self.plan, self.specimen, stage.start_mm, self.plan_source, self.plan_folder, zero_mm)
 
 
 def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Choices]) -> Setup:
@@ -99,6 +109,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
         plan_folder=plan_folder,
         rig=rig_changed,
         specimen=changes.laid_over(specimen, "specimen"),
+        contact_mm=contact_in(rig_folder, before.contact_mm if before is not None else None),
         model=changes.laid_over(model, "model"),
         rig_folder=rig_folder,
         backend=choices.get("backend") or (before.backend if before is not None else rig_changed.backend),

@@ -8,6 +8,7 @@ from dragrig.config.base import Settings
 
 RIG_FILE = "rig.toml"
 CALIBRATION_FILE = "calibration.jsonl"
+CONTACT_FILE = "contact.toml"
 
 
 class Calibration(Settings):
@@ -25,6 +26,17 @@ class Calibration(Settings):
     points: int = Field(default=0, ge=0)
     operator: str = ""
     note: str = ""
+
+
+class ContactPoint(Settings):
+    """Where the capsule last met what it was driven against."""
+
+    position_mm: float
+    """Absolute position of the stage."""
+    made_at: AwareDatetime
+    force_mN: float
+    """Change of the force that told the contact."""
+    operator: str = ""
 
 
 def rig_file_of(start: Path) -> Path | None:

@@ -53,7 +53,7 @@ class Step(Settings):
     way_back: WayBack = WayBack.DRIVEN
     way_back_speed_mm_s: float = Field(default=20.0, gt=0)
     start_mm: float | None = None
-    """Absolute position where the runs begin; the rig's own unless given."""
+    """Where the runs begin, absolute or from the contact (stage.start_from of the rig); the rig's own unless given."""
     tare_s: float = Field(default=0.0, ge=0, le=60)
     """Take the sensor's zero for so long before each run, with the capsule out of contact; 0 takes none."""
     prompt: str = ""

@@ -1,7 +1,7 @@
 """The rig: stage, encoder, force sensor, guard, recording, and what the simulated one adds."""
 
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -19,6 +19,8 @@ class StageSettings(Settings):
     """Soft limit."""
     start_mm: float = 40.0
     """Where runs begin unless the plan says otherwise."""
+    start_from: Literal["home", "contact"] = "home"
+    """What start_mm, here and in plans, counts from: the origin, or the contact that touch-off found."""
     max_speed_mm_s: float = Field(default=100.0, gt=0, le=5000)
     max_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
     stop_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
@@ -26,7 +28,9 @@ class StageSettings(Settings):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if not self.lowest_mm <= self.start_mm <= self.highest_mm:
+        if not self.lowest_mm <= self.highest_mm:
+            raise ValueError("highest_mm must not be below lowest_mm")
+        if self.start_from == "home" and not self.lowest_mm <= self.start_mm <= self.highest_mm:
             raise ValueError("start_mm must lie between lowest_mm and highest_mm")
         if self.stop_accel_mm_s2 < self.max_accel_mm_s2:
             raise ValueError("stop_accel_mm_s2 must not be below max_accel_mm_s2, or a stop would overrun the travel")

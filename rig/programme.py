@@ -77,17 +77,21 @@ class Programme:
         return sum(run.wait_s + run.tare_s + run.duration_s for run in self.runs)
 
 
-def build(plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: Path | None = None) -> Programme:
+def build(
+    plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: Path | None = None, zero_mm: float = 0.0
+) -> Programme:
     """Lay out a plan's runs.
 
     Parameters
     ----------
     start_mm
-        Absolute position where steps begin that name none.
+        Where steps begin that name no position.
     source
         Where the plan comes from, for error messages.
     beside
         Folder that capsule files in the plan are relative to.
+    zero_mm
+        Absolute position that `start_mm`, here and in the plan, counts from.
 
     Raises
     ------
@@ -96,10 +100,10 @@ def build(plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: 
     """
     rng = random.Random(plan.seed)  # noqa: S311  # an order of runs is no secret
     runs: list[PlannedRun] = []
-    position = start_mm
+    position = zero_mm + start_mm
     for number, step in enumerate(plan.steps):
         where = f"{source}: steps[{number}]"
-        home = step.start_mm if step.start_mm is not None else start_mm
+        home = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
         if step.way_back is not WayBack.STAY or step.start_mm is not None:
             position = home
         for template in _step_runs(step, number, specimen, where, beside, rng.random):

@@ -11,6 +11,7 @@ from dragrig.rig.people import Answer, Operator, Prompt
 from dragrig.rig.profile import MotionProfile, trapezoid
 
 IN_PLACE_MM = 0.005
+HOMING = "The stage goes to the end of its travel to find its origin: take the capsule out of its way"
 _STANDSTILL_S = 10.0
 """How long the end waits for the stage to stand before it is switched off."""
 _POSITIONING_SPEED_MM_S = 20.0
@@ -47,15 +48,9 @@ def make_ready(backend: Backend, operator: Operator) -> None:
     """
     backend.stage.enable()
     if not backend.stage.state().homed:
-        home(backend, operator)
-
-
-def home(backend: Backend, operator: Operator) -> None:
-    """Find the origin; where hands are needed, a person is asked before. Raises as `make_ready`."""
-    if backend.needs_hands:
-        text = "The stage goes to the end of its travel to find its origin: take the capsule out of its way"
-        confirm(operator, Prompt(text))
-    backend.stage.home()
+        if backend.needs_hands:
+            confirm(operator, Prompt(HOMING))
+        backend.stage.home()
 
 
 def confirm(operator: Operator, prompt: Prompt) -> None:

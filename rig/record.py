@@ -30,6 +30,8 @@ class SessionRecord(Settings):
     calibration_id: str = ""
     """Of the force sensor."""
     encoder_calibration_id: str = ""
+    contact_mm: float | None = None
+    """Absolute position of the contact that touch-off found; none where it is not known."""
     beside: Path | None = None
     """Folder that files named in the plan are relative to."""
     plan: Plan

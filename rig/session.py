@@ -4,12 +4,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
 
-from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError, plain
+from dragrig.config.errors import AbortedError, DeviceError, TrippedError, plain
 from dragrig.config.loading import to_toml
-from dragrig.rig.acquiring import Outcome, attempt
+from dragrig.rig.acquiring import attempt
 from dragrig.rig.acquisitions import recorded, unrecorded
 from dragrig.rig.backend import Backend
 from dragrig.rig.devices import Contact
+from dragrig.rig.endings import early_end, require_complete
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.header import header_of
@@ -35,11 +36,6 @@ class SessionResult:
         if self.status is Status.COMPLETE:
             return
         raise early_end(self.status, f"the session ended early: {self.reason}.")
-
-
-def early_end(status: Status, reason: str) -> DragrigError:
-    """Return the error that stands for an early end."""
-    return {Status.ABORTED: AbortedError, Status.TRIPPED: TrippedError}.get(status, DeviceError)(reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +96,9 @@ class Session:
         except AbortedError as error:
             status, reason = Status.ABORTED, self.engine.abort_reason or plain(error)
         except DeviceError as error:
-            status, reason = Status.FAILED, plain(error)
+            # What a stop from elsewhere interrupted, homing above all, tells of it as a failure.
+            status = Status.ABORTED if self.engine.cancelled.is_set() else Status.FAILED
+            reason = self.engine.abort_reason or plain(error)
         finally:
             failures = [*park(self._backend), attempt(self._store.settle)]
         reason = "; ".join(part for part in (reason, *failures) if part)
@@ -208,7 +206,7 @@ class Session:
         self._results.append(RunResult(run, self._order, outcome, outcome.path))
         self._order += 1
         self._watcher.run_ends(run, outcome)
-        self._require(outcome)
+        require_complete(outcome)
 
     def _tare(self, run: PlannedRun) -> float | None:
         if not run.tare_s:
@@ -216,7 +214,7 @@ class Session:
         self._must(self._ask_plainly("Hold the capsule clear of the gut: the sensor's zero is taken", run))
         rest = MotionProfile.from_pieces([still(run.tare_s, Phase.REST)])
         outcome = self.engine.acquire(unrecorded(self._order, "tare", run, rest))
-        self._require(outcome)
+        require_complete(outcome)
         if not isfinite(outcome.mean_force_mN):
             raise DeviceError(f"a tare of {run.tare_s:g} s is too short for a sample.")
         self._must(self._ask_plainly("Bring the capsule into the gut again", run))
@@ -228,7 +226,7 @@ class Session:
         if abs(way) <= IN_PLACE_MM:
             return
         profile = positioning(way, self._backend.stage.limits)
-        self._require(self.engine.acquire(unrecorded(self._order, "positioning", run, profile)))
+        require_complete(self.engine.acquire(unrecorded(self._order, "positioning", run, profile)))
         self._contact_since = self._backend.clock.monotonic()
 
     def _wait(self, run: PlannedRun) -> None:
@@ -238,10 +236,6 @@ class Session:
             self._watcher.waits(left, f"rest before {run.protocol.summary()}")
             clock.sleep(left, self.engine.cancelled)
             self._stop_if_cancelled()
-
-    def _require(self, outcome: Outcome) -> None:
-        if outcome.status is not Status.COMPLETE:
-            raise early_end(outcome.status, outcome.reason)
 
     def _must(self, answer: Answer) -> None:
         self._stop_if_cancelled()

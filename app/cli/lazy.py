@@ -12,6 +12,9 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "demo": "Run a short programme on the simulated rig: run files, CSV, pictures.",
         "init": "Make a lab folder: rig settings, data root, calibration history.",
         "check": "Say what a plan would do, or look at the rig; nothing moves.",
+        "home": "Find the stage's origin.",
+        "jog": "Move the stage by a distance.",
+        "touch-off": "Approach until the force changes; plans may count from there.",
         "run": "Carry out a plan and write one run file per run.",
         "recover": "Finish the runs that a crash left behind.",
     },
@@ -30,7 +33,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
 }
 """Commands by section, with the line that the overview shows; the overview must not load them."""
 
-_MODULES = {"import": "import_", "filter": "filter_"}
+_MODULES = {"import": "import_", "filter": "filter_", "touch-off": "touch_off"}
 
 
 class LazyGroup(click.Group):

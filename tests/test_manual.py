@@ -1,0 +1,275 @@
+"""Moving the stage by hand on the simulated rig: reset, homing, jogs, overrides, touching off."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import pytest
+from simulated import Handed, settings
+
+from dragrig.config.errors import AbortedError, DeviceError, SettingsError, TrippedError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import Side
+from dragrig.rig.engine import Engine
+from dragrig.rig.guard import Guard
+from dragrig.rig.manual import Manual
+from dragrig.rig.people import Answer, Prompt
+from dragrig.rig.trips import Cause
+from dragrig.sim_backend.devices import DriveFault, Faults, ForceSpike, LimitSwitch, SimulatedBackend
+from dragrig.sim_backend.devices.clock import VirtualClock
+
+
+class Asked:
+    """A person who answers from a list, then says done."""
+
+    def __init__(self, *answers: Answer) -> None:
+        self.answers = list(answers)
+        self.prompts: list[Prompt] = []
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt)
+        return self.answers.pop(0) if self.answers else Answer.DONE
+
+
+@dataclass
+class Bench:
+    backend: SimulatedBackend
+    guard: Guard
+    engine: Engine
+    person: Asked
+    manual: Manual
+
+    @property
+    def at_mm(self) -> float:
+        return self.backend.stage.state().position_mm
+
+
+def bench(
+    faults: Faults | None = None,
+    *answers: Answer,
+    rig: RigSettings | None = None,
+    kind: Callable[..., SimulatedBackend] = SimulatedBackend,
+) -> Bench:
+    rig, person = rig or settings(), Asked(*answers)
+    backend = kind(rig, FrictionModelSettings(), VirtualClock(datetime(2026, 5, 4, tzinfo=UTC)), faults or Faults())
+    guard = Guard(rig.guard)
+    engine = Engine(backend, rig, guard)
+    return Bench(backend, guard, engine, person, Manual(backend, guard, engine, person))
+
+
+def test_nothing_moves_before_the_guard_is_reset() -> None:
+    one = bench()
+    for move in (one.manual.home, lambda: one.manual.jog(1.0), lambda: one.manual.touch_off(20.0, 1.0, 5.0)):
+        with pytest.raises(TrippedError, match="reset"):
+            move()
+    assert one.person.prompts == []
+    assert not one.backend.stage.state().enabled
+
+
+def test_a_jog_says_from_where_to_where_and_goes_there() -> None:
+    one = bench()
+    one.manual.reset()
+    assert one.manual.jog(12.5, 5.0) == pytest.approx(12.5, abs=0.001)
+    assert one.manual.jog(-2.0) == pytest.approx(10.5, abs=0.001)
+    texts = [prompt.text for prompt in one.person.prompts]
+    assert texts == [
+        "The stage goes from 0.000 to 12.500 mm at 5 mm/s",
+        "The stage goes from 12.500 to 10.500 mm at 10 mm/s",
+    ]
+    assert not any(prompt.hands for prompt in one.person.prompts)
+
+
+def test_a_jog_that_is_not_agreed_to_moves_nothing() -> None:
+    one = bench(None, Answer.ABORT)
+    one.manual.reset()
+    with pytest.raises(AbortedError):
+        one.manual.jog(5.0)
+    assert one.at_mm == 0.0
+
+
+@pytest.mark.parametrize(
+    ("distance", "speed", "word"),
+    [
+        (0.0, 5.0, "no way"),
+        (float("nan"), 5.0, "no way"),
+        (5.0, 0.0, "speed"),
+        (5.0, -1.0, "speed"),
+        (-1.0, 5.0, "0 to 150"),
+        (151.0, 5.0, "0 to 150"),
+    ],
+)
+def test_a_jog_that_cannot_be_is_refused_before_anybody_is_asked(distance: float, speed: float, word: str) -> None:
+    one = bench()
+    one.manual.reset()
+    with pytest.raises(SettingsError, match=word):
+        one.manual.jog(distance, speed)
+    assert one.person.prompts == []
+
+
+def test_a_jog_beyond_what_the_stage_can_do_is_refused_by_it() -> None:
+    one = bench()
+    one.manual.reset()
+    with pytest.raises(DeviceError, match="speed"):
+        one.manual.jog(120.0, 101.0)
+
+
+def test_an_abort_while_a_person_is_asked_moves_nothing() -> None:
+    one = bench()
+    one.manual.reset()
+
+    def ask(prompt: Prompt) -> Answer:
+        one.engine.abort("stop button")
+        return Answer.DONE
+
+    one.person.ask = ask  # type: ignore[method-assign]
+    with pytest.raises(AbortedError, match="stop button"):
+        one.manual.jog(5.0)
+    assert one.at_mm == 0.0
+
+
+def test_jogs_are_guarded() -> None:
+    one = bench(Faults(drive_fault=DriveFault(0.3)))
+    one.manual.reset()
+    with pytest.raises(TrippedError, match="overcurrent"):
+        one.manual.jog(50.0)
+    assert one.at_mm < 10.0
+    with pytest.raises(TrippedError):
+        one.manual.jog(1.0)
+    one.manual.reset()
+    assert one.manual.trip is None
+
+
+def test_homing_asks_and_at_a_real_rig_only_hands_may_answer() -> None:
+    one = bench()
+    one.manual.reset()
+    assert one.manual.home() == 0.0
+    (prompt,) = one.person.prompts
+    assert "origin" in prompt.text
+    assert not prompt.hands
+    refused = bench(None, Answer.DONE, Answer.ABORT, kind=Handed)
+    refused.manual.reset()
+    with pytest.raises(AbortedError):
+        refused.manual.home()
+    assert all(prompt.hands for prompt in refused.person.prompts)
+    assert not refused.backend.stage.state().homed
+
+
+AT_100 = Faults(limit_switch=LimitSwitch(Side.HIGH, 100.0))
+
+
+def on_the_switch(*answers: Answer, kind: Callable[..., SimulatedBackend] = SimulatedBackend) -> Bench:
+    one = bench(AT_100, *answers, kind=kind)
+    one.manual.reset()
+    with pytest.raises(TrippedError, match="upper limit switch"):
+        one.manual.jog(110.0, 50.0)
+    assert 100.0 <= one.at_mm < 104.0
+    with pytest.raises(TrippedError, match="high end is pressed"):
+        one.manual.reset()
+    return one
+
+
+def test_one_slow_jog_leads_off_a_pressed_switch() -> None:
+    one = on_the_switch()
+    begin = one.at_mm
+    assert one.manual.jog(-1.0, override=Side.HIGH) == pytest.approx(begin - 1.0, abs=0.001)
+    assert one.manual.trip is not None
+    assert one.manual.trip.cause is Cause.LIMIT_SWITCH_HIGH
+    with pytest.raises(TrippedError):
+        one.manual.jog(-1.0)
+    one.manual.jog(-4.0, override=Side.HIGH)
+    assert one.manual.trip is None
+    one.manual.jog(-5.0)
+    with pytest.raises(DeviceError, match="nothing to override"):
+        one.manual.jog(-1.0, override=Side.HIGH)
+
+
+@pytest.mark.parametrize(
+    ("distance", "speed", "side", "word"),
+    [
+        (1.0, None, Side.HIGH, "onto"),
+        (-1.0, 2.1, Side.HIGH, "up to 2 mm/s"),
+        (1.0, None, Side.LOW, "high end is pressed"),
+    ],
+)
+def test_an_override_frees_no_more_than_it_says(distance: float, speed: float | None, side: Side, word: str) -> None:
+    one = on_the_switch()
+    begin = one.at_mm
+    with pytest.raises((SettingsError, TrippedError), match=word):
+        one.manual.jog(distance, speed, override=side)
+    assert one.at_mm == begin
+    assert one.manual.trip is not None
+
+
+def test_an_override_that_is_not_agreed_to_frees_nothing() -> None:
+    one = on_the_switch()
+    one.person.answers = [Answer.ABORT]
+    with pytest.raises(AbortedError):
+        one.manual.jog(-1.0, override=Side.HIGH)
+    assert one.backend.stage.fault is not None
+    with pytest.raises(TrippedError):
+        one.manual.jog(-1.0)
+
+
+def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
+    one = on_the_switch()
+    one.backend.sampler._faults = Faults(force_spike=ForceSpike(0.3, 9000.0))
+    with pytest.raises(TrippedError, match="force of"):
+        one.manual.jog(-4.0, override=Side.HIGH)
+    assert one.at_mm > 99.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("speed", "at_s"), [(1.0, 4.0), (5.0, 2.5)])
+def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s: float) -> None:
+    one = bench(Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0)))
+    one.manual.reset()
+    one.backend.stage.enable()
+    one.backend.stage.home()
+    one.backend.sampler._faults = Faults()
+    one.manual.jog(60.0, 50.0)
+    one.backend.sampler._faults = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
+    found = one.manual.touch_off(200.0, speed, sign * 20.0)
+    # 1 s of rest, and 0.1 s to the speed.
+    assert found.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.01 * speed)
+    assert found.force_mN < -200.0
+    assert sign * (one.at_mm - found.position_mm) < 0.1 * speed
+
+
+def test_it_backs_off_as_asked_but_not_beyond_where_it_began() -> None:
+    for back_mm, expected in ((0.5, 1.95), (30.0, 0.0)):
+        one = bench(Faults(force_spike=ForceSpike(3.5, 400.0, duration_s=1.0)))
+        one.manual.reset()
+        found = one.manual.touch_off(200.0, 1.0, 20.0, back_mm)
+        assert found.position_mm == pytest.approx(2.45, abs=0.02)
+        assert one.at_mm == pytest.approx(expected, abs=0.02)
+
+
+def test_a_contact_that_is_not_there_or_lost_in_noise_is_told() -> None:
+    one = bench()
+    one.manual.reset()
+    with pytest.raises(DeviceError, match=r"no contact within 3 mm: the force changed by .* where 5000 mN"):
+        one.manual.touch_off(5000.0, 5.0, 3.0)
+    noisy = bench(rig=settings(simulated={"noise": {"white_mN": 30.0}}))
+    noisy.manual.reset()
+    with pytest.raises(SettingsError, match="lost in the noise"):
+        noisy.manual.touch_off(20.0, 5.0, 3.0)
+    assert noisy.at_mm < 0.6
+
+
+@pytest.mark.parametrize(
+    ("force", "speed", "most", "back"),
+    [
+        (0.0, 1.0, 5.0, 0.0),
+        (20.0, 0.0, 5.0, 0.0),
+        (20.0, 1.0, 0.0, 0.0),
+        (20.0, 1.0, 5.0, -1.0),
+        (20.0, 1.0, 200.0, 0.0),
+    ],
+)
+def test_values_that_cannot_be_are_refused(force: float, speed: float, most: float, back: float) -> None:
+    one = bench()
+    one.manual.reset()
+    with pytest.raises(SettingsError):
+        one.manual.touch_off(force, speed, most, back)
+    assert one.person.prompts == []

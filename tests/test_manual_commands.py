@@ -1,0 +1,174 @@
+"""`dragrig jog`, `home` and `touch-off`, and plans that count from a contact."""
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import add_ons
+import pytest
+
+from dragrig.cli import main
+from dragrig.config.lab import ContactPoint
+from dragrig.config.loading import load
+from dragrig.lab import create
+from dragrig.rig import contact
+from dragrig.rig.runfile import campaign
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    create(tmp_path / "lab")
+    monkeypatch.chdir(tmp_path / "lab")
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    return tmp_path / "lab"
+
+
+def test_a_jog_asks_and_tells_where_the_stage_is(
+    lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
+    assert main(["jog", "5", "--speed", "20"]) == 0
+    told = capsys.readouterr()
+    assert told.out == "5.000 mm\n"
+    assert "The stage goes from 0.000 to 5.000 mm at 20 mm/s." in told.err
+    assert main(["jog", "2.5", "--yes", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"position_mm": 2.5, "trip": None}
+
+
+def test_a_jog_may_go_down(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["jog", "-5", "--yes", "--set", "rig.stage.lowest_mm=-20"]) == 0
+    assert capsys.readouterr().out == "-5.000 mm\n"
+
+
+@pytest.mark.parametrize("command", [["jog", "5"], ["home"], ["touch-off"]])
+def test_nobody_answering_is_no_consent(lab: Path, command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(command) == 3
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "The stage goes" in told.err
+    assert "--yes" in told.err
+    assert not (lab / "contact.toml").exists()
+
+
+@pytest.mark.parametrize("command", [["jog", "5"], ["home"], ["touch-off"]])
+def test_at_a_real_rig_yes_does_not_look(
+    lab: Path, tmp_path: Path, command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_ons.install(tmp_path / "site", monkeypatch)
+    handed = [*command, "--backend", "handed", "--double", "--yes"]
+    assert main(handed) == 3
+    assert "hands" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "stdin", io.StringIO("d\n" * 4))
+    assert main(handed) == 0
+    told = capsys.readouterr().err
+    assert told.index("Look at the rig") < told.index("origin")
+    # The jog itself needs no hands, so --yes answers for it.
+    assert "goes from 0.000 to 5.000 mm" not in told
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "sentence"),
+    [
+        (["jog", "200"], 2, "0 to 150 mm"),
+        (["jog", "five"], 2, "'five' is not a valid float"),
+        (["jog", "5", "--sped", "3"], 2, "--sped"),
+        (["jog", "5", "--override-limit", "low"], 5, "not pressed"),
+        (["home", "--override-limit", "up"], 2, "--override-limit"),
+        (["touch-off", "--force", "5000"], 5, "no contact within 20 mm"),
+        (["touch-off", "--force", "0"], 2, "force_mN"),
+        (["jog", "5", "--set", "speed_mm_s=3"], 2, "only rig"),
+        (["jog", "5", "--double"], 2, "has no double"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_sentence(
+    lab: Path, words: list[str], code: int, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*words, "--yes"]) == code
+    told = capsys.readouterr()
+    assert sentence in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_a_trip_ends_a_jog_with_its_reason(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["jog", "50", "--yes", "--set", "rig.guard.force_limit_mN=0.5"]) == 4
+    assert "over the limit" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole console there")
+def test_ctrl_c_ends_a_jog(lab: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dragrig", "jog", "100", "--speed", "1", "--pace", "real"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    assert process.stdin is not None
+    while "The stage goes" not in process.stderr.readline():
+        pass
+    process.stdin.write("\n")
+    process.stdin.flush()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 3, err
+    assert out == ""
+
+
+def test_a_contact_is_kept_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
+    kept = load(ContactPoint, lab / "contact.toml")
+    assert kept.operator == "Ada"
+    assert abs(kept.force_mN) >= 20.0
+    moved = kept.model_copy(update={"position_mm": 61.5})
+    contact.write(lab, moved)
+    from_contact = ["--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=-10"]
+    short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
+    assert main(["check", "drag", *from_contact, *short, "--json"]) == 0
+    capsys.readouterr()
+    assert main(["run", "drag", "--yes", "--out", "c", *from_contact, *short]) == 0
+    (info,) = campaign(lab / "c").runs
+    assert info.header.entry["origin_mm"] == pytest.approx(51.5, abs=0.001)
+    assert info.header.entry["contact_mm"] == 61.5
+    capsys.readouterr()
+    assert main(["check", str(info.path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"][0]["lowest_mm"] == 51.5
+
+
+def test_limits_stay_absolute_when_plans_count_from_a_contact(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (lab / "contact.toml").write_text(
+        'position_mm = 120.0\nmade_at = "2026-05-04T09:00:00Z"\nforce_mN = 20.0\n', "utf-8"
+    )
+    assert main(["check", "drag", "--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=0"]) == 2
+    assert "from 120 to 160 mm, where the stage may go from 0 to 150 mm" in capsys.readouterr().err
+
+
+def test_without_a_contact_nothing_counts_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "drag", "--yes", "--set", "rig.stage.start_from='contact'"]) == 2
+    told = capsys.readouterr().err
+    assert "dragrig touch-off" in told
+    assert told.count("\n") == 1
+
+
+def test_a_resumed_campaign_takes_the_contact_that_holds_now(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    contact_file = lab / "contact.toml"
+    contact_file.write_text('position_mm = 50.0\nmade_at = "2026-05-04T09:00:00Z"\nforce_mN = 20.0\n', "utf-8")
+    from_contact = ["--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=0"]
+    words = ["run", "drag", "--yes", "--out", str(lab / "runs" / "c"), "--set", "way_back=stay"]
+    assert main([*words, *from_contact, "--set", "rig.guard.force_limit_mN=60"]) == 4
+    contact_file.write_text('position_mm = 60.0\nmade_at = "2026-05-05T09:00:00Z"\nforce_mN = 20.0\n', "utf-8")
+    assert main(["run", "--resume", "runs/c", "--yes", "--set", "rig.guard.force_limit_mN=8000"]) == 0
+    contact_file.unlink()
+    origins = [one.header.entry["origin_mm"] for one in campaign(lab / "runs" / "c").runs]
+    assert origins == [pytest.approx(50.0, abs=0.001), pytest.approx(60.0, abs=0.001)]
+
+
+def test_touching_off_needs_a_lab(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["touch-off", "--yes"]) == 2
+    assert "dragrig init" in capsys.readouterr().err
