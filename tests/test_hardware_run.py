@@ -1,0 +1,117 @@
+"""Whole sessions through the real rig's code, on doubles of card and drive: what a newcomer sees with `--double`."""
+
+import io
+import json
+import sys
+from ctypes.util import find_library
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.cli import main
+from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.runfile import campaign
+from dragrig.rig.runfile.model import Run, Status
+
+PLAN = """
+name = "short"
+
+[[steps]]
+kind = "relaxation"
+shear_strain = 0.5
+ramp_speed_mm_s = 10.0
+hold_s = 1.0
+rest_s = 0.5
+prompt = "Fit a specimen"
+
+[[steps]]
+kind = "drag"
+speed_mm_s = 10.0
+travel_mm = 10.0
+hold_s = 0.5
+rest_s = 0.5
+prompt = "Lay the gut on the foam"
+"""
+SWIFT = ("rig.hardware.drive.homing_speed_mm_s=50", "rig.stage.start_mm=5")
+NOISE_MN = 1.6
+
+
+class Hands(Nobody):
+    def __init__(self) -> None:
+        self.prompts: list[str] = []
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt.text)
+        return Answer.DONE
+
+
+@pytest.fixture
+def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "short.toml"
+    path.write_text(PLAN, "utf-8")
+    return path
+
+
+def lateness_s(one: Run, other: Run) -> float:
+    half = 0.5 * float(other.trace.position[-1])
+    times = []
+    for run in (one, other):
+        way = run.trace.position * np.sign(half)
+        times.append(float(np.interp(abs(half), np.maximum.accumulate(way), run.trace.time)))
+    return times[0] - times[1]
+
+
+def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(plan: Path) -> None:
+    hands = Hands()
+    real = dragrig.run(plan, backend="hardware", double=True, pace=2, out="real", person=hands, assignments=SWIFT)
+    real.session.require()
+    simulated = dragrig.run(plan, backend="simulated", out="simulated", assignments=SWIFT)
+    assert len([text for text in hands.prompts if text in {"Fit a specimen", "Lay the gut on the foam"}]) == 2
+    pairs = list(zip(campaign(Path("real")).runs, campaign(Path("simulated")).runs, strict=True))
+    assert [one.kind for one, _ in pairs] == ["relaxation", "return", "drag", "return"]
+    for one_info, other_info in pairs:
+        one, other = dragrig.load(one_info.path), dragrig.load(other_info.path)
+        assert one_info.status is other_info.status is Status.COMPLETE
+        assert one_info.samples == other_info.samples
+        assert one_info.checks["lost_samples"] == 0
+        late = lateness_s(one, other)
+        assert abs(late) <= float(one_info.header.entry["command_t0_uncertainty_s"]) + 0.002
+        at = other.trace.time + late
+        position = np.interp(at, one.trace.time, one.trace.position)
+        np.testing.assert_allclose(position, other.trace.position, atol=0.004)
+        changes = other.trace.time[1:][np.diff(other.trace.phase.astype(int)) != 0]
+        quiet = np.abs(other.trace.time[:, None] - changes).min(axis=1) > 0.05
+        off = (np.interp(at, one.trace.time, one.trace.force) - other.trace.force)[quiet]
+        assert abs(float(off.mean())) < 0.5 * NOISE_MN
+        assert float(off.std()) < 2 * NOISE_MN
+    assert simulated.session.status is Status.COMPLETE
+    entry = pairs[0][0].header.entry
+    assert (pairs[0][0].header.backend, entry["double"], entry["card_product"]) == ("simulated", "hardware", "PCI-6229")
+    assert "inserted_at" in entry
+
+
+def test_yes_never_answers_what_asks_for_hands(
+    plan: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["run", str(plan), "--backend", "hardware", "--double", "--yes", "--json", "--out", "c"]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("d\n"))
+    code = main([*words, *(word for one in SWIFT for word in ("--set", one))])
+    told = capsys.readouterr()
+    assert code == 3
+    assert json.loads(told.out)["runs"] == []
+    assert "hands" in told.err
+
+
+@pytest.mark.skipif(find_library("nidaqmx") is not None, reason="this computer has NI's driver")
+def test_the_rig_without_its_driver_says_in_one_sentence_what_to_install(
+    plan: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(plan), "--backend", "hardware"]) == 5
+    told = capsys.readouterr().err
+    assert "NI-DAQmx" in told
+    assert "install" in told
+    assert "--double" in told
+    assert "\n" not in told.strip()
