@@ -33,7 +33,7 @@ class Answers:
             case "chan":
                 return self._of_channel(self._engine.task(int(subject)), channel, attribute)
             case _:
-                return _found(self._of(group)(self._engine.task(int(subject))), attribute)
+                return _found(self._of(group, attribute)(self._engine.task(int(subject))), attribute)
 
     def set(self, group: str, handle: int, attribute: int, value: Value, channel: str) -> None:
         """Set an attribute; see `Card.set_attribute`."""
@@ -82,14 +82,17 @@ class Answers:
             case _:
                 raise _unknown(attribute)
 
-    def _of(self, group: str) -> Callable[[Task], dict[int, Value]]:
-        return {
+    def _of(self, group: str, attribute: int) -> Callable[[Task], dict[int, Value]]:
+        groups = {
             "task": self._of_task,
             "read": self._of_reading,
             "write": self._of_writing,
             "buffer": self._of_buffers,
             "timing": self._of_timing,
-        }[group]
+        }
+        if group not in groups:
+            raise _unknown(attribute)
+        return groups[group]
 
     def _of_task(self, task: Task) -> dict[int, Value]:
         return {

@@ -209,8 +209,7 @@ class Card:
         Parameters
         ----------
         group
-            Which of DAQmx's `Get…Attribute` asks: task, chan, read, write, buffer, timing, device, system or
-            physical_chan.
+            Which of DAQmx's `Get…Attribute` asks: task, chan, read, write, buffer, timing, device or system.
         subject
             A task's handle; the name of a device or physical channel; anything for the system.
         channel
