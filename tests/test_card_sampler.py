@@ -235,9 +235,25 @@ def test_stop_from_another_thread_ends_a_read_and_the_next_run_begins() -> None:
         assert indices(under_test.record(rest(0.1)))[-1] == 99
 
 
-def test_sampling_goes_on_until_a_stopped_stage_stands() -> None:
-    profile = stroke(travel_mm=100.0, speed_mm_s=50.0)
-    with card_rig(wired()) as under_test:
+class HangingCard(Card):
+    """A card whose driver does not return while `hangs` is set."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world)
+        self.hangs = False
+        self.released = threading.Event()
+
+    def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
+        if self.hangs:
+            self.released.wait(30.0)
+        return super().read_analog_f64(task, samples, timeout_s, fill, out)
+
+
+@pytest.mark.parametrize("brakes_mm_s2", [3000.0, 50.0], ids=["hard", "beyond the profile's end"])
+def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float) -> None:
+    profile = stroke(travel_mm=25.0, speed_mm_s=50.0)
+    stage = {"max_accel_mm_s2": min(brakes_mm_s2, 3000.0), "stop_accel_mm_s2": brakes_mm_s2}
+    with card_rig(RigSettings.model_validate({"stage": stage})) as under_test:
         under_test.begin(profile)
         got = [under_test.sampler.read(NEVER) for _ in range(3)]
         under_test.stop_stage()
@@ -245,9 +261,31 @@ def test_sampling_goes_on_until_a_stopped_stage_stands() -> None:
         under_test.sampler.stop()
         under_test.settle()
         stands_mm = under_test.world.position_mm() - under_test.rig.stage.start_mm
-    assert len(indices(got)) < 1000
+    assert (len(indices(got)) > profile.samples(1000.0)) is (brakes_mm_s2 < 100.0)
     assert joined(got, "position")[-1] == pytest.approx(stands_mm, abs=0.002)
     assert np.ptp(joined(got, "position")[-10:]) == 0.0
+
+
+def test_samples_that_a_slow_driver_held_back_reach_to_the_standstill() -> None:
+    cards: list[HangingCard] = []
+
+    def hanging(world: World) -> Card:
+        cards.append(HangingCard(world))
+        return cards[0]
+
+    with card_rig(wired(), card=hanging) as under_test:
+        under_test.begin(stroke(travel_mm=100.0, speed_mm_s=50.0))
+        got = [under_test.sampler.read(NEVER)]
+        cards[0].hangs = True
+        under_test.world.clock.sleep(0.3, NEVER)
+        under_test.stop_stage()
+        under_test.settle()
+        cards[0].hangs = False
+        cards[0].released.set()
+        got.extend(under_test.blocks())
+        under_test.sampler.stop()
+        stands_mm = under_test.world.position_mm() - under_test.rig.stage.start_mm
+    assert joined(got, "position")[-1] == pytest.approx(stands_mm, abs=0.002)
 
 
 def test_stage_stopped_before_the_first_sample_leaves_nothing_to_read() -> None:
@@ -276,20 +314,6 @@ def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
     assert faults[-1].cause is cause
     assert faults[-1].message
     assert re.search(words, faults[-1].message)
-
-
-class HangingCard(Card):
-    """A card whose driver does not return while `hangs` is set."""
-
-    def __init__(self, world: World) -> None:
-        super().__init__(world)
-        self.hangs = False
-        self.released = threading.Event()
-
-    def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
-        if self.hangs:
-            self.released.wait(30.0)
-        return super().read_analog_f64(task, samples, timeout_s, fill, out)
 
 
 def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> None:
