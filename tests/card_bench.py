@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,7 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles import c_abi
 from dragrig.sim_backend.doubles.card import Card
 from dragrig.sim_backend.doubles.clock import DoubleClock
+from dragrig.sim_backend.doubles.grpc_server import CardServer
 from dragrig.sim_backend.doubles.world import World
 
 
@@ -97,12 +98,19 @@ def card_rig(
     calibrations: Mapping[str, Calibration] | None = None,
     card: Callable[[World], Card] | None = None,
     pace: float = 1.0,
+    *,
+    remote: bool = False,
 ) -> Iterator[CardRig]:
     world = Witness(rig, FrictionModelSettings(), DoubleClock(pace))
     made = Card(world) if card is None else card(world)
-    coupling = Coupling()
-    connection = Connection(rig.hardware.card)
-    with c_abi.installed(made):
+    with ExitStack() as stack:
+        if remote:
+            rig = served(rig, stack.enter_context(CardServer(made)).port)
+        else:
+            stack.enter_context(c_abi.installed(made))
+        coupling = Coupling()
+        connection = Connection(rig.hardware.card)
+        stack.callback(connection.close)
         sampler = CardSampler(connection, rig, calibrations or {}, coupling, world.clock)
         under_test = CardRig(rig, world, connection, sampler, coupling)
         try:
@@ -111,6 +119,11 @@ def card_rig(
             world.mishaps.repair()
             sampler.stop()
             under_test.settle()
+
+
+def served(rig: RigSettings, port: int) -> RigSettings:
+    card = rig.hardware.card.model_copy(update={"server": f"127.0.0.1:{port}"})
+    return rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"card": card})})
 
 
 def joined(blocks: list[Block], channel: str) -> AnyFloatArray:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import closing
 from datetime import UTC, datetime
 
 import numpy as np
@@ -17,9 +18,11 @@ from dragrig.config.lab import Calibration
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import LONGEST_BLOCK_S
+from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.examine import examine
 from dragrig.rig.hardware.card.lines import CardLines
 from dragrig.rig.hardware.card.scaling import Scaling
+from dragrig.rig.hardware.card.tasks import SampledTasks
 from dragrig.rig.hardware.lines import Pressed
 from dragrig.rig.trips import Cause
 from dragrig.sim_backend.doubles.card import Card
@@ -29,6 +32,7 @@ INPUTS = [
     {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0},
     {"name": "temperature", "channel": "ai2", "unit": "degC", "per_V": 10.0, "zero_V": 0.5, "range_V": 5.0},
 ]
+REACHED = pytest.mark.parametrize("remote", [False, True], ids=["through the driver", "through a server"])
 
 
 def wired(rate_hz: float = 1000.0, **card: object) -> RigSettings:
@@ -98,8 +102,9 @@ def test_calibrations_stand_before_settings() -> None:
     np.testing.assert_allclose(joined(got, "position"), counts * 0.00101, rtol=1e-12)
 
 
-def test_overrun_is_a_trip_and_a_gap_of_known_length() -> None:
-    with card_rig(wired()) as under_test:
+@REACHED
+def test_overrun_is_a_trip_and_a_gap_of_known_length(remote: bool) -> None:
+    with card_rig(wired(), remote=remote) as under_test:
         mishaps = under_test.world.mishaps
         got = under_test.record(stroke(travel_mm=20.0), lambda _: mishaps.strike(overwritten_samples=90))
         index = indices(got)
@@ -127,9 +132,10 @@ def test_what_is_lost_at_the_very_end_is_told_too() -> None:
             list(under_test.blocks())
 
 
-def test_reads_that_time_out_lose_nothing() -> None:
+@REACHED
+def test_reads_that_time_out_lose_nothing(remote: bool) -> None:
     profile = stroke(travel_mm=10.0)
-    with card_rig(wired(inputs=INPUTS)) as under_test:
+    with card_rig(wired(inputs=INPUTS), remote=remote) as under_test:
         under_test.world.mishaps.strike(short_reads=4)
         got = under_test.record(profile)
         index = indices(got)
@@ -220,6 +226,14 @@ def test_server_that_is_not_there_is_named() -> None:
         pytest.raises(DeviceError, match=r"127\.0\.0\.1:9 \(hardware\.card\.server\)"),
     ):
         under_test.sampler.arm(acquire(rest(0.1)))
+
+
+def test_what_a_killed_program_left_at_the_server_does_not_hold_the_card() -> None:
+    with card_rig(wired(), remote=True) as under_test, closing(Connection(under_test.connection.card)) as killed:
+        CardLines(killed)
+        SampledTasks(killed, under_test.rig).start(lambda start: start())
+        assert indices(under_test.record(rest(0.1)))[-1] == 99
+        CardLines(under_test.connection).close()
 
 
 def test_stop_from_another_thread_ends_a_read_and_the_next_run_begins() -> None:

@@ -1,5 +1,7 @@
 """How the card is reached: through the driver of this computer, or through an NI gRPC device server in another."""
 
+import re
+from socket import gethostname
 from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -29,9 +31,22 @@ class Connection:
         """The card's wiring."""
         return self._card
 
-    def task(self) -> nidaqmx.Task:
-        """Return a new task, which its caller closes; raises what the driver raises."""
-        return nidaqmx.Task(grpc_options=self._options())
+    def task(self, role: str = "") -> nidaqmx.Task:
+        """Return a new task, which its caller closes; raises what the driver raises.
+
+        Parameters
+        ----------
+        role
+            What the task is for, one at a time each. A server keeps the tasks of a program that was killed; by its role
+            the task that this computer left there is found and closed first. One without a role stays there.
+        """
+        if not self._card.server:
+            return nidaqmx.Task()
+        name = re.sub(r"\W", "_", f"dragrig_{gethostname()}_{role}") if role else ""
+        options = self._options(name)
+        if name:
+            nidaqmx.Task(name, grpc_options=options).close()
+        return nidaqmx.Task(name, grpc_options=options)
 
     def device(self) -> nidaqmx.system.Device:
         """Return the card as the driver knows it; whether it is there shows when it is asked something."""
@@ -48,14 +63,14 @@ class Connection:
         if channel is not None:
             channel.close()
 
-    def _options(self) -> nidaqmx.GrpcSessionOptions | None:
+    def _options(self, session: str = "") -> nidaqmx.GrpcSessionOptions | None:
         if not self._card.server:
             return None
         grpc = _grpc()
         with self._lock:
             if self._channel is None:
                 self._channel = grpc.insecure_channel(self._card.server, options=_UNBOUNDED)
-            return nidaqmx.GrpcSessionOptions(self._channel, "")
+            return nidaqmx.GrpcSessionOptions(self._channel, session)
 
 
 def _grpc() -> ModuleType:

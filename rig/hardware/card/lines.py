@@ -42,8 +42,8 @@ class CardLines:
         self._beat_high = False
         with told_in_words(self._card, "its digital lines are reserved"), ExitStack() as stack:
             self._inputs = _inputs(connection, stack, [line for _, line in self._switches])
-            self._enable = _output(connection, stack, wired.enable)
-            self._heartbeat = _output(connection, stack, wired.heartbeat)
+            self._enable = _output(connection, stack, wired.enable, "enable")
+            self._heartbeat = _output(connection, stack, wired.heartbeat, "heartbeat")
             self._tasks = stack.pop_all()
 
     def pressed(self) -> Pressed:
@@ -90,7 +90,7 @@ class CardLines:
 def _inputs(connection: Connection, stack: ExitStack, lines: list[str]) -> DigitalMultiChannelReader | None:
     if not lines:
         return None
-    task = stack.enter_context(connection.task())
+    task = stack.enter_context(connection.task("switches"))
     for line in lines:
         task.di_channels.add_di_chan(connection.terminal(line), line_grouping=LineGrouping.CHAN_PER_LINE)
     task.start()
@@ -99,10 +99,10 @@ def _inputs(connection: Connection, stack: ExitStack, lines: list[str]) -> Digit
     return reader
 
 
-def _output(connection: Connection, stack: ExitStack, line: str) -> DigitalSingleChannelWriter | None:
+def _output(connection: Connection, stack: ExitStack, line: str, role: str) -> DigitalSingleChannelWriter | None:
     if not line:
         return None
-    task: nidaqmx.Task = stack.enter_context(connection.task())
+    task: nidaqmx.Task = stack.enter_context(connection.task(role))
     task.do_channels.add_do_chan(connection.terminal(line), line_grouping=LineGrouping.CHAN_PER_LINE)
     task.start()
     writer = DigitalSingleChannelWriter(task.out_stream, auto_start=False)

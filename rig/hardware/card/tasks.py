@@ -61,7 +61,7 @@ def metres_per_count(rig: RigSettings) -> float:
 
 def _analog(connection: Connection, stack: ExitStack, clock: tuple[float, int]) -> BufferedInput:
     card = connection.card
-    task = stack.enter_context(connection.task())
+    task = stack.enter_context(connection.task("analog inputs"))
     inputs: tuple[ForceInputSettings | AnalogInputSettings, ...] = (card.force, *card.inputs)
     for one in inputs:
         task.ai_channels.add_ai_voltage_chan(
@@ -82,7 +82,7 @@ def _encoder(
     connection: Connection, stack: ExitStack, metres_a_count: float, clock: tuple[float, int]
 ) -> BufferedInput:
     card = connection.card
-    task = stack.enter_context(connection.task())
+    task = stack.enter_context(connection.task("encoder"))
     add_encoder(task, card, metres_a_count)
     rate_hz, buffer_samples = clock
     task.timing.cfg_samp_clk_timing(
