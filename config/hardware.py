@@ -140,7 +140,7 @@ class DriveSettings(Settings):
     port: str = "COM1"
     """Serial port, or socket://host:port."""
     dialect: str = "nikki"
-    """How the drive is spoken to: a module of dragrig.rig.hardware.dialects."""
+    """How the drive is spoken to: a module of dragrig.rig.hardware.dialects, or any other that Python can import."""
     baud: int = Field(default=38_400, ge=1200, le=4_000_000)
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1

@@ -12,6 +12,7 @@ from simulated import settings
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.hardware.coupling import Coupling, FirstSample
 from dragrig.rig.hardware.deadman import Deadman
+from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.stage import SerialStage
@@ -108,9 +109,10 @@ def driven(
     world.begin_sampling(RATE)
     world.end_sampling()
     with ExitStack() as stack:
-        double = stack.enter_context(DriveDouble(world, DIALECT))
+        dialect = find_dialect(rig.hardware.drive.dialect)
+        double = stack.enter_context(DriveDouble(world, dialect))
         port = stack.enter_context(kind(double))
-        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
+        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
         stack.callback(link.close)
         lines = WorldLines(world) if wired else NoLines()
         coupling, deadman = Coupling(), Deadman()

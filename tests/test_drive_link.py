@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import threading
+import time
 
 import pytest
 from driving import PORTS, linked, until
@@ -48,6 +49,19 @@ def test_a_late_reply_answers_no_later_request(kind: type[Port]) -> None:
         for _ in range(300):
             reply = link.exchange(Request(Command.READ, Parameter.SPEED_MM_S))
             assert (reply.parameter, reply.value) == (Parameter.SPEED_MM_S, 9.0)
+
+
+@pytest.mark.parametrize("kind", PORTS)
+def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[Port]) -> None:
+    with linked(kind, reply_s=0.05) as (drive, link):
+        drive.world.mishaps.strike(drive_reply_late_s=0.2)
+        with pytest.raises(NoReplyError):
+            link.exchange(POSITION)
+        drive.world.mishaps.repair()
+        drive.world.place(drive.world.position_mm() + 5.0)
+        until(lambda: link._serial.in_waiting > 0)
+        time.sleep(0.1)
+        assert link.exchange(POSITION).value == pytest.approx(5.0)
 
 
 def test_a_garbled_reply_is_never_believed_and_a_question_is_put_again() -> None:

@@ -58,7 +58,7 @@ def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[Port]) ->
         samples = THERE_AND_BACK.samples(RATE)
         seen = rig.world.sample(0, samples)["encoder_counts"] / 1000.0
         off = np.abs(seen - THERE_AND_BACK.position(np.arange(samples) / RATE)).max()
-        assert rig.stage.start_uncertainty_s > 0
+        assert 0 < rig.stage.start_uncertainty_s < 0.05
         assert off <= 50.0 * (rig.stage.start_uncertainty_s + 1.5 / RATE) + 0.002
         assert rig.stage.state().position_mm == pytest.approx(5.0, abs=1e-3)
         assert rig.stage.fault is None

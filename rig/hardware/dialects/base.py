@@ -5,6 +5,7 @@ through the same dialect from the other side. How to fit another one: docs/drive
 """
 
 import importlib
+import importlib.util
 import re
 from dataclasses import dataclass
 from enum import StrEnum
@@ -184,7 +185,7 @@ class Dialect(Protocol):
 
 
 def find_dialect(name: str) -> Dialect:
-    """Return the `DIALECT` of a module: of one beside this, or of any other by its full dotted name.
+    """Return the `DIALECT` of a module: of one beside this, or of any other that Python can import.
 
     Raises
     ------
@@ -192,13 +193,13 @@ def find_dialect(name: str) -> Dialect:
         When there is no such module, or it holds no dialect.
     """
     if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name):
-        raise SettingsError(f"drive.dialect = '{name}' is no module's name: use nikki or a dotted name.")
-    module_name = name if "." in name else f"{__package__}.{name}"
+        raise SettingsError(f"drive.dialect = '{name}' is no module's name: use nikki, or a module of your own.")
+    beside = f"{__package__}.{name}"
     try:
-        module = importlib.import_module(module_name)
+        module = importlib.import_module(beside if "." not in name and importlib.util.find_spec(beside) else name)
     except ModuleNotFoundError as error:
         raise SettingsError(
-            f"drive.dialect = '{name}' is not known ({error}): use nikki, or the dotted name of a module of your own."
+            f"drive.dialect = '{name}' is not known ({error}): use nikki, or put your own where Python finds it."
         ) from error
     dialect = getattr(module, "DIALECT", None)
     if not isinstance(dialect, Dialect):
