@@ -22,6 +22,8 @@ from dragrig.rig.runfile.model import Channel
 
 AGGREGATE_HZ = 250_000
 """Samples per second that the PCI-6229 converts in all (PCI-6229 specifications)."""
+_LONGEST_FETCH_S = LONGEST_BLOCK_S - 0.002
+"""Leaves the guard its time, so that a condition stops the stage within one longest block."""
 
 
 @dataclass(slots=True)
@@ -68,7 +70,7 @@ class CardSampler:
         self._scaling = Scaling.of(rig, calibrations)
         self._rate_hz = rig.sampling.rate_hz
         # Half of what counts as stale, so that a healthy card cannot look stale.
-        block_s = min(rig.sampling.block_s, LONGEST_BLOCK_S, rig.guard.stale_data_s / 2)
+        block_s = min(rig.sampling.block_s, _LONGEST_FETCH_S, rig.guard.stale_data_s / 2)
         self._block_samples = max(1, int(block_s * self._rate_hz + 1e-6))
         self._lock = Lock()
         self._armed: _Armed | None = None

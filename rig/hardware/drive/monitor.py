@@ -21,10 +21,12 @@ _FEEDS_PER_SILENCE = 4
 
 
 def interval_of(settings: RigSettings) -> float:
-    """Return the time between two looks: a block's, or less where silence timeout or heartbeat are shorter."""
+    """Return the time between two looks: half a block's, or less where silence timeout or heartbeat are shorter."""
+    # Half, so that a look with its questions over the link is done within a block.
+    look_s = settings.sampling.block_s / 2
     wired = settings.hardware.card.lines
-    heartbeat_s = wired.heartbeat_s if wired.heartbeat else settings.sampling.block_s
-    return min(settings.sampling.block_s, settings.hardware.drive.silence_s / _FEEDS_PER_SILENCE, heartbeat_s)
+    heartbeat_s = wired.heartbeat_s if wired.heartbeat else look_s
+    return min(look_s, settings.hardware.drive.silence_s / _FEEDS_PER_SILENCE, heartbeat_s)
 
 
 class Monitor:
@@ -93,7 +95,7 @@ class Monitor:
     def latch(self, trip: Trip) -> None:
         """Keep a fault until `clear`, and stop what moves; the first one stands."""
         self._latched = self._latched or trip
-        self._report(self._latched)
+        self._report(self._latched, moved=self._coupling.moving)
 
     def clear(self) -> None:
         """Forget what was latched; what is still wrong comes back at the next look."""
@@ -145,14 +147,19 @@ class Monitor:
         return min(self._deadman.unfed_s, now_s - self._sampled_since_s) > self._hang_s
 
     def _look(self) -> Trip | None:
-        by_lines, by_drive = self._ask_lines(), self._ask_drive()
-        self._report(self._latched or by_lines or by_drive)
+        # Asked before the drive answers, which may have stopped by itself already: the program's own stop follows.
+        moved = self._coupling.moving
+        by_lines = self._ask_lines()
+        if by_lines is not None:
+            self._report(self._latched or by_lines, moved=moved)
+        by_drive = self._ask_drive()
+        self._report(self._latched or by_lines or by_drive, moved=moved)
         return self._fault
 
-    def _report(self, trip: Trip | None) -> None:
+    def _report(self, trip: Trip | None, *, moved: bool) -> None:
         is_new = trip is not None and self._fault is None
         self._fault = trip
-        if is_new and self._coupling.moving:
+        if is_new and moved:
             # Whoever asks why the stage stopped may ask after the cause is gone.
             self._latched = self._latched or trip
             self._stop()
