@@ -1,5 +1,6 @@
 """What people type they can also call: the functions behind `import dragrig`."""
 
+from dragrig.calibrating import calibrate_encoder, calibrate_force
 from dragrig.campaigns import Made
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
@@ -13,6 +14,8 @@ __all__ = [
     "Campaign",
     "Made",
     "Run",
+    "calibrate_encoder",
+    "calibrate_force",
     "campaign",
     "check",
     "examine",

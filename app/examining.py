@@ -43,6 +43,6 @@ def _findings(setup: RigSetup) -> Iterator[Finding]:
         if backend.needs_hands:
             yield from sanity.wiring(rig, calibrations)
         for quantity in QUANTITIES:
-            if backend.needs_hands or quantity in calibrations:
+            if quantity in calibrations or (backend.needs_hands and not setup.double):
                 yield sanity.calibration(quantity, calibrations.get(quantity), rig, backend.clock.now())
         yield from backend.examine()

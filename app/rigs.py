@@ -63,11 +63,16 @@ class RigSetup:
         stage = self.rig.stage
         return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
 
+    @property
+    def made_on(self) -> str:
+        """What calibrations made on this rig are kept under: those of the hardware and of its double are no others'."""
+        return f"{self.backend} double" if self.double else self.backend
+
     def calibrations(self) -> Mapping[str, Calibration]:
         """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history."""
         if self.rig_folder is None:
             return {}
-        found = {quantity: calibration.latest(self.rig_folder, quantity) for quantity in QUANTITIES}
+        found = {one: calibration.latest(self.rig_folder, one, self.made_on) for one in QUANTITIES}
         return {quantity: entry for quantity, entry in found.items() if entry is not None}
 
 

@@ -17,10 +17,16 @@ class Calibration(Settings):
     id: str = Field(min_length=1)
     made_at: AwareDatetime
     quantity: str = Field(pattern="^(force|encoder)$")
+    made_on: str = ""
+    """Backend that it was made on and holds for, its double told from it; empty for any."""
     sensor_serial: str = ""
     gain: float
     """Quantity per raw unit: mN/V for force, mm per count for the encoder."""
+    gain_error: float = Field(default=0.0, ge=0)
+    """Standard error of the gain; 0 where it is not known."""
     zero: float = 0.0
+    """Quantity at no raw unit: mN at 0 V."""
+    zero_error: float = Field(default=0.0, ge=0)
     residual: float = Field(default=0.0, ge=0)
     """Standard deviation of the fit, in the quantity's unit."""
     points: int = Field(default=0, ge=0)

@@ -27,9 +27,17 @@ def read(folder: Path) -> tuple[Calibration, ...]:
     return tuple(_entry(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line.strip())
 
 
-def latest(folder: Path, quantity: str = "force") -> Calibration | None:
-    """Return the entry that holds now for a quantity (force, encoder); None before the first one."""
-    entries = [one for one in read(folder) if one.quantity == quantity]
+def latest(folder: Path, quantity: str = "force", made_on: str = "") -> Calibration | None:
+    """Return the entry that holds now for a quantity (force, encoder); None before the first one.
+
+    Parameters
+    ----------
+    made_on
+        Backend that it has to hold for; any unless given.
+    """
+    entries = [
+        one for one in read(folder) if one.quantity == quantity and (not made_on or one.made_on in {"", made_on})
+    ]
     return entries[-1] if entries else None
 
 

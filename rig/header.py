@@ -40,7 +40,7 @@ def header_of(
         "note": "; ".join(part for part in (record.note, run.note) if part),
         "calibration_id": record.calibration_id,
         "encoder_calibration_id": record.encoder_calibration_id,
-        **({"double": True} if record.double else {}),
+        **({"double": record.backend} if record.double else {}),
         **({"contact_mm": record.contact_mm} if record.contact_mm is not None else {}),
         **({"way_back_of": run.follows} if run.follows >= 0 else {}),
         **backend.description(),

@@ -130,7 +130,7 @@ def test_a_double_is_told_its_pace_and_a_campaign_stays_with_it(
     assert (first["which"], first["pace"], again["which"], again["pace"]) == ("double", 20.0, "double", 1.0)
     for one in campaign(lab / "c").runs:
         entry = one.header.entry
-        assert entry["double"] is True
+        assert entry["double"] == "handed"
         assert (entry["calibration_id"], entry["encoder_calibration_id"]) == ("force-a", "encoder-a")
     assert run(monkeypatch, *QUICK[:-1], "d", "--backend", "handed", "--yes", typed="\n" * 9) == 0
     assert opened(site)[-1]["which"] == "hardware"

@@ -15,6 +15,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "home": "Find the stage's origin.",
         "jog": "Move the stage by a distance.",
         "touch-off": "Approach until the force changes; plans may count from there.",
+        "calibrate": "Calibrate force sensor or encoder; kept in the lab's history.",
         "run": "Carry out a plan and write one run file per run.",
         "recover": "Finish the runs that a crash left behind.",
     },

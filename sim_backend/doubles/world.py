@@ -58,6 +58,8 @@ class World:
 
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling meet this acquisition's capsule and gut."""
+        # Once on trial: the first of a process loads SciPy, which must not come between a start and its first sample.
+        Gut(self.rig, self._model, acquisition)
         self._acquisition = acquisition
 
     @property
