@@ -27,13 +27,20 @@ class Gut:
 
     def __init__(self, rig: RigSettings, model: FrictionModelSettings, acquisition: Acquisition) -> None:
         self._rate_hz = rig.sampling.rate_hz
-        self._acquisition = acquisition
+        self.acquisition = acquisition
+        """What touches what."""
         self._signals = Signals(rig, model, acquisition, NO_FAULTS)
+        self._fresh = True
         self._seen: Carriage | None = None
         self._waits_until_s = 0.0
 
+    def fits(self, rate_hz: float) -> bool:
+        """Whether it is for this sample rate and no sample was computed yet."""
+        return rate_hz == self._rate_hz and self._fresh
+
     def compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
         """Return force and motor force [mN] of samples `first` to before `end`; `first` never goes back."""
+        self._fresh = False
         until_s = end / self._rate_hz
         if carriage.has_moved:
             if carriage is not self._seen:
@@ -46,7 +53,7 @@ class Gut:
 
     def _expect_motion_after(self, time_s: float) -> None:
         # A rest has the sign of the motion to come, so the plan's first motion is expected until it happens.
-        planned = self._acquisition.profile.pieces()
+        planned = self.acquisition.profile.pieces()
         moving = [place for place, piece in enumerate(planned) if piece.acceleration_mm_s2]
         before = sum(piece.duration_s for piece in planned[: moving[0]]) if moving else 0.0
         self._waits_until_s = max(before, time_s + _AHEAD_S)

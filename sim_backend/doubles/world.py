@@ -49,7 +49,7 @@ class World:
         self._lock = threading.RLock()
         self._since_s = clock.monotonic()
         self._carriage = Carriage.standing(rig.stage.start_mm)
-        self._acquisition = _alone()
+        self._gut = self._prepared(_alone(), rig.sampling.rate_hz)
         self._sampling: _Sampling | None = None
         self._chunks: list[tuple[int, Mapping[str, FloatArray]]] = []
         self._computed = 0
@@ -58,9 +58,8 @@ class World:
 
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling meet this acquisition's capsule and gut."""
-        # Once on trial: the first of a process loads SciPy, which must not come between a start and its first sample.
-        Gut(self.rig, self._model, acquisition)
-        self._acquisition = acquisition
+        # Prepared beforehand, so that the first sample does not wait for it.
+        self._gut = self._prepared(acquisition, self.rig.sampling.rate_hz)
 
     @property
     def moving(self) -> bool:
@@ -96,10 +95,7 @@ class World:
     def begin_sampling(self, rate_hz: float) -> None:
         """Take sample 0 now."""
         with self._lock:
-            sampled = self.rig.model_copy(
-                update={"sampling": self.rig.sampling.model_copy(update={"rate_hz": rate_hz, "motor_force": True})}
-            )
-            gut = Gut(sampled, self._model, self._acquisition)
+            gut = self._gut if self._gut.fits(rate_hz) else self._prepared(self._gut.acquisition, rate_hz)
             now_s = self.clock.monotonic()
             if not self.moving:
                 self._carriage, self._since_s = Carriage.standing(self.position_mm()), now_s
@@ -138,7 +134,7 @@ class World:
         with self._lock:
             self._sampling = None
             self._chunks = []
-            self._acquisition = _alone()
+            self._gut = self._prepared(_alone(), self.rig.sampling.rate_hz)
 
     def read_line(self, line: str) -> bool:
         """Return the level of a digital line, as PORT/LINE without the device."""
@@ -158,6 +154,10 @@ class World:
         """Set a digital line."""
         with self._lock:
             self._written[line] = high
+
+    def _prepared(self, acquisition: Acquisition, rate_hz: float) -> Gut:
+        sampling = self.rig.sampling.model_copy(update={"rate_hz": rate_hz, "motor_force": True})
+        return Gut(self.rig.model_copy(update={"sampling": sampling}), self._model, acquisition)
 
     def _elapsed(self) -> float:
         return self.clock.monotonic() - self._since_s
