@@ -383,3 +383,16 @@ def test_what_no_drive_follows_is_refused() -> None:
         assert profile.velocity(profile.duration_s) == pytest.approx(0.0, abs=1e-9)
         with pytest.raises(DeviceError, match="strokes of one acceleration"):
             strokes_of(profile)
+
+
+def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
+    with driven(silence_s=2.0) as rig:
+        rig.ready().stage.move(stroke(travel_mm=20.0, speed_mm_s=25.0))
+        until(lambda: is_under_way(rig))
+        rig.world.mishaps.strike(drive_silent=True)
+        silent_for_s = 0.3  # longer than a reply may take, asked for once more; shorter than half the silence timeout
+        assert not threading.Event().wait(silent_for_s)
+        rig.world.mishaps.repair()
+        until(lambda: stands(rig))
+        assert rig.stage.fault is None
+        assert rig.drive.status.halt is Halt.TARGET

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dragrig.config.errors import DeviceError
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.dialects.base import Command, Request, Status
-from dragrig.rig.hardware.drive.link import DriveLink
+from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError
 from dragrig.rig.hardware.drive.movement import Movement
 from dragrig.rig.trips import Cause, Trip
 
@@ -17,6 +17,8 @@ class Axis:
 
     Parameters
     ----------
+    patience_s
+        For so long a drive that does not answer counts as it was last heard: a busy computer is no fault.
     unheard_s
         After so long without an answer the drive has stopped by itself, of the wall's clock.
     over
@@ -28,8 +30,11 @@ class Axis:
         When the drive does not answer.
     """
 
-    def __init__(self, link: DriveLink, coupling: Coupling, unheard_s: float, over: Callable[[], None]) -> None:
-        self._link, self._coupling, self._unheard_s, self._over = link, coupling, unheard_s, over
+    def __init__(
+        self, link: DriveLink, coupling: Coupling, patience_s: float, unheard_s: float, over: Callable[[], None]
+    ) -> None:
+        self._link, self._coupling, self._over = link, coupling, over
+        self._patience_s, self._unheard_s = patience_s, unheard_s
         self._lock = threading.RLock()
         self._movement: Movement | None = None
         self._mishap: Trip | None = None
@@ -78,15 +83,19 @@ class Axis:
         Raises
         ------
         DeviceError
-            When it does not answer. Once it has not for longer than its silence timeout, it counts as standing.
+            When it has not answered for `patience_s`, or its port fails. A drive unheard for `unheard_s` counts as
+            standing.
         """
         asked_s = time.monotonic()
         try:
             status = self._ask()
-        except DeviceError:
+        except DeviceError as error:
             with self._lock:
-                if time.monotonic() - self._heard_s > self._unheard_s:
+                unheard_s = time.monotonic() - self._heard_s
+                if unheard_s > self._unheard_s:
                     self._end()
+                if isinstance(error, NoReplyError) and unheard_s < self._patience_s:
+                    return self._judge(self._status)
             raise
         with self._lock:
             self._heard_s, self._status = asked_s, status

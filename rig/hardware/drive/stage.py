@@ -57,7 +57,8 @@ class SerialStage:
         self._strokes: Strokes | None = None
         self._override: Side | None = None
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
-        self._axis = Axis(link, coupling, self._drive.silence_s + braking_s + _SPARE_S, self._let_go)
+        silence_s = self._drive.silence_s
+        self._axis = Axis(link, coupling, silence_s / 2, silence_s + braking_s + _SPARE_S, self._let_go)
         self._monitor = Monitor(
             self._axis.poll, self.stop, lines, coupling, deadman, settings.hardware.hang_s, interval_of(settings)
         )
