@@ -15,9 +15,9 @@ from dragrig.sim_backend.devices.variation import draw_specimen
 from dragrig.sim_backend.doubles.c_abi import installed
 from dragrig.sim_backend.doubles.card import Card
 from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.drive import DriveDouble
 from dragrig.sim_backend.doubles.mishaps import Mishaps
 from dragrig.sim_backend.doubles.ports import SocketPort
+from dragrig.sim_backend.doubles.velocity_drive import drive_double
 from dragrig.sim_backend.doubles.world import World
 
 
@@ -90,10 +90,10 @@ class DoubleBackend:
         self.world = World(rig, drawn, clock, mishaps)
         """The bench, for whoever wants to look behind the wires."""
         with ExitStack() as stack:
-            self.drive = stack.enter_context(DriveDouble(self.world, find_dialect(rig.hardware.drive.dialect)))
+            self.drive = stack.enter_context(drive_double(self.world, find_dialect(rig.hardware.drive.dialect)))
             """The drive, as its maker sees it."""
             port = stack.enter_context(SocketPort(self.drive))
-            stack.enter_context(installed(Card(self.world)))
+            stack.enter_context(installed(Card(self.world, self.world.put_out)))
             wired = rig.model_copy(
                 update={
                     "hardware": rig.hardware.model_copy(

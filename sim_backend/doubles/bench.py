@@ -47,6 +47,11 @@ class Bench(Protocol):
         """Take sample 0 now."""
         ...
 
+    @property
+    def began_s(self) -> float:
+        """The clock's reading at sample 0; its present one while no sample is taken."""
+        ...
+
     def available(self) -> int:
         """Return how many samples were taken since then."""
         ...

@@ -48,6 +48,9 @@ def _of_tasks(card: Card) -> Mapping[str, CFunction]:
     def configure(task: int, source: bytes, rate_hz: float, edge: int, quantity: int, samples: int) -> None:
         card.cfg_samp_clk_timing(task, _text(source), rate_hz, edge, quantity, samples)
 
+    def trigger(task: int, source: bytes, edge: int) -> None:
+        card.cfg_dig_edge_start_trig(task, _text(source), edge)
+
     return {
         "CreateTask": ((c_char_p, POINTER(c_void_p)), create),
         "ClearTask": ((c_void_p,), card.clear_task),
@@ -57,6 +60,7 @@ def _of_tasks(card: Card) -> Mapping[str, CFunction]:
         "WaitUntilTaskDone": ((c_void_p, c_double), card.wait_until_done),
         "IsTaskDone": ((c_void_p, POINTER(c_uint32)), is_done),
         "CfgSampClkTiming": ((c_void_p, c_char_p, c_double, c_int32, c_int32, c_uint64), configure),
+        "CfgDigEdgeStartTrig": ((c_void_p, c_char_p, c_int32), trigger),
         "ResetDevice": ((c_char_p,), lambda device: card.reset_device(_text(device))),
         "SetRuntimeEnvironment": ((c_char_p, c_char_p, c_char_p, c_char_p), lambda *_: None),
     }

@@ -8,12 +8,13 @@ import math
 import time
 
 from dragrig.rig.arrays import BoolArray, FloatArray
-from dragrig.sim_backend.doubles import channels
+from dragrig.sim_backend.doubles import channels, generating
 from dragrig.sim_backend.doubles.answers import Answers
 from dragrig.sim_backend.doubles.attributes import Chan, Device
 from dragrig.sim_backend.doubles.bench import Bench
 from dragrig.sim_backend.doubles.daqmx import Action, CardError, ChannelKind, Code
-from dragrig.sim_backend.doubles.engine import Engine, Listener
+from dragrig.sim_backend.doubles.engine import Engine
+from dragrig.sim_backend.doubles.generating import Listener, deaf
 from dragrig.sim_backend.doubles.reading import Reading
 from dragrig.sim_backend.doubles.tasks import Channel, Value
 from dragrig.sim_backend.doubles.timing import timing_of
@@ -24,10 +25,6 @@ __all__ = ["Card", "CardError", "Value"]
 _LOOK_AGAIN_S = 0.02
 
 
-def _deaf(output: str, volts: FloatArray, rate_hz: float) -> None:
-    del output, volts, rate_hz
-
-
 class Card:
     """One card in a computer with NI's driver.
 
@@ -36,10 +33,10 @@ class Card:
     bench
         What the card is wired to.
     listener
-        Told what analog outputs do; see `engine.Listener`.
+        Told what analog outputs do; see `generating.Listener`.
     """
 
-    def __init__(self, bench: Bench, listener: Listener = _deaf) -> None:
+    def __init__(self, bench: Bench, listener: Listener = deaf) -> None:
         self._engine = Engine(bench, listener)
         self._device = self._engine.wiring.device
         self._reading = Reading(self._engine)
@@ -160,6 +157,11 @@ class Card:
         with self._engine.changed:
             told = self._engine.idle(task)
             told.timing = timing_of(told, self._device, source, rate_hz, quantity, samples)
+
+    def cfg_dig_edge_start_trig(self, task: int, source: str, _edge: int) -> None:
+        """Let an edge of a terminal start a task."""
+        with self._engine.changed:
+            generating.arm(self._engine.idle(task), self._device, source)
 
     def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         """Read volts into `out`, C-contiguous of any shape; return the samples per channel.

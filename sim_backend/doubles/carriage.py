@@ -12,6 +12,7 @@ from dragrig.rig.profile import MotionProfile, Phase, Piece, still
 from dragrig.sim_backend.devices.kinematics import evaluate, position_at
 
 _AT_LEAST_S = 1e-3
+_SLIVER_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class Carriage:
     def _until(self, time_s: float) -> tuple[Piece, ...]:
         kept = []
         for piece, start in zip(self.profile.pieces(), self.profile.start_s.tolist(), strict=True):
-            if start < time_s:
+            if start < time_s - _SLIVER_S:
                 kept.append(replace(piece, duration_s=min(piece.duration_s, time_s - start)))
         rest = time_s - self.profile.duration_s
         return (*kept, still(rest, Phase.HOLD)) if rest > 0 else tuple(kept)

@@ -3,21 +3,16 @@
 import threading
 from collections.abc import Callable
 
-import numpy as np
-
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.doubles import pci6229
+from dragrig.sim_backend.doubles import generating, pci6229
 from dragrig.sim_backend.doubles.bench import Bench
 from dragrig.sim_backend.doubles.channels import encoder_of
 from dragrig.sim_backend.doubles.counter import Counter, InputClock, count_now
 from dragrig.sim_backend.doubles.daqmx import CardError, ChannelKind, Code
+from dragrig.sim_backend.doubles.generating import Listener
 from dragrig.sim_backend.doubles.inputs import AnalogSource
 from dragrig.sim_backend.doubles.mishaps import Trouble
 from dragrig.sim_backend.doubles.streams import Stream
 from dragrig.sim_backend.doubles.tasks import Task
-
-Listener = Callable[[str, FloatArray, float], None]
-"""Told an output's name, its voltages to come, and their rate; at rate 0 the one voltage that it holds from now on."""
 
 
 class Engine:
@@ -128,8 +123,8 @@ class Engine:
                 self._start_inputs(task, task.timing.rate_hz)
             case ChannelKind.COUNTER_INPUT:
                 self._start_counter(task)
-            case ChannelKind.ANALOG_OUTPUT if task.waveform is not None:
-                task.waveform.start(self.now_s)
+            case ChannelKind.ANALOG_OUTPUT:
+                generating.start(task, self.now_s, self.hear)
             case _:
                 pass
         task.running = True
@@ -141,8 +136,8 @@ class Engine:
             match task.kind:
                 case ChannelKind.ANALOG_INPUT if task.stream is not None:
                     self._stop_inputs()
-                case ChannelKind.ANALOG_OUTPUT if task.waveform is not None:
-                    self._hold(task)
+                case ChannelKind.ANALOG_OUTPUT:
+                    generating.hold(task, self.now_s, self.held_volts, self.hear)
                 case _:
                     pass
         task.running, task.stream, task.counter, task.waveform = False, None, None, None
@@ -179,6 +174,7 @@ class Engine:
     def _start_inputs(self, task: Task, rate_hz: float) -> None:
         task.origin = count_now(self.bench)
         self.bench.begin_sampling(rate_hz)
+        generating.trigger(self.tasks.values(), self.bench.began_s, self.hear)
         task.stream = self._stream(task, AnalogSource(self.bench, task.channels, rate_hz))
         for other in self._clocked_counters():
             other.clocked(InputClock(rate_hz, task.origin, 0, task.stream.limit))
@@ -213,14 +209,6 @@ class Engine:
         stream = Stream(source, task.buffer_size, limit, pace, self.changed, self.still_runs(task))
         stream.stall(self.bench.mishaps.now.card_stalled)
         return stream
-
-    def _hold(self, task: Task) -> None:
-        volts = task.waveform.volts(self.now_s) if task.waveform is not None else None
-        if volts is None:
-            return
-        for channel, held in zip(task.channels, volts.tolist(), strict=True):
-            self.held_volts[channel.physical] = held
-            self.hear(channel.physical, np.array([held]), 0.0)
 
     def _struck(self) -> None:
         with self.changed:

@@ -165,6 +165,11 @@ class Calls:
         )
         return pb.CfgSampClkTimingResponse()
 
+    def CfgDigEdgeStartTrig(self, request: pb.CfgDigEdgeStartTrigRequest) -> pb.CfgDigEdgeStartTrigResponse:
+        """Set the terminal whose edge starts a task."""
+        self._card.cfg_dig_edge_start_trig(self.task(request.task), request.trigger_source, request.trigger_edge_raw)
+        return pb.CfgDigEdgeStartTrigResponse()
+
     def ReadAnalogF64(self, request: pb.ReadAnalogF64Request) -> pb.ReadAnalogF64Response:
         """Read volts."""
         status, samples, out = self._read(self._card.read_analog_f64, request)

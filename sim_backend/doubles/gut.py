@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 
+from dragrig.config.capsule import Capsule
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
+from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.devices import Acquisition
+from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, still
 from dragrig.sim_backend.devices.axis import Track
 from dragrig.sim_backend.devices.faults import NO_FAULTS
@@ -63,3 +65,18 @@ class Gut:
 
     def _follow(self, profile: MotionProfile) -> None:
         self._signals.follow(Track(profile, 0.0))
+
+
+def alone() -> Acquisition:
+    """Return what is sampled when nobody says what: a capsule that touches nothing."""
+    return Acquisition(
+        run_id="",
+        order=0,
+        kind="alone",
+        profile=MotionProfile.from_pieces([still(1.0, Phase.REST)]),
+        capsule=Capsule(name="none", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.0),
+        specimen=Specimen(name="none"),
+        fixture=Fixture.NONE,
+        contact=Contact.NONE,
+        insertion_dwell_s=0.0,
+    )

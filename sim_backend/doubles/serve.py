@@ -22,10 +22,10 @@ from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.card import Card
 from dragrig.sim_backend.doubles.clock import DoubleClock
 from dragrig.sim_backend.doubles.control import ControlServer
-from dragrig.sim_backend.doubles.drive import DriveDouble
 from dragrig.sim_backend.doubles.grpc_server import CardServer
 from dragrig.sim_backend.doubles.messages import Ports, StageLook
 from dragrig.sim_backend.doubles.ports import SocketPort
+from dragrig.sim_backend.doubles.velocity_drive import drive_double
 from dragrig.sim_backend.doubles.world import World
 
 
@@ -47,8 +47,8 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
         )
 
     with ExitStack() as opened:
-        card = opened.enter_context(CardServer(Card(world)))
-        drive = opened.enter_context(DriveDouble(world, find_dialect(wired.drive.dialect), wired.drive.station))
+        card = opened.enter_context(CardServer(Card(world, world.put_out)))
+        drive = opened.enter_context(drive_double(world, find_dialect(wired.drive.dialect), wired.drive.station))
         port = opened.enter_context(SocketPort(drive))
         control = opened.enter_context(ControlServer(world.mishaps, world.present, look, end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()

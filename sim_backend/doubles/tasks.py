@@ -72,6 +72,7 @@ class Task:
     input_buffer: int | None = None
     output_buffer: int | None = None
     regeneration: int = Regeneration.ALLOWED
+    trigger: str = ""
     auto_start: bool = True
     reserved: bool = False
     running: bool = False

@@ -34,11 +34,27 @@ class Waveform:
         """Samples per channel that the buffer holds."""
         return self._ring.shape[1]
 
-    def start(self, now_s: float) -> None:
-        """Generate the first sample now; raises `CardError` when there is none."""
+    @property
+    def has_begun(self) -> bool:
+        """Whether its first sample was generated."""
+        return self._began_s is not None
+
+    def refuse_empty(self) -> None:
+        """Raise `CardError` when there is no first sample."""
         if self.written == 0:
             raise CardError(Code.SAMPLES_CANNOT_YET_BE_WRITTEN, "Generation cannot start: no samples were written.")
+
+    def start(self, now_s: float) -> None:
+        """Generate the first sample now."""
         self._began_s = now_s
+
+    def due_s(self, sample: int) -> float:
+        """Return when a sample is generated; infinite before the first one is."""
+        return math.inf if self._began_s is None else self._began_s + sample / self.rate_hz
+
+    def kept(self) -> FloatArray:
+        """Return what was written and fits the buffer, shape `(channels, n)`."""
+        return self._ring[:, : min(self.written, self.size)]
 
     def generated(self, now_s: float) -> int:
         """Return how many samples per channel were generated."""

@@ -6,23 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still
+from dragrig.rig.devices import Acquisition
+from dragrig.rig.profile import Piece
+from dragrig.sim_backend.doubles.amplifier import SETTLING_S, Amplifier, smoothed
 from dragrig.sim_backend.doubles.carriage import Carriage
 from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.gut import Gut
+from dragrig.sim_backend.doubles.gut import Gut, alone
 from dragrig.sim_backend.doubles.mishaps import Mishaps
+from dragrig.sim_backend.doubles.relay import Relay
 
 SWITCH_MM = 3.0
 """How far beyond the soft limits the limit switches are."""
 INDEX_MM = 0.0
 """Where the index pulse is."""
 BODY_TEMPERATURE_DEGC = 37.0
+_CREEPS_MM_S = 0.2
+"""Below this it is held by a loop and not on its way."""
 _KEPT_S = 2.0
 """How much longer than the card's buffer samples are kept."""
 
@@ -48,13 +50,16 @@ class World:
         self._model = model
         self._lock = threading.RLock()
         self._since_s = clock.monotonic()
-        self._carriage = Carriage.standing(rig.stage.start_mm)
-        self._gut = self._prepared(_alone(), rig.sampling.rate_hz)
+        self._carriage = self._felt = Carriage.standing(rig.stage.start_mm)
+        lines = rig.hardware.card.lines
+        self._amplifier = Amplifier(rig.hardware.drive.velocity, self._may_go)
+        self._relay = Relay(lines.heartbeat, lines.heartbeat_s)
+        self._gut = self._prepared(alone(), rig.sampling.rate_hz)
         self._sampling: _Sampling | None = None
         self._chunks: list[tuple[int, Mapping[str, FloatArray]]] = []
         self._computed = 0
         self._written: dict[str, bool] = {}
-        clock.pass_over_when(lambda: self._sampling is None and not self.moving)
+        clock.pass_over_when(lambda: self._sampling is None and not self.moving and not self._amplifier.busy)
 
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling meet this acquisition's capsule and gut."""
@@ -80,36 +85,61 @@ class World:
     def follow(self, pieces: Sequence[Piece]) -> None:
         """Go on with `pieces` from the present position and speed."""
         with self._lock:
-            self._carriage = self._carriage.followed(self._elapsed(), pieces)
+            self._carriage = self._felt = self._carriage.followed(self._elapsed(), pieces)
 
     def brake(self, deceleration_mm_s2: float) -> None:
         """Come to a standstill."""
         with self._lock:
-            self._carriage = self._carriage.braked(self._elapsed(), deceleration_mm_s2)
+            now_s = self._elapsed()
+            self._carriage = self._carriage.braked(now_s, deceleration_mm_s2)
+            self._felt = self._felt.braked(now_s, deceleration_mm_s2)
 
     def place(self, position_mm: float) -> None:
         """Stand somewhere else at once."""
         with self._lock:
-            self._stand(position_mm)
+            self._stand(position_mm, self.clock.monotonic())
+
+    @property
+    def powered(self) -> bool:
+        """Whether the heartbeat relay, if there is one, lets the drive have its power."""
+        return self._relay.closed
+
+    def obey_voltage(self, on: bool) -> None:
+        """Let the voltage move the carriage from its next samples on, or not any more: the drive in velocity mode."""
+        with self._lock:
+            self._amplifier.on = on
+
+    def put_out(self, output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
+        """Put out voltages, the first at a reading of the clock; at rate 0 one that is held. The card's."""
+        with self._lock:
+            at_s -= self._since_s
+            carriage = self._amplifier.respond(self._carriage, at_s, output, volts, rate_hz)
+            if carriage is not None:
+                duration_s = len(volts) / rate_hz if rate_hz else SETTLING_S
+                self._felt = smoothed(self._felt, carriage, at_s, at_s + duration_s)
+                self._carriage = carriage
 
     def begin_sampling(self, rate_hz: float) -> None:
         """Take sample 0 now."""
         with self._lock:
             gut = self._gut if self._gut.fits(rate_hz) else self._prepared(self._gut.acquisition, rate_hz)
             now_s = self.clock.monotonic()
-            if not self.moving:
-                self._carriage, self._since_s = Carriage.standing(self.position_mm()), now_s
+            if not self.moving or (self._amplifier.on and abs(self.speed_mm_s()) < _CREEPS_MM_S):
+                self._stand(self.position_mm(), now_s)
             counts = self._counts(np.array([self.position_mm()]))
             self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), gut)
             self._chunks, self._computed = [], 0
+
+    @property
+    def began_s(self) -> float:
+        """The clock's reading at sample 0; its present one while no sample is taken."""
+        return self.clock.monotonic() if self._sampling is None else self._sampling.began_s
 
     def available(self) -> int:
         """Return how many samples were taken since sampling began."""
         with self._lock:
             sampling = self._sampling
-            if sampling is None:
-                return 0
-            return int((self.clock.monotonic() - sampling.began_s) * sampling.rate_hz) + 1
+            return 0 if sampling is None else int((self.clock.monotonic() - self.began_s) * sampling.rate_hz) + 1
 
     def sample(self, first: int, end: int) -> Mapping[str, FloatArray]:
         """Return samples `first` to before `end`, shape `(end - first,)` each.
@@ -134,7 +164,7 @@ class World:
         with self._lock:
             self._sampling = None
             self._chunks = []
-            self._gut = self._prepared(_alone(), self.rig.sampling.rate_hz)
+            self._gut = self._prepared(alone(), self.rig.sampling.rate_hz)
 
     def read_line(self, line: str) -> bool:
         """Return the level of a digital line, as PORT/LINE without the device."""
@@ -154,6 +184,7 @@ class World:
         """Set a digital line."""
         with self._lock:
             self._written[line] = high
+            self._relay.hear(line, high)
 
     def _prepared(self, acquisition: Acquisition, rate_hz: float) -> Gut:
         sampling = self.rig.sampling.model_copy(update={"rate_hz": rate_hz, "motor_force": True})
@@ -162,9 +193,14 @@ class World:
     def _elapsed(self) -> float:
         return self.clock.monotonic() - self._since_s
 
-    def _stand(self, position_mm: float) -> None:
-        self._carriage = Carriage.standing(position_mm)
-        self._since_s = self.clock.monotonic()
+    def _stand(self, position_mm: float, since_s: float) -> None:
+        self._carriage = self._felt = Carriage.standing(position_mm)
+        self._since_s = since_s
+
+    def _may_go(self, direction: float) -> bool:
+        lines = self.rig.hardware.card.lines
+        switch = lines.limit_low if direction < 0 else lines.limit_high
+        return not switch or self.read_line(switch)
 
     def _compute(self, sampling: _Sampling, end: int) -> None:
         first = self._computed
@@ -193,7 +229,7 @@ class World:
         # A gut knows motions from a standstill at its first sample; one that began before it is not for it.
         if sampling.began_s - self._since_s > 1.0 / sampling.rate_hz:
             return Carriage.standing(self._carriage.origin_mm)
-        return self._carriage
+        return self._felt
 
     def _counts(self, position_mm: FloatArray) -> FloatArray:
         counts = np.rint(position_mm * (1000.0 / self.rig.encoder.resolution_um))
@@ -211,18 +247,3 @@ class World:
                 if len(here):
                     pieces[name].append(here)
         return {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in pieces.items()}
-
-
-def _alone() -> Acquisition:
-    """Return what is sampled when nobody says what: a capsule that touches nothing."""
-    return Acquisition(
-        run_id="",
-        order=0,
-        kind="alone",
-        profile=MotionProfile.from_pieces([still(1.0, Phase.REST)]),
-        capsule=Capsule(name="none", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.0),
-        specimen=Specimen(name="none"),
-        fixture=Fixture.NONE,
-        contact=Contact.NONE,
-        insertion_dwell_s=0.0,
-    )

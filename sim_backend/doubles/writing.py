@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.sim_backend.doubles import generating
 from dragrig.sim_backend.doubles.daqmx import CardError, ChannelKind, Code, Fill, Regeneration
 from dragrig.sim_backend.doubles.engine import Engine
 from dragrig.sim_backend.doubles.reading import bit_of
@@ -63,7 +64,7 @@ class Writing:
             self._ready(handle, ChannelKind.ANALOG_OUTPUT, auto_start)
             for channel, held in zip(task.channels, volts[:, -1].tolist(), strict=True):
                 self._engine.held_volts[channel.physical] = held
-                self._engine.hear(channel.physical, np.array([held]), 0.0)
+                self._engine.hear(channel.physical, np.array([held]), 0.0, self._engine.now_s)
             return samples
 
     def voltage(self, output: str) -> float:
@@ -116,8 +117,9 @@ class Writing:
                     written,
                 )
             part = volts[:, written : written + waveform.space(now_s)]
+            first = waveform.written
             waveform.write(part)
-            self._tell(task, part, waveform.rate_hz)
+            generating.tell(task, part, first, self._engine.hear)
             written += int(part.shape[1])
             left_s = deadline_s - time.perf_counter()
             if written == samples:
@@ -131,11 +133,6 @@ class Writing:
             due_s = min(samples - written, waveform.size) / (waveform.rate_hz * self._engine.bench.clock.pace)
             self._engine.changed.wait(min(left_s, max(due_s, 1e-3)))
             self._engine.still_runs(task)()
-
-    def _tell(self, task: Task, volts: FloatArray, rate_hz: float) -> None:
-        if volts.shape[1]:
-            for channel, row in zip(task.channels, volts, strict=True):
-                self._engine.hear(channel.physical, np.array(row), rate_hz)
 
 
 def _by_channel(flat: FloatArray, samples: int, channels: int, layout: int) -> FloatArray:
