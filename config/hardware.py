@@ -7,6 +7,8 @@ from pydantic import AfterValidator, Field, model_validator
 from dragrig.config.base import Settings
 
 _RANGES_V = (0.2, 1.0, 5.0, 10.0)
+_GREATEST_LOOP_GAIN = 0.75
+"""Gain times dead time of a loop around an integrator: it swings for ever at 1.57, rings above about half of that."""
 
 
 def _of_the_card(range_V: float) -> float:
@@ -128,8 +130,27 @@ class VelocityOutputSettings(Settings):
     """Samples of the voltage per second."""
     update_s: float = Field(default=0.02, gt=0, le=0.1)
     """Time between two corrections."""
+    ahead: int = Field(default=3, ge=2, le=20)
+    """How many updates the voltage is written ahead: a stop takes as long to reach the output."""
     gain_per_s: float = Field(default=5.0, ge=0, le=100)
     """Speed added per distance from the command [1/s]."""
+    lag_s: float = Field(default=0.0, ge=0, le=0.1)
+    """How long the drive takes to follow the voltage; the command runs ahead by so much."""
+
+    @property
+    def update_samples(self) -> int:
+        """Voltages between two corrections."""
+        return max(1, round(self.update_s * self.rate_hz))
+
+    @model_validator(mode="after")
+    def _settles(self) -> Self:
+        dead_s = self.update_s * (self.ahead + 1) + self.lag_s
+        if self.gain_per_s * dead_s > _GREATEST_LOOP_GAIN:
+            raise ValueError(
+                f"gain_per_s must not exceed {_GREATEST_LOOP_GAIN / dead_s:.3g} with these update_s, ahead and lag_s, "
+                "or the stage would swing about its command"
+            )
+        return self
 
 
 class DriveSettings(Settings):

@@ -22,6 +22,8 @@ from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.drive.examine import examine as examine_drive
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.stage import SerialStage
+from dragrig.rig.hardware.drive.velocity import VelocityStage
+from dragrig.rig.hardware.drive.watched import WatchedStage
 from dragrig.rig.hardware.owner import Owner
 
 PartT = TypeVar("PartT")
@@ -48,7 +50,7 @@ class HardwareBackend:
         self._lines: CardLines | None = None
         self._sampler: CardSampler | None = None
         self._link: DriveLink | None = None
-        self._stage: SerialStage | None = None
+        self._stage: WatchedStage | None = None
         self._facts: Mapping[str, str] = {}
 
     @property
@@ -140,14 +142,16 @@ class HardwareBackend:
             )
         return self._lines
 
-    def _open_drive(self) -> SerialStage:
+    def _open_drive(self) -> WatchedStage:
         if self._stage is None:
             drive = self._rig.hardware.drive
             self._link = DriveLink(drive, find_dialect(drive.dialect))
             self._open.callback(self._link.close)
-            self._stage = SerialStage(
-                self._rig, self._link, _connected(self._lines), self._coupling, self._clock, self._deadman
-            )
+            shared = self._rig, self._link, _connected(self._lines), self._coupling, self._clock, self._deadman
+            if drive.mode == "velocity":
+                self._stage = VelocityStage(*shared, _connected(self._connection), self._calibrations)
+            else:
+                self._stage = SerialStage(*shared)
             self._open.callback(self._stage.close)
         return self._stage
 

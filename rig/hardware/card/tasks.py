@@ -96,8 +96,16 @@ def _encoder(
     return BufferedInput(task, reader.read_many_sample_double)
 
 
-def add_encoder(task: nidaqmx.Task, card: CardSettings, metres_a_count: float, counter: str = "") -> None:
-    """Let a task follow the encoder: X4, on the settings' terminals, filtered, never set back by the index pulse.
+def add_encoder(
+    task: nidaqmx.Task,
+    card: CardSettings,
+    metres_a_count: float,
+    counter: str = "",
+    *,
+    start_m: float = 0.0,
+    index: bool = False,
+) -> None:
+    """Let a task follow the encoder: X4, on the settings' terminals, filtered.
 
     Parameters
     ----------
@@ -105,14 +113,19 @@ def add_encoder(task: nidaqmx.Task, card: CardSettings, metres_a_count: float, c
         Length of a count.
     counter
         Another counter than the settings' one for sampling.
+    start_m
+        What it reads at its start.
+    index
+        Whether the index pulse sets it to 0.
     """
     wired = card.encoder
     channel = task.ci_channels.add_ci_lin_encoder_chan(
         f"{card.device}/{counter or wired.counter}",
         decoding_type=EncoderType.X_4,
-        zidx_enable=False,
+        zidx_enable=index,
         units=LengthUnits.METERS,
         dist_per_pulse=PULSES_PER_PERIOD * metres_a_count,
+        initial_pos=start_m,
     )
     channel.ci_encoder_a_input_term = f"/{card.device}/{wired.a}"
     channel.ci_encoder_b_input_term = f"/{card.device}/{wired.b}"

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from dragrig.config.errors import DeviceError, plain
 from dragrig.config.rig import RigSettings
 from dragrig.rig.backend import Finding
+from dragrig.rig.devices import Stage
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.parameters import write_safeguards, write_travel
-from dragrig.rig.hardware.drive.stage import SerialStage
 
 
-def examine(stage: SerialStage, link: DriveLink, rig: RigSettings) -> Iterator[Finding]:
+def examine(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[Finding]:
     """Ask how the drive is, and have it keep and repeat its limits."""
     state = stage.state()
     homed = f"homed, at {state.position_mm:g} mm" if state.homed else "not homed yet"

@@ -94,3 +94,9 @@ def refuse_late(start_s: float, coupling: Coupling, clock: Clock) -> None:
     first = coupling.first_sample
     if first is not None and clock.monotonic() > first.at_s + start_s + LONGEST_BLOCK_S:
         raise DeviceError("the stage was told to move too long after the first sample: start it before.")
+
+
+def sets_out_s(profile: MotionProfile) -> float:
+    """Return when a profile's first motion begins; its end when it has none."""
+    moving = profile.start_s[profile.acceleration_mm_s2 != 0]
+    return float(moving[0]) if moving.size else profile.duration_s

@@ -1,24 +1,19 @@
 """The stage whose drive takes position commands over a serial link."""
 
-import threading
-
 from dragrig.config.errors import DeviceError, plain
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Clock, Side, StageLimits, StageState
+from dragrig.rig.devices import Clock, Side, StageState
 from dragrig.rig.guard import SWITCHES
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.deadman import Deadman
 from dragrig.rig.hardware.dialects.base import Command, Request
-from dragrig.rig.hardware.drive.axis import Axis
 from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.monitor import Monitor, interval_of
 from dragrig.rig.hardware.drive.movement import Movement
 from dragrig.rig.hardware.drive.mover import Strokes
 from dragrig.rig.hardware.drive.parameters import write_homing, write_motion, write_safeguards
-from dragrig.rig.hardware.drive.power import Power
-from dragrig.rig.hardware.drive.readiness import Readiness
-from dragrig.rig.hardware.drive.refusals import limits_of, refuse_beyond, refuse_late, refuse_towards, widened
+from dragrig.rig.hardware.drive.refusals import refuse_late
 from dragrig.rig.hardware.drive.strokes import strokes_of
+from dragrig.rig.hardware.drive.watched import WatchedStage
 from dragrig.rig.hardware.lines import Lines
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.trips import Cause, Trip
@@ -29,7 +24,7 @@ _STANDSTILL_S = 1.0
 _BEYOND_LIMITS_MM = 50.0
 
 
-class SerialStage:
+class SerialStage(WatchedStage):
     """One axis in position mode. It watches drive and switches from its making until `close`.
 
     Parameters
@@ -48,38 +43,17 @@ class SerialStage:
     def __init__(
         self, settings: RigSettings, link: DriveLink, lines: Lines, coupling: Coupling, clock: Clock, deadman: Deadman
     ) -> None:
-        self._settings, self._drive = settings, settings.hardware.drive
-        self._limits = limits_of(settings.stage)
-        self._link, self._coupling, self._clock = link, coupling, clock
-        self._deadman = deadman
-        # One command at a time; a stop waits for none.
-        self._commands = threading.RLock()
-        self._strokes: Strokes | None = None
-        self._override: Side | None = None
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
-        silence_s = self._drive.silence_s
-        self._axis = Axis(link, coupling, silence_s / 2, silence_s + braking_s + _SPARE_S, self._let_go)
-        self._monitor = Monitor(
-            self._axis.poll, self.stop, lines, coupling, deadman, settings.hardware.hang_s, interval_of(settings)
-        )
-        self._ready, self._power = Readiness(self._monitor, coupling), Power(link, lines)
+        unheard_s = settings.hardware.drive.silence_s + braking_s + _SPARE_S
+        super().__init__(settings, link, lines, coupling, clock, deadman, unheard_s)
+        self._strokes: Strokes | None = None
         link.on_stop(self._heed_stop)
         self._monitor.start()
-
-    @property
-    def limits(self) -> StageLimits:
-        """Soft limits of travel, and the greatest speed and acceleration."""
-        return self._limits
 
     @property
     def start_uncertainty_s(self) -> float:
         """How far any stroke of the last motion may have begun off its time, as measured on the link."""
         return 0.0 if self._strokes is None else self._strokes.start_uncertainty_s
-
-    @property
-    def fault(self) -> Trip | None:
-        """What drive and switches reported at the last look; what has stopped a motion stays until `disable`."""
-        return self._monitor.fault
 
     def state(self) -> StageState:
         """Ask drive and switches now.
@@ -117,7 +91,7 @@ class SerialStage:
         """
         with self._commands:
             towards = Side(self._drive.homing_direction)
-            self._refuse_unready(but=SWITCHES[towards])
+            self._refuse_unready(enabled=self._axis.status.enabled, but=SWITCHES[towards])
             write_safeguards(self._link, self._settings)
             write_homing(self._link, self._settings)
             movement = Movement(self._link)
@@ -148,16 +122,13 @@ class SerialStage:
             drive can follow; and when the drive does not keep a limit that was written to it.
         """
         with self._commands:
-            self._refuse_unready()
+            self._refuse_unready(enabled=self._axis.status.enabled)
             if not self._axis.status.homed:
                 raise DeviceError("the stage does not know where it is: home it before it moves.")
             if profile.duration_s <= 0:
                 return
             origin_mm = self._axis.position_mm()
-            limits = widened(self._limits, self._override, origin_mm)
-            if self._override is not None:
-                refuse_towards(profile, self._override, self._drive.homing_speed_mm_s)
-            refuse_beyond(profile, origin_mm, limits)
+            limits = self._allowed(profile, origin_mm)
             strokes = strokes_of(profile)
             if not strokes:
                 return
@@ -198,21 +169,6 @@ class SerialStage:
                 self._monitor.clear()
                 self._monitor.look()
 
-    def override_limit(self, side: Side) -> None:
-        """Let a pressed limit switch forbid nothing until the next move has ended, which must lead slowly away from it.
-
-        Raises
-        ------
-        DeviceError
-            While the stage moves.
-        """
-        with self._commands:
-            self._ready.refuse_moving()
-            self._override = side
-            self._monitor.tolerate(SWITCHES[side])
-            self._axis.forget_mishap(SWITCHES[side])
-            self._monitor.look()
-
     def close(self) -> None:
         """Stop, and let go of the drive. Twice is once."""
         self._link.stop()
@@ -222,10 +178,6 @@ class SerialStage:
     def _heed_stop(self) -> None:
         self._axis.cancel()
         self._monitor.hurry()
-
-    def _let_go(self) -> None:
-        self._override = None
-        self._monitor.tolerate(None)
 
     def _all_sent(self, strokes: Strokes) -> None:
         if strokes.has_tried:
@@ -242,9 +194,3 @@ class SerialStage:
         while not self._ready.await_standstill(_LOOK_S):
             if self._clock.monotonic() > until_s:
                 self._link.stop()
-
-    def _refuse_unready(self, but: Cause | None = None) -> None:
-        self._ready.refuse_fault(but)
-        if not self._axis.status.enabled:
-            raise DeviceError("the drive is off: enable the stage first.")
-        self._ready.refuse_moving()
