@@ -68,6 +68,7 @@ class Driven:
     coupling: Coupling
     deadman: Deadman
     lines: Lines
+    port: Port
 
     def sample(self, profile: MotionProfile) -> None:
         """Move with a first sample, as the engine does."""
@@ -86,7 +87,7 @@ class Driven:
 @contextmanager
 def linked(kind: type[Port] = ANY_PORT, pace: float = 1.0, **drive: object) -> Iterator[tuple[DriveDouble, DriveLink]]:
     """A drive's double whose enable line is not wired, and a link to it."""
-    rig = settings(hardware={"drive": drive, "card": {"lines": {"enable": ""}}})
+    rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
     world = World(rig, FrictionModelSettings(), DoubleClock(pace))
     with DriveDouble(world, DIALECT) as double, kind(double) as port:
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
@@ -103,7 +104,9 @@ def driven(
     """A stage on a drive's double; `wired` to the bench's switches and enable, or to nothing."""
     wires = {} if wired else {"enable": ""}
     card = {"lines": wires}
-    rig = settings(hardware={"drive": {"homing_speed_mm_s": 50, **drive}, "card": card, "hang_s": hang_s})
+    # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
+    patient = {"homing_speed_mm_s": 50, "reply_s": 0.5, "silence_s": 2.0}
+    rig = settings(hardware={"drive": {**patient, **drive}, "card": card, "hang_s": hang_s})
     world = World(rig, FrictionModelSettings(), DoubleClock(pace))
     # The gut's first samples take seconds of imports, in which no thread would answer.
     world.begin_sampling(RATE)
@@ -118,4 +121,4 @@ def driven(
         coupling, deadman = Coupling(), Deadman()
         stage = SerialStage(rig, link, lines, coupling, world.clock, deadman)
         stack.callback(stage.close)
-        yield Driven(world, double, link, stage, coupling, deadman, lines)
+        yield Driven(world, double, link, stage, coupling, deadman, lines, port)

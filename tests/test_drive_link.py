@@ -65,18 +65,18 @@ def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[Port]) -> None
 
 
 def test_a_garbled_reply_is_never_believed_and_a_question_is_put_again() -> None:
-    with linked(reply_s=0.05) as (drive, link):
+    with linked(reply_s=0.1) as (drive, link):
         drive.world.mishaps.strike(drive_garbled=True)
         with pytest.raises(NoReplyError, match=r"checksum.*hardware\.drive\.reply_s"):
             link.exchange(POSITION)
-        repairer = threading.Timer(0.03, drive.world.mishaps.repair)
+        repairer = threading.Timer(0.05, drive.world.mishaps.repair)
         repairer.start()
         assert link.exchange(POSITION).value == pytest.approx(0.0)
         repairer.join()
 
 
 def test_a_move_is_sent_once_and_a_stop_until_it_is_answered() -> None:
-    with linked(reply_s=0.05) as (drive, link):
+    with linked(reply_s=0.15) as (drive, link):
         drive.world.mishaps.strike(drive_silent=True)
         with pytest.raises(NoReplyError, match="nothing came"):
             link.exchange(GO)

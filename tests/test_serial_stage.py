@@ -40,14 +40,6 @@ def is_under_way(rig: Driven) -> bool:
     return abs(rig.world.speed_mm_s()) > 10.0
 
 
-def answers(rig: Driven) -> bool:
-    try:
-        rig.stage.state()
-    except DeviceError:
-        return False
-    return True
-
-
 @pytest.mark.parametrize("kind", PORTS)
 def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[Port]) -> None:
     with driven(kind) as rig:
@@ -58,10 +50,24 @@ def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[Port]) ->
         samples = THERE_AND_BACK.samples(RATE)
         seen = rig.world.sample(0, samples)["encoder_counts"] / 1000.0
         off = np.abs(seen - THERE_AND_BACK.position(np.arange(samples) / RATE)).max()
-        assert 0 < rig.stage.start_uncertainty_s < 0.05
+        assert rig.stage.start_uncertainty_s > 0
         assert off <= 50.0 * (rig.stage.start_uncertainty_s + 1.5 / RATE) + 0.002
         assert rig.stage.state().position_mm == pytest.approx(5.0, abs=1e-3)
         assert rig.stage.fault is None
+
+
+def test_a_stroke_begins_within_milliseconds_of_its_time() -> None:
+    with driven() as rig:
+        rig.ready()
+        uncertain = []
+        # A busy machine may hold up any of them, though hardly all.
+        for _ in range(5):
+            rig.sample(stroke(travel_mm=1.0))
+            until(lambda: stands(rig))
+            uncertain.append(rig.stage.start_uncertainty_s)
+            rig.world.end_sampling()
+            rig.coupling.disarm()
+        assert 0 < min(uncertain) < 0.01
 
 
 def test_limits_are_written_and_read_back_before_a_move() -> None:
@@ -143,10 +149,10 @@ def test_homing_can_be_stopped_and_is_then_unknown() -> None:
             rig.stage.move(stroke())
 
 
-@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 0.25}])
+@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 0.9}])
 def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
-    with driven(reply_s=0.05) as rig:
-        rig.ready().sample(LONG)
+    with driven(reply_s=0.2, silence_s=0.6) as rig:
+        rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.world.mishaps.strike(**trouble)
         until(lambda: rig.stage.fault is not None)
@@ -155,9 +161,9 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         assert "did not answer" in rig.stage.fault.message
         until(lambda: stands(rig))
         assert rig.drive.status.halt is Halt.STOP
-        assert rig.world.position_mm() < 99.0
+        assert rig.world.position_mm() < 139.0
         rig.world.mishaps.repair()
-        until(lambda: answers(rig))
+        until(lambda: not rig.port._replies)
         rig.coupling.disarm()
         rig.stage.disable()
         rig.stage.enable()
@@ -266,6 +272,7 @@ def test_a_switch_pressed_in_motion_stops_and_stays_told(
         assert rig.stage.fault.cause is cause
         until(lambda: stands(rig))
         assert rig.drive.status.halt in {halt, Halt.STOP}
+        assert rig.coupling.stopped
         assert rig.world.position_mm() < 50.0
         with pytest.raises(DeviceError, match="see to it"):
             rig.stage.move(stroke(travel_mm=-1.0))
