@@ -79,8 +79,8 @@ class GuardSettings(Settings):
     """Allowed distance between command and position at standstill …"""
     following_error_per_speed_s: float = Field(default=0.05, ge=0)
     """… plus this times the speed."""
-    encoder_silent_mm: float = Field(default=0.2, gt=0)
-    """Trip when the command has moved on by more than this …"""
+    encoder_silent_mm: float = Field(default=0.4, gt=0)
+    """Trip when the command has moved on by more than this, plus following_error_per_speed_s times the speed, …"""
     encoder_silent_s: float = Field(default=0.04, gt=0, le=5)
     """… and for longer than this, while the encoder showed not a single count."""
     stale_data_s: float = Field(default=0.2, gt=0, le=5)

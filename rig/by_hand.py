@@ -14,7 +14,7 @@ from dragrig.rig.engine import Engine
 from dragrig.rig.guard import SWITCHES, Guard
 from dragrig.rig.people import Operator, Prompt
 from dragrig.rig.profile import MotionProfile, trapezoid
-from dragrig.rig.readiness import confirm, make_ready
+from dragrig.rig.readiness import await_standstill, confirm, make_ready
 from dragrig.rig.reading import Reading
 from dragrig.rig.trips import Trip
 
@@ -50,13 +50,15 @@ class ByHand:
         """Override the pressed limit switch of a side for the next motion; everything else has to be clear."""
         stage = self._backend.stage
         fault = stage.state().fault
-        if fault is None or fault.cause not in SWITCHES.values():
+        if fault is None:
             raise DeviceError(f"the {side} limit switch is not pressed, so there is nothing to override.")
+        if fault.cause is not SWITCHES[side]:
+            raise TrippedError(f"{fault.message}; the {side} limit switch alone can be overridden here.")
         stage.override_limit(side)
         still_tripped = self._guard.override(side, stage.state())
         if still_tripped is not None:
             stage.disable()
-            raise TrippedError(f"{still_tripped.message}; only the {side} limit switch is overridden.")
+            raise TrippedError(f"{still_tripped.message}; the {side} limit switch alone is overridden.")
 
     @property
     def position_mm(self) -> float:
@@ -88,7 +90,9 @@ class ByHand:
             insertion_dwell_s=_RELAXED_S,
         )
         self._made += 1
-        require_complete(self._engine.acquire(acquisition, until=until))
+        outcome = self._engine.acquire(acquisition, until=until)
+        await_standstill(self._backend)
+        require_complete(outcome)
 
     def stroke(self, distance_mm: float, speed_mm_s: float) -> MotionProfile:
         """Return the motion over a signed distance."""

@@ -113,13 +113,15 @@ class Guard:
         strongest = max(look.greatest_mN, -look.least_mN)
         if not isfinite(strongest + look.highest_mm):
             return Trip(Cause.NOT_A_NUMBER, "a sample of force or position is not a number")
-        return (
+        trip = (
             self._judge_force(strongest)
             or self._judge_position(look.lowest_mm, look.highest_mm)
             or self._judge_speed(block, rate_hz)
             or self._judge_silence(block, command, look, rate_hz)
             or self._judge_following(look.following_mm, command, rate_hz)
         )
+        self._before = command
+        return trip
 
     def _judge_force(self, strongest: float) -> Trip | None:
         limit = self._settings.force_limit_mN
@@ -154,8 +156,11 @@ class Guard:
         return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
     def _judge_silence(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
-        silence, allowed = self._silence.look(block, command, look, rate_hz), self._settings
-        if silence.travel_mm <= allowed.encoder_silent_mm or silence.duration_s <= allowed.encoder_silent_s:
+        silence, settings = self._silence.look(block, command, look, rate_hz), self._settings
+        if silence.travel_mm <= settings.encoder_silent_mm or silence.duration_s <= settings.encoder_silent_s:
+            return None
+        lag_mm = settings.following_error_per_speed_s * self._commanded_speed(command, rate_hz)
+        if silence.travel_mm <= settings.encoder_silent_mm + lag_mm:
             return None
         return Trip(
             Cause.ENCODER_SILENT,
@@ -164,15 +169,17 @@ class Guard:
         )
 
     def _judge_following(self, error: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:
-        before, self._before = self._before, command
         if error <= self._settings.following_error_mm:
             return None
-        # What lags is where the command was before, so the speed of the block before counts too.
-        joined = command if before is None else np.concatenate((before, command))
-        speed = float(np.abs(np.diff(joined)).max()) * rate_hz if len(joined) > 1 else 0.0
+        speed = self._commanded_speed(command, rate_hz)
         limit = self._settings.following_error_mm + self._settings.following_error_per_speed_s * speed
         if error <= limit:
             return None
         return Trip(
             Cause.FOLLOWING_ERROR, f"position is {error:.3f} mm off the command, where {limit:.3f} mm are allowed"
         )
+
+    def _commanded_speed(self, command: AnyFloatArray, rate_hz: float) -> float:
+        # What lags is where the command was before, so the speed of the block before counts too.
+        joined = command if self._before is None else np.concatenate((self._before, command))
+        return float(np.abs(np.diff(joined)).max()) * rate_hz if len(joined) > 1 else 0.0

@@ -13,7 +13,7 @@ from dragrig.rig.profile import MotionProfile, trapezoid
 IN_PLACE_MM = 0.005
 HOMING = "The stage goes to the end of its travel to find its origin: take the capsule out of its way"
 _STANDSTILL_S = 10.0
-"""How long the end waits for the stage to stand before it is switched off."""
+"""How long a stage is waited for to stand."""
 _POSITIONING_SPEED_MM_S = 20.0
 _POSITIONING_ACCEL_MM_S2 = 200.0
 
@@ -61,15 +61,16 @@ def confirm(operator: Operator, prompt: Prompt) -> None:
 
 def park(backend: Backend) -> list[str]:
     """Stop everything and switch the drive off once the stage stands; return what went wrong."""
-
-    def await_standstill() -> None:
-        # Switched off in motion, a stage coasts.
-        until = backend.clock.monotonic() + _STANDSTILL_S
-        while backend.stage.state().moving and backend.clock.monotonic() < until:
-            backend.clock.sleep(0.01, Signal())
-
-    steps = (backend.stage.stop, backend.sampler.stop, await_standstill, backend.stage.disable)
+    # Switched off in motion, a stage coasts.
+    steps = (backend.stage.stop, backend.sampler.stop, lambda: await_standstill(backend), backend.stage.disable)
     return [text for step in steps if (text := attempt(step))]
+
+
+def await_standstill(backend: Backend) -> None:
+    """Wait until the stage stands, which may be a moment after its last sample; for 10 s at most."""
+    until = backend.clock.monotonic() + _STANDSTILL_S
+    while backend.stage.state().moving and backend.clock.monotonic() < until:
+        backend.clock.sleep(0.01, Signal())
 
 
 def positioning(way_mm: float, limits: StageLimits) -> MotionProfile:

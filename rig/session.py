@@ -17,7 +17,7 @@ from dragrig.rig.header import header_of
 from dragrig.rig.people import Answer, Operator, Prompt, RunResult, Watcher
 from dragrig.rig.profile import MotionProfile, Phase, still
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.readiness import IN_PLACE_MM, make_ready, park, positioning, reset
+from dragrig.rig.readiness import IN_PLACE_MM, await_standstill, make_ready, park, positioning, reset
 from dragrig.rig.record import SessionRecord
 from dragrig.rig.runfile.model import Attribute, Status
 from dragrig.rig.store import Store
@@ -227,6 +227,7 @@ class Session:
             return
         profile = positioning(way, self._backend.stage.limits)
         require_complete(self.engine.acquire(unrecorded(self._order, "positioning", run, profile)))
+        await_standstill(self._backend)
         self._contact_since = self._backend.clock.monotonic()
 
     def _wait(self, run: PlannedRun) -> None:

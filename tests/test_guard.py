@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import FloatArray
@@ -166,11 +168,22 @@ def test_one_wire_broken_is_silence_too() -> None:
     assert to_and_fro.cause is Cause.ENCODER_SILENT
 
 
+@pytest.mark.parametrize(("late_s", "speed", "accel"), [(0.02, 100.0, 3000.0), (0.06, 20.0, 400.0), (0.3, 1.0, 10.0)])
 @pytest.mark.parametrize("offset_s", [0.0, 0.011, 0.023, 0.037])
-def test_a_late_start_is_no_silence(offset_s: float) -> None:
-    profile = MotionProfile.from_pieces([still(0.2 + offset_s, Phase.REST), *trapezoid(60.0, 100.0, 3000.0)])
+def test_a_late_start_is_no_silence(offset_s: float, late_s: float, speed: float, accel: float) -> None:
+    profile = MotionProfile.from_pieces([still(0.2 + offset_s, Phase.REST), *trapezoid(60.0, speed, accel)])
     settings = GuardSettings(following_error_mm=5.0)
-    assert driven(Guard(settings), profile, lambda time: profile.position(time - 0.02), 0.05) is None
+    assert driven(Guard(settings), profile, lambda time: profile.position(time - late_s), 0.05) is None
+
+
+@given(st.lists(st.integers(-3, 3), min_size=400, max_size=400), st.integers(1, 60))
+def test_whatever_an_encoder_shows_is_judged(shown: list[int], per_block: int) -> None:
+    positions = 0.001 * np.array(shown)
+    profile = MotionProfile.from_pieces([still(0.05, Phase.REST), *trapezoid(2.0, 10.0, 400.0)])
+    trip = driven(
+        Guard(GuardSettings(), count_mm=0.001), profile, lambda time: positions[: len(time)], per_block / RATE
+    )
+    assert trip is None or trip.cause in {Cause.ENCODER_SILENT, Cause.FOLLOWING_ERROR}
 
 
 def test_rest_hold_and_creeping_are_no_silence() -> None:

@@ -34,7 +34,14 @@ hold_s = 0.5
 rest_s = 0.5
 prompt = "Lay the gut on the foam"
 """
-SWIFT = ("rig.hardware.drive.homing_speed_mm_s=50", "rig.stage.start_mm=5")
+SWIFT = (
+    "rig.hardware.drive.homing_speed_mm_s=50",
+    "rig.stage.start_mm=5",
+    # On a busy machine a start at twice the pace can be a tenth of a second late.
+    "rig.guard.following_error_mm=3",
+    "rig.guard.encoder_silent_mm=2.9",
+    "rig.guard.stale_data_s=2",
+)
 NOISE_MN = 1.6
 
 

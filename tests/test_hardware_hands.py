@@ -1,0 +1,127 @@
+"""What a person does at the real rig, on the doubles of its devices: jogs, overrides, touching off, calibrating."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+from simulated import acquire, stroke
+
+from dragrig.config.errors import DeviceError, TrippedError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.backend import BackendRequest
+from dragrig.rig.calibrating import weigh
+from dragrig.rig.devices import Side
+from dragrig.rig.engine import Engine
+from dragrig.rig.fitting import force_line
+from dragrig.rig.guard import Guard
+from dragrig.rig.manual import Manual
+from dragrig.rig.people import Answer, Prompt
+from dragrig.rig.reading import Reading
+from dragrig.rig.trips import Cause
+from dragrig.sim_backend.doubles.backend import DoubleBackend
+from dragrig.sim_backend.doubles.mishaps import Mishaps
+
+# On a busy machine a start can be late, and so can samples.
+RIG = RigSettings.model_validate(
+    {
+        "hardware": {"drive": {"homing_speed_mm_s": 50.0}, "hang_s": 1.0},
+        "guard": {"following_error_mm": 5.0, "encoder_silent_mm": 4.9, "stale_data_s": 2.0},
+    }
+)
+
+
+@dataclass
+class Bench:
+    """An open double, and a person who does what is asked of hands."""
+
+    backend: DoubleBackend
+    mishaps: Mishaps
+    guard: Guard
+    engine: Engine
+    prompts: list[Prompt]
+
+    def __post_init__(self) -> None:
+        self.manual = Manual(self.backend, self.guard, self.engine, self)
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt)
+        if prompt.text.startswith("Hang"):
+            self.mishaps.strike(force_added_mN=float(prompt.text.split()[1]) * 9.80665)
+        elif prompt.text.startswith("Take every weight"):
+            self.mishaps.strike(force_added_mN=0.0)
+        return Answer.DONE
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    mishaps = Mishaps()
+    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), mishaps)
+    try:
+        guard = Guard(RIG.guard, 0.001)
+        yield Bench(backend, mishaps, guard, Engine(backend, RIG, guard), [])
+    finally:
+        backend.close()
+
+
+def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
+    manual = bench.manual
+    manual.reset()
+    manual.home()
+    assert manual.jog(10.0, 20.0) == pytest.approx(10.0, abs=0.01)
+    bench.mishaps.strike(limit_high_pressed=True)
+    with pytest.raises((TrippedError, DeviceError), match="upper limit switch"):
+        manual.jog(5.0)
+    with pytest.raises(TrippedError, match="upper limit switch"):
+        manual.reset()
+    begin = manual.position_mm
+    assert manual.jog(-1.0, override=Side.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
+    assert manual.trip is not None
+    assert manual.trip.cause is Cause.LIMIT_SWITCH_HIGH
+    bench.mishaps.strike(e_stop_pressed=True)
+    with pytest.raises(TrippedError, match="emergency stop"):
+        manual.jog(-1.0, override=Side.HIGH)
+    bench.mishaps.repair()
+    manual.reset()
+    manual.jog(-1.0)
+    looks = [prompt for prompt in bench.prompts if "Look" in prompt.text or "origin" in prompt.text]
+    assert len(looks) >= 5
+    assert all(prompt.hands for prompt in looks)
+
+
+def test_a_person_touches_off(bench: Bench) -> None:
+    bench.manual.reset()
+    found = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)
+    assert 0.0 <= found.position_mm < 5.0
+    assert abs(found.force_mN) >= 25.0
+    assert bench.manual.position_mm == pytest.approx(max(found.position_mm - 1.0, 0.0), abs=0.02)
+
+
+def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> None:
+    bench.manual.reset()
+    points = list(weigh(bench.backend, RIG, bench.manual, (0.0, 20.0, 50.0, 100.0), 2, 0.5))
+    line = force_line([one.load_mN for one in points], [one.reading.force_V for one in points])
+    assert abs(line.gain - RIG.hardware.card.force.per_V) < 5 * line.gain_error + 1.0
+    assert line.residual < RIG.force_sensor.accuracy_mN
+    with pytest.raises(DeviceError, match="overloaded"):
+        list(weigh(bench.backend, RIG, bench.manual, (0.0, 2000.0), 1, 0.1))
+
+
+def test_a_program_that_hangs_in_motion_is_stopped_and_told_why(bench: Bench) -> None:
+
+    bench.manual.reset()
+    bench.manual.make_ready()
+
+    def hang(reading: Reading) -> None:
+        if reading.end_index > 800 and not hung:
+            hung.append(bench.manual.position_mm)
+            time.sleep(2.5 * RIG.hardware.hang_s)
+
+    hung: list[float] = []
+    outcome = bench.engine.acquire(acquire(stroke(100.0, 20.0, 400.0)), view=hang)
+    assert outcome.status == "tripped"
+    assert outcome.reason.startswith("watchdog: ")
+    assert bench.manual.position_mm - hung[0] < 20.0 * (RIG.hardware.hang_s + 0.75)
+    bench.manual.reset()
+    assert bench.manual.trip is None
