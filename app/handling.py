@@ -152,9 +152,9 @@ def at_the_bench(
         bench = Bench(setup, backend, Manual(backend, guard, engine, operator))
         try:
             done = host(lambda: work(bench), engine.abort, operator)
-        except DeviceError as error:
+        except (AbortedError, DeviceError) as error:
             if engine.cancelled.is_set():
-                raise AbortedError(f"{engine.abort_reason}.") from error
+                raise AbortedError(f"ended early ({engine.abort_reason}): the stage is stopped, and off.") from error
             raise
         finally:
             failures = park(backend)

@@ -115,6 +115,7 @@ def test_ctrl_c_ends_a_jog(lab: Path) -> None:
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 3, err
+    assert "ended early (Ctrl-C)" in err
     assert out == ""
 
 

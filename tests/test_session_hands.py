@@ -9,6 +9,7 @@ import pytest
 from simulated import NEVER, Handed, acquire, rest, settings, stroke
 
 from dragrig.cli.operator import Terminal
+from dragrig.config.errors import DeviceError, StaleDataError
 from dragrig.config.loading import parse
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -131,6 +132,30 @@ def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypat
     assert result.reason.startswith("watchdog: nobody looked at the data")
     assert store.runs[0].info.status is Status.TRIPPED
     assert store.runs[0].info.reason == result.reason
+
+
+@pytest.mark.parametrize("end", [None, StaleDataError("nothing for 0.2 s."), DeviceError("the buffer ran over.")])
+def test_what_follows_from_the_watchdogs_stop_does_not_hide_it(
+    end: DeviceError | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = open_handed()
+    engine = engine_on(backend)
+    read = backend.sampler.read
+
+    def cut_off(cancel: threading.Event) -> Block | None:
+        block = read(cancel)
+        if block is None or block.first_index < 400:
+            return block
+        monkeypatch.setattr(SimulatedStage, "fault", Trip(Cause.WATCHDOG, "hung for 0.5 s"))
+        if end is not None:
+            raise end
+        return None
+
+    monkeypatch.setattr(backend.sampler, "read", cut_off)
+    outcome = engine.acquire(acquire(stroke(travel_mm=100.0)))
+    assert outcome.status is Status.TRIPPED
+    assert outcome.reason.startswith("watchdog: hung for 0.5 s")
+    assert end is None or str(end).rstrip(".") in outcome.reason
 
 
 def engine_on(backend: Handed) -> Engine:
