@@ -164,6 +164,7 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         assert rig.world.position_mm() < 139.0
         rig.world.mishaps.repair()
         until(lambda: not rig.port._replies)
+        assert rig.stage.state().fault is not None
         rig.coupling.disarm()
         rig.stage.disable()
         rig.stage.enable()
