@@ -5,7 +5,12 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+# A busy machine is slow, not wrong.
+hypothesis.settings.register_profile("dragrig", deadline=None)
+hypothesis.settings.load_profile("dragrig")
 
 
 def is_root() -> bool:
