@@ -19,7 +19,7 @@ _CHUNK = 4096
 class Port(ABC):
     """A cable to a drive's double, served by a thread of its own from entering to leaving the context.
 
-    Its mishaps are the bench's: replies come late, garbled or not at all, and a cable once unplugged stays so.
+    Its mishaps are the bench's: replies come late, garbled or not at all, or the cable is unplugged.
     """
 
     def __init__(self, drive: DriveDouble) -> None:
@@ -55,6 +55,10 @@ class Port(ABC):
     @abstractmethod
     def _hang_up(self) -> None:
         """Pull the cable; again changes nothing."""
+
+    def _plug_in(self) -> None:
+        """Plug the cable in again, where that brings back the same port; again changes nothing."""
+        return
 
     @abstractmethod
     def _write(self, data: bytes) -> None:
@@ -95,10 +99,12 @@ class Port(ABC):
             self._send_due()
             if self._drive.world.mishaps.now.drive_unplugged:
                 self._hang_up()
+            elif not self._ended:
+                self._plug_in()
 
 
 class PtyPort(Port):
-    """A pseudo-terminal. Not on Windows, which has none."""
+    """A pseudo-terminal, which is gone for good once unplugged. Not on Windows, which has none."""
 
     def __init__(self, drive: DriveDouble) -> None:
         import tty
@@ -159,6 +165,7 @@ class SocketPort(Port):
         partner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         partner.setblocking(False)
         self._partner, self._received = partner, b""
+        self._replies.clear()  # what was due to the partner before
         self._selector.register(partner, selectors.EVENT_READ, self._read)
 
     def _read(self) -> None:
@@ -192,3 +199,8 @@ class SocketPort(Port):
         if self._listener.fileno() >= 0:
             self._selector.unregister(self._listener)
             self._listener.close()
+
+    def _plug_in(self) -> None:
+        if self._listener.fileno() < 0:
+            self._listener = socket.create_server(("127.0.0.1", self._number))
+            self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
