@@ -108,7 +108,12 @@ class Acquiring:
 
     def trip(self, trip: Trip | None) -> None:
         """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
-        if trip is not None:
+        if trip is None:
+            return
+        if trip.cause is Cause.CARD_FAULT:
+            # Whoever meets it first, the lines or the samples, it is told as the one failure that it is.
+            self.end(Status.FAILED, trip.message)
+        else:
             self.end(Status.TRIPPED, f"{trip.cause}: {trip.message}")
 
     def fail(self, error: DragrigError) -> None:

@@ -14,6 +14,7 @@ IN_PLACE_MM = 0.005
 HOMING = "The stage goes to the end of its travel to find its origin: take the capsule out of its way"
 _STANDSTILL_S = 10.0
 """How long a stage is waited for to stand."""
+_LEFT_ON = "and the rig could not be left as usual: see that its drive is switched off"
 _POSITIONING_SPEED_MM_S = 20.0
 _POSITIONING_ACCEL_MM_S2 = 200.0
 
@@ -31,6 +32,9 @@ def reset(backend: Backend, guard: Guard, operator: Operator) -> None:
     if backend.needs_hands:
         text = "Look at the rig: is its way free, are all hands out, the e-stop in reach? Then the guard is reset"
         confirm(operator, Prompt(text))
+    if backend.stage.state().fault is not None:
+        # Switched off, a drive forgets the alarm that was seen to meanwhile; one that still stands comes back.
+        backend.stage.disable()
     still_tripped = guard.reset(backend.stage.state())
     if still_tripped is not None:
         raise TrippedError(f"{still_tripped.message}; the guard stays tripped until that is seen to.")
@@ -59,11 +63,16 @@ def confirm(operator: Operator, prompt: Prompt) -> None:
         raise AbortedError("ended at a prompt.")
 
 
-def park(backend: Backend) -> list[str]:
-    """Stop everything and switch the drive off once the stage stands; return what went wrong."""
+def park(backend: Backend, ended_for: str = "") -> list[str]:
+    """Stop everything and switch the drive off once the stage stands; return what went wrong.
+
+    What ended a session, if anything did, mostly keeps it from ending well too. Its own words are the ones that help,
+    so that after it nothing is told but what has to be done by hand.
+    """
     # Switched off in motion, a stage coasts.
     steps = (backend.stage.stop, backend.sampler.stop, lambda: await_standstill(backend), backend.stage.disable)
-    return [text for step in steps if (text := attempt(step))]
+    failures = [text for step in steps if (text := attempt(step))]
+    return [_LEFT_ON] if failures and ended_for else failures
 
 
 def await_standstill(backend: Backend) -> None:

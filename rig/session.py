@@ -100,7 +100,7 @@ class Session:
             status = Status.ABORTED if self.engine.cancelled.is_set() else Status.FAILED
             reason = self.engine.abort_reason or plain(error)
         finally:
-            failures = [*park(self._backend), attempt(self._store.settle)]
+            failures = [*park(self._backend, reason), attempt(self._store.settle)]
         reason = "; ".join(part for part in (reason, *failures) if part)
         if status is Status.COMPLETE and any(failures):
             status = Status.FAILED

@@ -15,6 +15,7 @@ class Cause(StrEnum):
     STALE_DATA = "stale data"
     NOT_A_NUMBER = "not a number"
     DRIVE_FAULT = "drive fault"
+    CARD_FAULT = "card fault"
     EMERGENCY_STOP = "emergency stop"
     LIMIT_SWITCH_LOW = "lower limit switch"
     LIMIT_SWITCH_HIGH = "upper limit switch"

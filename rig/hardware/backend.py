@@ -112,7 +112,10 @@ class HardwareBackend:
         yield from self._try("drive", self._look_at_drive)
 
     def close(self) -> None:
-        """Stop the stage and let go of every device, whatever becomes of the others."""
+        """Stop the stage and let go of every device, whatever becomes of the others.
+
+        What a device refuses here is not raised: it would take the place of what the session has to say.
+        """
         if self._closed:
             return
         self._closed = True
@@ -126,16 +129,16 @@ class HardwareBackend:
     def _take(self) -> None:
         if self._owner is None:
             self._owner = Owner(self._rig.hardware)
-            self._open.callback(self._owner.close)
+            self._open.callback(attempt, self._owner.close)
 
     def _open_card(self) -> CardLines:
         if self._connection is None:
             self._connection = Connection(self._rig.hardware.card)
-            self._open.callback(self._connection.close)
+            self._open.callback(attempt, self._connection.close)
         self._facts = identify(self._connection)
         if self._lines is None:
             self._lines = CardLines(self._connection)
-            self._open.callback(self._lines.close)
+            self._open.callback(attempt, self._lines.close)
         if self._sampler is None:
             self._sampler = CardSampler(
                 self._connection, self._rig, self._calibrations, self._coupling, self._clock, self._deadman.feed
@@ -146,13 +149,13 @@ class HardwareBackend:
         if self._stage is None:
             drive = self._rig.hardware.drive
             self._link = DriveLink(drive, find_dialect(drive.dialect))
-            self._open.callback(self._link.close)
+            self._open.callback(attempt, self._link.close)
             shared = self._rig, self._link, _connected(self._lines), self._coupling, self._clock, self._deadman
             if drive.mode == "velocity":
                 self._stage = VelocityStage(*shared, _connected(self._connection), self._calibrations)
             else:
                 self._stage = SerialStage(*shared)
-            self._open.callback(self._stage.close)
+            self._open.callback(attempt, self._stage.close)
         return self._stage
 
     def _try(self, what: str, look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:

@@ -42,7 +42,7 @@ class Connection:
         """
         if not self._card.server:
             return nidaqmx.Task()
-        name = re.sub(r"\W", "_", f"dragrig_{gethostname()}_{role}") if role else ""
+        name = re.sub(r"\W", "_", f"dragrig_{gethostname()}_{self._card.device}_{role}") if role else ""
         options = self._options(name)
         if name:
             nidaqmx.Task(name, grpc_options=options).close()

@@ -20,6 +20,8 @@ from dragrig.rig.trips import Cause, Trip
 _AHEAD = 256
 """Blocks that wait for the thread that reads; beyond them, samples wait in the card's buffer."""
 _WAKE_S = 0.02
+_HELD_S = 0.1
+"""A wait of `_WAKE_S` that takes so long says that the whole program was frozen meanwhile."""
 _TAIL_S = 0.02
 """How much is sampled after a stop once the stage stands."""
 
@@ -81,10 +83,15 @@ class Reader:
                 raise self._error
             if self._over:
                 return None
+            asked_s = time.monotonic()
             try:
                 item = self._ready.get(timeout=_WAKE_S)
             except Empty:
-                self._refuse_stale()
+                if time.monotonic() - asked_s < _HELD_S:
+                    self._refuse_stale()
+                else:
+                    # The program itself was held up, so that nobody knows yet whether samples are there.
+                    self._heard_s = time.monotonic()
                 continue
             if isinstance(item, Block):
                 return item

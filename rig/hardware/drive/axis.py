@@ -40,7 +40,8 @@ class Axis:
         self._mishap: Trip | None = None
         self._heard_s = time.monotonic()
         self._status = self._ask()
-        self._switched_on = self._status.enabled
+        # Left on by a program that was killed, it goes off with its enable line, which is no fault of its own.
+        self._switched_on = False
 
     @property
     def status(self) -> Status:

@@ -5,14 +5,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from statistics import median
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
-from dragrig.rig.hardware.drive.port import CABLE_ERRORS, close_port, open_port
+from dragrig.rig.hardware.drive.port import CABLE_ERRORS, WRITE_TIMEOUT, close_port, open_port
 
 _REMEMBERED = 15
 _STOP = Request(Command.STOP)
@@ -167,7 +167,11 @@ class DriveLink:
             close_port(self._serial)
 
     def _serve_stops(self) -> None:
+        served = 0
         while self._wakings.get():
+            if self._stops == served:
+                continue
+            served = self._stops
             for listener in self._listeners:
                 listener()
             try:
@@ -215,10 +219,12 @@ class DriveLink:
         # A reply that came too late for its own request would be taken for this one's.
         self._serial.reset_input_buffer()
         began_s = time.perf_counter()
-        self._serial.write(frame)
-        received, complaint = b"", "nothing came"
-        while time.perf_counter() - began_s < self._settings.reply_s:
-            received += self._serial.read(max(self._serial.in_waiting, 1))
+        with suppress(WRITE_TIMEOUT):  # whether the drive has heard it shows in its reply
+            self._serial.write(frame)
+        received, complaint, is_late = b"", "nothing came", False
+        while not is_late:
+            is_late = time.perf_counter() - began_s >= self._settings.reply_s
+            received += self._what_is_there() if is_late else self._serial.read(max(self._serial.in_waiting, 1))
             while length := self._dialect.frame_length(received):
                 first, received = received[:length], received[length:]
                 try:
@@ -234,3 +240,10 @@ class DriveLink:
             f"the drive on {self.port} did not answer '{request.command}' within {self._settings.reply_s:g} s "
             f"({complaint}): check its power, cable and settings (hardware.drive.reply_s of the rig file)."
         )
+
+    def _what_is_there(self) -> bytes:
+        # A busy computer may look late at what came in time.
+        received = b""
+        while waiting := self._serial.in_waiting:
+            received += self._serial.read(waiting)
+        return received

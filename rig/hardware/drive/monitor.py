@@ -168,14 +168,14 @@ class Monitor:
         try:
             self._lines.beat()
         except DeviceError as error:
-            self.latch(Trip(Cause.DRIVE_FAULT, plain(error)))
+            self.latch(Trip(Cause.CARD_FAULT, plain(error)))
 
     def _ask_lines(self) -> Trip | None:
         try:
             self._pressed = self._lines.pressed()
         except DeviceError as error:
             # Switches that nobody can read count as pressed.
-            return Trip(Cause.EMERGENCY_STOP, plain(error))
+            return Trip(Cause.CARD_FAULT, plain(error))
         return self._pressed.trip(but=self._tolerated)
 
     def _ask_drive(self) -> Trip | None:

@@ -16,6 +16,8 @@ else:
 """What a pulled cable raises: SerialException is an OSError, a terminal's error is not."""
 
 _OPENING_ERRORS: tuple[type[Exception], ...] = (*CABLE_ERRORS, ValueError)
+WRITE_TIMEOUT = serial.SerialTimeoutException
+"""What a write raises that took too long; to a socket, even though all of it was sent."""
 _PARITIES = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 _STOP_BITS = {1: serial.STOPBITS_ONE, 2: serial.STOPBITS_TWO}
 _READS_PER_REPLY = 5
