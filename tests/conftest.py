@@ -4,13 +4,12 @@ import os
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import hypothesis
 import pytest
 
-# A busy machine is slow, not wrong.
-hypothesis.settings.register_profile("dragrig", deadline=None)
-hypothesis.settings.load_profile("dragrig")
+if TYPE_CHECKING:
+    from rig_faults import Bench
 
 
 def is_root() -> bool:
@@ -19,6 +18,22 @@ def is_root() -> bool:
 
 def mounted(*options: str) -> bool:
     return subprocess.run(["mount", *options], capture_output=True, check=False).returncode == 0
+
+
+@pytest.fixture(scope="session")
+def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Bench]":
+    """The real rig's devices, doubled in another process for all tests of a worker, with a lab folder."""
+    from rig_faults import bench
+
+    with bench(tmp_path_factory.mktemp("lab")) as one:
+        yield one
+
+
+@pytest.fixture
+def faulty_rig(faulty_bench: "Bench") -> "Iterator[Bench]":
+    """The same, repaired after the test."""
+    yield faulty_bench
+    faulty_bench.repair()
 
 
 @pytest.fixture

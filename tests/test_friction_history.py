@@ -92,7 +92,7 @@ def components(acquisition: Acquisition, time: float) -> tuple[float, float]:
     return float(parts.f_e[0]), float(parts.f_c[0])
 
 
-@settings(max_examples=25, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     speed=st.floats(0.5, 100.0),
     travel=st.floats(1.0, 30.0),

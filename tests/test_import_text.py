@@ -69,7 +69,7 @@ def tables(draw: st.DrawFn) -> tuple[Dialect, list[str], list[list[float]]]:
     return dialect, names, rows
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(tables())
 def test_any_table_in_any_dialect_is_read_back_exactly(
     tmp_path: Path, case: tuple[Dialect, list[str], list[list[float]]]
@@ -183,7 +183,7 @@ def test_what_is_stated_is_taken_as_stated(tmp_path: Path) -> None:
     assert read(tmp_path, latin, encoding="cp850").columns[0].name == "Größe"
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=200), st.text('0123456789.,;\t \n-+eEnNaA"#µ', max_size=200).map(str.encode)))
 def test_no_bytes_bring_anything_but_a_table_or_a_sentence(tmp_path: Path, content: bytes) -> None:
     said = ""

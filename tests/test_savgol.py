@@ -93,7 +93,7 @@ def cases(draw: st.DrawFn) -> tuple[int, SavgolSettings, list[int], list[int], l
     return samples, SavgolSettings(window_samples=2 * half + 1, order=order, derivative=derivative), gaps, cuts, missing
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(cases())
 @example((30, SavgolSettings(window_samples=5, order=2), [10, 12], [0, 10, 12, 13, 30], []))
 def test_the_stream_gives_what_the_whole_trace_gives(

@@ -1,0 +1,62 @@
+"""Faults of the drive, its cable and its switches, in motion: real pyserial before the drive's double."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rig_faults import Bench, assert_goes_on, assert_kept, assert_stopped, assert_told, begin, only_run, sentence
+
+from dragrig.rig.acquiring import Outcome
+from dragrig.rig.hardware.dialects.base import Halt
+from dragrig.rig.programme import PlannedRun
+from dragrig.rig.runfile import campaign
+from dragrig.rig.runfile.model import Status
+
+
+@pytest.mark.parametrize(
+    ("fault", "mishaps", "halt", "then"),
+    [
+        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, assert_goes_on),
+        ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, None),
+        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, assert_goes_on),
+        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, assert_goes_on),
+        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, assert_goes_on),
+        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, None),
+    ],
+)
+def test_what_the_drive_or_its_cable_does_ends_the_run(
+    faulty_rig: Bench, fault: str, mishaps: dict[str, Any], halt: Halt, then: Callable[[Bench, Path], None] | None
+) -> None:
+    running = begin(faulty_rig)
+    struck = running.strike(**mishaps)
+    seen = running.person.samples
+    ended = running.end()
+    run = only_run(ended.folder)
+    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert_stopped(struck, ended.stage, halt)
+    assert not ended.stage.enabled
+    assert_kept(run, seen)
+    assert_told(fault, ended, run)
+    if then is not None:
+        then(faulty_rig, ended.folder)
+
+
+@pytest.mark.parametrize(
+    ("fault", "mishap"), [("clean-up fails, card", "card_unplugged"), ("clean-up fails, serial", "drive_unplugged")]
+)
+def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, fault: str, mishap: str) -> None:
+    running = begin(faulty_rig)
+
+    def break_it(run: PlannedRun, outcome: Outcome) -> None:
+        faulty_rig.strike(**{mishap: True})
+
+    running.person.run_ends = break_it  # type: ignore[method-assign]
+    ended = running.end()
+    (info,) = campaign(ended.folder).runs
+    assert info.status is Status.COMPLETE
+    assert (ended.status, ended.exit_code) == (Status.FAILED, 5)
+    assert sentence(fault).fullmatch(ended.told), ended.told
+    assert not ended.stage.moving
+    assert not ended.stage.enabled
+    assert_goes_on(faulty_rig, ended.folder)

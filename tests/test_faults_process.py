@@ -1,0 +1,231 @@
+"""Faults of the program and its computer: ended, killed, frozen, hung, met by another, disk full, time put back."""
+
+import mmap
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+from rig_faults import (
+    DOCS,
+    START_MM,
+    Bench,
+    Program,
+    assert_goes_on,
+    assert_kept,
+    assert_stopped,
+    assert_told,
+    begin,
+    only_run,
+    sentence,
+)
+
+from dragrig.rig.hardware.dialects.base import Halt
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile import campaign, mark_bad, read_run
+from dragrig.rig.runfile.model import Status
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
+
+
+@pytest.fixture
+def start(faulty_rig: Bench) -> Iterator[Callable[..., Program]]:
+    """Return what starts `dragrig run`; whatever still runs in the end is killed."""
+    started: list[Program] = []
+
+    def begun(*words: object, **environment: str) -> Program:
+        started.append(Program(faulty_rig, *map(str, words), **environment))
+        return started[-1]
+
+    yield begun
+    for program in started:
+        program.close()
+    faulty_rig.until(lambda look: not look.moving)
+
+
+Start = Callable[..., Program]
+
+
+def recorded(folder: Path) -> int:
+    """How many samples are on disk right now."""
+    found = list(folder.glob("*.recording.h5"))
+    return read_run(found[0]).info.samples if found else 0
+
+
+def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Bench, start: Start) -> None:
+    first = start("plan.toml", "--out", one := faulty_rig.folder(), "--set", "speed_mm_s=0.4")
+    first.until_under_way()
+    code, _, told = start("plan.toml", "--out", other := faulty_rig.folder()).end()
+    assert code == 5
+    assert sentence("two programs on one rig").fullmatch(told), told
+    assert str(first.process.pid) in told
+    assert not other.exists()
+    assert faulty_rig.look().moving
+    first.process.send_signal(signal.SIGTERM)
+    first.end()
+    run = only_run(one)
+    assert (run.info.reason, run.info.checks["lost_samples"]) == ("ended by SIGTERM", 0)
+    assert_kept(run, 1000)
+
+
+def test_sigterm_ends_the_run_in_good_order(faulty_rig: Bench, start: Start) -> None:
+    program = start("plan.toml", "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way()
+    kept = recorded(folder)
+    program.process.send_signal(signal.SIGTERM)
+    code, printed, told = program.end()
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (3, "aborted", Status.ABORTED)
+    assert sentence("SIGTERM").fullmatch(told), told
+    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
+    look = faulty_rig.look()
+    assert_stopped(struck, look, Halt.STOP)
+    assert not look.enabled
+    assert_kept(run, kept)
+    assert_goes_on(faulty_rig, folder)
+
+
+def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_rig: Bench, start: Start) -> None:
+    program = start("plan.toml", "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way(START_MM + 1.8)
+    kept = recorded(folder)
+    assert kept
+    program.process.kill()
+    look = faulty_rig.until(lambda look: not look.moving)
+    assert_stopped(struck, look, Halt.SILENCE)
+    assert_goes_on(faulty_rig, folder)
+    (lost,) = (info for info in campaign(folder).runs if info.status is not Status.COMPLETE)
+    assert lost.status is Status.RECOVERED
+    assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
+    assert_kept(read_run(lost.path), kept)
+
+
+def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Bench, start: Start) -> None:
+    program = start("plan.toml", "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way()
+    kept = recorded(folder)
+    program.process.send_signal(signal.SIGSTOP)
+    look = faulty_rig.until(lambda look: not look.moving)
+    assert_stopped(struck, look, Halt.SILENCE)
+    program.process.send_signal(signal.SIGCONT)
+    code, printed, told = program.end()
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (4, "tripped", Status.TRIPPED)
+    assert sentence("program frozen").fullmatch(told), told
+    assert printed["reason"] == run.info.reason
+    assert not faulty_rig.look().enabled
+    assert_kept(run, kept)
+    assert_goes_on(faulty_rig, folder)
+
+
+def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(faulty_rig: Bench) -> None:
+    running = begin(faulty_rig)
+    held, let_go = threading.Event(), threading.Event()
+
+    def hang(reading: Reading) -> None:
+        if reading.channels["position"][-1] > 0.5:
+            held.set()
+            let_go.wait(40.0)
+
+    running.person.reads = hang  # type: ignore[method-assign]
+    assert held.wait(40.0)
+    struck = faulty_rig.look()
+    faulty_rig.until(lambda look: not look.moving)
+    let_go.set()
+    ended = running.end()
+    run = only_run(ended.folder)
+    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert_told("program hangs", ended, run)
+    assert_kept(run, 1)
+    assert_goes_on(faulty_rig, ended.folder)
+
+
+def fill(disk: Path) -> Path:
+    filler = disk / "filler"
+    with filler.open("wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(b"\0" * 65536)
+        except OSError:
+            return filler
+
+
+def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Bench, small_disk: Path) -> None:
+    running = begin(faulty_rig, out=small_disk / "campaign", assignments=["rig.recording.reserve_mb=1"])
+    struck = faulty_rig.until_under_way(lambda: running.alive, START_MM + 1.8)
+    seen = running.person.samples
+    filler = fill(small_disk)
+    ended = running.end()
+    assert ended.exit_code == 5
+    assert any(sentence(fault).fullmatch(ended.told) for fault in ("disk full", "disk refuses data")), ended.told
+    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert not ended.stage.enabled
+    filler.unlink()
+    assert_goes_on(faulty_rig, small_disk / "campaign")
+    lost = next(info for info in campaign(small_disk / "campaign").runs if info.status is not Status.COMPLETE)
+    assert_kept(read_run(lost.path), seen - 150)
+    assert "free" in lost.reason or "disk" in lost.reason
+
+
+class ShiftedClock:
+    """The time of day of a program that is started with `environment`, moved while it runs."""
+
+    def __init__(self, folder: Path) -> None:
+        library, source = folder / "shift.so", Path(__file__).with_name("wall_clock_shift.c")
+        made = subprocess.run(
+            ["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], capture_output=True, check=False
+        )
+        if made.returncode:
+            pytest.skip("nothing to preload can be compiled here")
+        file = folder / "shift"
+        file.write_bytes(bytes(8))
+        with file.open("r+b") as opened:
+            self._map = mmap.mmap(opened.fileno(), 8)
+        self.environment = {"LD_PRELOAD": str(library), "CLOCK_SHIFT": str(file)}
+
+    def put(self, shift_s: int) -> None:
+        self._map[:8] = struct.pack("q", shift_s)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("cc"), reason="needs LD_PRELOAD and a C compiler")
+def test_a_clock_that_is_put_back_changes_no_time_and_no_order(faulty_rig: Bench, start: Start, tmp_path: Path) -> None:
+    clock = ShiftedClock(tmp_path)
+    program = start("plan.toml", "--out", folder := faulty_rig.folder(), **clock.environment)
+    began = datetime.now().astimezone()
+    program.until_under_way()
+    clock.put(-3600)
+    code, printed, _ = program.end()
+    assert (code, printed["status"]) == (0, "complete")
+    first = only_run(folder)
+    assert_kept(first, first.info.samples)
+    assert first.info.end_time is not None
+    took = first.info.end_time - first.info.header.start_time
+    assert timedelta(seconds=first.info.samples / 1000) <= took < timedelta(seconds=30)
+    assert began - timedelta(seconds=60) < first.info.header.start_time < began + timedelta(seconds=60)
+    mark_bad(first.info.path, "made again")
+    code, printed, _ = start("--resume", folder, **clock.environment).end()
+    assert (code, printed["status"]) == (0, "complete")
+    earlier, later = sorted(campaign(folder).runs, key=lambda one: one.header.order)
+    assert earlier.end_time is not None
+    assert later.header.start_time >= earlier.end_time
+    assert later.path.name > earlier.path.name
+    seen = subprocess.run(
+        ["date", "+%s"], env={**clock.environment, "PATH": "/bin:/usr/bin"}, capture_output=True, text=True, check=True
+    )
+    assert abs(int(seen.stdout) - (time.time() - 3600)) < 5, "the clock was never put back"
+
+
+def test_the_page_on_faults_shows_what_the_tests_hear() -> None:
+    rows = [line.split("|")[1:3] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("| ")]
+    shown = {fault.strip() for fault, said in rows if said.strip().startswith("`")}
+    told = "".join(path.read_text("utf-8") for path in Path(__file__).parent.glob("test_faults_*.py"))
+    assert len(shown) > 20
+    assert [fault for fault in sorted(shown) if f'"{fault}"' not in told] == []
