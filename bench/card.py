@@ -24,9 +24,9 @@ from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.profile import MotionProfile, Phase, still
-from dragrig.sim_backend.doubles import c_abi
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.mishaps import Mishaps
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.fronts import c_abi
+from dragrig.sim_backend.doubles.world.mishaps import Mishaps
 
 RATE_HZ = 83_333.0
 STEP_V = 20.0 / 2**16

@@ -17,11 +17,11 @@ from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles import c_abi
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.grpc_server import CardServer
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.fronts import c_abi
+from dragrig.sim_backend.doubles.fronts.grpc_server import CardServer
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import World
 
 
 class Witness(World):

@@ -18,10 +18,10 @@ from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.stage import SerialStage
 from dragrig.rig.hardware.lines import Lines, NoLines, Pressed
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.drive import DriveDouble
-from dragrig.sim_backend.doubles.ports import Port, PtyPort, SocketPort
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.drive.drive import DriveDouble
+from dragrig.sim_backend.doubles.drive.ports import Port, PtyPort, SocketPort
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import World
 
 RATE = 1000.0
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),

@@ -31,9 +31,9 @@ from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import campaign, read_run
 from dragrig.rig.runfile.model import Run, Status
-from dragrig.sim_backend.doubles.messages import StageLook
-from dragrig.sim_backend.doubles.mishaps import Trouble
-from dragrig.sim_backend.doubles.remote import RemoteDoubles
+from dragrig.sim_backend.doubles.remote.client import RemoteDoubles
+from dragrig.sim_backend.doubles.remote.messages import StageLook
+from dragrig.sim_backend.doubles.world.mishaps import Trouble
 
 START_MM = 5.0
 TRAVEL_MM = 6.0

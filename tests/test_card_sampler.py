@@ -25,8 +25,8 @@ from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import SampledTasks
 from dragrig.rig.hardware.lines import Pressed
 from dragrig.rig.trips import Cause
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.world.world import World
 
 INPUTS = [
     {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0},

@@ -30,10 +30,10 @@ from simulated import NEVER, settings
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import trapezoid
-from dragrig.sim_backend.doubles import c_abi
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.fronts import c_abi
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import World
 
 RATE = 1000.0
 STEP_V = 10.0 / 2**15

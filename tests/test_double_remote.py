@@ -31,14 +31,14 @@ from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Reply, Request, find_dialect
 from dragrig.rig.profile import trapezoid
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.control import ControlServer
-from dragrig.sim_backend.doubles.grpc_server import UNLIMITED, CardServer
-from dragrig.sim_backend.doubles.messages import StageLook
-from dragrig.sim_backend.doubles.mishaps import Mishaps
-from dragrig.sim_backend.doubles.remote import Control, RemoteDoubles
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.fronts.grpc_server import UNLIMITED, CardServer
+from dragrig.sim_backend.doubles.remote.client import Control, RemoteDoubles
+from dragrig.sim_backend.doubles.remote.control import ControlServer
+from dragrig.sim_backend.doubles.remote.messages import StageLook
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.mishaps import Mishaps
+from dragrig.sim_backend.doubles.world.world import World
 
 INPUT = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
 METRES = 1e-6
@@ -357,7 +357,7 @@ def card_port(doubles: RemoteDoubles) -> int:
 PARENT = """
 import os, sys, signal
 from dragrig.config.rig import RigSettings
-from dragrig.sim_backend.doubles.remote import Control, RemoteDoubles
+from dragrig.sim_backend.doubles.remote.client import Control, RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()
 print(doubles.process_id, flush=True)

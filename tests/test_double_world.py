@@ -9,8 +9,8 @@ from simulated import NEVER, acquire, record, session, settings, stroke
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Piece
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.world import SWITCH_MM, World
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import SWITCH_MM, World
 
 RATE = 1000.0
 PROFILE = stroke(travel_mm=20.0, speed_mm_s=40.0, rest_s=0.2, hold_s=0.3)

@@ -14,7 +14,7 @@ from dragrig.config.hardware import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Request
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError, StoppedFirstError
-from dragrig.sim_backend.doubles.ports import Port, PtyPort, SocketPort
+from dragrig.sim_backend.doubles.drive.ports import Port, PtyPort, SocketPort
 
 STATUS, POSITION, STOP = Request(Command.STATUS), Request(Command.POSITION), Request(Command.STOP)
 GO = Request(Command.GO, value=10.0)

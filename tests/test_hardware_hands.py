@@ -21,7 +21,7 @@ from dragrig.rig.people import Answer, Prompt
 from dragrig.rig.reading import Reading
 from dragrig.rig.trips import Cause
 from dragrig.sim_backend.doubles.backend import DoubleBackend
-from dragrig.sim_backend.doubles.mishaps import Mishaps
+from dragrig.sim_backend.doubles.world.mishaps import Mishaps
 
 # On a busy machine a start can be late, and so can samples.
 RIG = RigSettings.model_validate(

@@ -17,7 +17,7 @@ from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.strokes import strokes_of
 from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
 from dragrig.rig.trips import Cause
-from dragrig.sim_backend.doubles.ports import Port
+from dragrig.sim_backend.doubles.drive.ports import Port
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
 THERE_AND_BACK = MotionProfile.from_pieces(

@@ -20,7 +20,7 @@ from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.follower import Command, Follower
 from dragrig.rig.profile import MotionProfile, Phase, Piece, still
 from dragrig.rig.trips import Cause
-from dragrig.sim_backend.doubles.world import SWITCH_MM
+from dragrig.sim_backend.doubles.world.world import SWITCH_MM
 
 FOLLOWS_MM = 0.1
 STANDS_MM = 0.01

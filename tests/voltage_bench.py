@@ -14,13 +14,13 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.backend import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.sim_backend.doubles.c_abi import installed
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.drive import DriveDouble
-from dragrig.sim_backend.doubles.ports import SocketPort
-from dragrig.sim_backend.doubles.velocity_drive import drive_double
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.drive.drive import DriveDouble
+from dragrig.sim_backend.doubles.drive.ports import SocketPort
+from dragrig.sim_backend.doubles.drive.velocity import drive_double
+from dragrig.sim_backend.doubles.fronts.c_abi import installed
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import World
 
 RATE = 1000.0
 UPDATE_S, AHEAD, LAG_S = 0.03, 7, 0.002

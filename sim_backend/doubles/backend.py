@@ -12,13 +12,13 @@ from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.raw import RawReading
 from dragrig.rig.runfile.model import Channel
 from dragrig.sim_backend.devices.variation import draw_specimen
-from dragrig.sim_backend.doubles.c_abi import installed
-from dragrig.sim_backend.doubles.card import Card
-from dragrig.sim_backend.doubles.clock import DoubleClock
-from dragrig.sim_backend.doubles.mishaps import Mishaps
-from dragrig.sim_backend.doubles.ports import SocketPort
-from dragrig.sim_backend.doubles.velocity_drive import drive_double
-from dragrig.sim_backend.doubles.world import World
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.drive.ports import SocketPort
+from dragrig.sim_backend.doubles.drive.velocity import drive_double
+from dragrig.sim_backend.doubles.fronts.c_abi import installed
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.mishaps import Mishaps
+from dragrig.sim_backend.doubles.world.world import World
 
 
 class TellingSampler:

@@ -1,0 +1,235 @@
+"""The card's tasks: which there are, what they hold of the card, when they run. One lock guards all of it."""
+
+import threading
+from collections.abc import Callable
+
+from dragrig.sim_backend.doubles.card import generating, pci6229
+from dragrig.sim_backend.doubles.card.channels import encoder_of
+from dragrig.sim_backend.doubles.card.counter import Counter, InputClock, count_now
+from dragrig.sim_backend.doubles.card.daqmx import CardError, ChannelKind, Code
+from dragrig.sim_backend.doubles.card.generating import Listener
+from dragrig.sim_backend.doubles.card.inputs import AnalogSource
+from dragrig.sim_backend.doubles.card.streams import Stream
+from dragrig.sim_backend.doubles.card.tasks import Task
+from dragrig.sim_backend.doubles.card.wires import Bench
+from dragrig.sim_backend.doubles.world.mishaps import Trouble
+
+
+class Engine:
+    """Tasks on a bench. Whoever calls a method holds `changed`."""
+
+    def __init__(self, bench: Bench, listener: Listener) -> None:
+        self.bench = bench
+        self.wiring = bench.rig.hardware.card
+        self.changed = threading.Condition()
+        self.tasks: dict[int, Task] = {}
+        self.held_volts = dict.fromkeys(pci6229.AO, 0.0)
+        self.hear = listener
+        self._handles = 0
+        self._holders: dict[str, Task] = {}
+        self._lost = bench.mishaps.now.overwritten_samples
+        bench.mishaps.listen(self._struck)
+
+    @property
+    def now_s(self) -> float:
+        """The bench's clock."""
+        return self.bench.clock.monotonic()
+
+    def create(self, name: str) -> int:
+        """Return the handle of a new task."""
+        if any(task.name == name for task in self.tasks.values()):
+            raise CardError(Code.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
+        self._handles += 1
+        self.tasks[self._handles] = Task(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
+        return self._handles
+
+    def task(self, handle: int, *kinds: ChannelKind) -> Task:
+        """Return a task, whose channels must be of one of `kinds` if any is given."""
+        task = self.tasks.get(handle)
+        if task is None:
+            raise CardError(Code.INVALID_TASK, "Task specified is invalid or does not exist.")
+        if kinds and task.kind is None:
+            raise CardError(Code.NO_CHANNELS, f"Task has no channels.\n\nTask Name: {task.name}")
+        if kinds and task.kind not in kinds:
+            raise CardError(Code.CHANNEL_TYPE_MISMATCH, f"Task's channels cannot do this.\n\nTask Name: {task.name}")
+        return task
+
+    def idle(self, handle: int) -> Task:
+        """Return a task that may be configured."""
+        task = self.task(handle)
+        if task.running:
+            raise CardError(
+                Code.TASK_RUNNING,
+                f"Specified operation cannot be performed while the task is running.\n\nTask Name: {task.name}",
+            )
+        return task
+
+    def touch(self, trouble: Trouble | None = None) -> None:
+        """Raise what keeps the card from answering."""
+        trouble = trouble or self.bench.mishaps.now
+        where = f"\n\nDevice: {self.wiring.device}"
+        if trouble.card_gone:
+            raise CardError(Code.DEVICE_GONE, f"The specified device is not present or is not active.{where}")
+        if trouble.card_unplugged:
+            raise CardError(
+                Code.DEVICE_UNPLUGGED,
+                "Device cannot be accessed. Possible causes: it is no longer present in the system, not powered, or "
+                f"the computer woke up from sleep.{where}",
+            )
+
+    def find(self) -> None:
+        """Raise when the driver knows no such device."""
+        self.touch()
+        if self.bench.mishaps.now.card_absent:
+            raise CardError(
+                Code.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {self.wiring.device}"
+            )
+
+    def verify(self, task: Task) -> None:
+        """Raise what is wrong with a task's configuration."""
+        self.find()
+        if task.kind is None:
+            raise CardError(Code.NO_CHANNELS, f"Task has no channels.\n\nTask Name: {task.name}")
+        if task.kind is ChannelKind.COUNTER_INPUT and task.timing is not None and not task.timing.source:
+            raise CardError(
+                Code.NO_SAMPLE_CLOCK, f"The counter has no sample clock of its own.\n\nTask Name: {task.name}"
+            )
+
+    def reserve(self, task: Task) -> None:
+        """Let a task have what it needs of the card; raises `CardError` when another has it."""
+        self.verify(task)
+        for resource in _resources(task):
+            holder = self._holders.get(resource, task)
+            if holder is not task or self.bench.mishaps.now.card_reserved:
+                line = task.kind is ChannelKind.DIGITAL_OUTPUT
+                raise CardError(
+                    Code.LINES_RESERVED if line else Code.RESOURCE_RESERVED,
+                    "The specified resource is reserved: the operation could not be completed as specified.\n\n"
+                    f"Device: {self.wiring.device}\nResource: {resource}\nTask Name: {task.name}",
+                )
+        for resource in _resources(task):
+            self._holders[resource] = task
+
+    def release(self, task: Task) -> None:
+        """Take back what a task holds."""
+        self._holders = {resource: holder for resource, holder in self._holders.items() if holder is not task}
+
+    def start(self, task: Task) -> None:
+        """Start a task."""
+        self.idle(task.handle)
+        self.reserve(task)
+        match task.kind:
+            case ChannelKind.ANALOG_INPUT if task.timing is not None:
+                self._start_inputs(task, task.timing.rate_hz)
+            case ChannelKind.COUNTER_INPUT:
+                self._start_counter(task)
+            case ChannelKind.ANALOG_OUTPUT:
+                generating.start(task, self.now_s, self.hear)
+            case _:
+                pass
+        task.running = True
+        self.changed.notify_all()
+
+    def stop(self, task: Task) -> None:
+        """Stop a task; one that was not told to reserve what it needs gives it back."""
+        if task.running:
+            match task.kind:
+                case ChannelKind.ANALOG_INPUT if task.stream is not None:
+                    self._stop_inputs()
+                case ChannelKind.ANALOG_OUTPUT:
+                    generating.hold(task, self.now_s, self.held_volts, self.hear)
+                case _:
+                    pass
+        task.running, task.stream, task.counter, task.waveform = False, None, None, None
+        if not task.reserved:
+            self.release(task)
+        self.changed.notify_all()
+
+    def forget(self, task: Task) -> None:
+        """Stop a task and forget it."""
+        task.reserved = False
+        self.stop(task)
+        del self.tasks[task.handle]
+
+    def done(self, task: Task) -> bool:
+        """Return whether a task does not run or has taken or generated all its samples."""
+        if not task.running:
+            return True
+        if task.stream is not None:
+            return task.stream.done
+        return task.waveform is not None and task.waveform.done(self.now_s)
+
+    def still_runs(self, task: Task) -> Callable[[], None]:
+        """Return a check that raises once the card is gone or the task was stopped."""
+
+        def check() -> None:
+            self.touch()
+            if not task.running:
+                raise CardError(
+                    Code.ABORTED, f"The operation was stopped before it could be completed.\n\nTask Name: {task.name}"
+                )
+
+        return check
+
+    def _start_inputs(self, task: Task, rate_hz: float) -> None:
+        task.origin = count_now(self.bench)
+        self.bench.begin_sampling(rate_hz)
+        generating.trigger(self.tasks.values(), self.bench.began_s, self.hear)
+        task.stream = self._stream(task, AnalogSource(self.bench, task.channels, rate_hz))
+        for other in self._clocked_counters():
+            other.clocked(InputClock(rate_hz, task.origin, 0, task.stream.limit))
+
+    def _start_counter(self, task: Task) -> None:
+        task.counter = Counter(self.bench, encoder_of(task.channels[0], self.wiring))
+        if task.timing is None:
+            return
+        task.stream = self._stream(task, task.counter)
+        inputs = self._holders.get("ai")
+        if task.timing.source == pci6229.AI_SAMPLE_CLOCK and inputs is not None and inputs.stream is not None:
+            source = inputs.stream.source
+            clock = InputClock(source.rate_hz, inputs.origin, source.total(), inputs.stream.limit)
+            task.counter.clocked(clock)
+
+    def _stop_inputs(self) -> None:
+        for task in self.tasks.values():
+            if task.counter is not None and task.stream is not None and task.counter.rate_hz > 0:
+                task.stream.forget_before(task.counter.unclocked(max(task.stream.oldest(), task.stream.position)))
+        self.bench.end_sampling()
+
+    def _clocked_counters(self) -> list[Counter]:
+        return [
+            task.counter
+            for task in self.tasks.values()
+            if task.counter is not None and task.timing is not None and task.timing.source == pci6229.AI_SAMPLE_CLOCK
+        ]
+
+    def _stream(self, task: Task, source: AnalogSource | Counter) -> Stream:
+        limit = None if task.timing is None else task.timing.limit
+        pace = self.bench.clock.pace
+        stream = Stream(source, task.buffer_size, limit, pace, self.changed, self.still_runs(task))
+        stream.stall(self.bench.mishaps.now.card_stalled)
+        return stream
+
+    def _struck(self) -> None:
+        with self.changed:
+            trouble = self.bench.mishaps.now
+            lost, self._lost = trouble.overwritten_samples - self._lost, trouble.overwritten_samples
+            for task in self.tasks.values():
+                if task.stream is not None:
+                    task.stream.stall(trouble.card_stalled)
+                    if lost > 0:
+                        task.stream.lose(lost)
+            self.changed.notify_all()
+
+
+def _resources(task: Task) -> tuple[str, ...]:
+    match task.kind:
+        case ChannelKind.ANALOG_INPUT:
+            return ("ai",)
+        case ChannelKind.DIGITAL_OUTPUT:
+            return tuple(line for channel in task.channels for line in channel.lines)
+        case ChannelKind.DIGITAL_INPUT:
+            return ()
+        case _:
+            places = tuple(channel.physical for channel in task.channels)
+            return ("ao", *places) if task.timing is not None and places[0].startswith("ao") else places

@@ -1,0 +1,1 @@
+"""The drive, its port, and what powers it."""
