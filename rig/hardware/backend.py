@@ -106,8 +106,13 @@ class HardwareBackend:
             raise
 
     def examine(self) -> Iterator[Finding]:
-        """Look at owner, card and drive in turn; each is connected for it, and what cannot be says why."""
+        """Look at owner, card and drive in turn; each is connected for it, and what cannot be says why.
+
+        A rig that another program is at is not touched.
+        """
         yield from self._try("owner", self._take_if_free)
+        if self._owner is None:
+            return
         yield from self._try("card", self._look_at_card)
         yield from self._try("drive", self._look_at_drive)
 
