@@ -64,6 +64,7 @@ class Monitor:
         self._latched: Trip | None = None
         self._pressed = Pressed()
         self._tolerated: Cause | None = None
+        self._has_stopped = False
         self._ended = threading.Event()
         self._hurried = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="drive monitor", daemon=True)
@@ -157,11 +158,15 @@ class Monitor:
         return self._fault
 
     def _report(self, trip: Trip | None, *, moved: bool) -> None:
-        is_new = trip is not None and self._fault is None
         self._fault = trip
-        if is_new and moved:
-            # Whoever asks why the stage stopped may ask after the cause is gone.
-            self._latched = self._latched or trip
+        if not moved or trip is None:
+            self._has_stopped = self._has_stopped and moved
+            return
+        # Whoever asks why the stage stopped may ask after the cause is gone.
+        self._latched = self._latched or trip
+        if not self._has_stopped:
+            # Once for a motion, for a stop feeds the drive too.
+            self._has_stopped = True
             self._stop()
 
     def _lines_beat(self) -> None:
