@@ -77,13 +77,19 @@ class Acquiring:
         """Whether it was ended before the profile was over."""
         return self._ended
 
-    def start(self) -> None:
-        """Arm the sampler, start the stage, take the first sample."""
+    def start(self, cancel: Signal) -> bool:
+        """Arm the sampler, start the stage, take the first sample; return False when `cancel` is set before.
+
+        A stop that comes after the arming drops the motion; one before it is forgotten, but has set `cancel`.
+        """
         self._sampler.arm(self._acquisition)
+        if cancel.is_set():
+            return False
         self._stage.move(self._acquisition.profile)
         self._sampler.start()
         self._began_s = self._clock.monotonic()
         self._note("start", self._acquisition.kind)
+        return True
 
     def step(self, cancel: Signal) -> Reading | None:
         """Take the next block through guard, record and viewer; None when there is none, or the guard tripped."""

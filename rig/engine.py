@@ -62,6 +62,7 @@ class Engine:
         self._status = EngineStatus()
         self._latest: Reading | None = None
         self._cancel = Signal()
+        self._aborting = False
         self._abort_reason = ""
         self._aborted_at_s = 0.0
 
@@ -92,9 +93,11 @@ class Engine:
 
     def abort(self, reason: str) -> None:
         """Ask for an end from any thread or signal handler; the first reason stands."""
-        # No lock of ours: a signal handler may interrupt the very thread that holds it. The stage is stopped from here,
-        # because the thread that acquires may be waiting for a disk or a terminal.
-        if not self._cancel.is_set():
+        # No lock of ours: a signal handler may interrupt the very thread that holds it, and an Event has one inside, so
+        # that a second signal must not set what the first one is setting. The stage is stopped from here, because the
+        # thread that acquires may be waiting for a disk or a terminal.
+        if not self._aborting:
+            self._aborting = True
             self._abort_reason, self._aborted_at_s = reason, self._backend.clock.monotonic()
             self._cancel.set()
         attempt(self._backend.stage.stop)
@@ -145,13 +148,13 @@ class Engine:
 
     def _drive(self, run: Acquiring, status: EngineStatus, until: Callable[[Reading], bool] | None) -> None:
         try:
-            run.start()
-            self._set(replace(status, state=State.RUNNING))
-            while (reading := run.step(self._cancel)) is not None:
-                self._latest = reading
-                if until is not None and until(reading):
-                    run.end(Status.COMPLETE, "")
-                    return
+            if run.start(self._cancel):
+                self._set(replace(status, state=State.RUNNING))
+                while (reading := run.step(self._cancel)) is not None:
+                    self._latest = reading
+                    if until is not None and until(reading):
+                        run.end(Status.COMPLETE, "")
+                        return
             if self._cancel.is_set():
                 run.end(Status.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:
