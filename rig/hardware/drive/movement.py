@@ -13,11 +13,16 @@ class Movement:
     """A command that keeps the drive moving for a while: homing, or one stroke after the other.
 
     Times are readings of `time.monotonic`.
+
+    Parameters
+    ----------
+    as_of
+        What `link.stops` was when it was planned: a stop since then, even one before it was made, drops it.
     """
 
-    def __init__(self, link: DriveLink) -> None:
+    def __init__(self, link: DriveLink, as_of: int) -> None:
         self._link = link
-        self._as_of = link.stops
+        self._as_of = as_of
         self._began_s: float | None = None
         self._complete_s: float | None = None
 

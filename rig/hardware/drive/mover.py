@@ -21,6 +21,8 @@ class Strokes(Movement):
 
     Parameters
     ----------
+    as_of
+        As of `Movement`.
     round_trip_s
         Time between a request and its reply, in the rig's time: a request takes half of it to the drive.
     failed
@@ -34,13 +36,14 @@ class Strokes(Movement):
         strokes: Sequence[Stroke],
         origin_mm: float,
         link: DriveLink,
+        as_of: int,
         coupling: Coupling,
         clock: Clock,
         round_trip_s: float,
         failed: Callable[[DeviceError], None],
         over: Callable[["Strokes"], None],
     ) -> None:
-        super().__init__(link)
+        super().__init__(link, as_of)
         self._strokes, self._origin_mm = strokes, origin_mm
         self._coupling, self._clock = coupling, clock
         self._round_trip_s = round_trip_s

@@ -31,8 +31,13 @@ class Seeker:
         self._wired = settings.hardware.card
         self._arrived_mm = _ARRIVED_COUNTS * settings.encoder.resolution_um / 1000.0
 
-    def seek(self) -> None:
+    def seek(self, mark: int) -> None:
         """Find the index pulse, make it 0, and go to it or to the soft limit next to it.
+
+        Parameters
+        ----------
+        mark
+            What the loop's `stops` was when this was planned: a stop since then ends it at once.
 
         Raises
         ------
@@ -44,7 +49,6 @@ class Seeker:
         side = Side(self._drive.homing_direction)
         self._refuse_unwired(side)
         towards = -1.0 if side is Side.LOW else 1.0
-        mark = self._loop.stops
         if not self._is_pressed(side):
             mark = self._creep(towards, lambda: self._is_pressed(side), f"the {side} limit switch", mark)
         self._loop.recount(_FAR_MM, index=True)

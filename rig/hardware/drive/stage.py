@@ -89,12 +89,13 @@ class SerialStage(WatchedStage):
         DeviceError
             When the drive is off, moving, has a fault, refuses, or was stopped before it had found the pulse.
         """
+        as_of = self._link.stops
         with self._commands:
             towards = Side(self._drive.homing_direction)
             self._refuse_unready(enabled=self._axis.status.enabled, but=SWITCHES[towards])
             write_safeguards(self._link, self._settings)
             write_homing(self._link, self._settings)
-            movement = Movement(self._link)
+            movement = Movement(self._link, as_of)
             self._monitor.tolerate(SWITCHES[towards])
             self._axis.begin(movement)
             try:
@@ -121,6 +122,7 @@ class SerialStage(WatchedStage):
             too long past; when the profile leaves the stage's limits, does not end at a standstill, or is none that the
             drive can follow; and when the drive does not keep a limit that was written to it.
         """
+        as_of = self._link.stops
         with self._commands:
             self._refuse_unready(enabled=self._axis.status.enabled)
             if not self._axis.status.homed:
@@ -135,7 +137,7 @@ class SerialStage(WatchedStage):
             round_trip_s = write_motion(self._link, self._settings, limits, strokes[0], self._clock)
             refuse_late(strokes[0].start_s, self._coupling, self._clock)
             self._strokes = Strokes(
-                strokes, origin_mm, self._link, self._coupling, self._clock, round_trip_s, self._failed,
+                strokes, origin_mm, self._link, as_of, self._coupling, self._clock, round_trip_s, self._failed,
                 self._all_sent,
             )  # fmt: skip
             self._deadman.feed()

@@ -137,6 +137,7 @@ class VelocityStage(WatchedStage):
         SettingsError
             When limit switch or index pulse are not wired.
         """
+        mark = self._loop.stops
         with self._commands:
             cause = SWITCHES[Side(self._drive.homing_direction)]
             self._refuse_unready(enabled=self._is_enabled, but=cause)
@@ -144,7 +145,7 @@ class VelocityStage(WatchedStage):
             self._homed, self._homing = False, True
             self._monitor.tolerate(cause)
             try:
-                self._seeker.seek()
+                self._seeker.seek(mark)
             except DeviceError:
                 # What stopped the stage says more than that it stopped.
                 self._ready.refuse_fault(cause)
@@ -166,8 +167,8 @@ class VelocityStage(WatchedStage):
             too long past; when the profile leaves the stage's limits or does not end at a standstill; and when the
             drive does not keep a limit that was written to it.
         """
+        mark = self._loop.stops
         with self._commands:
-            mark = self._loop.stops
             self._refuse_unready(enabled=self._is_enabled)
             if not self._homed:
                 raise DeviceError("the stage does not know where it is: home it before it moves.")

@@ -1,0 +1,111 @@
+"""Stops that come before anything moves: between a person's word and the first motion, or while it is planned."""
+
+import threading
+from dataclasses import replace
+
+import pytest
+from driving import driven, until
+from simulated import acquire, session, settings, stroke
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.hardware import CardSettings, HardwareSettings
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.backend import BackendRequest
+from dragrig.rig.engine import Engine
+from dragrig.rig.guard import Guard
+from dragrig.rig.hardware.backend import HardwareBackend
+from dragrig.rig.hardware.dialects.base import Command, Parameter
+from dragrig.rig.hardware.owner import Owner
+from dragrig.rig.profile import MotionProfile
+from dragrig.rig.runfile.model import Status
+
+
+@pytest.mark.parametrize("command", [Command.HOME, Command.GO])
+def test_a_stop_while_limits_are_written_drops_the_motion(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    with driven() as rig:
+        rig.ready()
+        before = sum(request.command is command for request in rig.drive.heard)
+        write = rig.link.set_and_verify
+
+        def stopped_meanwhile(parameter: Parameter, value: float, key: str) -> None:
+            if parameter is Parameter.SILENCE_S:
+                rig.stage.stop()
+            write(parameter, value, key)
+
+        monkeypatch.setattr(rig.link, "set_and_verify", stopped_meanwhile)
+        if command is Command.HOME:
+            with pytest.raises(DeviceError, match="stopped first"):
+                rig.stage.home()
+        else:
+            rig.stage.move(stroke())
+        until(lambda: not rig.coupling.moving)
+        assert sum(request.command is command for request in rig.drive.heard) == before
+
+
+def test_a_switch_pressed_while_limits_are_written_stops_what_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+    with driven(wired=True) as rig:
+        rig.ready()
+        rig.world.place(60.0)
+        write = rig.link.set_and_verify
+
+        def pressed_meanwhile(parameter: Parameter, value: float, key: str) -> None:
+            if parameter is Parameter.SILENCE_S:
+                rig.world.mishaps.strike(limit_high_pressed=True)
+                assert rig.stage.state().fault is not None
+            write(parameter, value, key)
+
+        monkeypatch.setattr(rig.link, "set_and_verify", pressed_meanwhile)
+        with pytest.raises(DeviceError, match="upper limit switch"):
+            rig.stage.home()
+        assert rig.world.position_mm() > 30.0
+        assert not rig.drive.status.homed
+
+
+def test_nothing_moves_once_somebody_asked_for_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = settings()
+    backend = session(rig)
+    guard = Guard(rig.guard)
+    guard.reset(backend.stage.state())
+    moved: list[MotionProfile] = []
+    monkeypatch.setattr(backend.stage, "move", moved.append)
+    engine = Engine(backend, rig, guard)
+    engine.abort("Ctrl-C")
+    outcome = engine.acquire(acquire(stroke()))
+    assert (outcome.status, outcome.reason, outcome.samples) == (Status.ABORTED, "Ctrl-C", 0)
+    assert not moved
+
+
+class Interrupted(threading.Event):
+    """An event that a second signal meets while the first one sets it."""
+
+    engine: Engine | None = None
+
+    def set(self) -> None:
+        with self._cond:  # type: ignore[attr-defined]  # what a thread holds inside `set`
+            if self.engine is not None:
+                self.engine.abort("again")
+        super().set()
+
+
+def test_a_second_signal_inside_the_first_one_hangs_nobody() -> None:
+    rig = settings()
+    engine = Engine(session(rig), rig, Guard(rig.guard))
+    meeting = Interrupted()
+    meeting.engine = engine
+    engine._cancel = meeting
+    signalled = threading.Thread(target=engine.abort, args=("first",), daemon=True)
+    signalled.start()
+    signalled.join(5.0)
+    assert not signalled.is_alive()
+    assert engine.abort_reason == "first"
+    assert engine.cancelled.is_set()
+
+
+def test_a_look_does_not_touch_a_rig_that_another_program_is_at() -> None:
+    rig = RigSettings(hardware=HardwareSettings(card=CardSettings(device="TakenByAnother")))
+    backend = HardwareBackend(replace(BackendRequest(rig, FrictionModelSettings()), connect=False))
+    with Owner(rig.hardware):
+        findings = list(backend.examine())
+        backend.close()
+    assert [(one.what, one.fine) for one in findings] == [("owner", False)]
