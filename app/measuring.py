@@ -45,7 +45,8 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Ch
     setup = resolve(plan, **choices)
     backends.find(setup.backend, double=setup.double)
     folder = Path(out) if out is not None else setup.data_root
-    return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source)
+    further = len(setup.rig.hardware.card.inputs) if setup.backend == "hardware" else None
+    return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further)
 
 
 def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Choices]) -> tuple[Run, ...]:

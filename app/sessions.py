@@ -75,7 +75,8 @@ def carry_out(
     request = BackendRequest(setup.rig, setup.model, pace.real_time, terms.origin, calibrations, pace=pace.times_faster)
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
-        preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source).require()
+        further = len(backend.sampler.channels) - 2
+        preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source, further).require()
         record = _record(setup, backend, terms, calibrations)
         operator = HandedOver(someone)
         with open_store(record) as store:

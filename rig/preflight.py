@@ -50,9 +50,18 @@ def size_of(samples: int, channels: int) -> int:
     return samples * (BYTES_PER_SAMPLE + BYTES_PER_FURTHER_CHANNEL * channels) + BYTES_PER_FILE
 
 
-def preflight(programme: Programme, rig: RigSettings, limits: StageLimits, folder: Path, source: str) -> Preflight:
-    """Look at every run of a programme without moving anything."""
-    further = 1 if rig.sampling.motor_force else 0
+def preflight(
+    programme: Programme, rig: RigSettings, limits: StageLimits, folder: Path, source: str, further: int | None = None
+) -> Preflight:
+    """Look at every run of a programme without moving anything.
+
+    Parameters
+    ----------
+    further
+        Channels besides force and position; those of the simulated rig unless given.
+    """
+    if further is None:
+        further = 1 if rig.sampling.motor_force else 0
     previews = tuple(_preview(run, rig.sampling.rate_hz, further) for run in programme.runs)
     free = free_bytes(folder)
     total = sum(one.size_bytes for one in previews)

@@ -175,3 +175,13 @@ def test_a_plan_survives_being_written_down() -> None:
     import tomllib
 
     assert parse(Plan, tomllib.loads(to_toml(plan)), "again") == plan
+
+
+def test_the_size_counts_the_channels_that_the_rig_records(tmp_path: Path) -> None:
+    programme = made({"kind": "drag", "speed_mm_s": 5})
+    sizes = [
+        preflight(programme, RigSettings(), LIMITS, tmp_path, "p.toml", further).size_bytes for further in (None, 1, 4)
+    ]
+    samples = sum(run.profile.samples(RigSettings().sampling.rate_hz) for run in programme.runs)
+    assert sizes[0] == sizes[1]
+    assert sizes[2] - sizes[1] == 3 * 4 * samples
