@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 
 import nidaqmx
+import numpy as np
 from nidaqmx.constants import AcquisitionType, RegenerationMode
 from nidaqmx.errors import DaqError
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
@@ -144,7 +145,7 @@ class VoltageOutput:
         with told_in_words(self._connection.card, "0 V are put out"), self._connection.task() as task:
             task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-RANGE_V, max_val=RANGE_V)
             writer = AnalogSingleChannelWriter(task.out_stream, auto_start=True)
-            writer.write_one_sample(0.0, timeout=_TIMEOUT_S)
+            writer.write_many_sample(np.zeros(1), timeout=_TIMEOUT_S)
 
 
 @contextmanager

@@ -123,7 +123,8 @@ class Follower:
         """Whether the command's motion has ended at a sample."""
         if self._braking:
             return self.stands
-        return (sample - self._command.first) / self._velocity.rate_hz >= self._command.profile.duration_s
+        at_s = (sample - self._command.first) / self._velocity.rate_hz
+        return at_s >= self._command.profile.motion_ends_s
 
     def speeds(self, samples: int, error_mm: float) -> FloatArray:
         """Return the next speeds [mm/s], shape `(samples,)`."""

@@ -16,6 +16,7 @@ from dragrig.rig.hardware.card.voltage import SAMPLING_STARTS, UnderflowError
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.drive.feeding import Feeder
 from dragrig.rig.hardware.drive.follower import Command, Follower
+from dragrig.rig.hardware.drive.refusals import sets_out_s
 from dragrig.rig.hardware.drive.standing import LONGEST_S, Standing
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.trips import Cause, Trip
@@ -86,9 +87,7 @@ class VelocityLoop:
         self._thread.start()
 
     def follow(self, profile: MotionProfile, origin_mm: float, as_of: int, *, closed: bool = True) -> None:
-        """Follow a profile: from now on, or from the first sample when the sampler is armed; return once it begins.
-
-        With an armed sampler it returns at once: the card begins both, without this computer.
+        """Follow a profile from now on; with an armed sampler return at once, for the card begins it with the sampling.
 
         Parameters
         ----------
@@ -154,16 +153,16 @@ class VelocityLoop:
 
     def _begin(self, command: Command) -> float:
         rate_hz, sample = self._velocity.rate_hz, self._coupling.first_sample
-        self.start_uncertainty_s = 0.0
         if self._coupling.armed and sample is None:
             self._feeder.drain()
             self._feeder.begin(command, SAMPLING_STARTS)
             self.start_uncertainty_s = 1.0 / rate_hz
             return 0.0
-        first = float(self._feeder.written)
+        first, self.start_uncertainty_s = float(self._feeder.written), 0.0
         if sample is not None:
-            first = self._feeder.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
-            self.start_uncertainty_s = sample.uncertainty_s + 1.0 / rate_hz
+            due = self._feeder.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
+            first = max(due, first - sets_out_s(command.profile) * rate_hz)
+            self.start_uncertainty_s = sample.uncertainty_s + (first - due + 1.0) / rate_hz
         self._follower.follow(command.beginning(first))
         return first
 

@@ -169,6 +169,7 @@ class VelocityStage(WatchedStage):
         """
         mark = self._loop.stops
         with self._commands:
+            self._loop.look()
             self._refuse_unready(enabled=self._is_enabled)
             if not self._homed:
                 raise DeviceError("the stage does not know where it is: home it before it moves.")
