@@ -16,8 +16,8 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.backend import BackendRequest
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
-from dragrig.sim_backend.doubles.amplifier import LAG_S
 from dragrig.sim_backend.doubles.backend import DoubleBackend
+from dragrig.sim_backend.doubles.drive.amplifier import LAG_S
 
 RATE = 1000.0
 NEVER = threading.Event()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from simulated import NEVER, acquire, begin, blocks, record, rest, settings, stroke
+from voltage_bench import open_voltage_rig, velocity_rig
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.model import FrictionModelSettings
@@ -45,6 +46,11 @@ def on_doubles(rig: RigSettings) -> Backend:
     return backend
 
 
+def by_voltage(rig: RigSettings) -> Backend:
+    voltage = velocity_rig(ahead=3)
+    return open_voltage_rig(voltage.model_copy(update={"sampling": rig.sampling}))
+
+
 def simulated(real_time: bool) -> Callable[[RigSettings], Backend]:
     return lambda rig: open_backend(BackendRequest(rig, FrictionModelSettings(), real_time=real_time))
 
@@ -53,6 +59,7 @@ RIGS = {
     "simulated": RigUnderTest(simulated(real_time=False), position_tolerance_mm=0.001, paced=False),
     "simulated at real pace": RigUnderTest(simulated(real_time=True), position_tolerance_mm=0.001, paced=True),
     "hardware on its doubles": RigUnderTest(on_doubles, position_tolerance_mm=0.002, paced=True, lag_s=0.06),
+    "hardware by voltage on its doubles": RigUnderTest(by_voltage, position_tolerance_mm=0.1, paced=True, lag_s=0.1),
 }
 
 
@@ -266,14 +273,14 @@ def test_stop_is_allowed_at_any_time_and_twice(cold: Backend) -> None:
     cold.stage.stop()
 
 
-def test_stop_before_the_first_sample_cancels_the_motion(backend: Backend) -> None:
+def test_stop_before_the_first_sample_cancels_the_motion(rig: RigUnderTest, backend: Backend) -> None:
     profile = stroke()
     backend.sampler.arm(acquire(profile))
     backend.stage.move(profile)
     backend.stage.stop()
     backend.sampler.start()
     assert sum(block.samples for block in blocks(backend)) <= 2
-    assert backend.stage.state().position_mm == 0.0
+    assert backend.stage.state().position_mm == pytest.approx(0.0, abs=rig.position_tolerance_mm)
 
 
 def test_switching_off_stops(backend: Backend) -> None:

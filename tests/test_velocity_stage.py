@@ -1,7 +1,10 @@
 """The stage in velocity mode: the real nidaqmx and the real pyserial on the doubles of card and drive."""
 
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -20,10 +23,11 @@ from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.follower import Command, Follower
 from dragrig.rig.profile import MotionProfile, Phase, Piece, still
 from dragrig.rig.trips import Cause
+from dragrig.sim_backend.doubles.remote.client import RemoteDoubles
 from dragrig.sim_backend.doubles.world.world import SWITCH_MM
 
 FOLLOWS_MM = 0.1
-STANDS_MM = 0.01
+STANDS_MM = 0.02
 LONG = stroke(travel_mm=120.0, speed_mm_s=40.0, hold_s=0.3)
 
 
@@ -46,18 +50,24 @@ def wavy(duration_s: float = 2.0) -> MotionProfile:
     return MotionProfile.from_pieces((*(Piece(0.01, a, Phase.STEADY) for a in changes), still(0.4, Phase.HOLD)))
 
 
-@pytest.mark.parametrize(
-    "profile", [stroke(30.0, 40.0, rest_s=0.2, hold_s=0.5), stroke(60.0, 100.0, 3000.0, hold_s=0.4), wavy()]
-)
-def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig, profile: MotionProfile) -> None:
-    got = record(rig, acquire(profile))
-    samples = profile.samples(RATE)
-    assert got.blocks[-1].end_index == samples
-    off_mm = np.abs(got["position"] - profile.position(np.arange(samples) / RATE))
-    assert off_mm.max() <= FOLLOWS_MM
-    assert off_mm[-1] <= STANDS_MM
-    assert rig.stage.start_uncertainty_s == pytest.approx(0.001)
+def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
+    for order, profile in enumerate((stroke(60.0, 100.0, 3000.0, hold_s=0.4), wavy(), stroke(-20.0, 20.0, hold_s=0.4))):
+        got = record(rig, acquire(profile, order))
+        samples = profile.samples(RATE)
+        assert got.blocks[-1].end_index == samples
+        off_mm = np.abs(got["position"] - profile.position(np.arange(samples) / RATE))
+        assert off_mm.max() <= FOLLOWS_MM
+        assert off_mm[-1] <= STANDS_MM
+        assert rig.stage.start_uncertainty_s == pytest.approx(0.001)
     assert rig.stage.fault is None
+    # The drive took the place where it was switched on, 1 mm, for its zero.
+    for parameter, value in (
+        (Parameter.LOWEST_MM, -1.0),
+        (Parameter.HIGHEST_MM, 149.0),
+        (Parameter.THRUST_LIMIT_N, 20.0),
+        (Parameter.SILENCE_S, 5.0),
+    ):
+        assert rig.drive.parameter(parameter) == pytest.approx(value, abs=0.01)
 
 
 def test_the_force_is_that_of_the_simulated_rig(rig: VoltageRig) -> None:
@@ -69,7 +79,7 @@ def test_the_force_is_that_of_the_simulated_rig(rig: VoltageRig) -> None:
         assert got[part].mean() == pytest.approx(expected[part].mean(), abs=3.0)
 
 
-def test_holds_its_place_and_comes_back_when_pushed(rig: VoltageRig) -> None:
+def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(rig: VoltageRig) -> None:
     rig.stage.move(stroke(10.0))
     rig.await_standstill()
     rig.clock.sleep(1.5, NEVER)
@@ -82,17 +92,14 @@ def test_holds_its_place_and_comes_back_when_pushed(rig: VoltageRig) -> None:
     rig.world.place(10.3)
     until(lambda: abs(rig.world.position_mm() - 10.0) <= STANDS_MM)
     assert rig.stage.fault is None
-
-
-def test_a_stage_that_is_pushed_away_trips_and_is_let_go(rig: VoltageRig) -> None:
-    rig.world.place(6.0)
+    rig.world.place(16.0)
     until(lambda: rig.stage.fault is not None)
     fault = rig.stage.fault
     assert fault is not None
     assert fault.cause is Cause.FOLLOWING_ERROR
     assert "following_error_mm" in fault.message
     rig.await_standstill()
-    assert rig.world.position_mm() == pytest.approx(6.0, abs=1.0)
+    assert rig.world.position_mm() == pytest.approx(16.0, abs=1.5)
     with pytest.raises(DeviceError, match="off and on"):
         rig.stage.move(stroke())
 
@@ -129,35 +136,18 @@ def test_a_stop_from_another_thread_brakes_within_what_is_written_ahead(rig: Vol
     assert rig.stage.fault is None
 
 
-def test_a_stop_before_the_first_sample_drops_the_motion(rig: VoltageRig) -> None:
+@pytest.mark.parametrize("ends", ["stage.stop", "sampler.stop"])
+def test_a_motion_whose_first_sample_never_comes_is_dropped(rig: VoltageRig, ends: str) -> None:
     rig.sampler.arm(acquire(LONG))
     rig.stage.move(LONG)
-    rig.stage.stop()
+    attrgetter(ends)(rig)()
     rig.await_standstill()
-    rig.sampler.start()
+    rig.sampler.start() if ends == "stage.stop" else None
     rig.sampler.stop()
-    rig.clock.sleep(0.3, NEVER)
+    rig.clock.sleep(2 * LEAD_S, NEVER)
     assert rig.world.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
-    record(rig, acquire(stroke(), order=1))
-    assert rig.world.position_mm() == pytest.approx(5.0, abs=0.05)
-
-
-def test_a_sampler_that_forgets_the_run_drops_the_motion(rig: VoltageRig) -> None:
-    rig.sampler.arm(acquire(LONG))
-    rig.stage.move(LONG)
-    rig.sampler.stop()
-    rig.await_standstill()
-    assert rig.world.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
-
-
-def test_limits_are_written_into_the_drive_as_it_counts(rig: VoltageRig) -> None:
-    rig.stage.move(stroke())
-    rig.await_standstill()
-    # The drive took the place where it was switched on, 1 mm, for its zero.
-    assert rig.drive.parameter(Parameter.LOWEST_MM) == pytest.approx(-1.0, abs=0.01)
-    assert rig.drive.parameter(Parameter.HIGHEST_MM) == pytest.approx(149.0, abs=0.01)
-    assert rig.drive.parameter(Parameter.THRUST_LIMIT_N) == 20.0
-    assert rig.drive.parameter(Parameter.SILENCE_S) == 2.0
+    record(rig, acquire(stroke(hold_s=0.3), order=1))
+    assert rig.world.position_mm() == pytest.approx(5.0, abs=STANDS_MM)
 
 
 def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -322,3 +312,35 @@ def test_no_error_makes_it_ask_for_more_than_the_stage_may_do(
     assert np.abs(np.diff(speeds, prepend=0.0)).max() * velocity.rate_hz <= stage.max_accel_mm_s2 * (1 + 1e-9)
     assert speeds[-1] == 0.0
     assert follower.stands
+
+
+PROGRAM = """
+import sys
+from dragrig.config.rig import RigSettings
+from dragrig.config.model import FrictionModelSettings
+from dragrig.rig.backend import BackendRequest
+from dragrig.rig.hardware.backend import HardwareBackend
+from dragrig.rig.profile import MotionProfile, trapezoid
+
+rig = HardwareBackend(BackendRequest(RigSettings.model_validate_json(sys.argv[1]), FrictionModelSettings()))
+rig.connect()
+rig.stage.enable()
+rig.stage.home()
+rig.stage.move(MotionProfile.from_pieces(trapezoid(140.0, 20.0, 500.0)))
+print("moves", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_program_that_is_killed_loses_the_drives_power() -> None:
+    with RemoteDoubles(velocity_rig()) as doubles:
+        arguments = [sys.executable, "-c", PROGRAM, doubles.rig().model_dump_json()]
+        with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+            assert program.stdout is not None
+            assert program.stdout.readline() == "moves\n"
+            until(lambda: doubles.control.stage().speed_mm_s > 15.0)
+            program.kill()
+        until(lambda: doubles.control.stage().speed_mm_s == 0.0)
+        look = doubles.control.stage()
+        assert not look.enabled
+        assert look.position_mm < 70.0

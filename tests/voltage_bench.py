@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from threading import Event as Signal
 
 from driving import until
@@ -23,7 +23,7 @@ from dragrig.sim_backend.doubles.world.clock import DoubleClock
 from dragrig.sim_backend.doubles.world.world import World
 
 RATE = 1000.0
-UPDATE_S, AHEAD, LAG_S = 0.03, 7, 0.002
+UPDATE_S, AHEAD, LAG_S = 0.03, 5, 0.002
 LEAD_S = UPDATE_S * AHEAD
 
 
@@ -61,6 +61,12 @@ class VoltageRig(HardwareBackend):
     def __init__(self, request: BackendRequest, world: World, drive: DriveDouble) -> None:
         super().__init__(request, world.clock)
         self.world, self.drive = world, drive
+        self.doubles = ExitStack()
+
+    def close(self) -> None:
+        self.world.mishaps.repair()
+        super().close()
+        self.doubles.close()
 
     @property
     def is_under_way(self) -> bool:
@@ -80,8 +86,8 @@ class VoltageRig(HardwareBackend):
 
 
 def velocity_rig(encoder: dict[str, object] | None = None, **voltage: object) -> RigSettings:
-    velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 3.0, **voltage}
-    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 2.0, "reply_s": 0.5, "velocity": velocity}
+    velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 4.0, **voltage}
+    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 0.5, "velocity": velocity}
     lines = {"heartbeat": "port1/line4", "heartbeat_s": 0.3}
     return settings(
         RATE,
@@ -91,21 +97,24 @@ def velocity_rig(encoder: dict[str, object] | None = None, **voltage: object) ->
     )
 
 
+def open_voltage_rig(rig: RigSettings) -> VoltageRig:
+    world = World(rig, FrictionModelSettings(), StallingClock())
+    with ExitStack() as opened:
+        drive = opened.enter_context(drive_double(world, find_dialect(rig.hardware.drive.dialect)))
+        port = opened.enter_context(SocketPort(drive))
+        opened.enter_context(installed(Card(world, world.put_out)))
+        reached = rig.hardware.drive.model_copy(update={"port": port.address})
+        wired = rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": reached})})
+        backend = VoltageRig(BackendRequest(wired, FrictionModelSettings()), world, drive)
+        backend.connect()
+        backend.doubles = opened.pop_all()
+        return backend
+
+
 @contextmanager
 def voltage_rig(rig: RigSettings | None = None) -> Iterator[VoltageRig]:
-    rig = rig or velocity_rig()
-    world = World(rig, FrictionModelSettings(), StallingClock())
-    with (
-        drive_double(world, find_dialect(rig.hardware.drive.dialect)) as drive,
-        SocketPort(drive) as port,
-        installed(Card(world, world.put_out)),
-    ):
-        wired = rig.hardware.model_copy(update={"drive": rig.hardware.drive.model_copy(update={"port": port.address})})
-        request = BackendRequest(rig.model_copy(update={"hardware": wired}), FrictionModelSettings())
-        backend = VoltageRig(request, world, drive)
-        backend.connect()
-        try:
-            yield backend
-        finally:
-            world.mishaps.repair()
-            backend.close()
+    backend = open_voltage_rig(rig or velocity_rig())
+    try:
+        yield backend
+    finally:
+        backend.close()
