@@ -333,7 +333,9 @@ sys.stdin.read()
 
 
 def test_a_program_that_is_killed_loses_the_drives_power() -> None:
-    with RemoteDoubles(velocity_rig()) as doubles:
+    # Far ahead, for nothing stalls the clock of another process when this one starves.
+    rig = velocity_rig(heartbeat_s=0.6, update_s=0.1, ahead=10, gain_per_s=0.5)
+    with RemoteDoubles(rig) as doubles:
         arguments = [sys.executable, "-c", PROGRAM, doubles.rig().model_dump_json()]
         with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
             assert program.stdout is not None
@@ -343,4 +345,4 @@ def test_a_program_that_is_killed_loses_the_drives_power() -> None:
         until(lambda: doubles.control.stage().speed_mm_s == 0.0)
         look = doubles.control.stage()
         assert not look.enabled
-        assert look.position_mm < 70.0
+        assert look.position_mm < 90.0

@@ -85,10 +85,10 @@ class VoltageRig(HardwareBackend):
         return self
 
 
-def velocity_rig(encoder: dict[str, object] | None = None, **voltage: object) -> RigSettings:
+def velocity_rig(encoder: dict[str, object] | None = None, heartbeat_s: float = 0.3, **voltage: object) -> RigSettings:
     velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 4.0, **voltage}
     drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 0.5, "velocity": velocity}
-    lines = {"heartbeat": "port1/line4", "heartbeat_s": 0.3}
+    lines = {"heartbeat": "port1/line4", "heartbeat_s": heartbeat_s}
     return settings(
         RATE,
         hardware={"card": {"lines": lines, "encoder": encoder or {}}, "drive": drive, "hang_s": 1.0},

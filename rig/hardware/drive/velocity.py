@@ -77,9 +77,7 @@ class VelocityStage(WatchedStage):
         fastest_mm_s = min(settings.stage.max_speed_mm_s, RANGE_V * velocity.per_V)
         self._limits = replace(self._limits, speed_mm_s=fastest_mm_s)
         self._homed = self._homing = False
-        self._counter = PositionCounter(
-            connection, velocity.counter, Scaling.of(settings, calibrations).mm_per_count
-        )  # fmt: skip
+        self._counter = PositionCounter(connection, velocity.counter, Scaling.of(settings, calibrations).mm_per_count)
         self._output = VoltageOutput(
             connection, velocity.channel, velocity.rate_hz, velocity.ahead * velocity.update_samples
         )
