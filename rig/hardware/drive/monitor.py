@@ -64,7 +64,7 @@ class Monitor:
         self._latched: Trip | None = None
         self._pressed = Pressed()
         self._tolerated: Cause | None = None
-        self._has_stopped = False
+        self._has_stopped = self._is_on = False
         self._ended = threading.Event()
         self._hurried = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="drive monitor", daemon=True)
@@ -92,6 +92,10 @@ class Monitor:
     def hurry(self) -> None:
         """Look every few milliseconds until nothing moves any more."""
         self._hurried.set()
+
+    def switched(self, on: bool) -> None:
+        """Say whether the drive is meant to be on: then an emergency stop stays until `clear`, even at a standstill."""
+        self._is_on = on
 
     def latch(self, trip: Trip) -> None:
         """Keep a fault until `clear`, and stop what moves; the first one stands."""
@@ -161,6 +165,9 @@ class Monitor:
         self._fault = trip
         if not moved or trip is None:
             self._has_stopped = self._has_stopped and moved
+            if self._is_on and trip is not None and trip.cause is Cause.EMERGENCY_STOP:
+                # Pressed and let go between two motions: whoever pressed it may still have a hand at the rig.
+                self._latched = self._latched or trip
             return
         # Whoever asks why the stage stopped may ask after the cause is gone.
         self._latched = self._latched or trip

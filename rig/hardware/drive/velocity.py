@@ -121,7 +121,7 @@ class VelocityStage(WatchedStage):
                 return
             self._output.zero()
             self._power.on()
-            self._axis.switched(on=True)
+            self._switched(on=True)
             self._monitor.look()
             self._loop.start()
 
@@ -202,7 +202,7 @@ class VelocityStage(WatchedStage):
             try:
                 self._ready.await_standstill(_STANDSTILL_S)
                 self._loop.end()
-                self._axis.switched(on=False)
+                self._switched(on=False)
                 self._power.off()
             finally:
                 self._let_go()

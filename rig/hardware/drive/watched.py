@@ -119,6 +119,10 @@ class WatchedStage(ABC):
             self._axis.forget_mishap(SWITCHES[side])
             self._monitor.look()
 
+    def _switched(self, on: bool) -> None:
+        self._axis.switched(on)
+        self._monitor.switched(on)
+
     def _let_go(self) -> None:
         self._override = None
         self._monitor.tolerate(None)
