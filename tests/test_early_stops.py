@@ -1,10 +1,11 @@
 """Stops that come before anything moves: between a person's word and the first motion, or while it is planned."""
 
 import threading
+import time
 from dataclasses import replace
 
 import pytest
-from driving import driven, until
+from driving import driven, linked, until
 from simulated import acquire, session, settings, stroke
 
 from dragrig.config.errors import DeviceError
@@ -15,9 +16,12 @@ from dragrig.rig.backend import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.backend import HardwareBackend
-from dragrig.rig.hardware.dialects.base import Command, Parameter
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter
+from dragrig.rig.hardware.dialects.base import Status as DriveStatus
+from dragrig.rig.hardware.drive.movement import Movement
+from dragrig.rig.hardware.drive.stage import SerialStage
 from dragrig.rig.hardware.owner import Owner
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import MotionProfile, trapezoid
 from dragrig.rig.runfile.model import Status
 
 
@@ -109,3 +113,55 @@ def test_a_look_does_not_touch_a_rig_that_another_program_is_at() -> None:
         findings = list(backend.examine())
         backend.close()
     assert [(one.what, one.fine) for one in findings] == [("owner", False)]
+
+
+def test_an_emergency_stop_between_two_motions_stays_until_the_drive_was_switched_off() -> None:
+    with driven(wired=True) as rig:
+        rig.ready()
+        rig.world.mishaps.strike(e_stop_pressed=True)
+        until(lambda: rig.stage.fault is not None)
+        rig.world.mishaps.repair()
+        with pytest.raises(DeviceError, match="emergency stop"):
+            rig.stage.move(stroke())
+        rig.stage.disable()
+        rig.stage.enable()
+        assert rig.stage.state().fault is None
+
+
+def test_an_emergency_stop_let_go_before_the_drive_is_switched_on_forbids_nothing() -> None:
+    with driven(wired=True) as rig:
+        rig.world.mishaps.strike(e_stop_pressed=True)
+        until(lambda: rig.stage.fault is not None)
+        rig.world.mishaps.repair()
+        rig.stage.enable()
+
+
+def test_what_moves_already_is_stopped_before_the_drive_is_kept_fed() -> None:
+    with driven(homing_speed_mm_s=5.0) as rig:
+        rig.ready()
+        rig.world.follow(trapezoid(140.0, 20.0, 500.0))
+        rig.drive._halt = Halt.TARGET
+        later = SerialStage(rig.world.rig, rig.link, rig.lines, rig.coupling, rig.world.clock, rig.deadman)
+        try:
+            until(lambda: not rig.world.moving)
+            assert rig.drive.status.halt is Halt.STOP
+            assert rig.world.position_mm() < 130.0
+        finally:
+            later.close()
+
+
+def test_a_drive_that_sets_out_late_is_not_taken_for_one_that_has_arrived() -> None:
+    with linked() as (_, link):
+        movement = Movement(link, link.stops)
+        movement.begun()
+        movement.complete()
+        now_s = time.monotonic()
+        stood = DriveStatus(enabled=True, homed=True, moving=False, halt=Halt.LIMIT_SWITCH)
+        arrived, moves = replace(stood, halt=Halt.TARGET), replace(stood, moving=True)
+        assert movement.mishap(stood, now_s) is None
+        assert not movement.is_over(arrived, now_s)
+        assert movement.mishap(stood, now_s + 1.0) is not None
+        assert movement.is_over(arrived, now_s + 1.0)
+        assert movement.mishap(moves, now_s) is None
+        assert movement.mishap(stood, now_s) is not None
+        assert movement.is_over(arrived, now_s)

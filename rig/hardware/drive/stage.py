@@ -48,6 +48,8 @@ class SerialStage(WatchedStage):
         super().__init__(settings, link, lines, coupling, clock, deadman, unheard_s)
         self._strokes: Strokes | None = None
         link.on_stop(self._heed_stop)
+        if self._axis.status.moving:
+            self._stop_what_moves()
         self._monitor.start()
 
     @property
@@ -78,7 +80,7 @@ class SerialStage(WatchedStage):
         with self._commands:
             self._ready.refuse_fault()
             self._power.on()
-            self._axis.switched(on=True)
+            self._switched(on=True)
             self._monitor.look()
 
     def home(self) -> None:
@@ -164,7 +166,7 @@ class SerialStage(WatchedStage):
         with self._commands:
             try:
                 self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_S)
-                self._axis.switched(on=False)
+                self._switched(on=False)
                 self._power.off()
             finally:
                 self._let_go()
@@ -176,6 +178,13 @@ class SerialStage(WatchedStage):
         self._link.stop()
         self._monitor.close()
         self._link.close()
+
+    def _stop_what_moves(self) -> None:
+        # Left by a program that was killed; asking the drive how it is keeps its silence timeout from ending it.
+        movement = Movement(self._link, self._link.stops)
+        movement.complete()
+        self._axis.begin(movement)
+        self._link.stop()
 
     def _heed_stop(self) -> None:
         self._axis.cancel()
