@@ -15,14 +15,23 @@ from dragrig.config.hardware import CardSettings
 if TYPE_CHECKING:
     import grpc
 
+ANSWERS_WITHIN_S = 5.0
+"""Far longer than any read waits, and than a card takes to be programmed over a network."""
 _UNBOUNDED = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1))
 
 
 class Connection:
-    """One way to one card, shared by every task on it. Any thread may call anything."""
+    """One way to one card, shared by every task on it. Any thread may call anything.
 
-    def __init__(self, card: CardSettings) -> None:
+    Parameters
+    ----------
+    answers_within_s
+        How long a call may take at a server before it counts as gone.
+    """
+
+    def __init__(self, card: CardSettings, answers_within_s: float = ANSWERS_WITHIN_S) -> None:
         self._card = card
+        self._answers_within_s = answers_within_s
         self._lock = Lock()
         self._channel: grpc.Channel | None = None
 
@@ -69,7 +78,10 @@ class Connection:
         grpc = _grpc()
         with self._lock:
             if self._channel is None:
-                self._channel = grpc.insecure_channel(self._card.server, options=_UNBOUNDED)
+                from dragrig.rig.hardware.card.deadline import Deadline
+
+                channel = grpc.insecure_channel(self._card.server, options=_UNBOUNDED)
+                self._channel = grpc.intercept_channel(channel, Deadline(self._answers_within_s))
             return nidaqmx.GrpcSessionOptions(self._channel, session)
 
 

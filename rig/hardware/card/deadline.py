@@ -1,0 +1,32 @@
+"""A limit to how long a call of a remote card may take: a server that hangs must not hang this program with it."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import grpc
+
+CallT = TypeVar("CallT")
+
+
+class _InTime(grpc.ClientCallDetails):
+    """A call's details of which only the time is another; grpc keeps what is left out."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout = timeout_s
+
+
+class Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[type-arg]  # generic in its stubs only
+    """Fails every call, as of a server that is gone, that has not returned in time."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self._details = _InTime(timeout_s)
+
+    def intercept_unary_unary(
+        self,
+        continuation: Callable[[grpc.ClientCallDetails, object], CallT],
+        client_call_details: grpc.ClientCallDetails,
+        request: object,
+    ) -> CallT:
+        """Make the call with a limit to its time."""
+        del client_call_details
+        return continuation(self._details, request)

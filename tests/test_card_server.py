@@ -1,0 +1,61 @@
+"""A card in another computer, whose server hangs or was left by a program that was killed."""
+
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import grpc
+import pytest
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.hardware import CardSettings
+from dragrig.rig.hardware.card.connection import Connection
+from dragrig.rig.hardware.card.examine import identify
+
+
+class Hanging(grpc.GenericRpcHandler):
+    """A server that takes every call and answers none."""
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+
+    def service(self, handler_call_details: grpc.HandlerCallDetails) -> "grpc.RpcMethodHandler[bytes, bytes]":
+        def hang(request: bytes, context: grpc.ServicerContext) -> bytes:
+            self.ended.wait()
+            return request
+
+        return grpc.unary_unary_rpc_method_handler(hang)
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    handler = Hanging()
+    server = grpc.server(ThreadPoolExecutor(4), handlers=[handler])
+    port = server.add_insecure_port("127.0.0.1:0")
+    server.start()
+    try:
+        yield port
+    finally:
+        handler.ended.set()
+        server.stop(None).wait()
+
+
+def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
+    connection = Connection(CardSettings(server=f"127.0.0.1:{port}"), answers_within_s=0.3)
+    failed: list[BaseException] = []
+
+    def look() -> None:
+        try:
+            identify(connection)
+        except DeviceError as error:
+            failed.append(error)
+
+    began = time.monotonic()
+    looking = threading.Thread(target=look, daemon=True)
+    looking.start()
+    looking.join(20.0)
+    connection.close()
+    assert not looking.is_alive()
+    assert time.monotonic() - began < 15.0
+    assert "no NI gRPC device server answers" in str(failed[0])
