@@ -1,12 +1,12 @@
 """The simulated stage: limits, states and faults of a drive."""
 
 import threading
-from dataclasses import replace
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import StageSettings
 from dragrig.rig.devices import Side, StageLimits, StageState
 from dragrig.rig.profile import MotionProfile
+from dragrig.rig.refusals import limits_of, refuse_beyond, widened
 from dragrig.rig.trips import Cause, Trip
 from dragrig.sim_backend.devices.axis import Axis, Track
 from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
@@ -14,7 +14,6 @@ from dragrig.sim_backend.devices.instruments import Encoder
 from dragrig.sim_backend.devices.kinematics import run_away
 
 POSITION_TOLERANCE_MM = 1e-6
-STANDSTILL_MM_S = 1e-6
 END_STOP_MM = 5.0
 """How far beyond the soft limits the hard end of the axis lies."""
 
@@ -23,12 +22,7 @@ class SimulatedStage:
     """One axis that follows profiles exactly, as long as no fault says otherwise."""
 
     def __init__(self, settings: StageSettings, axis: Axis, encoder: Encoder, faults: Faults) -> None:
-        self._limits = StageLimits(
-            lowest_mm=settings.lowest_mm,
-            highest_mm=settings.highest_mm,
-            speed_mm_s=settings.max_speed_mm_s,
-            acceleration_mm_s2=settings.max_accel_mm_s2,
-        )
+        self._limits = limits_of(settings)
         self._stop_accel_mm_s2 = settings.stop_accel_mm_s2
         self._axis = axis
         self._encoder = encoder
@@ -85,7 +79,8 @@ class SimulatedStage:
             if profile.duration_s <= 0:
                 return
             origin_mm, _, _ = self._axis.look()
-            self._refuse_beyond_limits(profile, origin_mm)
+            limits = widened(self._limits, self._overridden(moving=False), origin_mm)
+            refuse_beyond(profile, origin_mm, limits, POSITION_TOLERANCE_MM)
             self._axis.begin(self._track(profile, origin_mm))
             self._override_used = self._override is not None
 
@@ -143,37 +138,6 @@ class SimulatedStage:
             raise DeviceError("the drive is off: enable the stage first.")
         if self._axis.look()[1]:
             raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
-
-    def _refuse_beyond_limits(self, profile: MotionProfile, origin_mm: float) -> None:
-        extremes, limits = profile.extremes(), self._limits_from(origin_mm)
-        lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
-        margin = POSITION_TOLERANCE_MM
-        # Written so that a NaN is refused too.
-        if not (lowest >= limits.lowest_mm - margin and highest <= limits.highest_mm + margin):
-            raise DeviceError(
-                f"the stage refuses a move from {origin_mm:g} mm that reaches {lowest:g} to {highest:g} mm: its travel "
-                f"is {limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
-            )
-        for what, unit, value, most, key in (
-            ("speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
-            ("acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
-        ):
-            if not value <= most * (1 + 1e-9):
-                raise DeviceError(
-                    f"the stage refuses a {what} of {value:g} {unit}: it goes up to {most:g} {unit} "
-                    f"(stage.{key} of the rig file)."
-                )
-        if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_MM_S:
-            raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")
-
-    def _limits_from(self, origin_mm: float) -> StageLimits:
-        match self._overridden(moving=False):
-            case Side.LOW:
-                return replace(self._limits, lowest_mm=min(self._limits.lowest_mm, origin_mm))
-            case Side.HIGH:
-                return replace(self._limits, highest_mm=max(self._limits.highest_mm, origin_mm))
-            case None:
-                return self._limits
 
     def _track(self, profile: MotionProfile, origin_mm: float) -> Track:
         acquisition = self._axis.acquisition

@@ -1,67 +1,12 @@
-"""What a stage refuses before it moves, whatever drives it."""
-
-from dataclasses import replace
+"""What the real stage refuses besides, before it moves."""
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.rig import StageSettings
-from dragrig.rig.devices import LONGEST_BLOCK_S, Clock, Side, StageLimits
+from dragrig.rig.devices import LONGEST_BLOCK_S, Clock, Side
 from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.profile import MotionProfile
 
 POSITION_TOLERANCE_MM = 2e-3
 """A stage that stands a count or two off its limit is not beyond it."""
-STANDSTILL_MM_S = 1e-6
-
-
-def limits_of(settings: StageSettings) -> StageLimits:
-    """Return what the settings allow the stage."""
-    return StageLimits(
-        lowest_mm=settings.lowest_mm,
-        highest_mm=settings.highest_mm,
-        speed_mm_s=settings.max_speed_mm_s,
-        acceleration_mm_s2=settings.max_accel_mm_s2,
-    )
-
-
-def widened(limits: StageLimits, override: Side | None, origin_mm: float) -> StageLimits:
-    """Return the limits of a move off an overridden limit switch: it begins outside the soft ones."""
-    match override:
-        case Side.LOW:
-            return replace(limits, lowest_mm=min(limits.lowest_mm, origin_mm))
-        case Side.HIGH:
-            return replace(limits, highest_mm=max(limits.highest_mm, origin_mm))
-        case None:
-            return limits
-
-
-def refuse_beyond(profile: MotionProfile, origin_mm: float, limits: StageLimits) -> None:
-    """Refuse a profile from an absolute position that the stage must not follow.
-
-    Raises
-    ------
-    DeviceError
-        When it leaves the stage's travel, exceeds its speed or acceleration, or does not end at a standstill.
-    """
-    extremes = profile.extremes()
-    lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
-    margin = POSITION_TOLERANCE_MM
-    # Written so that a NaN is refused too.
-    if not (lowest >= limits.lowest_mm - margin and highest <= limits.highest_mm + margin):
-        raise DeviceError(
-            f"the stage refuses a move from {origin_mm:g} mm that reaches {lowest:g} to {highest:g} mm: its travel is "
-            f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
-        )
-    for what, unit, value, most, key in (
-        ("speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
-        ("acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
-    ):
-        if not value <= most * (1 + 1e-9):
-            raise DeviceError(
-                f"the stage refuses a {what} of {value:g} {unit}: it goes up to {most:g} {unit} "
-                f"(stage.{key} of the rig file)."
-            )
-    if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_MM_S:
-        raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")
 
 
 def refuse_towards(profile: MotionProfile, side: Side, most_mm_s: float) -> None:

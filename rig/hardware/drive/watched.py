@@ -14,9 +14,10 @@ from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import Monitor, interval_of
 from dragrig.rig.hardware.drive.power import Power
 from dragrig.rig.hardware.drive.readiness import Readiness
-from dragrig.rig.hardware.drive.refusals import limits_of, refuse_beyond, refuse_towards, widened
+from dragrig.rig.hardware.drive.refusals import POSITION_TOLERANCE_MM, refuse_towards
 from dragrig.rig.hardware.lines import Lines
 from dragrig.rig.profile import MotionProfile
+from dragrig.rig.refusals import limits_of, refuse_beyond, widened
 from dragrig.rig.trips import Cause, Trip
 
 
@@ -132,7 +133,7 @@ class WatchedStage(ABC):
         limits = widened(self._limits, self._override, origin_mm)
         if self._override is not None:
             refuse_towards(profile, self._override, self._drive.homing_speed_mm_s)
-        refuse_beyond(profile, origin_mm, limits)
+        refuse_beyond(profile, origin_mm, limits, POSITION_TOLERANCE_MM)
         return limits
 
     def _refuse_unready(self, *, enabled: bool, but: Cause | None = None) -> None:
