@@ -4,14 +4,24 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import grpc
+import numpy as np
 import pytest
+from simulated import settings
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import CardSettings
+from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.examine import identify
+from dragrig.rig.hardware.card.position import PositionCounter
+from dragrig.rig.hardware.card.voltage import VoltageOutput
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.fronts.grpc_server import CardServer
+from dragrig.sim_backend.doubles.world.clock import DoubleClock
+from dragrig.sim_backend.doubles.world.world import World
 
 
 class Hanging(grpc.GenericRpcHandler):
@@ -59,3 +69,17 @@ def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
     assert not looking.is_alive()
     assert time.monotonic() - began < 15.0
     assert "no NI gRPC device server answers" in str(failed[0])
+
+
+def test_output_and_counter_of_a_killed_program_are_taken_back() -> None:
+    world = World(settings(), FrictionModelSettings(), DoubleClock(1.0))
+    with CardServer(Card(world, world.put_out)) as server, ExitStack() as stack:
+        for _ in range(2):
+            connection = Connection(CardSettings(server=f"127.0.0.1:{server.port}"))
+            stack.callback(connection.close)
+            counter, output = PositionCounter(connection, "ctr1", 1e-3), VoltageOutput(connection, "ao0", 1000.0, 60)
+            counter.begin(12.0)
+            output.begin(np.zeros(100))
+            assert counter.read() == pytest.approx(12.0)
+        output.end()
+        counter.close()

@@ -1,5 +1,7 @@
 """The stage's position by a counter of its own, read whenever it is asked for."""
 
+from contextlib import ExitStack
+
 import nidaqmx
 
 from dragrig.rig.hardware.card.connection import Connection
@@ -37,12 +39,13 @@ class PositionCounter:
         """
         self.close()
         card = self._connection.card
-        with told_in_words(card, "the position counter is started"):
-            task = self._connection.task()
-            self._task = task
+        with told_in_words(card, "the position counter is started"), ExitStack() as stack:
+            task = stack.enter_context(self._connection.task("position counter"))
             start_m = at_mm / self._mm_per_metre
             add_encoder(task, card, self._metres_per_count, self._counter, start_m=start_m, index=index)
             task.start()
+            stack.pop_all()
+        self._task = task
 
     def read(self) -> float:
         """Return the position now [mm]; raises `DeviceError` when the card refuses."""

@@ -24,6 +24,7 @@ SAMPLING_STARTS = "ai/StartTrigger"
 """The edge with which the card takes the first sample of force and position."""
 RAN_DRY = frozenset({-200290, -200621, -200018, -200016})
 """Status codes of an output that was due and had not been written."""
+_ROLE = "velocity output"
 _TIMEOUT_S = 0.1
 _BUFFERS = 4
 
@@ -90,7 +91,7 @@ class VoltageOutput:
         card = self._connection.card
         self.written = 0
         with told_in_words(card, "the velocity output is prepared"), ExitStack() as stack:
-            task = stack.enter_context(self._connection.task())
+            task = stack.enter_context(self._connection.task(_ROLE))
             task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-RANGE_V, max_val=RANGE_V)
             task.timing.cfg_samp_clk_timing(
                 self._rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=self._buffer_samples
@@ -142,7 +143,7 @@ class VoltageOutput:
         # What is wrong with the waveform is known already, or does not matter: 0 V does.
         with suppress(DeviceError):
             self.end()
-        with told_in_words(self._connection.card, "0 V are put out"), self._connection.task() as task:
+        with told_in_words(self._connection.card, "0 V are put out"), self._connection.task(_ROLE) as task:
             task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-RANGE_V, max_val=RANGE_V)
             writer = AnalogSingleChannelWriter(task.out_stream, auto_start=True)
             writer.write_many_sample(np.zeros(1), timeout=_TIMEOUT_S)
