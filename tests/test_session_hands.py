@@ -1,6 +1,7 @@
 """Sessions at a rig where a person has hands: what is asked, what is kept of it, and who must not answer."""
 
 import io
+import os
 import sys
 import threading
 from datetime import UTC, datetime, timedelta
@@ -218,3 +219,20 @@ def test_a_block_that_carries_a_fault_trips(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(backend.sampler, "read", faulty)
     outcome = engine_on(backend).acquire(acquire(stroke(travel_mm=100.0)))
     assert (outcome.status, outcome.reason) == (Status.TRIPPED, "sensor open circuit: no sensor")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")
+def test_an_enter_from_before_the_question_answers_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    keyboard, screen = os.openpty()
+
+    class Keys(io.TextIOWrapper):
+        def readline(self, size: int = -1) -> str:  # type: ignore[override]
+            os.write(keyboard, b"abort\n")
+            return super().readline(size)
+
+    with Keys(os.fdopen(screen, "rb")) as typed:
+        monkeypatch.setattr(sys, "stdin", typed)
+        os.write(keyboard, b"\n")
+        with Terminal(yes=False) as person:
+            assert person.ask(Prompt("Is the way free?")) is Answer.ABORT
+    os.close(keyboard)

@@ -50,6 +50,8 @@ class Terminal:
         choices = [one for one in Answer if not left_out.get(one, False)]
         words = ", ".join(f"[{one.value[0]}]{one.value[1:]}" for one in choices)
         click.echo(f"\n{prompt.text}.", err=True)
+        if prompt.hands:
+            forget_typed()
         while True:
             click.echo(f"  {words}: ", err=True, nl=False)
             line = sys.stdin.readline()
@@ -92,6 +94,21 @@ class Terminal:
     def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
         """Say how the run ended and what its checks saw."""
         self._meter.say(run_line(run, outcome))
+
+
+def forget_typed() -> None:
+    """Drop what was typed before it was asked for: an Enter too many must not set a stage in motion."""
+    if not sys.stdin.isatty():
+        return
+    if sys.platform == "win32":
+        import msvcrt
+
+        while msvcrt.kbhit():
+            msvcrt.getwch()
+    else:
+        import termios
+
+        termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
 def run_line(run: PlannedRun, outcome: Outcome) -> str:
