@@ -69,10 +69,16 @@ class RigSetup:
         return f"{self.backend} double" if self.double else self.backend
 
     def calibrations(self) -> Mapping[str, Calibration]:
-        """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history."""
+        """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history.
+
+        That of another force sensor than the rig's holds for nothing here.
+        """
         if self.rig_folder is None:
             return {}
-        found = {one: calibration.latest(self.rig_folder, one, self.made_on) for one in QUANTITIES}
+        serials = {"force": self.rig.force_sensor.serial}
+        found = {
+            one: calibration.latest(self.rig_folder, one, self.made_on, serials.get(one, "")) for one in QUANTITIES
+        }
         return {quantity: entry for quantity, entry in found.items() if entry is not None}
 
 

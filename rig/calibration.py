@@ -27,16 +27,22 @@ def read(folder: Path) -> tuple[Calibration, ...]:
     return tuple(_entry(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line.strip())
 
 
-def latest(folder: Path, quantity: str = "force", made_on: str = "") -> Calibration | None:
+def latest(folder: Path, quantity: str = "force", made_on: str = "", sensor_serial: str = "") -> Calibration | None:
     """Return the entry that holds now for a quantity (force, encoder); None before the first one.
 
     Parameters
     ----------
     made_on
         Backend that it has to hold for; any unless given.
+    sensor_serial
+        Sensor that it has to hold for; any unless given. An entry that names none holds for every one.
     """
     entries = [
-        one for one in read(folder) if one.quantity == quantity and (not made_on or one.made_on in {"", made_on})
+        one
+        for one in read(folder)
+        if one.quantity == quantity
+        and (not made_on or one.made_on in {"", made_on})
+        and (not sensor_serial or one.sensor_serial in {"", sensor_serial})
     ]
     return entries[-1] if entries else None
 

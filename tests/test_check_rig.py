@@ -16,6 +16,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.lab import create
 from dragrig.rig import calibration, sanity
 from dragrig.rig.runfile import campaign
+from dragrig.rigs import resolve_rig
 
 NOW = datetime.now().astimezone()
 
@@ -180,3 +181,11 @@ def test_a_look_at_the_rig_takes_nothing_of_a_plan(
 ) -> None:
     assert main(["check", *words]) == 2
     assert capsys.readouterr().out == ""
+
+
+def test_the_calibration_of_another_sensor_holds_for_nothing(lab: Path) -> None:
+    calibrated(lab, serial="A1")
+    rig = "rig.force_sensor.serial={}".format
+    assert set(resolve_rig(assignments=[rig("A1")]).calibrations()) == {"force", "encoder"}
+    assert set(resolve_rig(assignments=[rig("A2")]).calibrations()) == {"encoder"}
+    assert set(resolve_rig().calibrations()) == {"force", "encoder"}
