@@ -1,6 +1,7 @@
 """What every motion by hand is made of: a question, a guarded acquisition that is not recorded, an override."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from uuid import uuid4
 
 from dragrig.config.capsule import Capsule
@@ -46,8 +47,21 @@ class ByHand:
         confirm(self._operator, prompt)
         self._go_on()
 
-    def free(self, side: Side) -> None:
-        """Override the pressed limit switch of a side for the next motion; everything else has to be clear."""
+    @contextmanager
+    def freed(self, side: Side) -> Iterator[None]:
+        """Override the pressed limit switch of a side for one motion; everything else has to be clear.
+
+        Afterwards the guard is latched again if the switch still is pressed, and in any case if the motion failed.
+        """
+        self._free(side)
+        try:
+            yield
+        except BaseException:
+            self._guard.latch(Trip(SWITCHES[side], f"the way off the {side} limit switch ended early"))
+            raise
+        self._guard.reset(self._backend.stage.state())
+
+    def _free(self, side: Side) -> None:
         stage = self._backend.stage
         fault = stage.state().fault
         if fault is None:

@@ -57,12 +57,13 @@ class Manual(ByHand):
         if override is None:
             self.require_armed()
         self.ask(Prompt(HOMING, hands=self._backend.needs_hands))
-        if override is not None:
-            self.free(override)
-        self._backend.stage.enable()
-        self._backend.stage.home()
-        if override is not None:
-            self._guard.reset(self._backend.stage.state())
+        if override is None:
+            self._backend.stage.enable()
+            self._backend.stage.home()
+            return self.position_mm
+        with self.freed(override):
+            self._backend.stage.enable()
+            self._backend.stage.home()
         return self.position_mm
 
     def jog(self, distance_mm: float, speed_mm_s: float | None = None, override: Side | None = None) -> float:
@@ -172,10 +173,9 @@ class Manual(ByHand):
             )
         text = f"Look at the rig. {self.way(distance_mm, speed_mm_s)}, its {side} limit switch overridden"
         self.ask(Prompt(text, hands=self._backend.needs_hands))
-        self.free(side)
-        stage.enable()
-        self.go("jog", profile)
-        self._guard.reset(stage.state())
+        with self.freed(side):
+            stage.enable()
+            self.go("jog", profile)
         return self.position_mm
 
 

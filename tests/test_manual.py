@@ -273,3 +273,22 @@ def test_values_that_cannot_be_are_refused(force: float, speed: float, most: flo
     with pytest.raises(SettingsError):
         one.manual.touch_off(force, speed, most, back)
     assert one.person.prompts == []
+
+
+def test_an_override_that_failed_leaves_nothing_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = bench(AT_100)
+    one.manual.reset()
+    with pytest.raises(TrippedError):
+        one.manual.jog(120.0, 50.0)
+
+    def refuse() -> None:
+        raise DeviceError("the drive refuses.")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(one.backend.stage, "enable", refuse)
+        with pytest.raises(DeviceError, match="refuses"):
+            one.manual.jog(-1.0, override=Side.HIGH)
+    at_mm = one.at_mm
+    with pytest.raises(TrippedError, match="reset"):
+        one.manual.jog(-1.0)
+    assert one.at_mm == at_mm
