@@ -11,15 +11,18 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 from card_bench import card_rig, indices, joined
+from nidaqmx.errors import DaqError
 from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
+from dragrig.config.hardware import CardSettings
 from dragrig.config.lab import Calibration
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import LONGEST_BLOCK_S
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.examine import examine
+from dragrig.rig.hardware.card.faults import in_words
 from dragrig.rig.hardware.card.lines import CardLines
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import SampledTasks
@@ -458,3 +461,10 @@ def test_a_look_without_moving_finds_what_is_wrong() -> None:
             assert not ok, trouble
             assert words in detail
             mishaps.repair()
+
+
+@pytest.mark.parametrize("code", [-200361, -200141, -200279])
+def test_samples_lost_on_their_way_are_told_as_such(code: int) -> None:
+    told = str(in_words(DaqError("The manual says more.", code), CardSettings(), "it samples"))
+    assert "lost samples" in told
+    assert str(code) in told

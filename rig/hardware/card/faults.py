@@ -43,7 +43,7 @@ _SENTENCES = {
 (NI-DAQmx {code}).",
     **dict.fromkeys((-201003, -88705, -88708, -200324, -50101), _GONE),
     **dict.fromkeys((-50103, -200022, -200587, -201105, -89137), _TAKEN),
-    **dict.fromkeys((-200361, -200010, -209829, -200714, -200613, -200222, -200283, OVERWRITTEN), _TOO_SLOW),
+    **dict.fromkeys((-200361, -200141, -200010, -209829, -200714, -200613, -200222, -200283, OVERWRITTEN), _TOO_SLOW),
     **dict.fromkeys((-200332, -200081, -200019), _TOO_FAST),
     **dict.fromkeys((-200170, -200431, -200430, -89120, -89125), _NO_TERMINAL),
 }
