@@ -58,9 +58,22 @@ RIG = settings(
     backend="hardware",
     name="rig under test",
     stage={"start_mm": START_MM},
-    guard={"stale_data_s": 0.4, "following_error_mm": 3.0, "encoder_silent_s": 0.3},
-    hardware={"drive": {"homing_speed_mm_s": 50.0, "reply_s": 0.15}, "hang_s": 0.5},
+    guard={"stale_data_s": 2.0, "following_error_mm": 3.0, "encoder_silent_s": 0.3},
+    hardware={"drive": {"homing_speed_mm_s": 50.0, "reply_s": 0.4, "silence_s": 1.0}, "hang_s": 2.0},
 )
+
+
+PATIENT = (
+    "guard.stale_data_s=2.0",
+    "hardware.hang_s=2.0",
+    "hardware.drive.silence_s=1.0",
+    "hardware.drive.reply_s=0.4",
+)
+# The rig above is patient, so that a busy machine is no fault; a test that waits for it to lose patience says for what.
+SOON_STALE = "rig.guard.stale_data_s=0.4"
+SOON_HUNG = "rig.hardware.hang_s=0.5"
+SOON_UNANSWERED = "rig.hardware.drive.reply_s=0.1"
+SOON_SILENT = "rig.hardware.drive.silence_s=0.5"
 
 
 def sentence(fault: str) -> re.Pattern[str]:
@@ -161,7 +174,10 @@ class Running:
         return self._thread.is_alive()
 
     def until_under_way(self) -> StageLook:
-        return self.bench.until_under_way(lambda: self.alive)
+        return self.bench.until_under_way(lambda: self.alive or self.told())
+
+    def told(self) -> bool:
+        raise AssertionError(self.end())
 
     def strike(self, **mishaps: Any) -> StageLook:
         look = self.until_under_way()
@@ -198,7 +214,8 @@ def begin(bench: Bench, **choices: Any) -> Running:
 
 
 def resume(bench: Bench, folder: Path) -> Running:
-    return Running(bench, folder, lambda person: api.resume(folder, person=person))
+    patient = [f"rig.{key}" for key in PATIENT]
+    return Running(bench, folder, lambda person: api.resume(folder, person=person, assignments=patient))
 
 
 class Program:

@@ -9,6 +9,7 @@ import pytest
 from nidaqmx.constants import TaskMode
 from rig_faults import (
     RIG,
+    SOON_STALE,
     Bench,
     assert_goes_on,
     assert_kept,
@@ -52,7 +53,7 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
 def test_what_the_samples_show_stops_the_stage(
     faulty_rig: Bench, fault: str, mishaps: dict[str, float], then: Callable[[Bench, Path], None] | None
 ) -> None:
-    running = begin(faulty_rig)
+    running = begin(faulty_rig, assignments=[SOON_STALE] if "card_stalled" in mishaps else [])
     struck = running.strike(**mishaps)
     seen = running.person.samples
     ended = running.end()

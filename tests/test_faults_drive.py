@@ -5,7 +5,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig_faults import Bench, assert_goes_on, assert_kept, assert_stopped, assert_told, begin, only_run, sentence
+from rig_faults import (
+    SOON_SILENT,
+    SOON_UNANSWERED,
+    Bench,
+    assert_goes_on,
+    assert_kept,
+    assert_stopped,
+    assert_told,
+    begin,
+    only_run,
+    sentence,
+)
 
 from dragrig.rig.acquiring import Outcome
 from dragrig.rig.hardware.dialects.base import Halt
@@ -15,20 +26,25 @@ from dragrig.rig.runfile.model import Status
 
 
 @pytest.mark.parametrize(
-    ("fault", "mishaps", "halt", "then"),
+    ("fault", "mishaps", "halt", "assignments", "then"),
     [
-        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, assert_goes_on),
-        ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, None),
-        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, assert_goes_on),
-        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, assert_goes_on),
-        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, assert_goes_on),
-        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, None),
+        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, [SOON_UNANSWERED], assert_goes_on),
+        ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, [SOON_UNANSWERED], None),
+        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, [SOON_SILENT], assert_goes_on),
+        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, [], assert_goes_on),
+        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, [], assert_goes_on),
+        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, [], None),
     ],
 )
 def test_what_the_drive_or_its_cable_does_ends_the_run(
-    faulty_rig: Bench, fault: str, mishaps: dict[str, Any], halt: Halt, then: Callable[[Bench, Path], None] | None
+    faulty_rig: Bench,
+    fault: str,
+    mishaps: dict[str, Any],
+    halt: Halt,
+    assignments: list[str],
+    then: Callable[[Bench, Path], None] | None,
 ) -> None:
-    running = begin(faulty_rig)
+    running = begin(faulty_rig, assignments=assignments)
     struck = running.strike(**mishaps)
     seen = running.person.samples
     ended = running.end()

@@ -158,6 +158,9 @@ class Monitor:
         if by_lines is not None:
             self._report(self._latched or by_lines, moved=moved)
         by_drive = self._ask_drive()
+        if by_drive is not None and by_lines is None:
+            # Pressed between the two, a switch tells its own story better than the drive that it has stopped.
+            by_lines = self._ask_lines()
         self._report(self._latched or by_lines or by_drive, moved=moved)
         return self._fault
 
