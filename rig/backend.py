@@ -62,6 +62,19 @@ class Backend(Protocol):
         ...
 
 
+@runtime_checkable
+class Handled(Protocol):
+    """A backend without a bench, which has to be told what hands do there: doubles of the hardware."""
+
+    def hang(self, load_mN: float) -> None:
+        """Take a load to hang on the force sensor, in place of the one before."""
+        ...
+
+    def push(self, distance_mm: float, within_s: float) -> None:
+        """Take the carriage, switched off, to be pushed by a signed distance during the next measurement."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class BackendRequest:
     """What a backend's factory is given.

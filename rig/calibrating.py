@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import Backend
+from dragrig.rig.backend import Backend, Handled
 from dragrig.rig.manual import Manual
 from dragrig.rig.people import Prompt
 from dragrig.rig.raw import RawReading
@@ -47,6 +47,8 @@ def weigh(
         for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
             what = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
             manual.ask(Prompt(f"{what} and let it hang still", hands=backend.needs_hands))
+            if isinstance(backend, Handled):
+                backend.hang(weight_g * STANDARD_GRAVITY)
             reading = backend.sampler.measure(duration_s)
             if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
                 raise DeviceError(
@@ -84,5 +86,7 @@ def push(backend: Backend, manual: Manual, travels_mm: Sequence[float], duration
         way = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
         text = f"The stage is off. After this answer, push it {way} against a gauge, within {duration_s:g} s"
         manual.ask(Prompt(text, hands=backend.needs_hands))
+        if isinstance(backend, Handled):
+            backend.push(travel_mm, duration_s)
         reading = backend.sampler.measure(duration_s)
         yield Stretch(travel_mm, reading.counts_end - reading.counts_begin)

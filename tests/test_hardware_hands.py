@@ -11,10 +11,10 @@ from dragrig.config.errors import DeviceError, TrippedError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.backend import BackendRequest
-from dragrig.rig.calibrating import weigh
+from dragrig.rig.calibrating import push, weigh
 from dragrig.rig.devices import Side
 from dragrig.rig.engine import Engine
-from dragrig.rig.fitting import force_line
+from dragrig.rig.fitting import encoder_line, force_line
 from dragrig.rig.guard import Guard
 from dragrig.rig.manual import Manual
 from dragrig.rig.people import Answer, Prompt
@@ -47,10 +47,6 @@ class Bench:
 
     def ask(self, prompt: Prompt) -> Answer:
         self.prompts.append(prompt)
-        if prompt.text.startswith("Hang"):
-            self.mishaps.strike(force_added_mN=float(prompt.text.split()[1]) * 9.80665)
-        elif prompt.text.startswith("Take every weight"):
-            self.mishaps.strike(force_added_mN=0.0)
         return Answer.DONE
 
 
@@ -106,6 +102,13 @@ def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> N
     assert line.residual < RIG.force_sensor.accuracy_mN
     with pytest.raises(DeviceError, match="overloaded"):
         list(weigh(bench.backend, RIG, bench.manual, (0.0, 2000.0), 1, 0.1))
+
+
+def test_a_known_push_gives_back_the_length_of_a_count(bench: Bench) -> None:
+    bench.manual.reset()
+    points = list(push(bench.backend, bench.manual, (20.0, -20.0, 20.0), 1.0))
+    line = encoder_line([one.travel_mm for one in points], [one.counts for one in points])
+    assert line.gain == pytest.approx(1e-3 * RIG.encoder.resolution_um, rel=1e-3)
 
 
 def test_a_program_that_hangs_in_motion_is_stopped_and_told_why(bench: Bench) -> None:

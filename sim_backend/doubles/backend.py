@@ -142,6 +142,14 @@ class DoubleBackend:
         """Look at every double as at the real devices."""
         yield from self._real.examine()
 
+    def hang(self, load_mN: float) -> None:
+        """Hang a load on the force sensor."""
+        self.world.mishaps.strike(force_added_mN=load_mN)
+
+    def push(self, distance_mm: float, within_s: float) -> None:
+        """Push the carriage during the next measurement."""
+        self.world.push(distance_mm, within_s)
+
     def close(self) -> None:
         """Let go of everything, the doubles last."""
         self._real.close()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still
+from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
 from dragrig.sim_backend.devices.kinematics import evaluate, position_at
 
 _AT_LEAST_S = 1e-3
@@ -68,3 +68,10 @@ class Carriage:
                 kept.append(replace(piece, duration_s=min(piece.duration_s, time_s - start)))
         rest = time_s - self.profile.duration_s
         return (*kept, still(rest, Phase.HOLD)) if rest > 0 else tuple(kept)
+
+
+def pushed(distance_mm: float, duration_s: float) -> tuple[Piece, ...]:
+    """Return a push by hand over a signed distance, gentle at both ends."""
+    ramp_s = 0.2 * duration_s
+    speed_mm_s = abs(distance_mm) / (duration_s - ramp_s)
+    return trapezoid(distance_mm, speed_mm_s, speed_mm_s / ramp_s)

@@ -13,9 +13,10 @@ from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import Piece
 from dragrig.sim_backend.doubles.drive.amplifier import SETTLING_S, Amplifier, smoothed
 from dragrig.sim_backend.doubles.drive.relay import Relay
-from dragrig.sim_backend.doubles.world.carriage import Carriage
+from dragrig.sim_backend.doubles.world.carriage import Carriage, pushed
 from dragrig.sim_backend.doubles.world.clock import DoubleClock
 from dragrig.sim_backend.doubles.world.gut import Gut, alone
+from dragrig.sim_backend.doubles.world.kept import Chunk, joined
 from dragrig.sim_backend.doubles.world.mishaps import Mishaps
 
 SWITCH_MM = 3.0
@@ -56,8 +57,9 @@ class World:
         self._relay = Relay(lines.heartbeat, lines.heartbeat_s)
         self._gut = self._prepared(alone(), rig.sampling.rate_hz)
         self._sampling: _Sampling | None = None
-        self._chunks: list[tuple[int, Mapping[str, FloatArray]]] = []
+        self._chunks: list[Chunk] = []
         self._computed = 0
+        self._push: tuple[Piece, ...] = ()
         self._written: dict[str, bool] = {}
         clock.pass_over_when(lambda: self._sampling is None and not self.moving and not self._amplifier.busy)
 
@@ -99,6 +101,11 @@ class World:
         with self._lock:
             self._stand(position_mm, self.clock.monotonic())
 
+    def push(self, distance_mm: float, within_s: float) -> None:
+        """Let a hand push the carriage, from the next sample 0 on and for half of the time given."""
+        with self._lock:
+            self._push = pushed(distance_mm, 0.5 * within_s)
+
     @property
     def powered(self) -> bool:
         """Whether the heartbeat relay, if there is one, lets the drive have its power."""
@@ -129,6 +136,9 @@ class World:
             counts = self._counts(np.array([self.position_mm()]))
             self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), gut)
             self._chunks, self._computed = [], 0
+            if self._push:
+                self.follow(self._push)
+                self._push = ()
 
     @property
     def began_s(self) -> float:
@@ -157,7 +167,7 @@ class World:
             self._compute(self._sampling, end)
             if not self._chunks or first < self._chunks[0][0]:
                 raise ValueError(f"sample {first} is lost")
-            return self._kept(first, end)
+            return joined(self._chunks, first, end)
 
     def end_sampling(self) -> None:
         """Take no further sample; the next one meets nothing unless told."""
@@ -238,12 +248,3 @@ class World:
     def _forget_before(self, index: int) -> None:
         while len(self._chunks) > 1 and self._chunks[1][0] <= index:
             del self._chunks[0]
-
-    def _kept(self, first: int, end: int) -> Mapping[str, FloatArray]:
-        pieces: dict[str, list[FloatArray]] = {name: [] for name in self._chunks[0][1]}
-        for begin, chunk in self._chunks:
-            for name, values in chunk.items():
-                here = values[max(first - begin, 0) : max(end - begin, 0)]
-                if len(here):
-                    pieces[name].append(here)
-        return {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in pieces.items()}
