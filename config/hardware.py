@@ -5,6 +5,15 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from dragrig.config.base import Settings
+from dragrig.config.terminals import (
+    AnalogInput,
+    AnalogOutput,
+    Counter,
+    InputTerminal,
+    InputTerminalOrNone,
+    LineOrNone,
+    used_twice,
+)
 
 _RANGES_V = (0.2, 1.0, 5.0, 10.0)
 _GREATEST_LOOP_GAIN = 0.75
@@ -28,7 +37,7 @@ class AnalogInputSettings(Settings):
 
     name: str = Field(pattern="^[a-z][a-z0-9_]*$")
     """Name of the channel in run files: motor_force, temperature, …."""
-    channel: str
+    channel: AnalogInput
     """Positive input on the card, such as ai1; its negative one is ai9."""
     unit: str
     per_V: float = 1.0
@@ -41,7 +50,7 @@ class AnalogInputSettings(Settings):
 class ForceInputSettings(Settings):
     """The force sensor's wires; the calibration history's latest entry overrides gain and zero."""
 
-    channel: str = "ai0"
+    channel: AnalogInput = "ai0"
     """Positive input on the card; its negative one is ai8."""
     per_V: float = Field(default=1000.0)
     """Force per volt [mN/V] until a calibration says better."""
@@ -66,10 +75,10 @@ class ForceInputSettings(Settings):
 class EncoderInputSettings(Settings):
     """The encoder's wires, behind a line receiver, and its counter; encoder.resolution_um is the length of a count."""
 
-    counter: str = "ctr0"
-    a: str = "PFI8"
-    b: str = "PFI10"
-    z: str = "PFI9"
+    counter: Counter = "ctr0"
+    a: InputTerminal = "PFI8"
+    b: InputTerminal = "PFI10"
+    z: InputTerminalOrNone = "PFI9"
     """Index pulse; empty when it is not wired."""
     filter_ns: Literal[0, 125, 6425, 2_560_000] = 125
     """Shortest pulse that counts; 6425 limits the speed to about 0.3 m/s."""
@@ -80,15 +89,15 @@ class EncoderInputSettings(Settings):
 class LineSettings(Settings):
     """Digital lines; an empty one is not wired. A broken wire reads as pressed: switches are normally closed."""
 
-    enable: str = "port1/line0"
+    enable: LineOrNone = "port1/line0"
     """Out: the drive's enable."""
-    e_stop: str = "port1/line1"
+    e_stop: LineOrNone = "port1/line1"
     """In: low when pressed."""
-    limit_low: str = "port1/line2"
+    limit_low: LineOrNone = "port1/line2"
     """In: low at the lower end of travel."""
-    limit_high: str = "port1/line3"
+    limit_high: LineOrNone = "port1/line3"
     """In: low at the upper end of travel."""
-    heartbeat: str = ""
+    heartbeat: LineOrNone = ""
     """Out: toggled while the program is well; an external relay takes the drive's power when it stops."""
     heartbeat_s: float = Field(default=0.05, gt=0, le=1)
     """Time between two edges of the heartbeat."""
@@ -97,7 +106,7 @@ class LineSettings(Settings):
 class CardSettings(Settings):
     """The PCI-6229."""
 
-    device: str = "Dev1"
+    device: str = Field(default="Dev1", min_length=1)
     server: str = ""
     """Host and port of an NI gRPC device server when the card is in another computer; empty for this one."""
     buffer_s: float = Field(default=4.0, ge=1, le=60)
@@ -115,16 +124,25 @@ class CardSettings(Settings):
         for what, values in (("name", names), ("channel", channels)):
             if twice := next((value for value in values if values.count(value) > 1), None):
                 raise ValueError(f"inputs: {what} = {twice!r} is there already; each input needs its own")
+        lines, encoder = self.lines, self.encoder
+        wired = (lines.enable, lines.e_stop, lines.limit_low, lines.limit_high, lines.heartbeat)
+        if both := used_twice((*wired, encoder.a, encoder.b, encoder.z)):
+            one, other = both
+            raise ValueError(
+                f"{one} is wired to two signals under lines and encoder; give each a terminal of its own"
+                if one == other
+                else f"{one} and {other} under lines and encoder are one and the same pin of the card; use another"
+            )
         return self
 
 
 class VelocityOutputSettings(Settings):
     """Velocity mode: the command as a voltage, the loop closed here on the encoder."""
 
-    channel: str = "ao0"
+    channel: AnalogOutput = "ao0"
     per_V: float = Field(default=10.0, gt=0)
     """Speed per volt [mm/s] that the drive is set to."""
-    counter: str = "ctr1"
+    counter: Counter = "ctr1"
     """Counter that reads the encoder for the loop; the same terminals as the sampled one."""
     rate_hz: float = Field(default=1000.0, ge=100, le=10_000)
     """Samples of the voltage per second."""
@@ -158,7 +176,7 @@ class DriveSettings(Settings):
 
     mode: Literal["position", "velocity"] = "position"
     """Position commands over serial, or a velocity voltage; the latter only with a heartbeat relay."""
-    port: str = "COM1"
+    port: str = Field(default="COM1", min_length=1)
     """Serial port, or socket://host:port."""
     dialect: str = "nikki"
     """How the drive is spoken to: a module of dragrig.rig.hardware.dialects, or any other that Python can import."""
@@ -195,4 +213,6 @@ class HardwareSettings(Settings):
                 "drive.mode = 'velocity' needs a heartbeat relay in card.lines.heartbeat, because the card holds its "
                 "last voltage when the program dies"
             )
+        if self.drive.mode == "velocity" and self.drive.velocity.counter == self.card.encoder.counter:
+            raise ValueError("drive.velocity.counter and card.encoder.counter must be two, one ctr0 and the other ctr1")
         return self

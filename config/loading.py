@@ -144,6 +144,8 @@ def _describe_one(detail: ErrorDetails, model: type[BaseModel]) -> str:
         return f"{key} must be {_SHAPES[kind]}, and is {detail['input']!r:.60}"
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     message = message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
+    if isinstance(detail["input"], Mapping):
+        return f"{key}: {message}" if key else message  # about the table's keys among each other, which it names
     return f"{key} = {detail['input']!r:.60}: {message}" if key else message
 
 
