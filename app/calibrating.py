@@ -14,7 +14,7 @@ from dragrig.pacing import Pace
 from dragrig.rig import calibration
 from dragrig.rig.calibrating import Stretch, Weighing, drive, push, weigh
 from dragrig.rig.fitting import Line, encoder_line, force_line, require_loads
-from dragrig.rig.manual import SPEED_MM_S
+from dragrig.rig.manual import SPEED_MM_S, require_speed
 from dragrig.rig.people import Operator
 from dragrig.rigs import RigChoices, RigSetup, resolve_rig
 
@@ -131,8 +131,14 @@ def calibrate_encoder(
     setup = resolve_rig(**choices)
     folder = _lab_of(setup)
     _require_measure(repeats, duration_s)
-    if not isfinite(travel_mm) or travel_mm == 0 or not (isfinite(speed_mm_s) and speed_mm_s > 0):
-        raise SettingsError(f"travel_mm = {travel_mm:g}, speed_mm_s = {speed_mm_s:g}: is no way to go.")
+    if not isfinite(travel_mm) or travel_mm == 0:
+        raise SettingsError(f"travel_mm = {travel_mm:g}: is no way to go.")
+    require_speed(speed_mm_s, setup.limits)
+    if abs(travel_mm) > setup.limits.highest_mm - setup.limits.lowest_mm:
+        raise SettingsError(
+            f"travel_mm = {travel_mm:g}: is longer than the stage's way from {setup.limits.lowest_mm:g} to "
+            f"{setup.limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
+        )
     if measured_mm and (len(measured_mm) != repeats or any(one * travel_mm <= 0 for one in measured_mm)):
         raise SettingsError(
             f"measured_mm: needs one value of the travel's sign for each of {repeats} repeats, and there are "

@@ -28,6 +28,8 @@ class Made:
         counts: dict[str, int] = {}
         for one in self.session.runs:
             counts[one.outcome.status.value] = counts.get(one.outcome.status.value, 0) + 1
+        if not counts:
+            return "no run was made"
         return f"{len(self.session.runs)} runs: " + ", ".join(f"{count} {status}" for status, count in counts.items())
 
 

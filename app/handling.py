@@ -15,7 +15,7 @@ from dragrig.rig.backend import Backend, BackendRequest
 from dragrig.rig.devices import Side
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.manual import Manual
+from dragrig.rig.manual import Manual, require_approach, require_jog
 from dragrig.rig.people import Nobody, Operator
 from dragrig.rig.readiness import park
 from dragrig.rig.trips import Trip
@@ -91,7 +91,10 @@ def jog(
             bench.manual.reset()
         return Moved(bench.manual.jog(distance_mm, speed_mm_s, override), bench.manual.trip)
 
-    return at_the_bench(work, resolve_rig(**choices), pace, person)
+    setup = resolve_rig(**choices)
+    # Looked at before anybody is asked to do anything; so below.
+    require_jog(distance_mm, speed_mm_s, override, setup.limits)
+    return at_the_bench(work, setup, pace, person)
 
 
 def touch_off(
@@ -116,6 +119,7 @@ def touch_off(
     folder = setup.rig_folder
     if folder is None:
         raise SettingsError("touch-off: there is no lab folder to keep the contact in; make one with dragrig init.")
+    require_approach(force_mN, speed_mm_s, most_mm, back_mm, setup.limits)
 
     def work(bench: Bench) -> ContactPoint:
         bench.manual.reset()

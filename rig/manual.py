@@ -5,7 +5,7 @@ from math import copysign, isfinite
 
 from dragrig.config.errors import DeviceError, SettingsError
 from dragrig.rig.by_hand import ByHand
-from dragrig.rig.devices import Contact, Side
+from dragrig.rig.devices import Contact, Side, StageLimits
 from dragrig.rig.people import Prompt
 from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
 from dragrig.rig.readiness import HOMING, positioning, reset
@@ -84,9 +84,7 @@ class Manual(ByHand):
         """
         usual = SPEED_MM_S if override is None else OVERRIDE_SPEED_MM_S
         speed = min(usual, self._backend.stage.limits.speed_mm_s) if speed_mm_s is None else speed_mm_s
-        _require_positive("speed_mm_s", speed)
-        if not isfinite(distance_mm) or distance_mm == 0:
-            raise SettingsError(f"distance_mm = {distance_mm:g}: is no way to go.")
+        require_jog(distance_mm, speed, override, self._backend.stage.limits)
         profile = self.stroke(distance_mm, speed)
         if override is not None:
             return self._jog_off(override, distance_mm, speed, profile)
@@ -134,10 +132,7 @@ class Manual(ByHand):
         DeviceError
             When there is no contact within `most_mm`.
         """
-        _require_positive("force_mN", force_mN)
-        _require_positive("speed_mm_s", speed_mm_s)
-        if not isfinite(most_mm) or most_mm == 0 or not 0 <= back_mm < float("inf"):
-            raise SettingsError(f"most_mm = {most_mm:g}, back_mm = {back_mm:g}: is no way to go there and back.")
+        require_approach(force_mN, speed_mm_s, most_mm, back_mm, self._backend.stage.limits)
         self.make_ready()
         begin_mm = self.position_mm
         self.require_within(begin_mm + most_mm)
@@ -165,12 +160,6 @@ class Manual(ByHand):
 
     def _jog_off(self, side: Side, distance_mm: float, speed_mm_s: float, profile: MotionProfile) -> float:
         stage = self._backend.stage
-        if (distance_mm > 0) is not (side is Side.LOW):
-            raise SettingsError(f"distance_mm = {distance_mm:g}: goes onto the {side} limit switch, not off it.")
-        if speed_mm_s > OVERRIDE_SPEED_MM_S:
-            raise SettingsError(
-                f"speed_mm_s = {speed_mm_s:g}: off a limit switch the stage goes at up to {OVERRIDE_SPEED_MM_S:g} mm/s."
-            )
         text = f"Look at the rig. {self.way(distance_mm, speed_mm_s)}, its {side} limit switch overridden"
         self.ask(Prompt(text, hands=self._backend.needs_hands))
         with self.freed(side):
@@ -179,6 +168,37 @@ class Manual(ByHand):
         return self.position_mm
 
 
-def _require_positive(key: str, value: float) -> None:
-    if not (isfinite(value) and value > 0):
-        raise SettingsError(f"{key} = {value:g}: must be more than 0.")
+def require_jog(distance_mm: float, speed_mm_s: float | None, override: Side | None, limits: StageLimits) -> None:
+    """Raise `SettingsError` for a jog that cannot be, wherever the stage is."""
+    if not isfinite(distance_mm) or distance_mm == 0:
+        raise SettingsError(f"distance_mm = {distance_mm:g}: is no way to go.")
+    if speed_mm_s is not None:
+        require_speed(speed_mm_s, limits)
+    if override is None:
+        return
+    if (distance_mm > 0) is not (override is Side.LOW):
+        raise SettingsError(f"distance_mm = {distance_mm:g}: goes onto the {override} limit switch, not off it.")
+    if speed_mm_s is not None and speed_mm_s > OVERRIDE_SPEED_MM_S:
+        raise SettingsError(
+            f"speed_mm_s = {speed_mm_s:g}: off a limit switch the stage goes at up to {OVERRIDE_SPEED_MM_S:g} mm/s."
+        )
+
+
+def require_approach(force_mN: float, speed_mm_s: float, most_mm: float, back_mm: float, limits: StageLimits) -> None:
+    """Raise `SettingsError` for a touching off that cannot be, wherever the stage is."""
+    if not (isfinite(force_mN) and force_mN > 0):
+        raise SettingsError(f"force_mN = {force_mN:g}: must be more than 0; a change to either side counts.")
+    require_speed(speed_mm_s, limits)
+    if not isfinite(most_mm) or most_mm == 0:
+        raise SettingsError(f"most_mm = {most_mm:g}: is no way to go.")
+    if not (isfinite(back_mm) and back_mm >= 0):
+        raise SettingsError(f"back_mm = {back_mm:g}: must be 0 or more; it counts away from the contact.")
+
+
+def require_speed(speed_mm_s: float, limits: StageLimits) -> None:
+    """Raise `SettingsError` for a speed that the stage cannot have."""
+    if not 0 < speed_mm_s <= limits.speed_mm_s:
+        raise SettingsError(
+            f"speed_mm_s = {speed_mm_s:g}: must be more than 0, and {limits.speed_mm_s:g} at most "
+            "(stage.max_speed_mm_s of the rig file)."
+        )

@@ -107,11 +107,12 @@ def test_a_jog_that_cannot_be_is_refused_before_anybody_is_asked(distance: float
     assert one.person.prompts == []
 
 
-def test_a_jog_beyond_what_the_stage_can_do_is_refused_by_it() -> None:
+def test_a_jog_faster_than_the_stage_can_go_is_refused() -> None:
     one = bench()
     one.manual.reset()
-    with pytest.raises(DeviceError, match="speed"):
+    with pytest.raises(SettingsError, match="100 at most"):
         one.manual.jog(120.0, 101.0)
+    assert one.person.prompts == []
 
 
 def test_an_abort_while_a_person_is_asked_moves_nothing() -> None:

@@ -82,6 +82,10 @@ def test_at_a_real_rig_yes_does_not_look(
         (["home", "--override-limit", "up"], 2, "--override-limit"),
         (["touch-off", "--force", "5000"], 5, "no contact within 20 mm"),
         (["touch-off", "--force", "0"], 2, "force_mN"),
+        (["touch-off", "--back", "-1"], 2, "back_mm"),
+        (["touch-off", "--speed", "101"], 2, "100 at most"),
+        (["jog", "5", "--speed", "101"], 2, "100 at most"),
+        (["jog", "nan"], 2, "no way to go"),
         (["jog", "5", "--set", "speed_mm_s=3"], 2, "only rig"),
         (["jog", "5", "--double"], 2, "has no double"),
     ],
@@ -93,6 +97,27 @@ def test_what_cannot_be_is_told_in_one_sentence(
     told = capsys.readouterr()
     assert sentence in told.err
     assert told.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words", [["jog", "5", "--speed", "101"], ["jog", "0"], ["touch-off", "--force", "-20"], ["touch-off", "--back=-5"]]
+)
+def test_nobody_is_asked_for_hands_before_nonsense_is_refused(
+    lab: Path, tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_ons.install(tmp_path / "site", monkeypatch)
+    assert main([*words, "--backend", "handed"]) == 2
+    assert "Look at the rig" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["jog", "5"], ["run", "drag", "--out", "c"]])
+def test_a_closed_standard_input_is_nobody(
+    lab: Path, command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # What Python makes of a standard input that was closed before it began.
+    monkeypatch.setattr(sys, "stdin", None)
+    assert main(command) == 3
+    assert "Nobody answers on standard input" in capsys.readouterr().err
 
 
 def test_a_trip_ends_a_jog_with_its_reason(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,7 @@ class Terminal:
             forget_typed()
         while True:
             click.echo(f"  {words}: ", err=True, nl=False)
-            line = sys.stdin.readline()
+            line = sys.stdin.readline() if sys.stdin is not None else ""  # None when it was closed before we began
             if not line:
                 why = "this asks for hands at the rig" if prompt.hands else "--yes answers every such prompt with done"
                 click.echo(f"\nNobody answers on standard input; {why}.", err=True)
