@@ -30,7 +30,9 @@ class Made:
             counts[one.outcome.status.value] = counts.get(one.outcome.status.value, 0) + 1
         if not counts:
             return "no run was made"
-        return f"{len(self.session.runs)} runs: " + ", ".join(f"{count} {status}" for status, count in counts.items())
+        made = sum(counts.values())
+        each = ", ".join(f"{count} {status}" for status, count in counts.items())
+        return f"{made} run{'' if made == 1 else 's'}: {each}"
 
 
 def begin(setup: Setup, out: Path | None, terms: Terms, person: Person | None) -> Made:

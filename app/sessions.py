@@ -15,6 +15,7 @@ from dragrig.rig.backend import Backend, BackendRequest
 from dragrig.rig.people import Nobody, Operator, Watcher
 from dragrig.rig.preflight import preflight
 from dragrig.rig.record import SessionRecord
+from dragrig.rig.runfile.model import Status
 from dragrig.rig.session import Progress, Session, SessionResult
 from dragrig.rig.store import Store
 from dragrig.setup import Setup
@@ -70,11 +71,14 @@ def carry_out(
     """
     someone: Person = person or Nobody()
     programme = setup.programme()
+    left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
+    if not left.runs:
+        # Nobody is asked, and no stage is sent home, for nothing.
+        return SessionResult(Status.COMPLETE, "", ())
     pace = pacing(terms.pace, double=setup.double)
     calibrations = setup.calibrations()
     request = BackendRequest(setup.rig, setup.model, pace.real_time, terms.origin, calibrations, pace=pace.times_faster)
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
-        left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
         further = len(backend.sampler.channels) - 2
         preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source, further).require()
         record = _record(setup, backend, terms, calibrations)

@@ -150,7 +150,9 @@ def test_a_trip_is_told_and_the_campaign_goes_on_after_it(run: Runner, tmp_path:
     assert [(one["order"], one["kind"]) for one in again["runs"]] == [(1, "drag"), (2, "return")]
     starts = [one.header.start_time for one in campaign(tmp_path / "c").runs]
     assert starts == sorted(starts)
-    assert run("--resume", "c", "--yes")["runs"] == []
+    sessions = sorted((tmp_path / "c").glob("session-*"))
+    assert run("--resume", "c")["runs"] == []  # nothing is left, so nobody is asked
+    assert sorted((tmp_path / "c").glob("session-*")) == sessions
     assert "only rig" in run.told("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
 
 
