@@ -53,6 +53,11 @@ class CountingBench:
         """Take sample 0 now."""
         self._began_s, self._rate_hz = self.clock.monotonic(), rate_hz
 
+    @property
+    def began_s(self) -> float:
+        """When sample 0 was taken."""
+        return self.clock.monotonic() if self._began_s is None else self._began_s
+
     def available(self) -> int:
         """Return how many samples were taken."""
         if self._began_s is None:

@@ -1,5 +1,6 @@
 """Whole sessions through the real rig's code, on doubles of card and drive: what a newcomer sees with `--double`."""
 
+import gc
 import io
 import json
 import sys
@@ -11,9 +12,13 @@ import pytest
 
 import dragrig
 from dragrig.cli import main
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.backend import BackendRequest
 from dragrig.rig.people import Answer, Nobody, Prompt
 from dragrig.rig.runfile import campaign
 from dragrig.rig.runfile.model import Run, Status
+from dragrig.sim_backend.doubles.backend import DoubleBackend
 
 PLAN = """
 name = "short"
@@ -122,3 +127,13 @@ def test_the_rig_without_its_driver_says_in_one_sentence_what_to_install(
     assert "install" in told
     assert "--double" in told
     assert "\n" not in told.strip()
+
+
+def test_a_connected_rig_is_held_by_no_long_garbage_collection() -> None:
+    request = BackendRequest(RigSettings(), FrictionModelSettings())
+    double = DoubleBackend(request)
+    try:
+        assert gc.get_freeze_count() > 100_000
+    finally:
+        double.close()
+    assert gc.get_freeze_count() < 100_000

@@ -25,6 +25,7 @@ from dragrig.rig.hardware.drive.stage import SerialStage
 from dragrig.rig.hardware.drive.velocity import VelocityStage
 from dragrig.rig.hardware.drive.watched import WatchedStage
 from dragrig.rig.hardware.owner import Owner
+from dragrig.rig.hardware.pauses import short_collections
 
 PartT = TypeVar("PartT")
 
@@ -101,6 +102,7 @@ class HardwareBackend:
             self._take()
             self._open_card()
             self._open_drive()
+            self._open.enter_context(short_collections())
         except BaseException:
             self.close()
             raise
