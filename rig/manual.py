@@ -136,7 +136,7 @@ class Manual(ByHand):
         self.make_ready()
         begin_mm = self.position_mm
         self.require_within(begin_mm + most_mm)
-        after = f", then back to {back_mm:g} mm before that" if back_mm else ""
+        after = f", then back by {back_mm:g} mm, but no further than to where it began" if back_mm else ""
         text = f"{self.way(most_mm, speed_mm_s)} at most, until the force has changed by {force_mN:g} mN{after}"
         self.ask(Prompt(text, hands=self._backend.needs_hands))
         found = self._approach(force_mN, speed_mm_s, most_mm)

@@ -1,5 +1,6 @@
 """The serial port as pyserial opens it, and what it raises when its cable is pulled."""
 
+import os
 import sys
 
 import serial
@@ -43,8 +44,10 @@ def open_port(settings: DriveSettings) -> serial.Serial:
             exclusive=True,
         )
     except _OPENING_ERRORS as error:
+        number = error.errno if isinstance(error, OSError) else None
+        why = os.strerror(number) if number else str(error)
         raise DeviceError(
-            f"the drive's port {settings.port} cannot be opened ({error}): connect it, close other programs that use "
+            f"the drive's port {settings.port} cannot be opened ({why}): connect it, close other programs that use "
             "it, or correct hardware.drive.port of the rig file."
         ) from error
 
