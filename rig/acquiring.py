@@ -20,6 +20,7 @@ from dragrig.rig.runfile.model import Event, Status
 from dragrig.rig.store import Sink
 from dragrig.rig.trips import Cause, Trip
 
+_REST = int(Phase.REST)
 _SETTLE_S = 1.0
 """How long a stage that stands after a stop is still recorded at most."""
 
@@ -108,7 +109,7 @@ class Acquiring:
         self._end_index = block.end_index
         self.trip(trip)
         self._take(block, reading, look)
-        if reading.phase[-1] != Phase.REST:
+        if reading.phase[-1] != _REST:
             self._tell_uncertainty()
         return None if self._ended else reading
 

@@ -1,6 +1,7 @@
 """An encoder that shows nothing while the command moves on: a cable off, a wire broken, a stage that is stuck."""
 
 from dataclasses import dataclass
+from math import inf, isnan, nan
 
 import numpy as np
 
@@ -32,9 +33,9 @@ class SilenceWatch:
 
     dither_mm: float
     _counting: tuple[Block, AnyFloatArray] | None = None
-    _lowest_mm: float = np.inf
-    _highest_mm: float = -np.inf
-    _command_mm: float = np.nan
+    _lowest_mm: float = inf
+    _highest_mm: float = -inf
+    _command_mm: float = nan
     _moved_index: int | None = None
     _travel_mm: float = 0.0
 
@@ -50,7 +51,7 @@ class SilenceWatch:
             self._begin_after_last_count(*self._counting, rate_hz)
             self._counting = None
         lowest, highest = min(self._lowest_mm, look.lowest_mm), max(self._highest_mm, look.highest_mm)
-        if highest - lowest > self.dither_mm or np.isnan(self._command_mm):
+        if highest - lowest > self.dither_mm or isnan(self._command_mm):
             self._begin(look.lowest_mm, look.highest_mm, float(command[0]))
         else:
             self._lowest_mm, self._highest_mm = lowest, highest
@@ -69,6 +70,9 @@ class SilenceWatch:
         self._moved_index, self._travel_mm = None, 0.0
 
     def _go_on(self, first_index: int, command: AnyFloatArray, rate_hz: float) -> Silence:
+        if self._travel_mm == 0 and command[0] == self._command_mm == command[-1]:
+            # Told to stand, as for most of a session.
+            return NO_SILENCE
         away = np.abs(command - self._command_mm)
         self._travel_mm = max(self._travel_mm, float(away.max()))
         if self._travel_mm == 0:

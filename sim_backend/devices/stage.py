@@ -109,6 +109,8 @@ class SimulatedStage:
     @property
     def fault(self) -> Trip | None:
         """What the drive reports; None when nothing."""
+        if self._faults.limit_switch is None:
+            return self._axis.fault
         position_mm, moving, fault = self._axis.look()
         return fault or self._pressed_switch(position_mm, moving)
 
