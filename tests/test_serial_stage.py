@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -404,3 +405,15 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
         until(lambda: stands(rig))
         assert rig.stage.fault is None
         assert rig.drive.status.halt is Halt.TARGET
+
+
+def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    with driven(pace=20.0, silence_s=0.5) as rig:
+        rig.stage.enable()
+        rig.world.place(0.0)
+        told = type(rig.drive).status.fget
+        assert told is not None
+        monkeypatch.setattr(type(rig.drive), "status", property(lambda drive: replace(told(drive), moving=True)))
+        with pytest.raises(DeviceError, match=r"still moves.*by hand"):
+            rig.stage.home()
+        assert Command.STOP in {request.command for request in rig.drive.heard}

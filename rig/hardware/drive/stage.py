@@ -204,4 +204,13 @@ class SerialStage(WatchedStage):
         until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
         while not self._ready.await_standstill(_LOOK_S):
             if self._clock.monotonic() > until_s:
-                self._link.stop()
+                self._give_up_homing()
+                return
+
+    def _give_up_homing(self) -> None:
+        self._link.stop()
+        if not self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_S):
+            raise DeviceError(
+                "the drive says that it still moves, although homing has taken its time and it was told to stop: take "
+                "its power away by hand, and look at the rig."
+            )
