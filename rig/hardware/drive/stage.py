@@ -154,24 +154,8 @@ class SerialStage(WatchedStage):
         self._coupling.set_stopped()
         self._link.stop()
 
-    def disable(self) -> None:
-        """Stop, switch the drive off and clear its alarm and whatever was latched.
-
-        Raises
-        ------
-        DeviceError
-            When the drive does not answer; its enable line is taken away all the same.
-        """
-        self.stop()
-        with self._commands:
-            try:
-                self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_S)
-                self._switched(on=False)
-                self._power.off()
-            finally:
-                self._let_go()
-                self._monitor.clear()
-                self._monitor.look()
+    def _come_to_rest(self) -> None:
+        self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_S)
 
     def close(self) -> None:
         """Stop, and let go of the drive. Twice is once."""

@@ -189,25 +189,9 @@ class VelocityStage(WatchedStage):
         self._coupling.set_stopped()
         self._loop.brake()
 
-    def disable(self) -> None:
-        """Stop, switch the drive off and clear its alarm and whatever was latched.
-
-        Raises
-        ------
-        DeviceError
-            When the drive does not answer; its enable line is taken away all the same.
-        """
-        self.stop()
-        with self._commands:
-            try:
-                self._ready.await_standstill(_STANDSTILL_S)
-                self._loop.end()
-                self._switched(on=False)
-                self._power.off()
-            finally:
-                self._let_go()
-                self._monitor.clear()
-                self._monitor.look()
+    def _come_to_rest(self) -> None:
+        self._ready.await_standstill(_STANDSTILL_S)
+        self._loop.end()
 
     def close(self) -> None:
         """Stop, and let go of drive and card. Twice is once."""

@@ -98,12 +98,31 @@ class WatchedStage(ABC):
         """Brake to a standstill now; returns at once."""
 
     @abstractmethod
-    def disable(self) -> None:
-        """Stop, switch the drive off and clear its alarm and whatever was latched."""
-
-    @abstractmethod
     def close(self) -> None:
         """Stop, and let go of the drive. Twice is once."""
+
+    @abstractmethod
+    def _come_to_rest(self) -> None:
+        """Wait until the stage stands after a stop, or long enough, and hold it no longer."""
+
+    def disable(self) -> None:
+        """Stop, switch the drive off and clear its alarm and whatever was latched.
+
+        Raises
+        ------
+        DeviceError
+            When the drive does not answer; its enable line is taken away all the same.
+        """
+        self.stop()
+        with self._commands:
+            try:
+                self._come_to_rest()
+                self._switched(on=False)
+                self._power.off()
+            finally:
+                self._let_go()
+                self._monitor.clear()
+                self._monitor.look()
 
     def override_limit(self, side: Side) -> None:
         """Let a pressed limit switch forbid nothing until the next move has ended, which must lead slowly away from it.
