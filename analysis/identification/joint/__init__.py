@@ -1,0 +1,1 @@
+"""One fit of a nominal model to all runs of a specimen."""

@@ -1,0 +1,143 @@
+"""Which runs of a campaign an identification may use, and why the others are left out."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from dragrig.analysis.identification.results import LeftOut
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.progress import Progress, silent
+from dragrig.config.errors import AnalysisError, RunFileError
+from dragrig.rig.runfile.campaigns import specimen_key
+from dragrig.rig.runfile.model import Run, RunInfo, Status
+
+WORST_SHARE = 0.2
+"""A run more of whose samples are clipped or missing is left out; fewer are left out of the run."""
+SLIDES_BACK = "return"
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Runs of one specimen in the order in which it lived through them, and what was left out."""
+
+    specimen: str
+    experiments: tuple[Experiment, ...]
+    left_out: tuple[LeftOut, ...] = ()
+    remarks: tuple[str, ...] = field(default=())
+
+    def of_kind(self, *kinds: str) -> tuple[Experiment, ...]:
+        """Return the runs of these kinds."""
+        return tuple(one for one in self.experiments if one.kind in kinds)
+
+
+def select(folder: Path, specimen: str | None = None, progress: Progress = silent) -> Selection:
+    """Read the runs of a campaign that can be used.
+
+    Parameters
+    ----------
+    folder
+        The campaign.
+    specimen
+        Name or id of the specimen that is meant; needed where the folder holds several.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+    AnalysisError
+        When it holds no usable run, or runs of several specimens and none was named.
+    """
+    from dragrig.rig.runfile import campaign, read_run
+
+    found = campaign(folder)
+    left_out = [LeftOut(path.name, str(fault).removeprefix(f"{path}: ")) for path, fault in found.unreadable]
+    left_out += [LeftOut(path.name, "it is a recording that was not finished") for path in found.recordings]
+    marks = {path: mark.reason for path, mark in found.marks.items()}
+    chosen = _of_one_specimen(found.runs, specimen, folder)
+    runs: list[Run] = []
+    for done, info in enumerate(chosen):
+        progress(done, len(chosen))
+        reason = _not_usable(info, marks)
+        if reason is None:
+            try:
+                runs.append(read_run(info.path))
+                continue
+            except RunFileError as fault:
+                reason = str(fault).removeprefix(f"{info.path}: ")
+        left_out.append(LeftOut(info.path.name, reason))
+    progress(len(chosen), len(chosen))
+    return _selection(specimen_key(chosen[0]), runs, left_out, str(folder))
+
+
+def select_from(runs: Iterable[Run], specimen: str | None = None) -> Selection:
+    """Do the same with runs in memory; raises `AnalysisError` as `select`."""
+    whole = {run.info.path: run for run in runs}
+    chosen = _of_one_specimen([run.info for run in whole.values()], specimen, Path("these runs"))
+    reasons = {info.path: _not_usable(info, {}) for info in chosen}
+    left_out = [LeftOut(path.name, reason) for path, reason in reasons.items() if reason]
+    usable = [whole[path] for path, reason in reasons.items() if reason is None]
+    return _selection(specimen_key(chosen[0]), usable, left_out, "these runs")
+
+
+def _of_one_specimen(infos: Iterable[RunInfo], specimen: str | None, where: Path) -> list[RunInfo]:
+    groups: dict[str, list[RunInfo]] = {}
+    for info in infos:
+        groups.setdefault(specimen_key(info), []).append(info)
+    if not groups:
+        raise AnalysisError(f"{where}: holds no run file that can be read; name the folder of a campaign.")
+    known = {name: key for key, group in groups.items() for name in (key, str(group[0].header.specimen.get("name")))}
+    if specimen is not None and specimen not in known:
+        raise AnalysisError(f"{where}: has no run of specimen {specimen!r}, only of {', '.join(sorted(groups))}.")
+    if specimen is None and len(groups) > 1:
+        counted = ", ".join(f"{key} ({len(group)})" for key, group in sorted(groups.items()))
+        raise AnalysisError(
+            f"{where}: holds runs of several specimens, whose parameters differ: {counted}; name one with --specimen."
+        )
+    return groups[known[specimen] if specimen is not None else next(iter(groups))]
+
+
+def _not_usable(info: RunInfo, marks: Mapping[Path, str]) -> str | None:
+    if info.path in marks:
+        return f"it is marked bad: {marks[info.path]}"
+    if info.status is not Status.COMPLETE:
+        return f"it is {info.status.value}, not complete"
+    if info.kind == SLIDES_BACK:
+        return "it is a way back, through wall that the stroke before has just slid over"
+    return None
+
+
+def _selection(specimen: str, runs: Iterable[Run], left_out: Iterable[LeftOut], where: str) -> Selection:
+    kept: list[Experiment] = []
+    dropped, remarks = list(left_out), list[str]()
+    for experiment in map(Experiment, runs):
+        reason = _spoilt(experiment)
+        if reason is not None:
+            dropped.append(LeftOut(experiment.file, reason))
+            continue
+        kept.append(experiment)
+        remarks += _spoilt_in_part(experiment)
+    if not kept:
+        why = "; ".join(f"{one.what}: {one.reason}" for one in dropped)
+        raise AnalysisError(f"{where}: no run can be used ({why}).")
+    return Selection(specimen, tuple(kept), tuple(dropped), tuple(remarks))
+
+
+def _spoilt(experiment: Experiment) -> str | None:
+    if not experiment.valid.size:
+        return "it has no samples"
+    bad = 1.0 - float(np.mean(experiment.valid))
+    if bad > WORST_SHARE:
+        return f"{bad:.0%} of its samples are clipped or missing (NaN)"
+    try:
+        _ = experiment.motion, experiment.fixture
+    except AnalysisError as fault:
+        return str(fault).removeprefix(f"{experiment.file}: ")
+    return None
+
+
+def _spoilt_in_part(experiment: Experiment) -> Iterator[str]:
+    bad = int(np.count_nonzero(~experiment.valid))
+    if bad:
+        yield f"{experiment.file}: {bad} samples are clipped or missing (NaN) and were left out"
