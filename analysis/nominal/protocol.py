@@ -89,7 +89,7 @@ class Predictor(Protocol):
         """Predict the channel at rising times, shape `(n,)`, for parameter values of shape `(P,)`."""
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return the derivative of the predicted total by every parameter, shape `(P, n)`; by differences if not said."""
+        """Return the derivative of the predicted total by every parameter, shape `(P, n)`; here by differences."""
         return by_differences(self, values, time_s)
 
 
