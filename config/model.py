@@ -1,18 +1,33 @@
 """What the simulator assumes of gut and capsule: the parameters of the friction model."""
 
-from typing import Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dragrig.config.base import Settings
+
+Polynomial = Annotated[tuple[float, ...], Field(min_length=1, max_length=5)]
+"""Coefficients of a polynomial in the strain (1 being 100 %), highest power first, up to the fourth."""
+
+
+class WallPolynomials(Settings):
+    """Each element of the wall against strain; springs in kPa, dampers in kPa·s."""
+
+    E1: Polynomial
+    E2: Polynomial
+    E3: Polynomial
+    eta1: Polynomial
+    eta2: Polynomial
 
 
 class FrictionModelSettings(Settings):
     """Choices and scales of the friction model; the defaults are the paper's."""
 
     name: str = "paper"
-    wall: Literal["eq14", "table1"] = "eq14"
-    """Wall parameters: the polynomials of Eq. 14, or the least-squares quadratic through Table 1."""
+    wall: Literal["eq14", "table1", "polynomial"] = "eq14"
+    """Wall parameters: Eq. 14, the least-squares quadratic through Table 1, or polynomials of one's own."""
+    wall_polynomials: WallPolynomials | None = None
+    """What wall polynomial evaluates."""
     viscous: Literal["published", "newtonian"] = "published"
     """Reading of Eq. 10: δ v with δ in mN·s/mm, or δ (v/d) S with δ in Pa·s."""
     friction_coefficient: float = Field(default=0.082, ge=0, le=2)
@@ -38,3 +53,9 @@ class FrictionModelSettings(Settings):
     """True age of the contact at the first sample over the noted one."""
     contact_angle_offset_deg: float = Field(default=0.0, gt=-30, lt=30)
     """Added to the capsule's contact angle."""
+
+    @model_validator(mode="after")
+    def _has_its_polynomials(self) -> Self:
+        if self.wall == "polynomial" and self.wall_polynomials is None:
+            raise ValueError("wall polynomial needs a group wall_polynomials with E1, E2, E3, eta1 and eta2")
+        return self

@@ -111,7 +111,7 @@ def _disagreement(model: "FrictionModelSettings") -> str:
     from dragrig.figures.wall import UNITS, percent
     from dragrig.sim_backend.friction import disagreement
 
-    used = "Eq. 14" if model.wall == "eq14" else "the quadratic through Table 1"
+    used = {"eq14": "Eq. 14", "table1": "the quadratic through Table 1", "polynomial": "the model's own polynomials"}
     rows = [
         (
             one.parameter.replace("eta", "η"),
@@ -128,7 +128,7 @@ def _disagreement(model: "FrictionModelSettings") -> str:
     return "\n".join(
         (
             "Eq. 14 (wall eq14) is not what Table 1 says; a least-squares quadratic through Table 1 (wall table1) is",
-            f"closer. Differences are from Table 1. The table above uses {used}.",
+            f"closer. Differences are from Table 1. The table above uses {used[model.wall]}.",
             columns(("", "", "strain", "Table 1", "Eq. 14", "differs", "quadratic", "differs"), rows),
         )
     )

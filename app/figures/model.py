@@ -115,7 +115,7 @@ def skew_figure(
 
 def described(model: FrictionModelSettings) -> str:
     """Say in a line which model a picture shows: its choices, and the scales that are not 1."""
-    wall = "Eq. 14" if model.wall == "eq14" else "Table 1"
+    wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
     scales = [
         f"{name.removesuffix('_scale').replace('_', ' ')} × {value:g}"
         for name, value in model

@@ -12,7 +12,7 @@ from dragrig.config.capsule import Capsule
 from dragrig.config.errors import SettingsError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.wall import WallParameters, wall_parameters
+from dragrig.sim_backend.friction.wall import WallParameters, model_wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class HemisphereContact:
 
     @classmethod
     def of(cls, capsule: Capsule, wall_thickness_mm: float, model: FrictionModelSettings) -> "HemisphereContact":
-        """Build from settings; SettingsError where the published parameters cannot describe such a contact."""
+        """Build from settings; SettingsError where the wall's parameters do not reach its strain."""
         angle = capsule.contact_angle_deg + model.contact_angle_offset_deg
         if not 0 < angle < 90:
             raise SettingsError(
@@ -64,11 +64,11 @@ class HemisphereContact:
             )
         contact = cls(0.5 * capsule.diameter_mm, float(np.radians(angle)), wall_thickness_mm, model)
         strain = np.linspace(0.0, contact.strain_at_equator, 64)
-        parameters = wall_parameters(model.wall, strain)
-        if min(parameters.E1.min(), parameters.E2.min(), parameters.eta1.min(), parameters.eta2.min()) <= 0:
+        if not model_wall(model, strain).positive:
             raise SettingsError(
                 f"A contact angle of {angle:g}° (capsule {capsule.name!r}, model {model.name!r}) strains the wall by "
-                f"{contact.strain_at_equator:.0%}, where {model.wall} has no positive parameters; use a smaller angle"
+                f"{contact.strain_at_equator:.0%}, on the way to which wall {model.wall} has parameters that are not "
+                f"positive; {_remedy(model)}"
             )
         return contact
 
@@ -125,4 +125,8 @@ class HemisphereContact:
         return np.asarray(strain / local_radius * stress)
 
     def _parameters(self, strain: FloatArray) -> WallParameters:
-        return wall_parameters(self.model.wall, strain).scaled(self.model)
+        return model_wall(self.model, strain)
+
+
+def _remedy(model: FrictionModelSettings) -> str:
+    return "mend its wall_polynomials" if model.wall == "polynomial" else "use a smaller angle"

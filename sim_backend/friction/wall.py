@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.config.errors import SettingsError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray, read_only
 
@@ -45,6 +46,12 @@ class WallParameters:
     E3: FloatArray
     eta1: FloatArray
     eta2: FloatArray
+
+    @property
+    def positive(self) -> bool:
+        """Whether E1, E2, η1 and η2 are all above 0 and E3 is not below, as a wall must have it."""
+        above = min(float(np.min(one)) for one in (self.E1, self.E2, self.eta1, self.eta2))
+        return above > 0 and float(np.min(self.E3)) >= 0
 
     @property
     def rates(self) -> tuple[FloatArray, FloatArray]:
@@ -86,6 +93,18 @@ def wall_parameters(kind: WallKind, strain: npt.ArrayLike) -> WallParameters:
     """
     eps = np.asarray(strain, dtype=float)
     return WallParameters(*((a * eps + b) * eps + c for a, b, c in _coefficients(kind)))
+
+
+def model_wall(model: FrictionModelSettings, strain: npt.ArrayLike) -> WallParameters:
+    """Return the wall parameters of a model at any strain, its polynomials and its scales included."""
+    if model.wall != "polynomial":
+        return wall_parameters(model.wall, strain).scaled(model)
+    if model.wall_polynomials is None:
+        raise SettingsError(f"Model {model.name!r} has wall polynomial but no wall_polynomials; give it some")
+    eps = np.asarray(strain, dtype=float)
+    laws = model.wall_polynomials
+    rows = (laws.E1, laws.E2, laws.E3, laws.eta1, laws.eta2)
+    return WallParameters(*(np.asarray(np.polyval(row, eps)) for row in rows)).scaled(model)
 
 
 def disagreement() -> tuple[Disagreement, ...]:
