@@ -92,16 +92,42 @@ class Predictor(Protocol):
         """Return the derivative of the predicted total by every parameter, shape `(P, n)`; here by differences."""
         return by_differences(self, values, time_s)
 
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return how well the channel can be predicted from the measured motion, one standard deviation, shape `(n,)`.
+
+        A motion that is known to a few µm leaves a start or stop uncertain by milliseconds; here 0.
+        """
+        del values
+        return np.zeros_like(time_s)
+
 
 class NominalModel(Protocol):
     """A model of rig and specimen without any of the effects that a diagnosis looks for."""
 
-    name: str
-    parameters: tuple[Parameter, ...]
-    variations: tuple[Variation, ...] = ()
-    combinations: tuple[Combination, ...] = ()
-    zero_sd: Mapping[str, float] = MappingProxyType({})
-    """Standard deviation of the unknown zero that every run has, by channel; a channel that is not named has none."""
+    @property
+    def name(self) -> str:
+        """What the model is called."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What runs are to determine."""
+        ...
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """Parts of the prediction that differ from run to run; none unless said."""
+        return ()
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """Products of parameters worth reporting; none unless said."""
+        return ()
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """Standard deviation of the unknown zero that every run has, by channel; one that is not named has none."""
+        return MappingProxyType({})
 
     @abstractmethod
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:

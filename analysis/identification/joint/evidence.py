@@ -1,0 +1,111 @@
+"""What each run contributes to a joint fit: block means, their covariance, and what differs from run to run."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.identification.joint.blocks import Blocks, divide
+from dragrig.analysis.identification.joint.noise import Noise
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.nominal.protocol import NominalModel, Prediction, Predictor
+from dragrig.rig.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """One channel of one run: `B` blocks, and the model prepared for it."""
+
+    experiment: Experiment
+    channel: str
+    predictor: Predictor
+    blocks: Blocks
+    nodes_s: FloatArray
+
+    def predict(self, values: FloatArray) -> Prediction:
+        """Predict the means of the blocks."""
+        found = self.predictor.predict(values, self.nodes_s)
+        return Prediction(self.blocks.of(found.total), self.blocks.of(found.varying))
+
+    def uncertainty(self, values: FloatArray) -> FloatArray:
+        """Return how well they can be predicted, one standard deviation."""
+        found = self.predictor.uncertainty(values, self.nodes_s)
+        return np.asarray(np.sqrt(self.blocks.of(found**2)))
+
+    def sensitivities(self, values: FloatArray) -> FloatArray:
+        """Return their derivatives, shape `(P, B)`."""
+        return self.blocks.of(self.predictor.sensitivities(values, self.nodes_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitening:
+    """What makes a run's residuals independent and of unit variance when the model holds.
+
+    The covariance holds noise, what the measured motion leaves uncertain, and the priors of the run's own zero and
+    factors.
+
+    Attributes
+    ----------
+    noise_root
+        Lower Cholesky factor of the covariance of noise and of what the motion leaves uncertain, `(B, B)`.
+    own
+        Zero and factors as whitened signatures times their prior standard deviations, `(B, 1 + V)` or `(B, V)`.
+    left, shrinkage
+        Directions of `own`, `(B, k)`, and by how much residuals along them shrink.
+    """
+
+    noise_root: FloatArray
+    own: FloatArray
+    left: FloatArray
+    shrinkage: FloatArray
+
+    def of_noise(self, values: FloatArray) -> FloatArray:
+        """Whiten against noise alone, `(B,)` or `(B, m)`."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.noise_root, values, lower=True))
+
+    def whole(self, values: FloatArray) -> FloatArray:
+        """Whiten against everything, `(B,)` or `(B, m)`."""
+        plain = self.of_noise(values)
+        along = self.left.T @ plain
+        scale = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
+        return np.asarray(plain - self.left @ (scale * along))
+
+    def own_of(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the run's zero and factors in prior standard deviations, and their covariance."""
+        precision = np.eye(self.own.shape[1]) + self.own.T @ self.own
+        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+        return covariance @ (self.own.T @ self.of_noise(residual)), covariance
+
+
+def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator[Evidence]:
+    """Prepare every channel of every run that the model predicts; raises `AnalysisError` as its `prepare`."""
+    for experiment in experiments:
+        for channel, predictor in nominal.prepare(experiment).items():
+            blocks = divide(experiment, channel, predictor.events_s)
+            yield Evidence(experiment, channel, predictor, blocks, blocks.nodes_s)
+
+
+def whitening(one: Evidence, values: FloatArray, noise: Noise, zero_sd: float, sds: FloatArray) -> Whitening:
+    """Lay out the covariance of a run around the prediction at parameter values.
+
+    Parameters
+    ----------
+    zero_sd
+        Standard deviation of the run's zero; 0 for a channel that has none.
+    sds
+        Relative standard deviations of the model's variations, shape `(V,)`.
+    """
+    from scipy.linalg import cholesky, solve_triangular
+
+    blocks, prediction = one.blocks, one.predict(values)
+    covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
+    covariance[np.diag_indices_from(covariance)] += one.uncertainty(values) ** 2
+    root = cholesky(covariance, lower=True)
+    columns = prediction.varying * sds[:, None]
+    if zero_sd > 0:
+        columns = np.vstack((np.full((1, len(blocks.mean)), zero_sd), columns))
+    own = np.asarray(solve_triangular(root, columns.T, lower=True))
+    left, sizes, _ = np.linalg.svd(own, full_matrices=False)
+    return Whitening(root, own, np.asarray(left), 1 - 1 / np.sqrt(1 + sizes**2))

@@ -1,0 +1,157 @@
+"""From a solved joint fit to what it says: parameters, combinations, each run's own zero and factors, and doubts."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dragrig.analysis.estimates import NORMAL_95, Estimate
+from dragrig.analysis.identification.joint.problem import Problem
+from dragrig.analysis.identification.joint.solve import Solution
+from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
+from dragrig.analysis.nominal.protocol import Combination
+from dragrig.rig.arrays import FloatArray
+
+DOUBTFUL = 0.01
+"""Below this chance of as large residuals the model does not hold, and intervals are widened."""
+ALIKE = 0.95
+"""Parameters that are correlated more strongly than this cannot be told apart."""
+STRAYS = 1e-3
+
+
+def joint_fit(problem: Problem, solution: Solution) -> JointFit:
+    """Read a solution."""
+    from scipy.stats import f
+
+    values = problem.scales.values(solution.z)
+    runs = tuple(_runs(problem, solution, values))
+    chi2 = sum(one.chi2 * one.blocks for one in runs) + float(solution.z @ solution.z)
+    degrees = sum(one.blocks for one in runs)
+    known = min(noise.degrees for noise in problem.noises) or 1
+    p_value = float(f.sf(chi2 / degrees, degrees, known))
+    widened = max(1.0, chi2 / degrees) if p_value < DOUBTFUL else 1.0
+    covariance = widened * solution.covariance
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    return JointFit(
+        nominal=problem.nominal.name,
+        parameters=tuple(_parameters(problem, solution.z, sd)),
+        combinations=tuple(_combined(problem, values, covariance, one) for one in problem.nominal.combinations),
+        correlation=correlation,
+        runs=runs,
+        chi2=chi2,
+        degrees=degrees,
+        p_value=p_value,
+        converged=solution.converged,
+        steps=solution.steps,
+        remarks=tuple(_remarks(problem, solution, runs, correlation, widened)),
+    )
+
+
+def _parameters(problem: Problem, z: FloatArray, sd: FloatArray) -> Iterator[Identified]:
+    scales = problem.scales
+    at, low, high = (scales.values(z + side * NORMAL_95 * sd) for side in (0.0, -1.0, 1.0))
+    first, last = (scales.values(np.full_like(z, side * NORMAL_95)) for side in (-1.0, 1.0))
+    errors = scales.slopes(at) * sd
+    for index, one in enumerate(problem.nominal.parameters):
+        yield Identified(
+            name=one.name,
+            unit=one.unit,
+            value=float(at[index]),
+            standard_error=float(errors[index]),
+            interval=(float(low[index]), float(high[index])),
+            prior=(float(first[index]), float(last[index])),
+            learnt=max(0.0, 1.0 - float(sd[index])),
+            meaning=one.meaning,
+        )
+
+
+def _combined(problem: Problem, values: FloatArray, covariance: FloatArray, one: Combination) -> Quantity:
+    powers = np.array([one.powers.get(parameter.name, 0.0) for parameter in problem.nominal.parameters])
+    value = float(np.prod(values**powers))
+    along = powers * problem.scales.sd
+    sd = float(np.sqrt(along @ covariance @ along))
+    interval = (value * float(np.exp(-NORMAL_95 * sd)), value * float(np.exp(NORMAL_95 * sd)))
+    return Quantity(one.name, one.unit, value, value * sd, interval)
+
+
+def _runs(problem: Problem, solution: Solution, values: FloatArray) -> Iterator[RunResidual]:
+    for one, white, zero_sd in zip(problem.evidence, solution.whitenings, problem.zero_sds, strict=True):
+        prediction = one.predict(values)
+        residual = one.blocks.mean - prediction.total
+        whole = white.whole(residual)
+        own, covariance = white.own_of(residual)
+        errors = np.sqrt(np.diag(covariance))
+        zero = Estimate(0.0, 0.0)
+        left = residual
+        if zero_sd > 0:
+            zero = Estimate(float(own[0]) * zero_sd, float(errors[0]) * zero_sd)
+            left, own, errors = left - own[0] * zero_sd, own[1:], errors[1:]
+        left = left - (own * problem.sds) @ prediction.varying
+        factors = {
+            variation.name: Estimate(1.0 + float(share) * variation.sd, float(error) * variation.sd)
+            for variation, share, error in zip(problem.nominal.variations, own, errors, strict=True)
+        }
+        seconds = one.blocks.end_s - one.blocks.start_s
+        yield RunResidual(
+            file=one.experiment.file,
+            kind=one.experiment.kind,
+            channel=one.channel,
+            blocks=len(residual),
+            chi2=float(whole @ whole) / len(residual),
+            rms_mN=float(np.sqrt(np.average(left**2, weights=seconds))),
+            zero=zero,
+            factors=factors,
+        )
+
+
+def _remarks(
+    problem: Problem, solution: Solution, runs: tuple[RunResidual, ...], correlation: FloatArray, widened: float
+) -> Iterator[str]:
+    if not solution.converged:
+        yield f"the fit did not converge ({solution.why}): no interval holds"
+    if widened > 1.0:
+        worst = max(runs, key=lambda one: one.chi2)
+        yield (
+            f"the model {problem.nominal.name} leaves {widened:.2f} times the squares that noise and repeatability "
+            f"explain, most in {worst.file} ({worst.chi2:.1f} times): something acts that it does not have, its "
+            f"parameters soak up some of it, and the intervals, widened by {np.sqrt(widened):.2f}, need not hold"
+        )
+    yield from _straying(problem, runs)
+    for group in _alike(correlation):
+        names = [problem.nominal.parameters[index].name for index in group]
+        yield (
+            f"{', '.join(names[:-1])} and {names[-1]} can hardly be told apart by these runs (correlation at least "
+            f"{ALIKE:g}): what they combine to is known better than each"
+        )
+    if min(noise.degrees for noise in problem.noises) == 0:
+        yield "no run rests long enough to show its noise, so that the usual one was assumed"
+
+
+def _alike(correlation: FloatArray) -> Iterator[list[int]]:
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(np.abs(correlation) > ALIKE, directed=False)
+    for group in range(count):
+        members = np.flatnonzero(label == group).tolist()
+        if len(members) > 1:
+            yield members
+
+
+def _straying(problem: Problem, runs: tuple[RunResidual, ...]) -> Iterator[str]:
+    from scipy.stats import chi2
+
+    for variation in problem.nominal.variations:
+        found = [one.factors[variation.name] for one in runs]
+        # A run that says nothing of a factor leaves it at 1 with the prior's error.
+        said = [
+            one.value - 1.0
+            for one in found
+            if one.value is not None and one.standard_error is not None and one.standard_error < 0.8 * variation.sd
+        ]
+        squares = float(np.sum(np.square(said))) / variation.sd**2
+        if said and chi2.sf(squares, len(said)) < STRAYS:
+            rms = float(np.sqrt(np.mean(np.square(said))))
+            yield (
+                f"{variation.name} differs from run to run by {rms:.1%}, more than the usual {variation.sd:.1%}: "
+                "the specimen changes, or something acts that the model does not have"
+            )

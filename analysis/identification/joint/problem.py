@@ -1,0 +1,77 @@
+"""Everything that a joint fit is made of, prepared: evidence, noise, priors."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.identification.joint.evidence import Evidence, Whitening, gather, whitening
+from dragrig.analysis.identification.joint.noise import Noise, estimate_noise
+from dragrig.analysis.identification.joint.scales import Scales
+from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.nominal.protocol import NominalModel
+from dragrig.config.errors import AnalysisError
+from dragrig.rig.arrays import FloatArray
+
+WIDER = 2.0
+"""A zero's standard deviation is at least this times the median distance from 0 that is seen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Everything that a joint fit is made of, prepared."""
+
+    nominal: NominalModel
+    scales: Scales
+    evidence: tuple[Evidence, ...]
+    noises: tuple[Noise, ...]
+    zero_sds: tuple[float, ...]
+    sds: FloatArray
+
+    @classmethod
+    def of(cls, selection: Selection, nominal: NominalModel) -> "Problem":
+        """Prepare all runs; raises `AnalysisError` where the model predicts nothing of any of them."""
+        evidence = tuple(gather(selection.experiments, nominal))
+        if not evidence:
+            kinds = ", ".join(sorted({one.kind for one in selection.experiments}))
+            raise AnalysisError(f"the model {nominal.name} predicts nothing that these runs ({kinds}) recorded.")
+        channels = dict.fromkeys(one.channel for one in evidence)
+        noises = {name: estimate_noise(selection.experiments, name) for name in channels}
+        return cls(
+            nominal,
+            Scales.of(nominal.parameters),
+            evidence,
+            tuple(noises[one.channel] for one in evidence),
+            tuple(_zero_sd(evidence, one.channel, nominal) for one in evidence),
+            np.array([one.sd for one in nominal.variations], dtype=np.float64),
+        )
+
+    def whitenings(self, values: FloatArray) -> tuple[Whitening, ...]:
+        """Lay out every run's covariance around the prediction at these values."""
+        parts = zip(self.evidence, self.noises, self.zero_sds, strict=True)
+        return tuple(whitening(one, values, noise, zero, self.sds) for one, noise, zero in parts)
+
+    def residuals(self, z: FloatArray, whitenings: Sequence[Whitening]) -> FloatArray:
+        """Return all whitened residuals, and the parameters' distances from their priors."""
+        values = self.scales.values(z)
+        pairs = zip(self.evidence, whitenings, strict=True)
+        rows = [one.whole(each.predict(values).total - each.blocks.mean) for each, one in pairs]
+        return np.concatenate([*rows, z])
+
+    def jacobian(self, z: FloatArray, whitenings: Sequence[Whitening]) -> FloatArray:
+        """Return their derivatives by `z`, shape `(M, P)`."""
+        values = self.scales.values(z)
+        slopes = self.scales.slopes(values)
+        pairs = zip(self.evidence, whitenings, strict=True)
+        rows = [one.whole((each.sensitivities(values) * slopes[:, None]).T) for each, one in pairs]
+        return np.concatenate([*rows, np.eye(len(z))])
+
+
+def _zero_sd(evidence: Sequence[Evidence], channel: str, nominal: NominalModel) -> float:
+    """Return what the model says of a channel's zero, or more where the first samples of its runs lie further off."""
+    usual = float(nominal.zero_sd.get(channel, 0.0))
+    if usual == 0.0:
+        return 0.0
+    values = np.array([one.nominal for one in nominal.parameters])
+    found = [float(one.blocks.mean[0] - one.predict(values).total[0]) for one in evidence if one.channel == channel]
+    return max(usual, WIDER * float(np.median(np.abs(found))))

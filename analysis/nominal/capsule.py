@@ -1,0 +1,334 @@
+"""The paper's friction model as a nominal model: what a drag tester with a capsule and a gut shows without any gap."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.nominal.protocol import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition, Contact
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.friction import RecordedMotion, prepare
+from dragrig.sim_backend.friction.contact import HemisphereContact
+from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
+from dragrig.sim_backend.friction.stretches import stretches
+
+CHANNEL = "force"
+SCALES = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale")
+BETWEEN_SPECIMENS = {
+    "stiffness_scale": (0.15, "common scale of E1, E2, E3, η1, η2"),
+    "e1_scale": (0.07, "scale of E1 on its own"),
+    "e2_scale": (0.07, "scale of E2 on its own"),
+    "e3_scale": (0.07, "scale of E3 on its own"),
+    "eta1_scale": (0.07, "scale of η1 on its own"),
+    "eta2_scale": (0.07, "scale of η2 on its own"),
+    "friction_coefficient": (0.12, "Coulomb friction coefficient μ"),
+    "mucus_scale": (0.20, "scale of the mucus' apparent viscosity"),
+    "force_gain": (0.005, "true gain of the force channel"),
+    "insertion_dwell_scale": (0.25, "true over noted age of the contact"),
+}
+"""Relative standard deviations between specimens and rigs, by name in the model's settings."""
+ANGLE = "contact_angle_offset_deg"
+ANGLE_SD_DEG = 0.7
+ZERO_SD_MN = 5.0
+VARIATIONS = (Variation("stiffness", 0.02), Variation("friction", 0.015))
+STEP = 1e-3
+"""Relative step of a derivative by differences; of the angle, in degrees."""
+TIMING_S = 0.005
+"""So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
+RELAXED = 1e-9
+"""A contact whose wall has relaxed to this share no longer knows its age."""
+
+
+def _parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]:
+    scales = tuple(
+        Parameter(name, "1", float(getattr(settings, name)), sd, meaning=meaning)
+        for name, (sd, meaning) in BETWEEN_SPECIMENS.items()
+    )
+    angle = Parameter(
+        ANGLE, "deg", settings.contact_angle_offset_deg, ANGLE_SD_DEG, False, "contact angle over the capsule's"
+    )
+    return (*scales, angle)
+
+
+def _shown(name: str, powers: Mapping[str, float], meaning: str) -> Combination:
+    return Combination(name, "1", {"force_gain": 1.0, **powers}, f"{meaning} as the force channel shows it")
+
+
+def _element_shown(name: str, scale: str, symbol: str) -> Combination:
+    return _shown(name, {"stiffness_scale": 1.0, scale: 1.0}, f"scale of {symbol}")
+
+
+COMBINATIONS = (
+    _element_shown("e1_shown", "e1_scale", "E1"),
+    _element_shown("e2_shown", "e2_scale", "E2"),
+    _element_shown("e3_shown", "e3_scale", "E3"),
+    _element_shown("eta1_shown", "eta1_scale", "η1"),
+    _element_shown("eta2_shown", "eta2_scale", "η2"),
+    Combination("fast_time_scale", "1", {"eta1_scale": 1.0, "e1_scale": -1.0}, "scale of the time constant η1/E1"),
+    Combination("slow_time_scale", "1", {"eta2_scale": 1.0, "e2_scale": -1.0}, "scale of the time constant η2/E2"),
+    _shown("friction_shown", {"friction_coefficient": 1.0}, "friction coefficient"),
+    _shown("mucus_shown", {"mucus_scale": 1.0}, "scale of the viscosity"),
+)
+
+
+@dataclass(frozen=True)
+class CapsuleModel(NominalModel):
+    """The friction model of `settings`, whose scales, friction coefficient and contact angle runs determine."""
+
+    settings: FrictionModelSettings
+
+    @property
+    def name(self) -> str:
+        """Name in settings and reports."""
+        return "capsule"
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Scales, friction coefficient, gain and contact angle, with what is known of any specimen."""
+        return _parameters(self.settings)
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """How runs on one specimen differ."""
+        return VARIATIONS
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """What the force channel shows of each scale, the gain in it, and the time constants."""
+        return COMBINATIONS
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """The force sensor's zero [mN]."""
+        return {CHANNEL: ZERO_SD_MN}
+
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare the force of a run; raises `AnalysisError` where the run does not say its capsule or fixture."""
+        if CHANNEL not in experiment.run.trace.channels:
+            return {}
+        if experiment.contact is Contact.NONE:
+            return {CHANNEL: NoForce(len(self.parameters))}
+        names = tuple(one.name for one in self.parameters)
+        if experiment.contact is Contact.STICKING:
+            return {CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}
+        return {CHANNEL: SlidingPredictor(acquisition_of(experiment), experiment.motion, self.settings, names)}
+
+    def settings_of(self, values: Mapping[str, float]) -> FrictionModelSettings:
+        """Return the model's settings with identified values in place."""
+        return self.settings.model_copy(update=dict(values))
+
+    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
+        """Return the settings as the simulated backend loads them."""
+        return self.settings_of(values).model_dump(mode="json", exclude_defaults=False)
+
+
+def acquisition_of(experiment: Experiment) -> Acquisition:
+    """Return what the friction model must know of a run; its motion comes from the record.
+
+    Raises
+    ------
+    AnalysisError
+        Where the run does not say enough of its capsule.
+    """
+    header = experiment.run.info.header
+    specimen = Specimen(
+        name=str(header.specimen.get("name") or "specimen"), wall_thickness_mm=experiment.wall_thickness_mm
+    )
+    return Acquisition(
+        run_id=header.run_id,
+        order=header.order,
+        kind=experiment.kind,
+        profile=MotionProfile.from_pieces(()),
+        capsule=experiment.capsule,
+        specimen=specimen,
+        fixture=experiment.fixture,
+        contact=experiment.contact,
+        insertion_dwell_s=experiment.insertion_dwell_s,
+        shear_strain=experiment.shear_strain,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class NoForce(Predictor):
+    """A blank run: nothing but the sensor's zero and noise."""
+
+    parameters: int
+
+    @property
+    def events_s(self) -> FloatArray:
+        """No time stands out."""
+        return np.zeros(0)
+
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        """Return zeros."""
+        del values
+        return Prediction(np.zeros_like(time_s), np.zeros((len(VARIATIONS), len(time_s))))
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return zeros."""
+        del values
+        return np.zeros((self.parameters, len(time_s)))
+
+
+@dataclass(frozen=True, eq=False)
+class StickingPredictor(Predictor):
+    """A relaxation: a capsule that sticks to the wall and shears it."""
+
+    acquisition: Acquisition
+    experiment: Experiment
+    settings: FrictionModelSettings
+    names: tuple[str, ...]
+
+    @property
+    def events_s(self) -> FloatArray:
+        """Where the motion bends."""
+        return self.experiment.motion.breaks_s
+
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        """Predict the shear force, all of which is stiffness."""
+        total = self._force(dict(zip(self.names, values.tolist(), strict=True)), time_s)
+        return Prediction(total, np.stack((total, np.zeros_like(total))))
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return exact derivatives where the force is proportional, differences for the elements."""
+        given = dict(zip(self.names, values.tolist(), strict=True))
+        total = self._force(given, time_s)
+        rows = {name: total / given[name] for name in ("force_gain", "stiffness_scale")}
+        rows |= _by_elements(lambda changed: self._force(changed, time_s), given, rows["stiffness_scale"])
+        return _stacked(self.names, rows, len(time_s))
+
+    def _force(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        return prepare(self.acquisition, self.settings.model_copy(update=values), self.experiment.followed).force(
+            time_s
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Parts:
+    """What the force channel shows of a sliding capsule, part by part [mN]."""
+
+    elastic: FloatArray
+    viscous: FloatArray
+    coulomb: FloatArray
+    weight: FloatArray
+
+    @property
+    def total(self) -> FloatArray:
+        return self.elastic + self.viscous + self.coulomb
+
+    @property
+    def stiff(self) -> FloatArray:
+        """What grows with the wall's stiffness: f_e, and Coulomb friction without the weight's."""
+        return self.elastic + self.coulomb - self.weight
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingPredictor(Predictor):
+    """A capsule that slides, on foam or in the vacuum fixture."""
+
+    acquisition: Acquisition
+    motion: RecordedMotion
+    settings: FrictionModelSettings
+    names: tuple[str, ...]
+
+    @property
+    def events_s(self) -> FloatArray:
+        """Where the motion bends, and where wall passed at such a moment comes to the equator, for likely angles."""
+        found = [self.motion.breaks_s]
+        if self.acquisition.fixture is Fixture.FOAM:
+            found += [self._begins(turn * ANGLE_SD_DEG) for turn in (-2.0, 0.0, 2.0)]
+        return np.unique(np.concatenate(found))
+
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        """Predict f_e + f_v + f_c as the force channel shows them."""
+        parts = self._parts(dict(zip(self.names, values.tolist(), strict=True)), time_s)
+        return Prediction(parts.total, np.stack((parts.stiff, parts.coulomb)))
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return exact derivatives where the force is proportional, differences for elements, dwell and angle."""
+        given = dict(zip(self.names, values.tolist(), strict=True))
+        parts = self._parts(given, time_s)
+        rows = {
+            "force_gain": parts.total / given["force_gain"],
+            "stiffness_scale": parts.stiff / given["stiffness_scale"],
+            "friction_coefficient": parts.coulomb / given["friction_coefficient"],
+            "mucus_scale": parts.viscous / given["mucus_scale"],
+        }
+        if self.acquisition.fixture is Fixture.FOAM:
+
+            def total(changed: Mapping[str, float]) -> FloatArray:
+                return self._parts(changed, time_s).total
+
+            rows |= _by_elements(total, given, rows["stiffness_scale"])
+            rows[ANGLE] = (total({**given, ANGLE: given[ANGLE] + STEP}) - parts.total) / STEP
+            if self._knows_its_age(given):
+                step = STEP * given["insertion_dwell_scale"]
+                older = {**given, "insertion_dwell_scale": given["insertion_dwell_scale"] + step}
+                rows["insertion_dwell_scale"] = (total(older) - parts.total) / step
+        return _stacked(self.names, rows, len(time_s))
+
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
+        given = dict(zip(self.names, values.tolist(), strict=True))
+        before, now, after = (
+            self._friction(given, np.clip(time_s + shift, 0.0, float(self.motion.breaks_s[-1])))
+            for shift in (-TIMING_S, 0.0, TIMING_S)
+        )
+        return np.maximum(np.abs(before - now), np.abs(after - now))
+
+    def _friction(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        parts = self._parts(values, time_s)
+        return parts.viscous + parts.coulomb
+
+    def _parts(self, values: Mapping[str, float], time_s: FloatArray) -> _Parts:
+        model = self.settings.model_copy(update=values)
+        gain = model.force_gain
+        shown = prepare(self.acquisition, model, self.motion).components(time_s)
+        turning = np.tanh(self.motion.velocity(time_s) / model.regularisation_mm_s)
+        weight = model.friction_coefficient * self.acquisition.capsule.mass_g * GRAVITY_M_S2 * turning
+        return _Parts(gain * shown.f_e, gain * shown.f_v, gain * shown.f_c, gain * weight)
+
+    def _contact(self, values: Mapping[str, float]) -> HemisphereContact:
+        acquisition, model = self.acquisition, self.settings.model_copy(update=values)
+        return HemisphereContact.of(acquisition.capsule, acquisition.specimen.wall_thickness_mm, model)
+
+    def _begins(self, turn_deg: float) -> FloatArray:
+        contact = self._contact({ANGLE: self.settings.contact_angle_offset_deg + turn_deg})
+        history = ContactHistory.of(self.motion, contact.length_mm + self.settings.side_contact_mm, 1.0)
+        return np.array([one.begin_s for one in stretches(history, contact.length_mm)])
+
+    def _knows_its_age(self, values: Mapping[str, float]) -> bool:
+        slowest = self._contact(values).side_pressure().slow_rate
+        dwell_s = self.acquisition.insertion_dwell_s * values["insertion_dwell_scale"]
+        return float(np.exp(-slowest * dwell_s)) > RELAXED
+
+
+def _by_elements(
+    total: Callable[[Mapping[str, float]], FloatArray], given: Mapping[str, float], by_common: FloatArray
+) -> dict[str, FloatArray]:
+    """Return derivatives by the five scales; the last follows, as all five scaled alike are the common scale."""
+    before = total(given)
+    rows: dict[str, FloatArray] = {}
+    left = by_common * given["stiffness_scale"]
+    for name in SCALES[:-1]:
+        step = STEP * given[name]
+        rows[name] = (total({**given, name: given[name] + step}) - before) / step
+        left = left - rows[name] * given[name]
+    rows[SCALES[-1]] = left / given[SCALES[-1]]
+    return rows
+
+
+def _stacked(names: tuple[str, ...], rows: Mapping[str, FloatArray], samples: int) -> FloatArray:
+    nothing = np.zeros(samples)
+    return np.stack([rows.get(name, nothing) for name in names])
+
+
+MODEL = CapsuleModel(FrictionModelSettings())
+"""The model with the paper's values."""

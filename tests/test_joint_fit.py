@@ -1,0 +1,61 @@
+"""One fit of everything brings a specimen's values back, says what runs cannot tell, and doubts itself where it must."""
+
+from math import degrees
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dragrig.analysis.identification.joint.fit import fit_jointly
+from dragrig.analysis.identification.results import JointFit
+from dragrig.analysis.identification.selection import select
+from dragrig.analysis.nominal.capsule import MODEL
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+TRUE = {
+    "stiffness_scale": 1.1042,
+    "e1_scale": 0.9294,
+    "e2_scale": 1.0284,
+    "e3_scale": 0.9517,
+    "eta1_scale": 0.9675,
+    "eta2_scale": 0.944,
+    "friction_coefficient": 0.09,
+    "mucus_scale": 1.1382,
+    "force_gain": 0.9926,
+    "insertion_dwell_scale": 43.6001 / 60.0,
+    "contact_angle_offset_deg": degrees(1.0492) - 60.0,
+}
+"""What the answers of this campaign say of its specimen."""
+
+
+@pytest.fixture(scope="module")
+def fit() -> JointFit:
+    return fit_jointly(select(CAMPAIGN), MODEL)
+
+
+def test_a_foreign_specimens_values_lie_within_their_intervals(fit: JointFit) -> None:
+    assert fit.converged
+    assert {one.name for one in fit.parameters} == set(TRUE)
+    for one in fit.parameters:
+        low, high = one.interval
+        assert low <= TRUE[one.name] <= high, one
+
+
+def test_what_runs_tell_apart_is_known_well(fit: JointFit) -> None:
+    for one in fit.combinations:
+        powers = next(known.powers for known in MODEL.combinations if known.name == one.name)
+        true = float(np.prod([TRUE[name] ** power for name, power in powers.items()]))
+        assert one.interval[0] <= true <= one.interval[1], one
+        assert one.half_width < (0.2 if one.name == "mucus_shown" else 0.05)
+
+
+def test_nothing_is_left_where_the_model_is_right(fit: JointFit) -> None:
+    assert 0.9 < fit.chi2 / fit.degrees < 1.1
+    assert fit.p_value > 0.01
+
+
+def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
+    dwell = next(one for one in fit.parameters if one.name == "insertion_dwell_scale")
+    assert dwell.learnt < 0.05
+    assert dwell.interval == pytest.approx(dwell.prior, rel=0.02)
+    assert any("told apart" in remark for remark in fit.remarks)
