@@ -1,4 +1,4 @@
-"""One fit of everything brings a specimen's values back, says what runs cannot tell, and doubts itself where it must."""
+"""One fit of everything: a specimen's values come back, what runs cannot tell is said, and so is doubt."""
 
 from math import degrees
 from pathlib import Path
