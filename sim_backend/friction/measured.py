@@ -1,0 +1,47 @@
+"""A measured motion as the wall of a sticking capsule takes it: straight from sample to sample.
+
+An elastic wall asks for the position, not for its derivative, so that the encoder's counts do no harm, while
+the smoothing that a velocity needs rounds the corners of a ramp off by 20 µm, which is 30 mN.
+"""
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.friction.motion import Pieces
+from dragrig.sim_backend.friction.recorded import RecordedMotion
+
+MOST_KNOTS = 4000
+"""A longer way is averaged down to about as many knots."""
+
+
+def measured_pieces(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> Pieces:
+    """Return a measured motion as pieces of constant velocity, still where it rests.
+
+    Parameters
+    ----------
+    motion
+        The same record, smoothed: it knows the rests.
+    time_s, position_mm
+        The record, shape `(n,)`: rising times from 0, finite positions.
+    """
+    edges = np.searchsorted(time_s, motion.breaks_s)
+    times, positions = [np.zeros(0)], [np.zeros(0)]
+    for number, sign in enumerate(motion.signs.tolist()):
+        within = slice(int(edges[number]), int(edges[number + 1]) + 1)
+        if sign == 0:
+            time, position = motion.breaks_s[number : number + 2], np.full(2, position_mm[within].mean())
+        else:
+            time, position = _thinned(time_s[within], position_mm[within])
+        later = time > (times[-1][-1] if times[-1].size else -1.0)
+        times.append(time[later])
+        positions.append(position[later])
+    time, position = np.concatenate(times), np.concatenate(positions)
+    velocity = np.append(np.diff(position) / np.diff(time), 0.0)
+    return Pieces(time, position - position[0], velocity, np.zeros_like(velocity))
+
+
+def _thinned(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    group = -(-time_s.size // MOST_KNOTS)
+    starts = np.arange(0, time_s.size, max(1, group))
+    count = np.diff(np.append(starts, time_s.size))
+    return np.add.reduceat(time_s, starts) / count, np.add.reduceat(position_mm, starts) / count
