@@ -5,6 +5,9 @@
 | `protocol` | the protocol that a model fulfils: parameters with priors, predicted channels of a run |
 | `experiment` | one run as a model sees it: what was done, and the measured motion |
 | `capsule` | the paper's friction model |
-| `drive` | the stage alone, from its recorded motor force |
+| `drive`, `load` | the stage alone, from its recorded motor force, and what hangs on it |
+| `kinematics`, `velocity_chain` | velocity and acceleration from a position in counts |
+| `own` | what a model of one's own is derived from |
 | `catalogue` | models by name, by entry point, or from a person's own file |
+| `guarded`, `declared` | checks of a model of one's own, told in one sentence |
 """

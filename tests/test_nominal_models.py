@@ -1,0 +1,167 @@
+"""Nominal models that ship: the stage alone, and how models are found."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dragrig
+from dragrig.analysis.identification.joint.fit import fit_jointly
+from dragrig.analysis.identification.results import JointFit
+from dragrig.analysis.identification.selection import Selection, select
+from dragrig.analysis.nominal.catalogue import find_model, names
+from dragrig.analysis.nominal.drive import MODEL
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.nominal.protocol import by_differences
+from dragrig.analysis.nominal.velocity_chain import fit_velocity
+from dragrig.config.errors import SettingsError
+from dragrig.config.loading import parse
+from dragrig.config.rig import RigSettings
+from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.sim_backend.friction import RecordedMotion
+
+TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "offset_mN": 15.0}
+
+
+def simulated(folder: Path, seed: int, plan: str = "blank", **assigned: float) -> Selection:
+    told = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
+    dragrig.simulate(plan, out=folder, assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500", *told])
+    return select(folder)
+
+
+def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
+    found = {one.name: one for one in fit.parameters}
+    return np.array([(found[key].value - value) / found[key].standard_error for key, value in truth.items()])
+
+
+@pytest.fixture(scope="module")
+def blanks(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+    return simulated(tmp_path_factory.mktemp("blank"), 1)
+
+
+@pytest.fixture(scope="module")
+def drags(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+    return simulated(tmp_path_factory.mktemp("drag"), 2, "demo")
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0, 5000.0])
+@pytest.mark.parametrize(("travel_mm", "speed"), [(40.0, 40.0), (-40.0, 5.0), (10.0, 60.0), (5.0, 1.0)])
+def test_counts_say_when_a_stroke_changes_its_acceleration(rate: float, travel_mm: float, speed: float) -> None:
+    profile = MotionProfile.from_pieces(
+        (still(1.0003, Phase.REST), *trapezoid(travel_mm, speed, 400.0), still(1.0, Phase.HOLD))
+    )
+    time = np.arange(profile.samples(rate)) / rate
+    position = np.round(profile.position(time) * 1000) / 1000
+    joints, velocity = fit_velocity(RecordedMotion.of(time, position), time, position)
+    assert len(joints) == 6
+    assert joints[1:-1] == pytest.approx(profile.start_s[1:], abs=max(0.003 / speed, 2e-4))
+    assert velocity[2:4] == pytest.approx(np.copysign(speed, travel_mm), rel=3e-3)
+    assert not velocity[[0, 1, 4, 5]].any()
+
+
+def test_a_stage_with_rounded_ramps_keeps_its_mass() -> None:
+    rate, fine = 1000.0, 10
+    time = np.arange(int(3.1 * rate * fine)) / rate / fine
+    ramps = np.clip((time - 1) / 0.1, 0, 1) - np.clip((time - 2) / 0.1, 0, 1)
+    velocity = np.convolve(40 * ramps, np.full(200, 1 / 200), mode="same")
+    position = np.round(np.cumsum(velocity) / rate / fine * 1000) / 1000
+    time, position, truth = time[::fine], position[::fine], np.gradient(velocity, time)[::fine]
+    joints, chain = fit_velocity(RecordedMotion.of(time, position), time, position)
+    piece = np.clip(np.searchsorted(joints, time, side="right") - 1, 0, len(joints) - 2)
+    found = (np.diff(chain) / np.diff(joints))[piece]
+    assert (found @ truth) / (found @ found) == pytest.approx(1.0, abs=0.02)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 2**32 - 1), samples=st.integers(5, 300), scale=st.sampled_from([0.0, 0.001, 0.1, 5.0]))
+def test_any_record_has_a_velocity(seed: int, samples: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.5e-3, 2e-3, samples))
+    time -= time[0]
+    position = np.cumsum(rng.normal(0.0, scale, samples)) * 0.01
+    joints, velocity = fit_velocity(RecordedMotion.of(time, position), time, position)
+    assert (np.diff(joints) > 0).all()
+    assert joints[[0, -1]] == pytest.approx(time[[0, -1]])
+    assert np.isfinite(velocity).all()
+
+
+def test_blank_runs_give_the_stage_back_whatever_it_is(tmp_path: Path) -> None:
+    stages = (
+        TRUE,
+        {"moving_mass_g": 80.0, "viscous_mN_s_mm": 0.0, "coulomb_mN": 0.0, "offset_mN": -400.0},
+        {"moving_mass_g": 9000.0, "viscous_mN_s_mm": 60.0, "coulomb_mN": 5000.0, "offset_mN": 0.0},
+    )
+    for seed, truth in enumerate(stages):
+        fit = fit_jointly(simulated(tmp_path / str(seed), seed, **truth), MODEL)
+        assert fit.converged, fit.remarks
+        assert np.abs(strayed(fit, truth)).max() < 4.0
+        assert fit.parameters[0].half_width < 0.01 or truth["moving_mass_g"] < 100
+
+
+def test_runs_with_a_load_give_the_stage_back_too(drags: Selection) -> None:
+    loaded = replace(drags, experiments=drags.of_kind("drag"))
+    assert len(loaded.experiments) > 1
+    fit = fit_jointly(loaded, MODEL)
+    assert np.abs(strayed(fit, TRUE)).max() < 4.0
+    found = {one.name: one for one in fit.parameters}
+    assert found["coulomb_mN"].standard_error < 3.0
+    # The sensor's zero is as unknown as the offset.
+    assert found["offset_mN"].standard_error > 2.0
+
+
+def test_the_identified_stage_is_one_that_the_simulator_loads(blanks: Selection) -> None:
+    fit = fit_jointly(blanks, MODEL)
+    rig = parse(RigSettings, MODEL.document(fit.values), "identified")
+    assert rig.simulated.motor.moving_mass_g == pytest.approx(1200, rel=0.01)
+    assert rig.simulated.motor.offset_mN == pytest.approx(15, abs=1)
+    creeping = MODEL.document({**fit.values, "viscous_mN_s_mm": -0.01})
+    assert parse(RigSettings, creeping, "identified").simulated.motor.viscous_mN_s_mm == 0
+
+
+def test_sensitivities_are_exact(drags: Selection) -> None:
+    values = np.array([1100.0, 3.0, 250.0, 10.0, 0.99])
+    for experiment in drags.of_kind("drag")[:2]:
+        predictor = MODEL.prepare(experiment)["motor_force"]
+        exact = predictor.sensitivities(values, experiment.time_s)
+        assert exact == pytest.approx(by_differences(predictor, values, experiment.time_s), rel=1e-6, abs=1e-6)
+        assert predictor.uncertainty(values, experiment.time_s).min() >= 0
+
+
+def changed(experiment: Experiment, **channels: np.ndarray | None) -> Experiment:
+    trace = experiment.run.trace
+    kept = {**trace.channels, **channels}
+    trace = replace(trace, channels={name: values for name, values in kept.items() if values is not None})
+    return Experiment(replace(experiment.run, trace=trace))
+
+
+def test_a_load_that_is_missing_for_a_while_does_not_count_there(drags: Selection) -> None:
+    (experiment, *_) = drags.of_kind("drag")
+    force = np.array(experiment.run.trace.force)
+    away = slice(len(force) // 2, len(force) // 2 + 50)
+    force[away] = np.nan
+    predictor = MODEL.prepare(changed(experiment, force=force))["motor_force"]
+    values = np.array([1200.0, 4.0, 300.0, 15.0, 1.0])
+    doubt = predictor.uncertainty(values, experiment.time_s)
+    assert doubt[away].min() > 20
+    assert np.median(doubt) < 2
+    assert np.isfinite(predictor.predict(values, experiment.time_s).total).all()
+
+
+def test_a_run_without_motor_force_says_nothing_of_the_stage(blanks: Selection) -> None:
+    experiment = blanks.experiments[0]
+    assert MODEL.prepare(changed(experiment, motor_force=None)) == {}
+    alone = MODEL.prepare(changed(experiment, force=None))["motor_force"]
+    assert not alone.predict(np.zeros(5), experiment.time_s).varying.any()
+
+
+def test_models_are_found_by_name() -> None:
+    assert "drive" in names()
+    assert find_model("drive") is MODEL
+    assert find_model("capsule").name == "capsule"
+    with pytest.raises(SettingsError, match="did you mean drive"):
+        find_model("drvie")
+    with pytest.raises(SettingsError, match="no such file"):
+        find_model("models/mine.py")
