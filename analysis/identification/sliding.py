@@ -1,0 +1,141 @@
+"""What one sliding run says of friction: steady mean, rest and speed, counted along its motion.
+
+Forces that oppose the motion are positive, whichever way the capsule goes.
+"""
+
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from dragrig.analysis.clipping import clipped
+from dragrig.analysis.correlated_mean import FEWEST_SAMPLES, correlated_mean
+from dragrig.analysis.estimates import Estimate, missing
+from dragrig.analysis.filtering import usual_settings
+from dragrig.analysis.gaps import gap_starts
+from dragrig.analysis.identification.joint.noise import Noise
+from dragrig.analysis.measures import SLOWEST_NOISE_S
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.phases import Mask, in_phase, steady_stretch
+from dragrig.analysis.savgol import smooth
+from dragrig.config.errors import AnalysisError
+from dragrig.rig.profile import Phase
+
+
+@dataclass(frozen=True, slots=True)
+class Sliding:
+    """Steady sliding of a run.
+
+    Attributes
+    ----------
+    direction
+        1 forward, −1 backward, 0 where the run says nothing of it.
+    speed_mm_s
+        Measured over the steady stretch, positive; NaN where there is none.
+    steady
+        Mean force [mN] over it, the sensor's zero included.
+    """
+
+    direction: int
+    speed_mm_s: float
+    steady: Estimate
+
+
+def sliding(experiment: Experiment, *, filtered: bool = False) -> Sliding:
+    """Measure the steady sliding of a run; what its data do not support is missing, with the reason.
+
+    Parameters
+    ----------
+    filtered
+        Whether the steady mean is that of the Savitzky–Golay filtered force, as in the paper. Its error is
+        always that of the raw one: the filter takes away white noise, which hardly matters to a mean.
+    """
+    stretch, found_by = steady_stretch(experiment.run)
+    direction, speed = _speed(experiment, stretch)
+    if not stretch.any():
+        nothing = found_by if "phase after" not in found_by else f"nothing is left of {found_by}"
+        return Sliding(0, speed, missing(nothing))
+    if not direction:
+        return Sliding(0, speed, missing("the capsule does not move in its steady phase"))
+    steady = _mean(experiment, stretch)
+    if filtered and not steady.reason:
+        steady = _of_filtered(experiment, stretch, steady)
+    return Sliding(direction, speed, along(steady, direction))
+
+
+def at_rest(experiment: Experiment, direction: int, noise: Noise) -> Estimate:
+    """Return the mean force [mN] before the motion, with the sign of a direction.
+
+    A rest of a second holds too few correlation times to tell its own error; that comes from the noise of all rests.
+    """
+    trace = experiment.run.trace
+    rest = in_phase(trace, Phase.REST)
+    if not rest.any():
+        return missing("the run has no rest phase, so that the sensor's zero is not known")
+    lost = _clipped(experiment, rest)
+    if lost:
+        return missing(f"{lost} samples in the rest are clipped at the end of the sensor's range")
+    values = trace.force[rest & experiment.valid]
+    if len(values) < FEWEST_SAMPLES:
+        return missing(f"the rest holds only {len(values)} samples")
+    span = np.array([len(values) / trace.sample_rate_hz])
+    variance = noise.covariance(np.zeros(1), span, np.array([float(len(values))]))[0, 0]
+    return along(Estimate(float(np.mean(values, dtype=np.float64)), float(variance) ** 0.5), direction)
+
+
+def along(estimate: Estimate, direction: int) -> Estimate:
+    """Give a force the sign with which it counts along a motion."""
+    if estimate.value is None or direction >= 0:
+        return estimate
+    return Estimate(-estimate.value, estimate.standard_error, estimate.effective_samples)
+
+
+def difference(left: Estimate, right: Estimate) -> Estimate:
+    """Subtract independent estimates; missing with the reason of the one that is."""
+    for one in (left, right):
+        if one.value is None or one.standard_error is None:
+            return missing(one.reason)
+    assert left.value is not None  # noqa: S101  # the loop saw to it; this tells the type checker
+    assert right.value is not None  # noqa: S101
+    return Estimate(left.value - right.value, hypot(left.standard_error or 0.0, right.standard_error or 0.0))
+
+
+def _speed(experiment: Experiment, stretch: Mask) -> tuple[int, float]:
+    position = np.asarray(experiment.run.trace.position, dtype=np.float64)
+    known = np.flatnonzero(stretch & np.isfinite(position))
+    if known.size < 2:
+        return 0, float("nan")
+    first, last = known[0], known[-1]
+    speed = float((position[last] - position[first]) / (experiment.time_s[last] - experiment.time_s[first]))
+    return int(np.sign(speed)), abs(speed)
+
+
+def _mean(experiment: Experiment, stretch: Mask) -> Estimate:
+    lost = _clipped(experiment, stretch)
+    if lost:
+        return missing(f"{lost} samples in the steady phase are clipped at the end of the sensor's range")
+    trace = experiment.run.trace
+    found = correlated_mean(trace.force[stretch & experiment.valid], SLOWEST_NOISE_S * trace.sample_rate_hz)
+    return missing(f"the steady phase: {found.reason}") if found.reason else found
+
+
+def _clipped(experiment: Experiment, stretch: Mask) -> int:
+    return int(np.count_nonzero(stretch & clipped(experiment.run)))
+
+
+def _of_filtered(experiment: Experiment, stretch: Mask, raw: Estimate) -> Estimate:
+    """Take the mean of the filtered trace; half a window before the stop is left out, which the filter smears."""
+    trace = experiment.run.trace
+    settings = usual_settings(trace.sample_rate_hz)
+    try:
+        values = smooth(
+            trace.force, trace.sample_rate_hz, settings, gap_starts(trace.time, trace.sample_rate_hz)
+        ).values
+    except AnalysisError as fault:
+        return missing(str(fault))
+    inside = np.flatnonzero(stretch)
+    whole = values[inside[: len(inside) - settings.samples(trace.sample_rate_hz) // 2]]
+    whole = whole[np.isfinite(whole)]
+    if not whole.size:
+        return missing("the steady phase is shorter than the filter's window")
+    return Estimate(float(whole.mean()), raw.standard_error, raw.effective_samples)
