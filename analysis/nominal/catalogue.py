@@ -116,7 +116,7 @@ def _module(path: Path) -> ModuleType:
             spec.loader.exec_module(module)
     except Exception as error:  # a person's own code can fail in any way
         del sys.modules[name]
-        raise SettingsError(f"{told(error, path)}; mend the model and try again.") from error
+        raise SettingsError(f"{path}: {told(error, path)}; mend the model and try again.") from error
     return module
 
 

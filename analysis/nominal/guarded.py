@@ -20,13 +20,15 @@ TRIED = 16
 
 
 def told(error: Exception, file: Path | None) -> str:
-    """Say an error of a person's own code: file, line, what. The line is the last one in that file."""
+    """Say an error of a person's own code: where and what. The line is the last one in their file, if there is one."""
     if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}, line {error.lineno}: {error.msg}"
-    lines = extract_tb(error.__traceback__)
-    inside = [one for one in lines if file is not None and Path(one.filename) == file]
-    at = (inside or lines)[-1]
-    return f"{at.filename}, line {at.lineno}: {type(error).__name__}: {str(error) or 'no message'}"
+        where, line, what = error.filename, error.lineno, error.msg
+    else:
+        lines = extract_tb(error.__traceback__)
+        at = ([one for one in lines if file is not None and Path(one.filename) == file] or lines)[-1]
+        where, line, what = at.filename, at.lineno, f"{type(error).__name__}: {str(error) or 'no message'}"
+    known = file is not None and Path(where) == file
+    return f"line {line}: {what}" if known else f"{where}, line {line}: {what}"
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 
 CHANNEL = "force"
+BLANK, EXTERNAL = "blank", "external"
 SHARE = 0.2
 """Window of the smoothing over the time since the motion last changed: forces change fast at first, then slowly."""
 LONGEST_S = 0.25
@@ -47,7 +48,7 @@ class Load:
         """Take the force of a run; none where nothing hung on the sensor, or there was no sensor."""
         trace, nothing = experiment.run.trace, np.zeros(0)
         step = 1.0 / trace.sample_rate_hz
-        if CHANNEL not in trace.channels or experiment.contact is Contact.NONE:
+        if CHANNEL not in trace.channels or _nothing_hangs(experiment):
             return cls(nothing, nothing, changes_s, step, 0.0, 0.0, nothing)
         raw = np.asarray(trace.channels[CHANNEL], dtype=np.float64)
         seen = np.isfinite(raw) & (experiment.valid | (trace.signal != CHANNEL))
@@ -89,3 +90,9 @@ class Load:
         piece = np.searchsorted(self.changes_s, time_s, side="right").clip(1, len(self.changes_s) - 1)
         since, left = time_s - self.changes_s[piece - 1], self.changes_s[piece] - time_s
         return np.asarray(np.clip(np.minimum(SHARE * since, 2 * left), self.step_s, LONGEST_S))
+
+
+def _nothing_hangs(experiment: Experiment) -> bool:
+    # A measurement from elsewhere does not say what it was fixed to; only its kind tells.
+    imported = experiment.run.info.header.backend == EXTERNAL
+    return experiment.kind == BLANK or (experiment.contact is Contact.NONE and not imported)
