@@ -7,6 +7,7 @@
 | `measures` | steady, rest, peak and hold force and speed of a run, each with its error or why it is missing |
 | `correlated_mean` | mean of correlated samples with an honest standard error |
 | `table` | a campaign as rows and as a data frame; means of repeated runs |
+| `comparison` | two campaigns, two runs, or a campaign and the friction model, side by side |
 | `export` | runs to CSV, Parquet, MATLAB and NumPy files |
 | `importing` | measurements from elsewhere to run files |
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         calibrate_force,
         campaign,
         check,
+        compare,
         examine,
         export,
         filter,  # noqa: A004  # the word that people look for
@@ -44,6 +45,7 @@ __all__ = [
     "calibrate_force",
     "campaign",
     "check",
+    "compare",
     "examine",
     "export",
     "filter",

@@ -2,6 +2,7 @@
 
 from dragrig.calibrating import calibrate_encoder, calibrate_force
 from dragrig.campaigns import Made
+from dragrig.comparing import compare
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
 from dragrig.handling import home, jog, touch_off
@@ -18,6 +19,7 @@ __all__ = [
     "calibrate_force",
     "campaign",
     "check",
+    "compare",
     "examine",
     "export",
     "filter",

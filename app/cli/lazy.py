@@ -22,6 +22,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
     "Look": {
         "info": "Say what run files hold.",
         "table": "Tabulate a campaign: a line per run, and means per speed.",
+        "compare": "Compare two campaigns, two runs, or either with the friction model.",
         "show": "Draw runs: force, raw and filtered, position and speed, with the phases.",
         "model": "Print and draw what the friction model says of steady sliding.",
     },

@@ -1,0 +1,298 @@
+"""Two campaigns side by side, or a campaign and the friction model."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from test_model_explains_foreign_runs import TRUE
+
+import dragrig
+from dragrig.analysis.comparison.clock import start_of_motion
+from dragrig.analysis.comparison.conditions import Condition, condition_of
+from dragrig.analysis.comparison.frame import as_frame
+from dragrig.analysis.comparison.measured import Difference, Verdict
+from dragrig.analysis.comparison.overlay import lay_over
+from dragrig.analysis.comparison.pairing import Candidate, pair_up
+from dragrig.analysis.comparison.results import Comparison, Pair
+from dragrig.cli import main
+from dragrig.config.errors import AnalysisError, RunFileError
+from dragrig.figures import comparison_figure, comparison_overview
+from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig.runfile.model import Run, Status
+
+PRACTICE = Path(__file__).parent / "data" / "campaign"
+
+
+@cache
+def made(plan: str, *assignments: str) -> tuple[Run, ...]:
+    runs = dragrig.simulate(plan, assignments=["rig.sampling.rate_hz=500", *assignments])
+    return tuple(run for run in runs if run.info.kind != "return")
+
+
+def drag(*assignments: str) -> Run:
+    return made("drag", "speed_mm_s=10", "travel_mm=20", *assignments)[0]
+
+
+def measure(pair: Pair, name: str) -> Difference:
+    return next(one for one in pair.differences if one.measure == name)
+
+
+def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
+    force = np.asarray(change(np.asarray(run.trace.force, dtype=float).copy()))
+    return replace(run, trace=replace(run.trace, channels={**run.trace.channels, "force": force}))
+
+
+def beyond(found: Comparison) -> list[str]:
+    return [f"{one.condition}, {one.measure}" for one in found.groups if one.verdict is Verdict.BEYOND]
+
+
+conditions = st.builds(
+    Condition,
+    kind=st.sampled_from(["drag", "blank"]),
+    signal=st.just("force"),
+    fixture=st.sampled_from(["foam", "none"]),
+    speed_mm_s=st.sampled_from([5.0, 5.01, 20.0]),
+    shear_strain=st.none(),
+    travel_mm=st.sampled_from([-40.0, 40.0]),
+    capsule=st.just((12.9, 15.2, 50.1, 60.0)),
+)
+candidates = st.lists(st.builds(Candidate, st.text(max_size=3), conditions, st.sampled_from("xy")), max_size=8)
+
+
+@given(candidates, candidates)
+def test_pairs_hold_equal_runs_each_once_and_leave_none_that_could_be_paired(
+    a: list[Candidate], b: list[Candidate]
+) -> None:
+    found = pair_up(a, b)
+    firsts, seconds = [one for one, _ in found.pairs], [other for _, other in found.pairs]
+    assert len(set(firsts)) == len(firsts)
+    assert len(set(seconds)) == len(seconds)
+    assert all(not a[one].condition.differs_from(b[other].condition) for one, other in found.pairs)
+    assert (len(found.alone_a), len(found.alone_b)) == (len(a) - len(firsts), len(b) - len(seconds))
+    lone_a = [one for at, one in enumerate(a) if at not in firsts]
+    lone_b = [one for at, one in enumerate(b) if at not in seconds]
+    assert all(one.condition.differs_from(other.condition) for one in lone_a for other in lone_b)
+
+
+def test_repeats_are_paired_in_order_and_the_reason_of_a_lone_run_is_said() -> None:
+    base = condition_of(drag())
+    slow, back = replace(base, speed_mm_s=1.0), replace(base, travel_mm=-20.0)
+    a = [Candidate(name, condition, "s") for name, condition in (("a1", base), ("a2", base), ("a3", slow))]
+    b = [
+        Candidate(name, condition, "s") for name, condition in (("b1", base), ("b2", base), ("b3", base), ("b4", back))
+    ]
+    found = pair_up(a, b)
+    assert found.pairs == ((0, 0), (1, 1))
+    assert "1 against 10 mm/s" in found.alone_a[0].reason
+    assert "A has only 2 runs like it" in found.alone_b[0].reason
+    assert "-20 against 20 mm of travel" in found.alone_b[1].reason
+
+
+def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_friction() -> None:
+    calm = made("demo", "rig.simulated.seed=1")
+    again = dragrig.compare(calm, made("demo", "rig.simulated.seed=2"))
+    assert len(again.pairs) == len(calm)
+    assert len(beyond(again)) <= 1
+    rough = made("demo", "rig.simulated.seed=2", "model.friction_coefficient=0.11")
+    found = dragrig.compare(calm, rough)
+    kinds = {one.split(",")[0].split(" at")[0] for one in beyond(found)}
+    assert kinds == {"coulomb", "drag"}
+    assert all(one.value > 0 for one in found.groups if one.verdict is Verdict.BEYOND)
+    assert found.groups[0].condition.kind == "coulomb"
+    assert [one.times_error for one in found.groups] == sorted((one.times_error for one in found.groups), reverse=True)
+    assert any("coulomb, steady force: B lies above A" in one for one in found.sentences)
+
+
+def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -> None:
+    early, late = drag(), drag("rest_s=1.7303", "rig.sampling.rate_hz=1250", "rig.simulated.seed=5")
+    (pair,) = dragrig.compare(early, late).pairs
+    assert pair.shift_s == pytest.approx(-0.7303, abs=2e-4)
+    assert any("A was sampled at 500 Hz and B at 1250 Hz: B is interpolated" in one for one in pair.remarks)
+    assert any("rest 1 against 1.73 s" in one for one in pair.remarks)
+    # Shifted by one sample, 60 mN of start-up would differ by tens of millinewtons.
+    unlike = next(one for one in pair.phases if one.phase == "accelerate")
+    assert abs(unlike.largest_mN) < 10
+    overlay = pair.overlay()
+    assert overlay.time_s.size == pytest.approx(early.trace.time.size, abs=2)
+    assert np.nanmax(np.abs(overlay.position_b - overlay.position_a)) < 0.003
+
+
+@given(st.floats(-0.02, 0.02))
+def test_a_clock_that_is_off_is_found(off: float) -> None:
+    run = drag()
+    moved = replace(run, trace=replace(run.trace, time=run.trace.time + off))
+    assert lay_over(run, moved).shift_s == pytest.approx(-off, abs=1e-6)
+
+
+def test_a_zero_is_taken_off_where_the_rest_shows_it_and_only_there() -> None:
+    for plan, taken_off in (("blank", True), ("coulomb", True), ("drag", False)):
+        (run,) = made(plan, "speed_mm_s=40", "way_back=stay")
+        (pair,) = dragrig.compare(run, with_force(run, lambda force: force + 50.0)).pairs
+        steady = measure(pair, "steady force")
+        assert steady.value == pytest.approx(0.0 if taken_off else 50.0, abs=1e-3)
+        assert (steady.zeros is not None) is taken_off
+        assert pair.phases[-1].rms_mN == pytest.approx(0.0 if taken_off else 50.0, abs=1e-3)
+    assert measure(pair, "above rest").value == pytest.approx(0.0, abs=1e-3)
+
+
+def test_position_against_command_is_told_of_each() -> None:
+    run = drag()
+    late = np.interp(run.trace.time - 0.005, run.trace.time, run.trace.position)
+    lagging = replace(run, trace=replace(run.trace, channels={**run.trace.channels, "position": late}))
+    found = dragrig.compare(run, lagging)
+    motion = found.pairs[0].motion
+    assert motion.b is not None
+    assert motion.b.lag_s == pytest.approx(0.005, rel=0.01)
+    assert motion.b.largest_mm == pytest.approx(-0.05, rel=0.1)
+    assert any("Motion of B" in one and "5.0 ms late" in one for one in found.sentences)
+    assert found.pairs[0].shift_s == pytest.approx(-0.005, abs=1e-4)
+
+
+def test_the_true_model_explains_a_foreign_campaign_and_the_papers_does_not() -> None:
+    right = dragrig.compare(PRACTICE, model=TRUE)
+    assert right.b.is_model
+    assert len(right.pairs) == len(list(PRACTICE.glob("*.h5")))
+    assert len(beyond(right)) <= 1
+    assert all(pair.motion.b is None for pair in right.pairs)
+    wrong = dragrig.compare(PRACTICE, model="paper")
+    assert len(beyond(wrong)) > 5
+    assert max(one.times_error for one in wrong.groups) > 2 * max(one.times_error for one in right.groups)
+
+
+def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(PRACTICE, tmp_path / "b"))
+    mark_bad(folder / "010-drag.h5", "capsule slipped")
+    (folder / "999-drag.h5").write_bytes(b"no run")
+    found = dragrig.compare(PRACTICE, folder)
+    reasons = {one.what: one.reason for one in found.b.left_out}
+    assert "capsule slipped" in reasons["010-drag.h5"]
+    assert "999-drag.h5" in reasons
+    assert [one.what for one in found.alone_a] == ["010-drag.h5"]
+    named = dragrig.compare(PRACTICE / "010-drag.h5", folder / "010-drag.h5")
+    assert "B: it is marked bad: capsule slipped" in named.pairs[0].remarks
+    run = drag()
+    aborted = replace(run, info=replace(run.info, status=Status.ABORTED, reason="Ctrl-C"))
+    partly = dragrig.compare([run, drag("rig.simulated.seed=4")], [aborted, run])
+    assert [one.reason for one in partly.b.left_out] == ["it is aborted, not complete (Ctrl-C)"]
+    assert len(partly.pairs) == len(partly.alone_a) == 1
+
+
+def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
+    run = drag()
+
+    def spoil(force: np.ndarray) -> np.ndarray:
+        force[1200:1210] = np.nan
+        return force
+
+    (pair,) = dragrig.compare(run, with_force(run, spoil)).pairs
+    assert measure(pair, "steady force").value is None
+    assert "NaN" in measure(pair, "steady force").reason
+    assert measure(pair, "rest").value == 0
+    assert pair.verdict is Verdict.UNKNOWN
+    assert pair.phases[-1].rms_mN == pytest.approx(0, abs=0.5)
+    assert any("10 samples are missing" in one for one in pair.remarks)
+    empty = with_force(run, lambda force: np.full_like(force, np.nan))
+    with pytest.raises(AnalysisError, match="none of its samples is a number"):
+        dragrig.compare(run, empty)
+    nowhere = {**run.trace.channels, "position": np.full(run.trace.time.size, np.nan)}
+    lost = replace(run, trace=replace(run.trace, channels=nowhere))
+    assert start_of_motion(lost) == pytest.approx(1.0, abs=0.01)
+    assert dragrig.compare(run, lost).pairs[0].phases
+
+
+def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) -> None:
+    found = dragrig.compare(PRACTICE, PRACTICE)
+    assert any("compared with itself" in one for one in found.remarks)
+    assert not beyond(found)
+    assert all(one.value == 0 for one in found.groups)
+    run, other = drag(), drag("specimen.name=other")
+    mixed = dragrig.compare([run, other], [other])
+    assert [pair.a.info.header.specimen["name"] for pair in mixed.pairs] == ["other"]
+    assert any("A holds runs of several specimens: jejunum, other" in one for one in mixed.remarks)
+    assert any("different specimens" in one for one in dragrig.compare(run, other).remarks)
+
+
+def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(RunFileError, match="holds no run files"):
+        dragrig.compare(PRACTICE, tmp_path)
+    with pytest.raises(RunFileError, match="no such file or folder"):
+        dragrig.compare(PRACTICE, tmp_path / "nowhere")
+    with pytest.raises(AnalysisError, match="B has no drag run"):
+        dragrig.compare(PRACTICE / "010-drag.h5", PRACTICE / "005-blank.h5")
+    with pytest.raises(AnalysisError, match="one of the two"):
+        dragrig.compare(PRACTICE)
+    both = tmp_path / "both"
+    for name in ("one", "two"):
+        dragrig.simulate("blank", out=tmp_path / name, assignments=["speed_mm_s=40", f"specimen.name={name}"])
+        for number, file in enumerate((tmp_path / name).glob("*.h5")):
+            both.mkdir(exist_ok=True)
+            shutil.copy(file, both / f"{name}-{number}.h5")
+    with pytest.raises(AnalysisError, match="has no run of specimen 'x', only of one, two"):
+        dragrig.compare(both, PRACTICE, specimen="x")
+    assert dragrig.compare(both, model="paper", specimen="two").a.specimens == ("two",)
+
+
+def texts(figure: Figure) -> str:
+    return " ".join(one.get_text() for axes in figure.axes for one in axes.texts)
+
+
+def test_pictures_show_both_sides() -> None:
+    found = dragrig.compare(PRACTICE, model="paper")
+    for pair in found.pairs:
+        if pair.condition.kind in {"drag", "relaxation"} and pair.a.file in {"001-relaxation.h5", "010-drag.h5"}:
+            figure = comparison_figure(pair, ("practice", "model paper"))
+            labels = [one.get_label() for one in figure.axes[0].lines]
+            assert {"A raw", "A", "B"} <= set(labels)
+            assert figure.axes[1].get_xlabel() or figure.axes[-1].get_xlabel()
+    overview = comparison_overview(found)
+    assert "Steady force" in texts(overview)
+    assert "Difference of relaxations" in texts(overview)
+    alone = dragrig.compare(PRACTICE / "001-relaxation.h5", model="paper")
+    assert "Steady force" not in texts(comparison_overview(alone))
+
+
+def test_the_command_prints_writes_and_ends_well_when_they_differ(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, files in (("a", ("005-blank.h5", "010-drag.h5")), ("b", ("005-blank.h5", "010-drag.h5", "014-drag.h5"))):
+        (tmp_path / name).mkdir()
+        for file in files:
+            shutil.copy(PRACTICE / file, tmp_path / name)
+    assert main(["compare", "a", "b"]) == 0
+    out = capsys.readouterr().out
+    assert "B  014-drag.h5: A has no drag at 60 mm/s like it" in out
+    assert "2 pairs of runs, A from a, B from b; without a partner: 1 of B." in out
+    folder = tmp_path / "a" / "compared-with-b"
+    written = {path.name for path in folder.iterdir()}
+    assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "overview.png"}
+    frame = pd.read_csv(folder / "comparison.csv")
+    assert list(frame.columns) == list(as_frame(dragrig.compare("a", "b")).columns)
+    assert main(["compare", "a", "b", "--quiet"]) == 0
+    assert (tmp_path / "a" / "compared-with-b-2").is_dir()
+    capsys.readouterr()
+    assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["pairs"][0]["verdict"] == "differs"
+    assert told["conditions"][0]["b_minus_a_mN"] < 0
+    assert main(["compare", "a", "b", "--model", "paper"]) == 2
+    assert "one of the two" in capsys.readouterr().err
+    assert main(["compare", "a", "--model", "papr"]) == 2
+    assert "did you mean paper?" in capsys.readouterr().err
+
+
+def test_a_run_file_is_never_changed(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(PRACTICE, tmp_path / "a"))
+    before = {path.name: path.read_bytes() for path in folder.glob("*.h5")}
+    assert main(["compare", str(folder / "010-drag.h5"), "--model", "paper", "--out", str(tmp_path / "out")]) == 0
+    assert {path.name: path.read_bytes() for path in folder.glob("*.h5")} == before
+    assert read_run(folder / "010-drag.h5").filtered is None
