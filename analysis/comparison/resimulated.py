@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
+from dragrig.analysis.nominal.capsule import acquisition_of
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError
 from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Acquisition
-from dragrig.rig.profile import MotionProfile, Phase, still
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction import prepare
 
@@ -28,26 +26,9 @@ def simulated_again(run: Run, model: FrictionModelSettings) -> Run:
     if run.trace.signal != "force":
         raise AnalysisError(f"it records {run.trace.signal}, of which the friction model says nothing")
     experiment = Experiment(run)
-    prepared = prepare(_acquisition(experiment), model, experiment.motion)
+    prepared = prepare(acquisition_of(experiment), model, experiment.motion)
     force = prepared.force(experiment.time_s)
     trace = replace(run.trace, channels={"force": force, "position": run.trace.position}, units=dict(run.trace.units))
     # A noise-free trace may stay at its largest value for long, and is not clipped for that.
     info = replace(run.info, checks={"clipped_samples": 0})
     return replace(run, info=info, trace=trace, events=(), filtered=None)
-
-
-def _acquisition(experiment: Experiment) -> Acquisition:
-    header = experiment.run.info.header
-    length_s = max(float(experiment.time_s[-1]), 1.0 / header.sample_rate_hz)
-    return Acquisition(
-        run_id=header.run_id,
-        order=header.order,
-        kind=experiment.kind,
-        profile=MotionProfile.from_pieces([still(length_s, Phase.REST)]),
-        capsule=experiment.capsule,
-        specimen=Specimen(name="specimen", wall_thickness_mm=experiment.wall_thickness_mm),
-        fixture=experiment.fixture,
-        contact=experiment.contact,
-        insertion_dwell_s=experiment.insertion_dwell_s,
-        shear_strain=experiment.shear_strain,
-    )
