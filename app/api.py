@@ -8,6 +8,7 @@ from dragrig.examining import examine
 from dragrig.handling import home, jog, touch_off
 from dragrig.importing import import_run
 from dragrig.measuring import check, resume, run, simulate
+from dragrig.reproducing import paper
 from dragrig.rig.runfile import Campaign
 from dragrig.rig.runfile.model import Run
 
@@ -28,6 +29,7 @@ __all__ = [
     "jog",
     "load",
     "model",
+    "paper",
     "resume",
     "run",
     "simulate",

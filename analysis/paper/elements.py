@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 from dragrig.analysis.identification.results import Quantity, Relaxation, RelaxationFit
-from dragrig.sim_backend.friction import Disagreement, WallKind, disagreement
+from dragrig.config.model import FrictionModelSettings
+from dragrig.sim_backend.friction import Disagreement, disagreement
+from dragrig.sim_backend.friction.wall import model_wall
 
 UNITS = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
 """Unit of each element, in the order of Table 1."""
@@ -53,18 +55,14 @@ class ElementRow:
         return low <= self.simulated <= high
 
 
-def element_rows(relaxation: Relaxation | None, wall: WallKind) -> tuple[ElementRow, ...]:
-    """Put an identification of simulated relaxations beside what is published, element by element.
-
-    Parameters
-    ----------
-    wall
-        Which parameter set was simulated.
-    """
+def element_rows(relaxation: Relaxation | None, model: FrictionModelSettings) -> tuple[ElementRow, ...]:
+    """Put an identification of relaxations that `model` simulated beside what is published, element by element."""
     fits = () if relaxation is None else relaxation.fits
     rows = [
         ElementRow(
-            one, _found(fits, one.strain, one.parameter), one.eq14 if wall == "eq14" else one.quadratic
+            one,
+            _found(fits, one.strain, one.parameter),
+            float(getattr(model_wall(model, one.strain), one.parameter)),
         )
         for one in disagreement()
     ]

@@ -7,8 +7,8 @@ import numpy as np
 from dragrig.analysis.paper.finding import Finding, Number, spelled
 from dragrig.analysis.paper.printed import BOUNDARY_MM_S, CAPSULE, HIGHEST_MM_S, MODEL, WALL_THICKNESS_MM
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction import wall_parameters
 from dragrig.sim_backend.friction.contact import HemisphereContact
+from dragrig.sim_backend.friction.wall import model_wall
 
 DENSITY_G_MM3 = 1.0e-3
 """Of soft tissue, close to water's."""
@@ -64,7 +64,7 @@ def _inertia() -> Finding:
 
 def _boundary() -> Finding:
     contact = _contact()
-    wall = wall_parameters(MODEL.wall, contact.strain_at_equator)
+    wall = model_wall(MODEL, contact.strain_at_equator)
     fast, slow = (float(rate) * contact.length_mm for rate in wall.rates)
     return Finding(
         "boundary",

@@ -7,8 +7,9 @@ import numpy as np
 from dragrig.analysis.paper.finding import Finding, Number, percent, spelled
 from dragrig.analysis.paper.printed import CAPSULE, HIGHEST_MM_S, LOWEST_MM_S, MODEL, WALL_THICKNESS_MM
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction import WallParameters, steady_forces, wall_parameters
+from dragrig.sim_backend.friction import WallParameters, steady_forces
 from dragrig.sim_backend.friction.contact import HemisphereContact
+from dragrig.sim_backend.friction.wall import model_wall
 
 SPEED_MM_S = 20.0
 POINTS = 20_001
@@ -36,7 +37,7 @@ def _along() -> tuple[FloatArray, FloatArray]:
 def by_superposition(speed_mm_s: float) -> float:
     """Hoop stress at the equator [kPa] when each branch is integrated along the growing strain, parameters of ε(L)."""
     x, strain = _along()
-    wall = wall_parameters(MODEL.wall, float(strain[-1]))
+    wall = model_wall(MODEL, float(strain[-1]))
     age = (x[-1] - x) / speed_mm_s
     growth, middle = np.diff(strain), 0.5 * (age[:-1] + age[1:])
     stress = float(wall.E3 * strain[-1])
@@ -48,7 +49,7 @@ def by_superposition(speed_mm_s: float) -> float:
 def as_published(speed_mm_s: float) -> float:
     """Hoop stress at the equator [kPa] by Eq. 4."""
     x, strain = _along()
-    wall = wall_parameters(MODEL.wall, float(strain[-1]))
+    wall = model_wall(MODEL, float(strain[-1]))
     age = float(x[-1]) / speed_mm_s
     fast, slow = wall.rates
     return float(strain[-1] * (wall.E1 * np.exp(-age * fast) + wall.E2 * np.exp(-age * slow) + wall.E3))
@@ -108,10 +109,10 @@ def _maximum() -> Finding:
     speeds = np.geomspace(LOWEST_MM_S, HIGHEST_MM_S, 200)
     at = steady_forces(speeds, MODEL, CAPSULE, WALL_THICKNESS_MM).x_of_max_skew
     length = _contact().length_mm
-    constant = wall_parameters(MODEL.wall, 0.5)
+    constant = model_wall(MODEL, 0.5)
     where = {
-        "moduli that fall with strain, no relaxation": _top(lambda strain: wall_parameters(MODEL.wall, strain), np.inf),
-        "moduli that fall with strain, fully relaxed": _top(lambda strain: wall_parameters(MODEL.wall, strain), 0.0),
+        "moduli that fall with strain, no relaxation": _top(lambda strain: model_wall(MODEL, strain), np.inf),
+        "moduli that fall with strain, fully relaxed": _top(lambda strain: model_wall(MODEL, strain), 0.0),
         "constant moduli, no relaxation": _top(lambda _: constant, np.inf),
         "constant moduli, fully relaxed": _top(lambda _: constant, 0.0),
         f"constant moduli, relaxing at {SPEED_MM_S:g} mm/s": _top(lambda _: constant, SPEED_MM_S),

@@ -25,6 +25,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "compare": "Compare two campaigns, two runs, or either with the friction model.",
         "show": "Draw runs: force, raw and filtered, position and speed, with the phases.",
         "model": "Print and draw what the friction model says of steady sliding.",
+        "paper": "Simulate the paper's programme, identify it, and write a report.",
     },
     "Work": {
         "mark": "Mark runs as bad, or take the mark back; everything later honours it.",

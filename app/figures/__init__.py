@@ -6,16 +6,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dragrig.figures.campaign import campaign_figure
     from dragrig.figures.comparison import comparison_figure
+    from dragrig.figures.coulomb import coulomb_figure
     from dragrig.figures.model import forces_figure, skew_figure
     from dragrig.figures.overview import comparison_overview
     from dragrig.figures.run import run_figure
     from dragrig.figures.saving import save, save_in
+    from dragrig.figures.steady import drag_figure
     from dragrig.figures.wall import wall_figure
 
 __all__ = [
     "campaign_figure",
     "comparison_figure",
     "comparison_overview",
+    "coulomb_figure",
+    "drag_figure",
     "forces_figure",
     "run_figure",
     "save",
@@ -28,6 +32,8 @@ _HOME = {
     "campaign_figure": "campaign",
     "comparison_figure": "comparison",
     "comparison_overview": "overview",
+    "coulomb_figure": "coulomb",
+    "drag_figure": "steady",
     "forces_figure": "model",
     "run_figure": "run",
     "save": "saving",

@@ -1,14 +1,16 @@
 """Where the paper's two sets of wall parameters, Eq. 14 and Table 1, part."""
 
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dragrig.analysis.identification.results import Quantity
 from dragrig.figures.header import headline
 from dragrig.figures.panels import Place, add_panel, fit_y, label_y
-from dragrig.figures.style import BLACK, BLUE, GREY, SMALL_PT, TEXT_PT, VERMILLION, drawing, new_figure
+from dragrig.figures.style import BLACK, BLUE, GREEN, GREY, SMALL_PT, TEXT_PT, VERMILLION, drawing, new_figure
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import Disagreement, WallKind, disagreement, wall_parameters
 
@@ -22,9 +24,15 @@ STEP_X_IN, STEP_Y_IN = 3.85, 3.6
 DASHES = (0, (4, 2))
 
 
-def wall_figure() -> Figure:
-    """Draw each wall parameter against strain: Table 1, Eq. 14, and the quadratic through Table 1."""
-    entries = disagreement()
+def wall_figure(identified: Mapping[str, Sequence[tuple[float, Quantity]]] | None = None) -> Figure:
+    """Draw each wall parameter against strain: Table 1, Eq. 14, and the quadratic through Table 1.
+
+    Parameters
+    ----------
+    identified
+        What relaxations gave, by parameter: strain and value, drawn with its interval.
+    """
+    entries, found = disagreement(), identified or {}
     with drawing():
         figure = new_figure(12.0, 8.3)
         headline(
@@ -35,8 +43,9 @@ def wall_figure() -> Figure:
         )
         for number, name in enumerate(UNITS):
             place = _cell(number)
-            _parameter(add_panel(figure, place), name, [entry for entry in entries if entry.parameter == name])
-        _key(add_panel(figure, _cell(len(UNITS))))
+            axes = add_panel(figure, place)
+            _parameter(axes, name, [entry for entry in entries if entry.parameter == name], found.get(name, ()))
+        _key(add_panel(figure, _cell(len(UNITS))), with_identified=bool(found))
         return figure
 
 
@@ -45,7 +54,9 @@ def _cell(number: int) -> Place:
     return Place(LEFT_IN + STEP_X_IN * column, FOOT_IN + STEP_Y_IN * (1 - row), WIDE_IN, TALL_IN)
 
 
-def _parameter(axes: Axes, name: str, entries: list[Disagreement]) -> None:
+def _parameter(
+    axes: Axes, name: str, entries: list[Disagreement], identified: Sequence[tuple[float, Quantity]]
+) -> None:
     strain = np.linspace(0.0, 2.2, 200)
     curves = {kind: _values(kind, name, strain) for kind in ("eq14", "table1")}
     points = np.array([entry.table1 for entry in entries])
@@ -54,7 +65,11 @@ def _parameter(axes: Axes, name: str, entries: list[Disagreement]) -> None:
     axes.plot(
         [100 * entry.strain for entry in entries], points, "o", color=BLACK, markersize=8, markeredgecolor="white"
     )
-    fit_y(axes, [np.zeros(1), points, *curves.values()], 0.01, 0.0)
+    for strain_of, one in identified:
+        axes.plot([100 * strain_of] * 2, one.interval, color=GREEN, linewidth=1.8)
+        axes.plot([100 * strain_of], [one.value], "D", color=GREEN, markersize=7, markeredgecolor="white")
+    ends = [np.array(one.interval) for _, one in identified]
+    fit_y(axes, [np.zeros(1), points, *curves.values(), *ends], 0.01, 0.0)
     axes.set_xlim(0, 220)
     axes.set_xticks([0, 50, 100, 150, 200])
     axes.set_xlabel("Strain (%)")
@@ -70,20 +85,22 @@ def _above(axes: Axes, x: float, side: Literal["left", "right"], text: str, colo
     axes.text(x, 1.02, text, transform=axes.transAxes, fontsize=SMALL_PT, color=colour, ha=side, va="bottom")
 
 
-def _key(axes: Axes) -> None:
+def _key(axes: Axes, with_identified: bool) -> None:
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    rows = (
-        (0.85, "Table 1", BLACK, "none"),
-        (0.6, "Eq. 14, as printed", BLUE, "-"),
-        (0.35, "least-squares fit\nof a quadratic", VERMILLION, DASHES),
-    )
-    for y, text, colour, dashes in rows:
-        if dashes == "none":
-            axes.plot([0.09], [y], "o", color=colour, markersize=8)
+    rows: list[tuple[str, str, str | tuple[int, tuple[int, int]]]] = [
+        ("Table 1", BLACK, "o"),
+        ("Eq. 14, as printed", BLUE, "-"),
+        ("least-squares fit\nof a quadratic", VERMILLION, DASHES),
+    ]
+    if with_identified:
+        rows.append(("identified,\nsimulated runs", GREEN, "D"))
+    for y, (text, colour, mark) in zip(np.linspace(0.92, 0.3, len(rows)), rows, strict=True):
+        if isinstance(mark, str) and mark != "-":
+            axes.plot([0.09], [y], mark, color=colour, markersize=8)
         else:
-            axes.plot([0.0, 0.18], [y, y], color=colour, linestyle=dashes)
+            axes.plot([0.0, 0.18], [y, y], color=colour, linestyle=mark)
         axes.text(0.25, y, text, va="center", fontsize=TEXT_PT, color=colour)
     axes.text(0.0, 0.05, "Table 1 prints η in kPa; it is kPa·s.", fontsize=SMALL_PT, color=GREY, va="center")
 

@@ -1,0 +1,9 @@
+"""The report on the paper's programme, simulated and identified.
+
+| module | what |
+|---|---|
+| `results` | what the report is about |
+| `tables` | its tables, for the page and as CSV |
+| `pictures` | its figures |
+| `page` | the page |
+"""

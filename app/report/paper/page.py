@@ -1,0 +1,66 @@
+"""The page of the report."""
+
+from collections.abc import Mapping
+
+import dragrig
+from dragrig.analysis.paper import printed
+from dragrig.analysis.paper.elements import ElementRow
+from dragrig.analysis.paper.finding import percent, spelled
+from dragrig.report.embedding import Picture
+from dragrig.report.paper.results import PaperResults
+from dragrig.report.rendering import render
+from dragrig.report.tabular import Table
+
+TITLE = "The paper's programme, simulated and identified"
+_WALLS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
+_VISCOUS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
+
+
+def page(results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[str, Picture]) -> str:
+    """Return the whole report as one HTML page."""
+    return render(
+        "paper.html",
+        {
+            "title": TITLE,
+            "version": dragrig.__version__,
+            "settings": _settings(results),
+            "wall": _WALLS.get(results.model.wall, results.model.wall),
+            "elements": _agreement(results.elements),
+            "identification": results.identification,
+            "findings": results.findings,
+            "tables": tables,
+            "pictures": pictures,
+            "printed": printed,
+            "spelled": spelled,
+            "percent": percent,
+        },
+    )
+
+
+def _settings(results: PaperResults) -> dict[str, str]:
+    simulated, model = results.rig.simulated, results.model
+    noise, variation = simulated.noise, simulated.variation
+    return {
+        "Software": f"dragrig {dragrig.__version__}, simulated rig",
+        "Seed": str(simulated.seed),
+        "Programme": f"plan paper: {results.runs} runs, ways back included, at {results.rig.sampling.rate_hz:g} Hz",
+        "Wall": _WALLS.get(model.wall, model.wall),
+        "Viscous friction": _VISCOUS[model.viscous],
+        "Coulomb friction": f"μ = {model.friction_coefficient:g}",
+        "Sensor": f"noise {noise.white_mN:g} mN white and {noise.slow_mN:g} mN slow ({noise.slow_correlation_s:g} s), "
+        f"zero off by {noise.zero_mN:g} mN (standard deviation) in each run",
+        "Between runs": f"stiffness varies by {100 * variation.run_stiffness:g} %, "
+        f"μ by {100 * variation.run_friction:g} % (standard deviations)",
+    }
+
+
+def _agreement(rows: tuple[ElementRow, ...]) -> dict[str, object]:
+    """Say how the identified elements agree with what was simulated."""
+    found = [row for row in rows if row.identified is not None]
+    worst = max((abs(row.difference or 0.0) for row in found), default=0.0)
+    return {
+        "all": len(rows),
+        "found": len(found),
+        "inside": sum(bool(row.inside) for row in found),
+        "worst": percent(worst).removeprefix("+"),
+    }
