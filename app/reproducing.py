@@ -121,7 +121,7 @@ def _evaluated(made: "Made", setup: Setup, step: Callable[[int], None]) -> Paper
     from dragrig.report.paper.tables import tables
 
     runs = tuple(one.path for one in made.session.runs if one.path is not None)
-    results = _results(made.folder, setup, runs)
+    results = _results(made, setup)
     step(STEPS // 2)
     tabulated = tables(results)
     texts = {f"{name}.csv": table.csv() for name, table in tabulated.items()}
@@ -131,25 +131,33 @@ def _evaluated(made: "Made", setup: Setup, step: Callable[[int], None]) -> Paper
     return PaperReport(made.folder, report, written, runs, results.identification, results.findings)
 
 
-def _results(folder: Path, setup: Setup, runs: tuple[Path, ...]) -> "PaperResults":
+def _results(made: "Made", setup: Setup) -> "PaperResults":
     from dragrig.analysis.paper.elements import element_rows
     from dragrig.analysis.paper.findings import findings
     from dragrig.config.capsule import Capsule
     from dragrig.config.library import find
     from dragrig.report.paper.results import PaperResults
+    from dragrig.sim_backend.devices.variation import draw_run
 
-    found = identified(folder, setup)
+    found = identified(made.folder, setup)
+    simulated = setup.rig.simulated
+    of_run = {
+        one.path.name: draw_run(setup.model, simulated.variation, simulated.seed, one.order)
+        for one in made.session.runs
+        if one.path is not None
+    }
     trace = found.coulomb.runs[0].file if found.coulomb is not None and found.coulomb.runs else None
     return PaperResults(
         model=setup.model,
         capsule=find(Capsule, "capsule", "drag"),
         wall_thickness_mm=setup.specimen.wall_thickness_mm,
         rig=setup.rig,
-        runs=len(runs),
+        runs=len(of_run),
+        of_run=of_run,
         identification=found,
-        elements=element_rows(found.relaxation, setup.model),
+        elements=element_rows(found.relaxation, setup.model, of_run),
         findings=findings(),
-        coulomb_trace=None if trace is None else read_run(folder / trace),
+        coulomb_trace=None if trace is None else read_run(made.folder / trace),
     )
 
 

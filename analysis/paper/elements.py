@@ -1,5 +1,6 @@
 """The wall's elements as Table 1, Eq. 14, the quadratic through Table 1, and an identification have them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dragrig.analysis.identification.results import Quantity, Relaxation, RelaxationFit
@@ -24,7 +25,7 @@ class ElementRow:
     identified
         What a relaxation gives; None where there is none at that strain, or it supports none.
     simulated
-        What the simulator was given at that strain, before a run's own variation.
+        What the run was simulated with, its own variation included.
     """
 
     published: Disagreement
@@ -55,22 +56,29 @@ class ElementRow:
         return low <= self.simulated <= high
 
 
-def element_rows(relaxation: Relaxation | None, model: FrictionModelSettings) -> tuple[ElementRow, ...]:
-    """Put an identification of relaxations that `model` simulated beside what is published, element by element."""
-    fits = () if relaxation is None else relaxation.fits
-    rows = [
-        ElementRow(
-            one,
-            _found(fits, one.strain, one.parameter),
-            float(getattr(model_wall(model, one.strain), one.parameter)),
-        )
-        for one in disagreement()
-    ]
+def element_rows(
+    relaxation: Relaxation | None, model: FrictionModelSettings, of_run: Mapping[str, FrictionModelSettings]
+) -> tuple[ElementRow, ...]:
+    """Put an identification of simulated relaxations beside what is published, element by element.
+
+    Parameters
+    ----------
+    model
+        What was simulated, before a run's own variation.
+    of_run
+        What each run was simulated with, by its file's name.
+    """
+    fits = {} if relaxation is None else {fit.shear_strain: fit for fit in relaxation.fits if fit.elements}
+    rows = []
+    for one in disagreement():
+        fit = next((fit for strain, fit in fits.items() if abs(strain - one.strain) <= SAME_STRAIN), None)
+        simulated = model if fit is None else of_run.get(fit.file, model)
+        wall = model_wall(simulated, one.strain)
+        rows.append(ElementRow(one, _found(fit, one.parameter), float(getattr(wall, one.parameter))))
     order = list(UNITS)
     return tuple(sorted(rows, key=lambda row: (order.index(row.published.parameter), row.published.strain)))
 
 
-def _found(fits: tuple[RelaxationFit, ...], strain: float, element: str) -> Quantity | None:
-    at_strain = [one for one in fits if abs(one.shear_strain - strain) <= SAME_STRAIN]
-    elements = [quantity for fit in at_strain for quantity in fit.elements if quantity.name == element]
-    return elements[0] if elements else None
+def _found(fit: RelaxationFit | None, element: str) -> Quantity | None:
+    elements = () if fit is None else fit.elements
+    return next((quantity for quantity in elements if quantity.name == element), None)

@@ -7,15 +7,20 @@ from math import floor, isfinite, log10
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A computed number; `quantity` names it, `digits` are the significant ones that are shown."""
+    """A computed number; `quantity` names it, `digits` are the significant ones that are shown.
+
+    `signed` shows a plus sign too.
+    """
 
     quantity: str
     value: float
     unit: str = ""
     digits: int = 3
+    signed: bool = False
 
     def __str__(self) -> str:
-        return f"{spelled(self.value, self.digits)} {self.unit}".strip()
+        sign = "+" if self.signed and self.value > 0 else ""
+        return f"{sign}{spelled(self.value, self.digits)} {self.unit}".strip()
 
 
 @dataclass(frozen=True, slots=True)

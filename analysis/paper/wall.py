@@ -38,9 +38,13 @@ def worst(quadratic: bool = False) -> dict[str, float]:
 
 def _polynomial() -> Finding:
     printed, fitted = worst(), worst(quadratic=True)
-    numbers = [Number(f"Eq. 14, {SYMBOLS[name]}: largest miss", 100 * value, "%", 2) for name, value in printed.items()]
+    numbers = [
+        Number(f"Eq. 14, {SYMBOLS[name]}: largest miss", 100 * value, "%", 2, signed=True)
+        for name, value in printed.items()
+    ]
     numbers += [
-        Number(f"quadratic, {SYMBOLS[name]}: largest miss", 100 * value, "%", 2) for name, value in fitted.items()
+        Number(f"quadratic, {SYMBOLS[name]}: largest miss", 100 * value, "%", 2, signed=True)
+        for name, value in fitted.items()
     ]
     misses = ", ".join(f"{SYMBOLS[name]} {percent(value)}" for name, value in printed.items())
     return Finding(

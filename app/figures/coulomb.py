@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from dragrig.analysis.identification.results import CoulombRun
 from dragrig.figures.columns import FOOT_IN, LEFT_IN, NAMES_IN, RIGHT_IN, WIDTH_IN, column
-from dragrig.figures.derived import filtered_of, steady_level
+from dragrig.figures.derived import filtered_of, steady_level, with_error
 from dragrig.figures.envelope import gap_after
 from dragrig.figures.header import header_in, trouble_of, write_header
 from dragrig.figures.panels import Pen, Place
@@ -30,11 +30,14 @@ def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None 
     """
     shown = _zeroed(run, found)
     gap = gap_after(shown.trace.time, shown.trace.sample_rate_hz)
-    panel = force_panel(shown, filtered_of(shown), gap, steady=steady_level(shown))
+    level = steady_level(shown)
+    if level is not None and found is not None and found.force.value is not None:
+        level = replace(level, text=f"mean {with_error(found.force.value, found.force.standard_error)} mN")
+    panel = force_panel(shown, filtered_of(shown), gap, steady=level)
     if printed_mN is not None:
-        ends, level = shown.trace.time[[0, -1]], np.full(2, printed_mN)
-        pen = Pen(f"printed mean {printed_mN:g} mN", VERMILLION, 1.2, dashed=True)
-        panel = replace(panel, curves=(*panel.curves, Curve(ends, level, np.zeros(1, dtype=np.bool_), pen)))
+        ends, printed = shown.trace.time[[0, -1]], np.full(2, printed_mN)
+        pen = Pen(f"the paper’s mean {printed_mN:g} mN", VERMILLION, 1.2, dashed=True)
+        panel = replace(panel, curves=(*panel.curves, Curve(ends, printed, np.zeros(1, dtype=np.bool_), pen)))
     trouble = trouble_of(run.info)
     with drawing():
         figure = new_figure(WIDTH_IN, header_in(trouble) + NAMES_IN + FORCE_IN + FOOT_IN)

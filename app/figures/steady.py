@@ -80,7 +80,7 @@ def _points(axes: Axes, points: list[SpeedPoint], taken_off: list[float]) -> Non
         value, interval = (one.force.value or 0.0) - less, one.force.interval
         if interval is not None:
             axes.plot([one.speed_mm_s] * 2, [interval[0] - less, interval[1] - less], color=BLUE, linewidth=1.8)
-        axes.plot([one.speed_mm_s], [value], "o", color=BLUE, markersize=8, markeredgecolor="white")
+        axes.plot([one.speed_mm_s], [value], "o", color=BLUE, markersize=6)
 
 
 def _finish(above: Axes, below: Axes, low: float, high: float) -> None:

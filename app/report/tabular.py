@@ -22,6 +22,11 @@ def four_digits(value: float) -> str:
     return spelled(value, 4)
 
 
+def plainly(value: float) -> str:
+    """Spell a number with the digits that it has: 0.5, 11."""
+    return f"{value:g}".replace("-", "−")
+
+
 def places(count: int) -> Callable[[float], str]:
     """Return what spells a number to so many decimal places."""
     return lambda value: f"{value:.{count}f}".replace("-", "−")

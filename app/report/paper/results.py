@@ -1,5 +1,6 @@
 """What the report on the paper's programme is about."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dragrig.analysis.identification.results import CoulombRun, Identification
@@ -21,6 +22,8 @@ class PaperResults:
         What was simulated: the model, the drag test's capsule, the wall.
     runs
         How many runs were made, ways back included.
+    of_run
+        The model that each run was simulated with, its own variation included, by the file's name.
     coulomb_trace
         The Coulomb test's run; None when there is none.
     """
@@ -30,6 +33,7 @@ class PaperResults:
     wall_thickness_mm: float
     rig: RigSettings
     runs: int
+    of_run: Mapping[str, FrictionModelSettings]
     identification: Identification
     elements: tuple[ElementRow, ...]
     findings: tuple[Finding, ...]

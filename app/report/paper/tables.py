@@ -8,10 +8,10 @@ from dragrig.analysis.paper.determination import examples
 from dragrig.analysis.paper.wall import SYMBOLS
 from dragrig.figures.model import SKEW_SPEEDS
 from dragrig.report.paper.results import PaperResults
-from dragrig.report.tabular import Cell, Column, Table, digits, places, share
+from dragrig.report.tabular import Cell, Column, Table, digits, places, plainly, share
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 
-SPEED = Column("speed_mm_s", "v, mm/s", digits(2))
+SPEED = Column("speed_mm_s", "v, mm/s", plainly)
 SKEW_POINTS = 120
 
 
@@ -96,19 +96,25 @@ def _coulomb(results: PaperResults) -> Table:
         Column("mu_without_viscous_standard_error", "±", digits(2)),
     )
     viscous = coulomb_test.viscous_mN(results.model.viscous)
-    model = results.model.friction_coefficient * coulomb_test.weight_mN()
-    mu = results.model.friction_coefficient
+    weight = coulomb_test.weight_mN()
     whole, without = coulomb_test.coefficient(), coulomb_test.coefficient(viscous)
     rows: list[tuple[Cell, ...]] = [
         ("the paper's force, as printed", printed.COULOMB_FORCE_MN, None, viscous, whole, None, without, None),
-        ("the model that was simulated", model + viscous, None, viscous, mu + viscous / (model / mu), None, mu, None),
+        _simulated("the model that was simulated", results.model.friction_coefficient, viscous, weight),
     ]
     found = results.coulomb
     if found is not None:
+        own = results.of_run.get(found.file, results.model).friction_coefficient
+        rows.append(_simulated("the same with this run’s own μ", own, viscous, weight))
         estimates = (found.force, found.mu, found.mu_without_viscous)
         force, mu_all, mu_less = (_pair(one) for one in estimates)
         rows.append(("identified from the simulated run", *force, found.viscous_mN, *mu_all, *mu_less))
     return Table("coulomb", "The Coulomb test at 0.5 mm/s with 50.1 g", columns, tuple(rows))
+
+
+def _simulated(source: str, mu: float, viscous_mN: float, weight_mN: float) -> tuple[Cell, ...]:
+    force = mu * weight_mN + viscous_mN
+    return source, force, None, viscous_mN, force / weight_mN, None, mu, None
 
 
 def _forces(results: PaperResults) -> Table:
@@ -125,7 +131,7 @@ def _forces(results: PaperResults) -> Table:
 def _drag(results: PaperResults) -> Table:
     columns = (
         SPEED,
-        Column("runs", "runs", digits(2)),
+        Column("runs", "runs", plainly),
         Column("measured_mN", "measured, mN", places(2)),
         Column("measured_low_mN", "95 % from", places(2)),
         Column("measured_high_mN", "to", places(2)),
@@ -149,7 +155,7 @@ def _drag(results: PaperResults) -> Table:
 def _determination(results: PaperResults) -> Table:
     columns = (
         Column("band", "simulated runs, band"),
-        Column("speeds", "speeds", digits(2)),
+        Column("speeds", "speeds", plainly),
         Column("eq15_ratio", "ratio of Eq. 15", places(4)),
         Column("squared_correlation", "squared correlation", places(4)),
     )
