@@ -86,8 +86,8 @@ def paper(
     >>> made = dragrig.paper("paper-again", seed=1)  # doctest: +SKIP
     >>> made.report, made.identification.coulomb.mu  # doctest: +SKIP
     """
-    folder, setup = Path(out), _setup(seed, wall, viscous)
-    _make_room(folder, overwrite=overwrite)
+    folder, setup = Path(out), setup_of(seed, wall, viscous)
+    make_room(folder, overwrite=overwrite)
     counted = _Counted(progress)
     made = campaigns.begin(setup, folder, Terms(folder, note=NOTE), counted)
     made.session.require()
@@ -182,7 +182,8 @@ def identified(folder: Path, setup: Setup) -> "Identification":
     )
 
 
-def _setup(seed: int, wall: str, viscous: str) -> Setup:
+def setup_of(seed: int, wall: str, viscous: str) -> Setup:
+    """Return the settings of the programme; raises `SettingsError` for a choice that does not exist."""
     return resolve(
         PLAN,
         rig="bench",
@@ -198,7 +199,7 @@ def _setup(seed: int, wall: str, viscous: str) -> Setup:
     )
 
 
-def _make_room(folder: Path, *, overwrite: bool) -> None:
+def make_room(folder: Path, *, overwrite: bool) -> None:
     """Take away what an earlier call left; raises `OutputError` for what may not be replaced."""
     if not folder.is_dir():
         return
@@ -210,8 +211,10 @@ def _make_room(folder: Path, *, overwrite: bool) -> None:
     own = {one.path for one in here.runs if one.header.entry.get("note") == NOTE}
     foreign = next((path for path in held if path not in own), None)
     if foreign is not None:
-        raise OutputError(f"{foreign}: was not made by dragrig paper and is not replaced; name another folder.")
-    beside = {folder / record_in(path).file_name() for path in own} | {naming.mark_path(path) for path in own}
+        raise OutputError(f"{foreign}: is no run of dragrig paper and is not replaced; name another folder.")
+    one_each = {one.header.settings_toml: one.path for one in here.runs if one.path in own}
+    beside = {folder / record_in(path).file_name() for path in one_each.values()}
+    beside |= {naming.mark_path(path) for path in own}
     try:
         for path in (*sorted(own), *sorted(beside)):
             files.remove(path)

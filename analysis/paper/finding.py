@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import floor, isfinite, log10
+from decimal import Decimal
+from math import isfinite
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +59,9 @@ def spelled(value: float, digits: int = 3) -> str:
     """Spell a number to so many significant digits, without an exponent: 0.0816, 113, −7.2."""
     if not isfinite(value):
         return "–"
-    rounded = float(f"{value:.{digits - 1}e}")
-    if rounded == 0:
+    if value == 0:
         return "0"
-    places = digits - 1 - floor(log10(abs(rounded)))
-    return f"{rounded:.{max(places, 0)}f}".replace("-", "−")
+    return format(Decimal(f"{value:.{digits - 1}e}"), "f").replace("-", "−")
 
 
 def percent(difference: float, digits: int = 2) -> str:

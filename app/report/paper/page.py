@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import dragrig
 from dragrig.analysis.paper import printed
 from dragrig.analysis.paper.elements import ElementRow
 from dragrig.analysis.paper.finding import percent, spelled
@@ -10,6 +9,7 @@ from dragrig.report.embedding import Picture
 from dragrig.report.paper.results import PaperResults
 from dragrig.report.rendering import render
 from dragrig.report.tabular import Table
+from dragrig.rig.header import software
 
 TITLE = "The paper's programme, simulated and identified"
 _WALLS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
@@ -22,7 +22,7 @@ def page(results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[s
         "paper.html",
         {
             "title": TITLE,
-            "version": dragrig.__version__,
+            "software": software(),
             "settings": _settings(results),
             "wall": _WALLS.get(results.model.wall, results.model.wall),
             "elements": _agreement(results.elements),
@@ -41,7 +41,7 @@ def _settings(results: PaperResults) -> dict[str, str]:
     simulated, model = results.rig.simulated, results.model
     noise, variation = simulated.noise, simulated.variation
     return {
-        "Software": f"dragrig {dragrig.__version__}, simulated rig",
+        "Software": f"{software()}, simulated rig",
         "Seed": str(simulated.seed),
         "Programme": f"plan paper: {results.runs} runs, ways back included, at {results.rig.sampling.rate_hz:g} Hz",
         "Wall": _WALLS.get(model.wall, model.wall),

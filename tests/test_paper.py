@@ -1,0 +1,391 @@
+"""The paper's programme, simulated and identified, and what in the paper does not fit together."""
+
+import csv
+import io
+import json
+import re
+import shutil
+import subprocess
+import sys
+from base64 import b64decode
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dragrig import reproducing
+from dragrig.analysis.identification.results import Drag, Identification, LeftOut
+from dragrig.analysis.paper.determination import by_correlation, by_eq15, examples, offset_for
+from dragrig.analysis.paper.elements import element_rows
+from dragrig.analysis.paper.finding import Finding, percent, spelled
+from dragrig.analysis.paper.findings import findings
+from dragrig.analysis.paper.pressure import as_published, by_superposition
+from dragrig.analysis.paper.printed import CAPSULE, MODEL, R2_ABOVE, R2_BELOW
+from dragrig.cli import main
+from dragrig.cli.lazy import group
+from dragrig.config.capsule import Capsule
+from dragrig.config.errors import OutputError
+from dragrig.config.library import find
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.report.paper.names import REPORT, TABLES
+from dragrig.report.paper.page import page
+from dragrig.report.paper.results import PaperResults
+from dragrig.report.paper.tables import tables
+from dragrig.report.rendering import kept_together
+from dragrig.report.tabular import Column, Table
+from dragrig.rig.runfile import campaign, mark_bad
+from dragrig.rig.runfile.model import Status
+
+VOID = {"meta", "img", "br", "hr", "link", "input"}
+
+
+def finding(key: str) -> Finding:
+    return next(one for one in findings() if one.key == key)
+
+
+@pytest.mark.parametrize(
+    ("key", "quantity", "value", "tolerance"),
+    [
+        ("eq14-table1", "Eq. 14, E1: largest miss", 20, 0.5),
+        ("eq14-table1", "Eq. 14, E2: largest miss", 27, 0.5),
+        ("eq14-table1", "Eq. 14, E3: largest miss", 7, 0.5),
+        ("eq14-table1", "Eq. 14, η1: largest miss", -14, 0.5),
+        ("eq14-table1", "Eq. 14, η2: largest miss", -11, 0.5),
+        ("eq14-table1", "quadratic, E1: largest miss", -0.4, 0.05),
+        ("eq14-table1", "quadratic, E2: largest miss", -4, 0.5),
+        ("eq14-table1", "quadratic, E3: largest miss", -2.3, 0.05),
+        ("eq14-table1", "quadratic, η1: largest miss", 9, 0.5),
+        ("eq14-table1", "quadratic, η2: largest miss", 9.4, 0.05),
+        ("eta-unit", "shortest η1/E1", 1e3 * 0.053 / 2.926, 1e-9),
+        ("stress-falls", "stress at once at 200 %", 2 * (1.726 + 0.484 + 0.541), 1e-9),
+        ("strain-range", "largest strain on the contact", 100, 1e-9),
+        ("strain-range", "contact angle that would strain to it", np.degrees(np.arccos(1 / 3)), 1e-9),
+        ("side-area", "S, the hemisphere's contact", 226.4, 0.05),
+        ("constant-thickness", "difference in P(L)", -38, 0.5),
+        ("maximum", "nearest maximum, 0.5 … 60 mm/s", 1.3, 0.05),
+        ("maximum", "farthest maximum, 0.5 … 60 mm/s", 3.4, 0.05),
+        ("viscous-dimension", "f_v read as δ v, 0.5 mm/s", 0.7, 0.05),
+        ("viscous-dimension", "f_v read as δ v, 60 mm/s", 9, 0.1),
+        ("viscous-dimension", "f_v read as δ (v/d) S, 0.5 mm/s", 5.5, 0.05),
+        ("viscous-dimension", "f_v read as δ (v/d) S, 60 mm/s", 68, 0.5),
+        ("coefficient", "μ from the whole force", 0.0816, 5e-5),
+        ("coefficient", "μ without f_v", 0.0801, 5e-5),
+        ("coefficient", "f_v at 0.5 mm/s", 0.73, 5e-3),
+        ("not-returned", "the model's force", 0.082 * 50.1 * 9.80665 + 0.7288, 1e-3),
+        ("fixture-gap", "gap all round", 50, 1e-9),
+        ("accuracy", "accuracy over the Coulomb force", 100 * 5 / 40.07, 1e-9),
+    ],
+)
+def test_the_findings_carry_the_numbers_that_the_model_gives(
+    key: str, quantity: str, value: float, tolerance: float
+) -> None:
+    assert finding(key).value(quantity) == pytest.approx(value, abs=tolerance)
+
+
+def test_every_finding_says_what_the_numbers_show_and_what_is_done() -> None:
+    found = findings()
+    assert len(found) >= 25
+    assert len({one.key for one in found}) == len(found)
+    for one in found:
+        assert one.numbers, one.key
+        assert all(np.isfinite(number.value) for number in one.numbers), one.key
+        assert re.search(r"\d", one.shown), one.key
+        for sentence in (one.paper, one.shown, one.practice):
+            assert sentence.endswith("."), one.key
+            assert not re.search(r"[{}]| {2}|nan|inf\b|\d-\d", sentence), sentence
+        assert len({number.quantity for number in one.numbers}) == len(one.numbers), one.key
+
+
+def test_the_findings_are_about_the_shipped_model() -> None:
+    assert find(FrictionModelSettings, "model", "paper") == MODEL
+    assert find(Capsule, "capsule", "drag") == CAPSULE
+
+
+def test_eq_15_exceeds_one_where_a_correlation_cannot() -> None:
+    half, mirrored, shifted, far = examples()
+    assert half.eq15 == pytest.approx(4)
+    assert mirrored.eq15 == pytest.approx(1)
+    assert shifted.eq15 < 1
+    assert far.eq15 == pytest.approx(R2_ABOVE)
+    assert all(one.correlation == pytest.approx(1) for one in (half, mirrored, shifted, far))
+
+
+@given(st.floats(0.05, 0.99), st.lists(st.floats(10, 200), min_size=3, max_size=12, unique=True))
+def test_the_offset_that_is_named_gives_the_r2_that_is_named(r2: float, forces: list[float]) -> None:
+    model = np.array(forces)
+    if np.ptp(model) > 1e-3:
+        shifted = model + offset_for(r2, model)
+        assert by_eq15(model, shifted) == pytest.approx(r2, rel=1e-6)
+        assert by_correlation(model, shifted) == pytest.approx(1)
+
+
+def test_a_strains_history_matters_neither_to_relaxed_nor_to_fresh_wall() -> None:
+    assert by_superposition(1e-3) == pytest.approx(as_published(1e-3), rel=2e-3)
+    assert by_superposition(1e6) == pytest.approx(as_published(1e6), rel=1e-3)
+    assert by_superposition(20.0) > 1.05 * as_published(20.0)
+
+
+@given(st.floats(1e-6, 1e9), st.integers(1, 8), st.sampled_from([1, -1]))
+def test_numbers_are_spelled_to_their_digits(size: float, digits: int, sign: int) -> None:
+    text = spelled(sign * size, digits)
+    assert "e" not in text
+    assert float(text.replace("−", "-")) == pytest.approx(sign * size, rel=0.51 * 10.0 ** (1 - digits))
+
+
+def test_numbers_keep_their_sign_and_their_unit() -> None:
+    assert [spelled(0.99999, 4), spelled(0), spelled(float("nan"))] == ["1.000", "0", "–"]
+    assert [percent(0.2), percent(-0.0036)] == ["+20 %", "−0.36 %"]
+    assert kept_together("40 mN at 0.5 mm/s, 1 gut") == "40\u00a0mN at 0.5\u00a0mm/s, 1 gut"
+
+
+@given(st.lists(st.tuples(st.text(), st.one_of(st.none(), st.floats())), max_size=5))
+def test_a_table_comes_back_from_its_csv(rows: list[tuple[str, float | None]]) -> None:
+    table = Table("any", "Any", (Column("word", "Word"), Column("value_mN", "Value, mN")), tuple(rows))
+    header, *back = csv.reader(io.StringIO(table.csv(), newline=""))
+    assert header == ["word", "value_mN"]
+    assert back == [[word, "" if value is None or not np.isfinite(value) else repr(value)] for word, value in rows]
+    assert [row[0] for row in table.spelled] == [word for word, _ in rows]
+
+
+@dataclass
+class Made:
+    """What one call of the command left, and what it printed."""
+
+    folder: Path
+    printed: dict[str, object]
+
+    @property
+    def page(self) -> str:
+        return (self.folder / REPORT).read_text("utf-8")
+
+    def rows(self, name: str) -> list[dict[str, str]]:
+        with (self.folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    folder = tmp_path_factory.mktemp("paper") / "out"
+    done = CliRunner().invoke(
+        group, ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"], standalone_mode=False
+    )
+    assert done.exception is None, done.exception
+    return Made(folder, json.loads(done.stdout))
+
+
+@pytest.mark.timeout(180)
+def test_the_command_says_where_everything_is(made: Made) -> None:
+    assert made.printed["report"] == str(made.folder / REPORT)
+    assert made.printed["tables"] == [str(made.folder / f"{name}.csv") for name in TABLES]
+    assert len(made.printed["findings"]) == len(findings())
+
+
+@pytest.mark.timeout(180)
+def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
+    found = campaign(made.folder)
+    assert not found.unreadable
+    assert not found.recordings
+    kinds = [one.kind for one in found.good]
+    assert {kind: kinds.count(kind) for kind in kinds} == {
+        "relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29,
+    }  # fmt: skip
+    assert all(one.status is Status.COMPLETE and one.header.backend == "simulated" for one in found.good)
+    assert all("seed = 1\n" in one.header.settings_toml for one in found.good)
+
+
+class Page(HTMLParser):
+    """Checks that every tag is closed in its turn, and gathers what a page refers to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: set[str] = set()
+        self.sources: list[str] = []
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.alts: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.add(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        self.sources += [value or "" for key, value in attrs if key in {"src", "srcset", "data"}]
+        self.links += [value or "" for key, value in attrs if key == "href"]
+        self.ids += [value or "" for key, value in attrs if key == "id"]
+        assert not any(key.startswith("on") for key in found)
+        if tag == "img":
+            self.alts.append(found.get("alt") or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open
+        assert self.open.pop() == tag
+
+
+@pytest.mark.timeout(180)
+def test_the_report_needs_nothing_but_itself(made: Made) -> None:
+    read = Page()
+    read.feed(made.page)
+    read.close()
+    assert read.open == []
+    assert not {"script", "link", "iframe", "object"} & read.tags
+    assert len(read.ids) == len(set(read.ids))
+    assert all(link.startswith("#") and link[1:] in read.ids for link in read.links)
+    assert len(read.sources) == 5
+    for source, alt in zip(read.sources, read.alts, strict=True):
+        kind, data = source.split(",", 1)
+        assert kind == "data:image/svg+xml;base64"
+        assert ET.fromstring(b64decode(data)).tag.endswith("svg")
+        assert len(alt) > 30
+    style = made.page.split("<style>")[1].split("</style>")[0]
+    assert "prefers-color-scheme: dark" in style
+    assert "@media print" in style
+    assert "url(" not in style
+    assert "@import" not in style
+
+
+@pytest.mark.timeout(180)
+def test_the_report_says_what_was_simulated(made: Made) -> None:
+    text = made.page
+    for said in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
+        assert said in text
+    for one in findings():
+        assert f'<article id="{one.key}">' in text
+
+
+@pytest.mark.timeout(180)
+def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
+    quote = re.search(r'<p class="quoted">(.*?)</p>', made.page, re.DOTALL)
+    assert quote is not None
+    said = " ".join(quote.group(1).split())
+    assert f"{R2_BELOW}" in said
+    assert f"{R2_ABOVE}" in said
+    assert "no software can reproduce them" in said
+    ours = (made.folder / "determination.csv").read_text("utf-8")
+    assert ours.splitlines()[0] == "band,speeds,eq15_ratio,squared_correlation"
+    assert "0.8769" not in ours
+    assert "0.1666" not in ours
+    assert len(made.rows("determination")) >= 3
+
+
+@pytest.mark.timeout(180)
+def test_every_table_parses_and_holds_what_the_model_says(made: Made) -> None:
+    for name in TABLES:
+        rows = made.rows(name)
+        assert rows, name
+        assert all(None not in row and None not in row.values() for row in rows), name
+    forces = {float(row["speed_mm_s"]): float(row["total_mN"]) for row in made.rows("forces")}
+    assert forces[0.5] == pytest.approx(82.41, abs=0.01)
+    for row in made.rows("skew-maximum"):
+        assert 1.3 < float(row["x_of_largest_skew_mm"]) < 3.45
+    curve = made.rows("skew-resistance")
+    largest = max(float(row["skew_mN_at_60_mm_s"]) for row in curve)
+    assert largest == pytest.approx(228.7, rel=2e-3)
+    printed, simulated, own, identified = made.rows("coulomb")
+    assert float(printed["mu"]) == pytest.approx(0.0816, abs=5e-5)
+    assert float(printed["mu_without_viscous"]) == pytest.approx(0.0801, abs=5e-5)
+    assert float(simulated["mu_without_viscous"]) == pytest.approx(0.082)
+    miss = float(identified["force_mN"]) - float(own["force_mN"])
+    assert abs(miss) < 4 * float(identified["force_standard_error_mN"])
+
+
+@pytest.mark.timeout(180)
+def test_the_elements_that_were_put_in_come_back(made: Made) -> None:
+    rows = made.rows("elements")
+    assert len(rows) == 20
+    inside = 0
+    for row in rows:
+        low, value, high = (float(row[key]) for key in ("identified_low", "identified", "identified_high"))
+        assert high - low < (0.2 if row["element"].startswith("η") else 0.1) * value
+        assert abs(float(row["identified_relative_difference_from_simulated"])) < 0.05
+        inside += low <= float(row["simulated"]) <= high
+    assert inside >= 16
+
+
+@pytest.mark.timeout(180)
+def test_what_is_there_is_not_overwritten(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in made.folder.iterdir()}
+    assert main(["paper", "--out", str(made.folder)]) == 2
+    assert {path.name: path.stat().st_mtime_ns for path in made.folder.iterdir()} == before
+    told = capsys.readouterr().err
+    assert "is there already" in told
+    assert "--overwrite" in told
+    assert told.count("\n") == 1
+    (tmp_path / "findings.csv").write_text("mine\n", "utf-8")
+    assert main(["paper", "--out", str(tmp_path)]) == 2
+    assert "findings.csv" in capsys.readouterr().err
+
+
+@pytest.mark.timeout(180)
+def test_overwriting_takes_away_own_runs_and_nothing_else(made: Made, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(made.folder, folder)
+    mark_bad(campaign(folder).runs[0].path, "tried")
+    (folder / "notes.txt").write_text("mine\n", "utf-8")
+    reproducing.make_room(folder, overwrite=True)
+    assert {path.name for path in folder.iterdir()} == {"notes.txt", REPORT, *(f"{name}.csv" for name in TABLES)}
+
+
+@pytest.mark.timeout(180)
+def test_other_peoples_runs_are_never_replaced(made: Made, tmp_path: Path) -> None:
+    foreign = Path(__file__).parent / "data" / "campaign" / "010-drag.h5"
+    own = campaign(made.folder).runs[0].path
+    for path in (foreign, own):
+        shutil.copy(path, tmp_path)
+    with pytest.raises(OutputError, match=r"010-drag\.h5: is no run of dragrig paper"):
+        reproducing.make_room(tmp_path, overwrite=True)
+    assert {path.name for path in tmp_path.iterdir()} == {foreign.name, own.name}
+
+
+def test_a_place_that_cannot_be_written_is_said_in_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("", "utf-8")
+    assert main(["paper", "--out", str(tmp_path / "file" / "inside")]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "inside" in told
+
+
+def test_choices_reach_the_simulator() -> None:
+    setup = reproducing.setup_of(7, "table1", "newtonian")
+    assert (setup.model.wall, setup.model.viscous) == ("table1", "newtonian")
+    assert setup.rig.simulated.seed == 7
+    assert setup.backend == "simulated"
+
+
+def nothing_identified() -> Iterator[Identification]:
+    bare = Identification("gut", (), (LeftOut("a.h5", "it is <broken>"),), None, None, None, None, ("a & b",))
+    yield bare
+    yield replace(bare, drag=Drag((), None, None, (), ("no drag run",)))
+
+
+def test_what_was_not_identified_is_said_to_be_missing() -> None:
+    for identification in nothing_identified():
+        results = PaperResults(
+            MODEL, CAPSULE, 2.5, RigSettings(), 0, {}, identification, element_rows(None, MODEL, {}), findings(), None
+        )
+        text = page(results, tables(results), {})
+        assert "No element was identified" in text
+        assert "it is &lt;broken&gt;" in text
+        assert "a &amp; b" in text
+        assert ("No drag was identified" in text) == (identification.drag is None)
+
+
+def test_the_overview_of_commands_loads_no_report() -> None:
+    script = (
+        "import sys\nfrom click.testing import CliRunner\nfrom dragrig.cli.lazy import group\n"
+        "assert 'paper' in CliRunner().invoke(group, ['--help']).output\n"
+        "assert CliRunner().invoke(group, ['paper', '--help']).exit_code == 0\n"
+        "print([one for one in ('jinja2', 'dragrig.report', 'matplotlib', 'numpy') if one in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
