@@ -15,6 +15,8 @@ FRESH_WALL_KINDS = frozenset({"drag", "return"})
 """Kinds of run in which the capsule slides into wall that it has not touched yet."""
 SETTLING_S = 0.1
 """Start of the steady phase that is left out of every other kind: the stage settles at its speed."""
+CREEP_S = 0.1
+"""End of the rest that is left out, or a quarter of a rest that is shorter than four times as long."""
 HOLD_END_S = 1.0
 """The end of the hold is its last second, or its second half when it is shorter than two."""
 
@@ -22,6 +24,19 @@ HOLD_END_S = 1.0
 def in_phase(trace: Trace, phase: Phase) -> Mask:
     """Tell for each sample whether it belongs to a phase."""
     return np.asarray(trace.phase == int(phase))
+
+
+def at_rest(trace: Trace) -> Mask:
+    """Tell which samples show the rest before the motion.
+
+    The last of it is left out: a stage whose jerk is limited creeps off before its phase says so, too slowly for
+    the encoder, and Coulomb friction is there at once.
+    """
+    rest = in_phase(trace, Phase.REST)
+    if not rest.any():
+        return rest
+    begin, end = float(trace.time[rest][0]), float(trace.time[rest][-1])
+    return rest & (trace.time <= end - min(CREEP_S, (end - begin) / 4))
 
 
 def contact_length_mm(capsule: Mapping[str, Attribute]) -> float:

@@ -14,7 +14,7 @@ from dragrig.analysis.identification.joint.noise import Noise, estimate_noise
 from dragrig.analysis.identification.pooling import Pooled, pooled, trend
 from dragrig.analysis.identification.results import Coulomb, CoulombRun
 from dragrig.analysis.identification.selection import Selection
-from dragrig.analysis.identification.sliding import at_rest, difference, sliding
+from dragrig.analysis.identification.sliding import difference, rest_mean, sliding
 from dragrig.analysis.nominal.capsule import BETWEEN_SPECIMENS, CHANNEL, VARIATIONS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError, SettingsError
@@ -67,7 +67,7 @@ def identify_coulomb(selection: Selection, model: FrictionModelSettings) -> Coul
 def _run(experiment: Experiment, model: FrictionModelSettings, noise: Noise) -> CoulombRun:
     measured = sliding(experiment, filtered=True)
     speed = measured.direction * measured.speed_mm_s
-    force = difference(measured.steady, at_rest(experiment, measured.direction, noise))
+    force = difference(measured.steady, rest_mean(experiment, measured.direction, noise))
     if experiment.fixture is not Fixture.VACUUM:
         force = missing(
             f"its fixture is {experiment.fixture.value}, not vacuum: more than the weight presses on the gut"

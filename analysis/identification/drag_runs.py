@@ -11,14 +11,13 @@ from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.nominal_drag import Setup, parts, resting_force
 from dragrig.analysis.identification.results import LeftOut, SpeedPoint
-from dragrig.analysis.identification.sliding import along, at_rest, difference, sliding
+from dragrig.analysis.identification.sliding import along, difference, rest_mean, sliding
 from dragrig.analysis.nominal.capsule import VARIATIONS
 from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.analysis.phases import in_phase
+from dragrig.analysis.phases import at_rest
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
-from dragrig.rig.profile import Phase
 
 STIFFNESS, FRICTION = (one.sd for one in VARIATIONS)
 SAME_SPEED = 1.03
@@ -108,7 +107,7 @@ def _measured(
     if zero is None:
         age = _rest_age(experiment)
         held = resting_force(setup, model, age)
-        force = _raised(difference(seen.steady, at_rest(experiment, seen.direction, noise())), held)
+        force = _raised(difference(seen.steady, rest_mean(experiment, seen.direction, noise())), held)
     else:
         force = difference(seen.steady, along(zero, seen.direction))
     if force.value is None:
@@ -126,8 +125,8 @@ def _raised(force: Estimate, by_mN: float) -> Estimate:
 
 def _rest_age(experiment: Experiment) -> float:
     """Return the noted age of the contact in the middle of the rest."""
-    at_rest = experiment.time_s[in_phase(experiment.run.trace, Phase.REST)]
-    return experiment.insertion_dwell_s + (0.5 * float(at_rest[0] + at_rest[-1]) if at_rest.size else 0.0)
+    still = experiment.time_s[at_rest(experiment.run.trace)]
+    return experiment.insertion_dwell_s + (0.5 * float(still[0] + still[-1]) if still.size else 0.0)
 
 
 def _grouped(runs: Sequence[DragRun]) -> list[list[DragRun]]:

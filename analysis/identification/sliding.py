@@ -16,10 +16,9 @@ from dragrig.analysis.gaps import gap_starts
 from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.measures import SLOWEST_NOISE_S
 from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.analysis.phases import Mask, in_phase, steady_stretch
+from dragrig.analysis.phases import Mask, at_rest, steady_stretch
 from dragrig.analysis.savgol import smooth
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.profile import Phase
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +62,13 @@ def sliding(experiment: Experiment, *, filtered: bool = False) -> Sliding:
     return Sliding(direction, speed, along(steady, direction))
 
 
-def at_rest(experiment: Experiment, direction: int, noise: Noise) -> Estimate:
+def rest_mean(experiment: Experiment, direction: int, noise: Noise) -> Estimate:
     """Return the mean force [mN] before the motion, with the sign of a direction.
 
     A rest of a second holds too few correlation times to tell its own error; that comes from the noise of all rests.
     """
     trace = experiment.run.trace
-    rest = in_phase(trace, Phase.REST)
+    rest = at_rest(trace)
     if not rest.any():
         return missing("the run has no rest phase, so that the sensor's zero is not known")
     lost = _clipped(experiment, rest)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.analysis.phases import in_phase
+from dragrig.analysis.phases import at_rest, in_phase
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
@@ -86,7 +86,7 @@ def _quiet(experiments: Iterable[Experiment], channel: str) -> Iterator[tuple[Fl
         trace = experiment.run.trace
         if channel not in trace.channels:
             continue
-        quiet = in_phase(trace, Phase.REST)
+        quiet = at_rest(trace)
         if experiment.contact is Contact.NONE:
             quiet = quiet | in_phase(trace, Phase.HOLD)
         values = np.asarray(trace.channels[channel], dtype=np.float64)
