@@ -39,7 +39,9 @@ ANGLE_SD_DEG = 0.7
 ZERO_SD_MN = 5.0
 VARIATIONS = (Variation("stiffness", 0.02), Variation("friction", 0.015))
 STEP = 1e-3
-"""Relative step of a derivative by differences; of the angle, in degrees."""
+"""Relative step of a derivative by differences."""
+ANGLE_STEP_DEG = 0.2
+"""That of the angle: the force jumps where a bend of the motion comes to the equator, and when that is turns with it."""
 TIMING_S = 0.005
 """So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
 RELAXED = 1e-9
@@ -267,7 +269,8 @@ class SlidingPredictor(Predictor):
                 return self._parts(changed, time_s).total
 
             rows |= _by_elements(total, given, rows["stiffness_scale"])
-            rows[ANGLE] = (total({**given, ANGLE: given[ANGLE] + STEP}) - parts.total) / STEP
+            turned = (total({**given, ANGLE: given[ANGLE] + turn}) for turn in (ANGLE_STEP_DEG, -ANGLE_STEP_DEG))
+            rows[ANGLE] = np.subtract(*turned) / (2 * ANGLE_STEP_DEG)
             if self._knows_its_age(given):
                 step = STEP * given["insertion_dwell_scale"]
                 older = {**given, "insertion_dwell_scale": given["insertion_dwell_scale"] + step}
@@ -277,10 +280,9 @@ class SlidingPredictor(Predictor):
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
         given = dict(zip(self.names, values.tolist(), strict=True))
-        before, now, after = (
-            self._friction(given, np.clip(time_s + shift, 0.0, float(self.motion.breaks_s[-1])))
-            for shift in (-TIMING_S, 0.0, TIMING_S)
-        )
+        last = float(self.motion.breaks_s[-1])
+        shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-TIMING_S, 0.0, TIMING_S)])
+        before, now, after = np.split(self._friction(given, shifted), 3)
         return np.maximum(np.abs(before - now), np.abs(after - now))
 
     def _friction(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:

@@ -28,8 +28,9 @@ def joint_fit(problem: Problem, solution: Solution) -> JointFit:
     degrees = sum(one.blocks for one in runs)
     known = min(noise.degrees for noise in problem.noises) or 1
     p_value = float(f.sf(chi2 / degrees, degrees, known))
+    # The solution's own misfit is in its covariance already.
     widened = max(1.0, chi2 / degrees) if p_value < DOUBTFUL else 1.0
-    covariance = widened * solution.covariance
+    covariance = max(1.0, widened / solution.misfit) * solution.covariance
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)
     return JointFit(

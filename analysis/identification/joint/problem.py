@@ -51,20 +51,16 @@ class Problem:
         parts = zip(self.evidence, self.noises, self.zero_sds, strict=True)
         return tuple(whitening(one, values, noise, zero, self.sds) for one, noise, zero in parts)
 
-    def residuals(self, z: FloatArray, whitenings: Sequence[Whitening]) -> FloatArray:
-        """Return all whitened residuals, and the parameters' distances from their priors."""
+    def residuals(self, z: FloatArray) -> list[FloatArray]:
+        """Return predicted minus measured block means, one array for each piece of evidence."""
         values = self.scales.values(z)
-        pairs = zip(self.evidence, whitenings, strict=True)
-        rows = [one.whole(each.predict(values).total - each.blocks.mean) for each, one in pairs]
-        return np.concatenate([*rows, z])
+        return [one.predict(values).total - one.blocks.mean for one in self.evidence]
 
-    def jacobian(self, z: FloatArray, whitenings: Sequence[Whitening]) -> FloatArray:
-        """Return their derivatives by `z`, shape `(M, P)`."""
+    def derivatives(self, z: FloatArray) -> list[FloatArray]:
+        """Return their derivatives by `z`, shape `(B, P)` each."""
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
-        pairs = zip(self.evidence, whitenings, strict=True)
-        rows = [one.whole((each.sensitivities(values) * slopes[:, None]).T) for each, one in pairs]
-        return np.concatenate([*rows, np.eye(len(z))])
+        return [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]
 
 
 def _zero_sd(evidence: Sequence[Evidence], channel: str, nominal: NominalModel) -> float:
