@@ -12,7 +12,8 @@ from runfiles import PRACTICE
 
 import dragrig
 from dragrig.analysis.identification.maxwell.noise import SensorNoise, estimate_noise
-from dragrig.analysis.identification.relaxation import identify_relaxation, predicted_force
+from dragrig.analysis.identification.maxwell.residuals import predicted_force
+from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import RelaxationFit
 from dragrig.analysis.identification.selection import Selection, select
 from dragrig.analysis.nominal.experiment import Experiment

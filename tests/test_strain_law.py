@@ -1,4 +1,4 @@
-"""Wall parameters as polynomials of one's own: evaluated everywhere, refused where they cannot be a wall."""
+"""Laws of the elements over strain: fitted with honest errors, and simulated again as the polynomials that they are."""
 
 from pathlib import Path
 
@@ -7,12 +7,19 @@ import pytest
 from click.testing import CliRunner
 from friction_cases import ROUGH, moves, sliding, sticking
 
+import dragrig
+from dragrig.analysis.estimates import NORMAL_95
+from dragrig.analysis.identification.relaxation import identify_relaxation
+from dragrig.analysis.identification.results import Quantity, RelaxationFit
+from dragrig.analysis.identification.selection import select
+from dragrig.analysis.identification.strain_law import evaluate, strain_laws, wall_polynomials
 from dragrig.cli.lazy import group
-from dragrig.config.errors import SettingsError
+from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.loading import load, parse, to_toml
 from dragrig.config.model import FrictionModelSettings, WallPolynomials
-from dragrig.sim_backend.friction import prepare, steady_forces
-from dragrig.sim_backend.friction.wall import EQ14
+from dragrig.figures import relaxation_fit_figure
+from dragrig.sim_backend.friction import prepare, steady_forces, wall_parameters
+from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN
 
 NAMES = ("E1", "E2", "E3", "eta1", "eta2")
 EQ14_LAWS = WallPolynomials.model_validate(dict(zip(NAMES, EQ14, strict=True)))
@@ -72,3 +79,112 @@ def test_a_wall_that_softens_to_nothing_is_refused_where_it_is_used() -> None:
     assert "\n" not in str(refused.value)
     with pytest.raises(SettingsError, match="polynomial"):
         prepare(sticking(moves((2.5, 20.0)), 1.0), softens)
+
+
+def made(strain: float, values, file: str = "run.h5", error: float = 0.003) -> RelaxationFit:
+    units = ("kPa", "kPa", "kPa", "kPa·s", "kPa·s")
+    elements = tuple(
+        Quantity(name, unit, value, error * value, (value * (1 - 2 * error), value * (1 + 2 * error)))
+        for name, unit, value in zip(NAMES, units, (float(one) for one in values), strict=True)
+    )
+    return RelaxationFit(file, strain, elements)
+
+
+def eq14(strain: float) -> list[float]:
+    return [float(np.polyval(row, strain)) for row in EQ14]
+
+
+def test_a_quadratic_over_many_strains_is_eq_14() -> None:
+    laws, remarks = strain_laws([made(strain, eq14(strain)) for strain in (0.5, 0.8, 1.0, 1.5, 2.0)])
+    assert remarks == ()
+    for law, published in zip(laws, EQ14, strict=True):
+        assert law.coefficients == pytest.approx(published)
+        assert law.r2 == pytest.approx(1.0)
+        assert law.strains == (0.5, 0.8, 1.0, 1.5, 2.0)
+
+
+def test_three_strains_are_interpolated_two_joined_one_told() -> None:
+    laws, remarks = strain_laws([made(strain, eq14(strain)) for strain in (0.5, 1.0, 2.0)])
+    assert [law.r2 for law in laws] == [None] * 5
+    assert laws[0].coefficients == pytest.approx(EQ14[0])
+    assert "exactly" in remarks[0]
+    laws, remarks = strain_laws([made(strain, eq14(strain)) for strain in (0.5, 2.0)])
+    assert [len(law.coefficients) for law in laws] == [2] * 5
+    assert evaluate(laws[2], np.array([2.0]))[0] == pytest.approx(eq14(2.0)[2])
+    assert "straight" in remarks[0]
+    laws, remarks = strain_laws([made(1.0, eq14(1.0)), RelaxationFit("empty.h5", 2.0, remark="clipped")])
+    assert laws == ()
+    assert "only the strain of 100 %" in remarks[0]
+    assert "no run" in strain_laws([])[1][0]
+
+
+def test_table_1_by_least_squares_is_the_wall_table1_and_its_lack_of_fit_is_in_the_errors() -> None:
+    tight, _ = strain_laws([made(strain, eq14(strain)) for strain in TABLE1_STRAIN])
+    laws, _ = strain_laws([made(s, column) for s, column in zip(TABLE1_STRAIN, np.transpose(TABLE1), strict=True)])
+    published = wall_parameters("table1", 1.2)
+    for law, name, narrow in zip(laws, NAMES, tight, strict=True):
+        value, error = evaluate(law, np.array([1.2]))
+        assert value == pytest.approx(float(getattr(published, name)), rel=0.05)
+        if name in {"eta1", "eta2"}:
+            assert error > 2 * evaluate(narrow, np.array([1.2]))[1]
+    assert laws[3].r2 is not None
+    assert laws[3].r2 < 0.9
+
+
+def test_repeats_are_averaged_first_and_their_scatter_counts() -> None:
+    alike = [made(strain, eq14(strain), error=1e-4) for strain in (0.5, 1.0, 1.0, 1.0, 1.0, 1.5, 2.0)]
+    low, high = (made(1.0, [factor * one for one in eq14(1.0)]) for factor in (0.8, 1.2))
+    apart = [made(strain, eq14(strain), error=1e-4) for strain in (0.5, 1.5, 2.0)] + [low, high, low, high]
+    (agreed, _), (scattered, _) = strain_laws(alike), strain_laws(apart)
+    at = np.array([1.0])
+    assert agreed[0].strains == (0.5, 1.0, 1.5, 2.0)
+    assert evaluate(scattered[0], at)[0] == pytest.approx(eq14(1.0)[0], rel=0.01)
+    assert evaluate(scattered[0], at)[1] > 1.5 * evaluate(agreed[0], at)[1]
+
+
+def test_a_laws_interval_covers_the_truth_when_runs_scatter_by_two_per_cent() -> None:
+    random = np.random.default_rng(3)
+    at, inside, total = np.linspace(0.5, 2.0, 5), 0, 0
+    for _ in range(150):
+        fits = []
+        for strain in (0.5, 0.8, 1.1, 1.4, 1.7, 2.0):
+            stiffer = 1 + 0.02 * random.standard_normal()
+            fits.append(made(strain, [one * stiffer * (1 + 0.003 * random.standard_normal()) for one in eq14(strain)]))
+        for law, published in zip(strain_laws(fits)[0], EQ14, strict=True):
+            value, error = evaluate(law, at)
+            inside += np.count_nonzero(np.abs(value - np.polyval(published, at)) < NORMAL_95 * error)
+            total += len(at)
+    assert 0.92 < inside / total < 0.995
+
+
+def test_laws_make_a_wall_unless_one_is_lacking_or_not_positive() -> None:
+    laws, _ = strain_laws([made(strain, eq14(strain)) for strain in TABLE1_STRAIN])
+    assert pytest.approx(EQ14[0]) == wall_polynomials(laws).E1
+    with pytest.raises(AnalysisError, match="eta1"):
+        wall_polynomials([law for law in laws if law.element != "eta1"])
+    dipping = [made(strain, [*eq14(strain)[:4], 0.5 * (strain - 1.2) ** 2 - 0.05]) for strain in (0.5, 0.8, 1.6, 2.0)]
+    with pytest.raises(AnalysisError, match="eta2 is not positive"):
+        wall_polynomials(strain_laws(dipping)[0])
+
+
+def test_identified_saved_and_simulated_again_the_same_elements_come_back(tmp_path: Path) -> None:
+    common = ["rig.sampling.rate_hz=500", "rig.simulated.variation.run_stiffness=0"]
+    dragrig.simulate("relaxation", out=tmp_path / "first", assignments=[*common, "model.wall='table1'"])
+    selection = select(tmp_path / "first")
+    first = identify_relaxation(selection)
+    model = FrictionModelSettings(wall="polynomial", wall_polynomials=wall_polynomials(first.laws))
+    (tmp_path / "own.toml").write_text(to_toml(model), encoding="utf-8")
+    dragrig.simulate(
+        "relaxation", out=tmp_path / "again", model=tmp_path / "own.toml",
+        assignments=[*common, "rig.simulated.seed=11"],
+    )  # fmt: skip
+    again = identify_relaxation(select(tmp_path / "again"))
+    for one, other in zip(first.fits, again.fits, strict=True):
+        values = [element.value for element in one.elements]
+        assert [element.value for element in other.elements] == pytest.approx(values, rel=0.02)
+    for one, other in zip(first.laws, again.laws, strict=True):
+        at = np.linspace(0.5, 2.0, 7)
+        assert evaluate(other, at)[0] == pytest.approx(evaluate(one, at)[0], rel=0.02)
+    relaxation_fit_figure(first, selection).savefig(tmp_path / "picture.png", dpi=30)
+    words = [text.get_text() for axes in relaxation_fit_figure(first, selection).axes for text in axes.texts]
+    assert sum("five suffice" in word for word in words) >= 3

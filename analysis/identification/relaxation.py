@@ -78,15 +78,6 @@ def fit_run(experiment: Experiment, noise: SensorNoise) -> RelaxationFit:
     )
 
 
-def predicted_force(fit: RelaxationFit, experiment: Experiment, time_s: FloatArray) -> FloatArray:
-    """Force [mN] that a fit predicts at times of its run, zero included; `AnalysisError` where it has no numbers."""
-    if not fit.elements or fit.zero.value is None:
-        raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
-    E1, E2, E3, eta1, eta2 = (one.value for one in fit.elements)
-    times, moduli = np.array([eta1 / E1, eta2 / E2]), np.array([E1, E2])
-    return fit.zero.value + ShearRecord.of(experiment).forces_at(times, moduli, E3, time_s)
-
-
 def _quantities(names: Iterable[tuple[str, str]], logs: FloatArray, errors: FloatArray) -> tuple[Quantity, ...]:
     return tuple(
         Quantity(
@@ -113,7 +104,7 @@ def _unsupported(record: ShearRecord, fit: BranchFit, errors: FloatArray) -> str
     name = ELEMENTS[worst][0]
     left = fit.chi2 / max(fit.degrees, 1)
     if left > POOR_FIT:
-        return f"a spring and two Maxwell branches do not describe its force (χ² per degree {left:.3g})"
+        return f"a spring and two Maxwell branches do not describe its force (χ² per degree {left:.0f})"
     told = f"it leaves {name} uncertain by a factor of {np.exp(min(NORMAL_95 * errors[worst], 9.0)):.2g}"
     return f"{told}: {_why(record, fit)}"
 

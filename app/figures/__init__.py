@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from dragrig.figures.coulomb import coulomb_figure
     from dragrig.figures.model import forces_figure, skew_figure
     from dragrig.figures.overview import comparison_overview
+    from dragrig.figures.relaxation_fit import relaxation_fit_figure
     from dragrig.figures.run import run_figure
     from dragrig.figures.saving import save, save_in
     from dragrig.figures.steady import drag_figure
@@ -21,6 +22,7 @@ __all__ = [
     "coulomb_figure",
     "drag_figure",
     "forces_figure",
+    "relaxation_fit_figure",
     "run_figure",
     "save",
     "save_in",
@@ -35,6 +37,7 @@ _HOME = {
     "coulomb_figure": "coulomb",
     "drag_figure": "steady",
     "forces_figure": "model",
+    "relaxation_fit_figure": "relaxation_fit",
     "run_figure": "run",
     "save": "saving",
     "save_in": "saving",
