@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +14,9 @@ from dragrig.analysis.identification.maxwell.noise import SensorNoise, estimate_
 from dragrig.analysis.identification.maxwell.residuals import predicted_force
 from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import RelaxationFit
-from dragrig.analysis.identification.selection import Selection, select
+from dragrig.analysis.identification.selection import Selection, select, select_from
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.friction.measured import measured_pieces
 from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN
 
 ELEMENTS = (3.0, 1.2, 1.1, 0.075, 0.5)
@@ -49,10 +47,10 @@ def test_table_1_comes_back_within_intervals_that_are_narrow_enough() -> None:
     assert 104 <= inside <= total
 
 
-def test_a_simulated_campaign_gives_the_elements_it_was_made_of(tmp_path: Path) -> None:
+def test_a_simulated_campaign_gives_the_elements_it_was_made_of() -> None:
     settings = ["rig.sampling.rate_hz=500", "model.wall='table1'", "rig.simulated.variation.run_stiffness=0"]
-    dragrig.simulate("relaxation", out=tmp_path / "made", assignments=[*settings, "model.e2_scale=1.2"])
-    relaxation_found = identify_relaxation(select(tmp_path / "made"))
+    runs = dragrig.simulate("relaxation", assignments=[*settings, "model.e2_scale=1.2"])
+    relaxation_found = identify_relaxation(select_from(runs))
     assert len(relaxation_found.fits) == 4
     for fit in relaxation_found.fits:
         wall = dragrig.sim_backend.friction.wall_parameters("table1", fit.shear_strain)
@@ -136,9 +134,9 @@ def test_a_ramp_taken_as_measured_keeps_its_corners() -> None:
     run = relaxation()
     one = Experiment(run)
     position = np.asarray(run.trace.position)
-    pieces = measured_pieces(one.motion, one.time_s, position)
-    assert np.interp(one.time_s, pieces.start_s, pieces.position_mm) == pytest.approx(position, abs=0.0016)
-    assert pieces.start_s.size < 200
+    assert one.followed.position(one.time_s) == pytest.approx(position, abs=0.0016)
+    assert np.abs(one.motion.position(one.time_s) - position).max() > 0.01
+    assert one.followed.breaks_s.size < 200
 
 
 def test_gaps_and_lost_samples_are_left_out() -> None:

@@ -11,7 +11,7 @@ import dragrig
 from dragrig.analysis.estimates import NORMAL_95
 from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import Quantity, RelaxationFit
-from dragrig.analysis.identification.selection import select
+from dragrig.analysis.identification.selection import select_from
 from dragrig.analysis.identification.strain_law import evaluate, strain_laws, wall_polynomials
 from dragrig.cli.lazy import group
 from dragrig.config.errors import AnalysisError, SettingsError
@@ -169,22 +169,18 @@ def test_laws_make_a_wall_unless_one_is_lacking_or_not_positive() -> None:
 
 def test_identified_saved_and_simulated_again_the_same_elements_come_back(tmp_path: Path) -> None:
     common = ["rig.sampling.rate_hz=500", "rig.simulated.variation.run_stiffness=0"]
-    dragrig.simulate("relaxation", out=tmp_path / "first", assignments=[*common, "model.wall='table1'"])
-    selection = select(tmp_path / "first")
+    selection = select_from(dragrig.simulate("relaxation", assignments=[*common, "model.wall='table1'"]))
     first = identify_relaxation(selection)
     model = FrictionModelSettings(wall="polynomial", wall_polynomials=wall_polynomials(first.laws))
-    (tmp_path / "own.toml").write_text(to_toml(model), encoding="utf-8")
-    dragrig.simulate(
-        "relaxation", out=tmp_path / "again", model=tmp_path / "own.toml",
-        assignments=[*common, "rig.simulated.seed=11"],
-    )  # fmt: skip
-    again = identify_relaxation(select(tmp_path / "again"))
+    file = tmp_path / "own.toml"
+    file.write_text(to_toml(model), encoding="utf-8")
+    runs = dragrig.simulate("relaxation", model=file, assignments=[*common, "rig.simulated.seed=11"])
+    again = identify_relaxation(select_from(runs))
     for one, other in zip(first.fits, again.fits, strict=True):
         values = [element.value for element in one.elements]
         assert [element.value for element in other.elements] == pytest.approx(values, rel=0.02)
     for one, other in zip(first.laws, again.laws, strict=True):
         at = np.linspace(0.5, 2.0, 7)
         assert evaluate(other, at)[0] == pytest.approx(evaluate(one, at)[0], rel=0.02)
-    relaxation_fit_figure(first, selection).savefig(tmp_path / "picture.png", dpi=30)
     words = [text.get_text() for axes in relaxation_fit_figure(first, selection).axes for text in axes.texts]
     assert sum("five suffice" in word for word in words) >= 3

@@ -14,14 +14,13 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.protocols import kinds
 from dragrig.rig.runfile.model import Attribute, Run
+from dragrig.sim_backend.friction.measured import measured_motion
 from dragrig.sim_backend.friction.motion import ProfileMotion
 from dragrig.sim_backend.friction.recorded import RecordedMotion
 
 USUAL_DWELL_S = 60.0
 """Age of the contact at the first sample where a run does not say (the paper's programme)."""
 USUAL_WALL_MM = 2.5
-AROUND_S = 0.05
-"""So long before and after a motion its samples are still followed one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +63,9 @@ class Experiment:
 
         For what depends on the position and not on the sign of the speed; its velocity is as rough as the encoder.
         """
-        return _unsmoothed(self.time_s, np.asarray(self.run.trace.position, dtype=np.float64), self.motion)
+        position = np.asarray(self.run.trace.position, dtype=np.float64)
+        seen = np.isfinite(position)
+        return measured_motion(self.motion, self.time_s[seen], position[seen])
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Measured position [mm], smoothed."""
@@ -130,22 +131,6 @@ class Experiment:
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
-
-
-def _unsmoothed(time_s: FloatArray, position_mm: FloatArray, motion: RecordedMotion) -> ProfileMotion:
-    moving = np.zeros(len(time_s), dtype=np.bool_)
-    for begin, end, sign in zip(motion.breaks_s[:-1], motion.breaks_s[1:], motion.signs, strict=True):
-        if sign:
-            moving |= (time_s >= begin - AROUND_S) & (time_s <= end + AROUND_S)
-    edges = moving.copy()
-    edges[[0, -1]] = True
-    knots = np.flatnonzero(edges & np.isfinite(position_mm))
-    time, position = time_s[knots], position_mm[knots]
-    slope = np.diff(position) / np.diff(time)
-    signs = np.sign(slope).astype(np.int8)
-    return ProfileMotion(
-        time, signs, np.ones(len(slope), np.bool_), position[:-1] - position[0], slope, np.zeros(len(slope))
-    )
 
 
 def _number(value: Attribute | None) -> float | None:

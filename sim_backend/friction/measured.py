@@ -7,15 +7,15 @@ the smoothing that a velocity needs rounds the corners of a ramp off by 20 µm, 
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.motion import Pieces
+from dragrig.sim_backend.friction.motion import ProfileMotion
 from dragrig.sim_backend.friction.recorded import RecordedMotion
 
 MOST_KNOTS = 4000
 """A longer way is averaged down to about as many knots."""
 
 
-def measured_pieces(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> Pieces:
-    """Return a measured motion as pieces of constant velocity, still where it rests.
+def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
+    """Return a measured motion of constant velocity from sample to sample, still where it rests.
 
     Parameters
     ----------
@@ -36,8 +36,15 @@ def measured_pieces(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
         times.append(time[later])
         positions.append(position[later])
     time, position = np.concatenate(times), np.concatenate(positions)
-    velocity = np.append(np.diff(position) / np.diff(time), 0.0)
-    return Pieces(time, position - position[0], velocity, np.zeros_like(velocity))
+    velocity = np.diff(position) / np.diff(time)
+    return ProfileMotion(
+        breaks_s=time,
+        signs=np.sign(velocity).astype(np.int8),
+        uniform=np.ones(velocity.size, dtype=np.bool_),
+        start_mm=position[:-1] - position[0],
+        velocity_mm_s=velocity,
+        acceleration_mm_s2=np.zeros_like(velocity),
+    )
 
 
 def _thinned(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,6 @@ from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.sim_backend.friction.maxwell import MaxwellBranches, strain_at
-from dragrig.sim_backend.friction.measured import measured_pieces
 from dragrig.sim_backend.friction.motion import Pieces
 
 LEAST_PEAK = 0.5
@@ -56,14 +55,12 @@ class ShearRecord:
             raise AnalysisError(f"{experiment.file}: it has no ramp, the position stays where it is")
         ramp = float(turns[0]), float(turns[-1])
         hold_s = _held(experiment, ramp)
-        seen = np.isfinite(experiment.run.trace.position)
-        position = np.asarray(experiment.run.trace.position, dtype=np.float64)[seen]
         return cls(
             file=experiment.file,
             shear_strain=experiment.shear_strain,
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
-            pieces=measured_pieces(experiment.motion, experiment.time_s[seen], position),
+            pieces=experiment.followed.pieces(),
             blocks=divide(experiment, turns),
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
