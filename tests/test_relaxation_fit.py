@@ -10,7 +10,8 @@ from relaxations import relaxation, selected
 from runfiles import PRACTICE
 
 import dragrig
-from dragrig.analysis.identification.maxwell.noise import SensorNoise, estimate_noise
+from dragrig.analysis.identification.joint.noise import Noise
+from dragrig.analysis.identification.maxwell.noise import USUAL, estimate_noise
 from dragrig.analysis.identification.maxwell.residuals import predicted_force
 from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import RelaxationFit
@@ -89,14 +90,14 @@ def test_slow_noise_of_the_sensor_widens_the_intervals_as_it_must() -> None:
 def test_noise_levels_are_estimated_and_short_records_fall_back_on_the_usual() -> None:
     runs = [Experiment(relaxation(seed=seed, slow_mN=1.0, correlation_s=0.4)) for seed in range(4)]
     noise = estimate_noise(runs)
-    assert noise.white_mN == pytest.approx(1.5, rel=0.03)
-    assert noise.slow_mN == pytest.approx(1.0, rel=0.25)
+    assert noise.white == pytest.approx(1.5, rel=0.03)
+    assert noise.slow == pytest.approx(1.0, rel=0.25)
     assert noise.correlation_s == pytest.approx(0.4, rel=0.5)
-    assert estimate_noise([Experiment(relaxation(rest_s=0.05, hold_s=0.1))]) == SensorNoise()
+    assert estimate_noise([Experiment(relaxation(rest_s=0.05, hold_s=0.1))]) == USUAL
 
 
 def test_block_means_have_the_covariance_of_the_noise() -> None:
-    noise = SensorNoise(1.5, 0.7, 0.05)
+    noise = Noise(1.5, 0.7, 0.05, 0)
     edges = np.array([0.0, 0.01, 0.03, 0.1, 0.4])
     exact = noise.covariance(edges[:-1], edges[1:], np.diff(edges) * 1000)
     time = (np.arange(400) + 0.5) / 1000

@@ -5,8 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from dragrig.analysis.estimates import NORMAL_95, Estimate
+from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.fit import BranchFit, Whitened, fit_two
-from dragrig.analysis.identification.maxwell.noise import SensorNoise, estimate_noise
+from dragrig.analysis.identification.maxwell.noise import estimate_noise
 from dragrig.analysis.identification.maxwell.record import ShearRecord
 from dragrig.analysis.identification.maxwell.third import five_or_more
 from dragrig.analysis.identification.results import Quantity, Relaxation, RelaxationFit
@@ -45,7 +46,7 @@ def identify_relaxation(selection: Selection) -> Relaxation:
     return Relaxation(fits, laws, remarks)
 
 
-def fit_run(experiment: Experiment, noise: SensorNoise) -> RelaxationFit:
+def fit_run(experiment: Experiment, noise: Noise) -> RelaxationFit:
     """Identify the five elements of one run; what it does not support is missing, and nothing is raised."""
     try:
         record = ShearRecord.of(experiment)

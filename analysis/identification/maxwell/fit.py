@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from dragrig.analysis.identification.maxwell.noise import SensorNoise
+from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.record import ShearRecord
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
@@ -33,7 +33,7 @@ class Whitened:
     """Lower triangle of Cholesky of the block means' covariance."""
 
     @classmethod
-    def of(cls, record: ShearRecord, noise: SensorNoise) -> "Whitened":
+    def of(cls, record: ShearRecord, noise: Noise) -> "Whitened":
         """Whiten with the sensor's noise."""
         blocks = record.blocks
         covariance = noise.covariance(blocks.begin_s, blocks.end_s, blocks.samples)

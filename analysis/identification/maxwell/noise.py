@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dragrig.analysis.identification.joint.noise import SLOW_SHARE, USUAL_CORRELATION_S, Noise
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.phases import in_phase
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
-USUAL_WHITE_MN, USUAL_SLOW_SHARE, USUAL_CORRELATION_S = 2.0, 1 / 3, 0.2
-"""Levels where no record shows any, at the upper end of what such sensors have."""
+USUAL_WHITE_MN = 2.0
+"""White noise where no record shows any, at the upper end of what such sensors have."""
 SHARE_SPREAD, CORRELATION_SPREAD = 0.7, 1.0
 """Standard deviations of the logarithms of slow over white noise, and of the correlation time, beforehand."""
 FEWEST_SAMPLES = 64
@@ -28,22 +29,7 @@ LEAST_WHITE_MN = 0.02
 BINS = 48
 
 
-@dataclass(frozen=True, slots=True)
-class SensorNoise:
-    """White noise of standard deviation `white_mN` per sample, and slow noise with its correlation time."""
-
-    white_mN: float = USUAL_WHITE_MN
-    slow_mN: float = USUAL_WHITE_MN * USUAL_SLOW_SHARE
-    correlation_s: float = USUAL_CORRELATION_S
-
-    def covariance(self, begin_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
-        """Covariance of means over consecutive blocks, shape `(n, n)` [mN²]."""
-        length = np.maximum(end_s - begin_s, 1e-9) / self.correlation_s
-        reach = -np.expm1(-length) / length
-        apart = np.abs(np.maximum(begin_s[:, None], begin_s) - np.minimum(end_s[:, None], end_s)) / self.correlation_s
-        slow = np.exp(-apart) * reach[:, None] * reach
-        np.fill_diagonal(slow, 2 * (1 - reach) / length)
-        return np.asarray(self.slow_mN**2 * slow + np.diag(self.white_mN**2 / samples))
+USUAL = Noise(USUAL_WHITE_MN, SLOW_SHARE * USUAL_WHITE_MN, USUAL_CORRELATION_S, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,16 +42,16 @@ class _Spectrum:
     cosine: FloatArray
 
 
-def estimate_noise(experiments: Iterable[Experiment]) -> SensorNoise:
+def estimate_noise(experiments: Iterable[Experiment]) -> Noise:
     """Estimate the noise that relaxation runs share; the usual one where none of them stands still."""
     from scipy.optimize import minimize
 
     spectra = [one for experiment in experiments for one in _spectra(experiment)]
     if not spectra:
-        return SensorNoise()
+        return USUAL
     highest = sum(float(one.power[-8:] @ one.count[-8:]) for one in spectra)
     white = 0.5 * np.log(max(highest / sum(float(one.count[-8:].sum()) for one in spectra), LEAST_WHITE_MN**2))
-    start = np.array([white, np.log(USUAL_SLOW_SHARE), np.log(USUAL_CORRELATION_S)])
+    start = np.array([white, np.log(SLOW_SHARE), np.log(USUAL_CORRELATION_S)])
 
     def lacking(logs: FloatArray) -> float:
         share = (logs[1] - start[1]) / SHARE_SPREAD
@@ -78,7 +64,7 @@ def estimate_noise(experiments: Iterable[Experiment]) -> SensorNoise:
     )
     level, share, correlation = np.exp(found.x)
     level = max(float(level), LEAST_WHITE_MN)
-    return SensorNoise(level, level * float(share), float(correlation))
+    return Noise(level, level * float(share), float(correlation), int(sum(one.count.sum() for one in spectra)))
 
 
 def _misfit(spectrum: _Spectrum, values: FloatArray) -> float:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.fit import Whitened
-from dragrig.analysis.identification.maxwell.noise import SensorNoise
 from dragrig.analysis.identification.maxwell.record import ShearRecord
 from dragrig.analysis.identification.results import RelaxationFit
 from dragrig.analysis.nominal.experiment import Experiment
@@ -34,7 +34,7 @@ class RunResiduals:
     predicted_mN: FloatArray
 
 
-def residuals(fit: RelaxationFit, experiment: Experiment, noise: SensorNoise, points: int = 400) -> RunResiduals:
+def residuals(fit: RelaxationFit, experiment: Experiment, noise: Noise, points: int = 400) -> RunResiduals:
     """Evaluate a fit beside its run; `AnalysisError` where it has no numbers."""
     record = ShearRecord.of(experiment)
     moduli, times, spring, zero = _values(fit)
