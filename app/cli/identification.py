@@ -1,0 +1,154 @@
+"""What an identification says, as text for a terminal."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import sqrt
+
+from dragrig.analysis.estimates import Estimate
+from dragrig.analysis.identification.results import Identification, Identified, JointFit, LeftOut, RunResidual
+from dragrig.cli.identification_parts import coulomb_text, drag_text, relaxation_text
+from dragrig.cli.precision import between, chance, interval_of, to_error, unit_of, with_error
+from dragrig.cli.wording import columns, number
+
+HARDLY = 0.1
+"""A parameter of whose prior the runs took away a smaller share is hardly known better than before."""
+STANDS_OUT = 4.0
+"""Standard deviations of χ² above which a run is pointed out."""
+LIKELY = 1e-3
+"""A fit whose χ² has a smaller chance leaves something unexplained."""
+MISSING = {
+    "joint": "Joint fit: none.",
+    "relaxation": "Relaxation: not identified.",
+    "coulomb": "Coulomb friction: not identified.",
+    "drag": "Drag: not identified.",
+}
+
+
+def identification_text(identification: Identification) -> str:
+    """Return all that an identification says: the joint fit, each kind of run by itself, and what was left out."""
+    parts = [
+        _heading(identification),
+        joint_text(identification.joint) if identification.joint is not None else MISSING["joint"],
+        relaxation_text(identification.relaxation) if identification.relaxation is not None else MISSING["relaxation"],
+        coulomb_text(identification.coulomb) if identification.coulomb is not None else MISSING["coulomb"],
+        drag_text(identification.drag) if identification.drag is not None else MISSING["drag"],
+        left_out_text(identification.left_out),
+        "\n".join(f"! {remark}" for remark in identification.remarks),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def joint_text(fit: JointFit) -> str:
+    """Return the joint fit: parameters, their products, what cannot be told apart, and how each run is left."""
+    lines = [_verdict(fit), "", _parameters(fit.parameters)]
+    if fit.combinations:
+        rows = [
+            (
+                one.name,
+                to_error(one.value, one.standard_error),
+                interval_of(one),
+                _percent(one.half_width),
+                unit_of(one.unit),
+            )
+            for one in fit.combinations
+        ]
+        lines += ["", "What these combine to", columns(("", "value", "95 % interval", "±", ""), rows)]
+    told = [*_words(fit), *fit.remarks]
+    lines += ["", *(f"! {one}" for one in told)] if told else []
+    if fit.runs:
+        lines += ["", _runs(fit.runs)]
+    return "\n".join(lines)
+
+
+def left_out_text(left_out: Sequence[LeftOut]) -> str:
+    """Return what is not used, and why; empty where nothing was left out."""
+    if not left_out:
+        return ""
+    return "Left out\n" + columns(("what", "why"), [(one.what, one.reason) for one in left_out])
+
+
+def _heading(identification: Identification) -> str:
+    used, all_runs = len(identification.used), len(identification.used) + len(identification.left_out)
+    runs = f"{used} run{'' if used == 1 else 's'}" if used == all_runs else f"{used} of {all_runs} runs"
+    return f"Specimen {identification.specimen}: {runs} used. Intervals hold 95 %; ± in columns is a standard error."
+
+
+def _verdict(fit: JointFit) -> str:
+    if not fit.converged:
+        return f"Joint fit of the {fit.nominal} model: did NOT converge in {fit.steps} steps, no interval below holds."
+    per_degree = (
+        f"χ² is {fit.chi2 / fit.degrees:.3g} per degree of freedom ({fit.degrees})"
+        if fit.degrees
+        else "no degree of freedom"
+    )
+    beginning = f"Joint fit of the {fit.nominal} model, {fit.steps} steps: {per_degree}, {chance(fit.p_value)}"
+    if fit.p_value < LIKELY:
+        return f"{beginning}: the model leaves something unexplained, so that the intervals may be too narrow."
+    return f"{beginning}."
+
+
+def _parameters(parameters: Sequence[Identified]) -> str:
+    rows = [
+        (
+            one.name,
+            to_error(one.value, one.standard_error),
+            unit_of(one.unit),
+            interval_of(one),
+            between(one.prior, one.standard_error),
+            f"{100 * one.learnt:.0f} %",
+            one.meaning,
+        )
+        for one in parameters
+    ]
+    return columns(("parameter", "value", "", "95 % interval", "before the runs", "learnt", "what it is"), rows)
+
+
+def _words(fit: JointFit) -> Iterator[str]:
+    unknown = [one.name for one in fit.parameters if one.learnt < HARDLY]
+    if unknown:
+        yield f"the runs say next to nothing of {_listed(unknown)}: what stands there is what was known before"
+    strange = [one.name for one in fit.parameters if not one.prior[0] <= one.value <= one.prior[1]]
+    if strange:
+        yield (
+            f"{_listed(strange)} lies outside of what was expected before the runs"
+            if len(strange) == 1
+            else (f"{_listed(strange)} lie outside of what was expected before the runs")
+        )
+    odd = [one.file for one in fit.runs if _stands_out(one)]
+    if odd:
+        yield f"the model leaves more than noise in {_listed(odd)}"
+
+
+def _runs(runs: Sequence[RunResidual]) -> str:
+    names = list(dict.fromkeys(name for run in runs for name in run.factors))
+    header = ("run", "kind", "channel", "χ²", "", "rms mN", "zero mN", "±", *(f"{name} ×" for name in names))
+    return columns(header, [_run(run, names) for run in runs])
+
+
+def _run(run: RunResidual, names: Sequence[str]) -> tuple[str, ...]:
+    return (
+        run.file,
+        run.kind,
+        run.channel,
+        f"{run.chi2:.2f}",
+        "!" if _stands_out(run) else "",
+        f"{run.rms_mN:.2f}",
+        *with_error(run.zero),
+        *_factors(run.factors, names),
+    )
+
+
+def _factors(factors: Mapping[str, Estimate], names: Sequence[str]) -> tuple[str, ...]:
+    found = (factors.get(name) for name in names)
+    return tuple("" if one is None or one.value is None else f"{one.value:.3f}" for one in found)
+
+
+def _stands_out(run: RunResidual) -> bool:
+    return run.blocks > 0 and run.chi2 > 1 + STANDS_OUT * sqrt(2 / run.blocks)
+
+
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 2)} %" if share < 10 else ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
