@@ -17,6 +17,7 @@ from dragrig.analysis.identification.selection import select
 from dragrig.analysis.identification.sliding import sliding
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.specimen import Fixture
+from dragrig.figures import coulomb_figure
 from dragrig.rig.runfile.model import Run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -90,6 +91,19 @@ def test_a_run_backward_says_the_same() -> None:
     assert backward.mu.value is not None
     assert backward.force.value == pytest.approx(forward.force.value, abs=4)
     assert found.mu.value == pytest.approx((forward.mu.value + backward.mu.value) / 2, rel=0.02)
+
+
+@pytest.mark.parametrize("travel_mm", [20.0, -20.0])
+def test_the_picture_shows_the_trace_from_zero_and_its_mean(travel_mm: float) -> None:
+    run = slid("coulomb", 5.0, 4, travel_mm=travel_mm, zero_mN=9.0)
+    (found,) = identify_coulomb(selected([run]), PAPER).runs
+    (axes,) = (one for one in coulomb_figure(run, found, 40.07).axes if one.get_ylabel())
+    levels = [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2]
+    means = [float(level[0]) for level in levels if level[0] == level[1]]
+    assert any(mean == pytest.approx(np.copysign(found.force.value or 0, travel_mm), abs=0.05) for mean in means)
+    texts = [text.get_text() for text in axes.texts]
+    assert any("mean" in text and "μ = 0.08" in text for text in texts)
+    assert any("40.07" in text for text in texts)
 
 
 def test_what_a_run_does_not_support_has_a_reason() -> None:

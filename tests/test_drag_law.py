@@ -8,6 +8,7 @@ import pytest
 from friction_cases import SMOOTH
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from sliding_runs import PAPER, selected, slid, with_capsule, with_force, without_rest
 
 import dragrig
@@ -21,6 +22,7 @@ from dragrig.analysis.identification.selection import Selection, select, select_
 from dragrig.analysis.identification.speed_law import log_law
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
+from dragrig.figures import drag_figure
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.devices.variation import draw_specimen
@@ -280,6 +282,31 @@ def test_a_wall_that_lifts_off_above_15_mm_s_is_found() -> None:
     assert "lower" in found.boundary.sentence
     estimated = [one for one in found.determination if "estimated" in one.band]
     assert len(estimated) == 2
+
+
+def words(figure: Figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(lambda one: hasattr(one, "get_text")))
+
+
+def test_the_picture_shows_the_parts_the_law_and_the_boundary() -> None:
+    there = [lifted(slid("drag", speed, 10), speed) for speed in FAST]
+    back = [slid("drag", speed, 11, travel_mm=-40.0) for speed in (10.0, 20.0)]
+    found = identify_drag(selected([*there, *back]), PAPER)
+    assert found.boundary is not None
+    figure = drag_figure(found, PAPER, SMOOTH, 2.5, boundary_mm_s=20.0, accuracy_mN=5.0)
+    above, below = figure.axes[0], figure.axes[1]
+    for axes in (above, below):
+        lines = [line.get_xdata() for line in axes.lines]
+        assert any(len(x) == 2 and x[0] == x[1] == found.boundary.speed_mm_s for x in map(np.asarray, lines))
+    shown = words(figure)
+    for text in ("Coulomb", "environmental", "viscous", "law of ln v", "measured", "the paper's boundary"):
+        assert text in shown
+    assert f"{found.boundary.speed_mm_s:.3g} mm/s (" in shown
+    dots = [line for line in above.lines if line.get_marker() == "o"]
+    assert sum(line.get_markerfacecolor() == "white" for line in dots) == 2
+    assert all(np.asarray(line.get_xdata())[0] > 0 for line in dots)
+    nothing = identify_drag(selected([slid("coulomb", 5.0)]), PAPER)
+    assert "model" in words(drag_figure(nothing, PAPER, SMOOTH, 2.5))
 
 
 def test_repeats_that_scatter_widely_widen_the_errors() -> None:

@@ -32,7 +32,7 @@ def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None 
     gap = gap_after(shown.trace.time, shown.trace.sample_rate_hz)
     level = steady_level(shown)
     if level is not None and found is not None and found.force.value is not None:
-        level = replace(level, text=f"mean {with_error(found.force.value, found.force.standard_error)} mN")
+        level = replace(level, text=f"mean {with_error(found.force.value, found.force.standard_error)} mN{_mu(found)}")
     panel = force_panel(shown, filtered_of(shown), gap, steady=level)
     if printed_mN is not None:
         ends, printed = shown.trace.time[[0, -1]], np.full(2, printed_mN)
@@ -46,10 +46,14 @@ def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None 
         return figure
 
 
+def _mu(found: CoulombRun) -> str:
+    return "" if found.mu.value is None else f", μ = {with_error(found.mu.value, found.mu.standard_error)}"
+
+
 def _zeroed(run: Run, found: CoulombRun | None) -> Run:
     level = steady_level(run)
     if found is None or found.force.value is None or level is None:
         return run
-    zero = level.force_mN - found.force.value
+    zero = level.force_mN - float(np.copysign(found.force.value, found.speed_mm_s))
     channels = {**run.trace.channels, run.trace.signal: np.asarray(run.trace.force, dtype=np.float64) - zero}
     return replace(run, trace=replace(run.trace, channels=channels), filtered=None)
