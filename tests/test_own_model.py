@@ -9,6 +9,7 @@ import pytest
 from runfiles import header
 from simulated import stroke
 
+import dragrig
 from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.selection import select
 from dragrig.analysis.nominal.catalogue import find_model, names
@@ -71,6 +72,54 @@ def test_the_pages_model_is_identified(plates: Path, tmp_path: Path) -> None:
         assert one.standard_error < 0.25 * one.value
     assert 0.7 < fit.chi2 / fit.degrees < 1.3
     assert model.document(fit.values) == {"nominal": "plate", "parameters": dict(fit.values)}
+
+
+def test_a_model_without_scatter_between_runs_says_that_there_is_some(plates: Path, tmp_path: Path) -> None:
+    code = code_on_the_page().replace("    run_to_run = 0.02\n", "")
+    fit = fit_jointly(select(plates), find_model(str(own_file(tmp_path, code))))
+    assert fit.chi2 > 2 * fit.degrees
+    assert any("the model plate leaves" in remark for remark in fit.remarks)
+
+
+COGGING = """
+import numpy as np
+from scipy.signal import savgol_filter
+
+from dragrig.analysis.nominal.own import ChannelModel, Parameter
+
+class Cogging(ChannelModel):
+    name = "cogging"
+    channel = "motor_force"
+    zero_sd_mN = 0.0
+    follows_s = 0.002
+    parameters = tuple(
+        Parameter(name, unit, 0.0, 300.0, positive=False)
+        for name, unit in (("inertia", "mA s2/rad"), ("mean", "mA"), ("cosine", "mA"), ("sine", "mA"))
+    )
+
+    def predict(self, values, at):
+        trace = at.experiment.run.trace
+        angle = np.interp(at.time_s, trace.time - trace.time[0], trace.channels["Position"])
+        bent = savgol_filter(np.asarray(trace.channels["Position"], float), 9, 3, 2, 1e-3)
+        bent = np.interp(at.time_s, trace.time - trace.time[0], bent)
+        cogs = values["cosine"] * np.cos(72 * angle) + values["sine"] * np.sin(72 * angle)
+        return values["mean"] + values["inertia"] * bent + cogs
+
+MODEL = Cogging()
+"""
+
+
+def test_a_measured_motor_shows_its_72_cogs_a_turn(tmp_path: Path) -> None:
+    source = Path(__file__).parent / "data" / "foreign" / "cogging" / "speed_test.txt"
+    maps = {"time": "Time:s", "motor_force": "Iq:A*1000", "position": "Position:rad*1"}
+    dragrig.import_run(source, tmp_path, maps, resample_hz=1000.0, from_s=0.3, to_s=0.8)
+    selection = select(tmp_path)
+    fits = [fit_jointly(selection, find_model(str(own_file(tmp_path, code)))) for code in
+            (COGGING, COGGING.replace("72 *", "67 *"))]  # fmt: skip
+    amplitudes = [np.hypot(fit.values["cosine"], fit.values["sine"]) for fit in fits]
+    assert amplitudes[0] == pytest.approx(125, rel=0.1)
+    assert amplitudes[1] < 0.4 * amplitudes[0]
+    assert fits[0].chi2 < 0.5 * fits[1].chi2
 
 
 def test_a_model_sees_what_lies_beside_it_while_it_is_loaded(tmp_path: Path) -> None:

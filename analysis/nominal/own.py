@@ -6,6 +6,7 @@
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -64,11 +65,15 @@ class ChannelModel(NominalModel):
         Standard deviation of the sensor's unknown zero in every run; 0 where the zero is known.
     run_to_run
         Relative standard deviation by which the whole prediction differs between runs; 0 where it does not.
+    follows_s
+        Time over which the prediction runs straight even in steady motion; shorter than half a second only where
+        something changes quickly there, as cogging does.
     """
 
     channel: str = "force"
     zero_sd_mN: float = 5.0
     run_to_run: float = 0.0
+    follows_s: float = inf
 
     @abstractmethod
     def predict(self, values: Mapping[str, float], at: Moment) -> FloatArray:
@@ -104,7 +109,10 @@ class _MomentPredictor(Predictor):
 
     @property
     def events_s(self) -> FloatArray:
-        return self.motion.joints_s
+        begin, end = self.motion.joints_s[[0, -1]].tolist()
+        if not self.model.follows_s < end - begin:
+            return self.motion.joints_s
+        return np.union1d(self.motion.joints_s, np.arange(begin, end, self.model.follows_s))
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         total = self._total(values, time_s)

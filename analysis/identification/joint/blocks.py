@@ -44,7 +44,8 @@ class Blocks:
 
     def of(self, predicted: FloatArray) -> FloatArray:
         """Return block means of what was predicted at `nodes_s`, shape `(…, 2 B)` to `(…, B)`."""
-        return np.asarray(predicted.reshape(*predicted.shape[:-1], -1, len(GAUSS)).mean(axis=-1))
+        shape = (*predicted.shape[:-1], predicted.shape[-1] // len(GAUSS), len(GAUSS))
+        return np.asarray(predicted.reshape(shape).mean(axis=-1))
 
 
 def divide(experiment: Experiment, channel: str, events_s: FloatArray) -> Blocks:
