@@ -84,10 +84,9 @@ def _difference(
     if a.value is None or b.value is None:
         lacking = [f"{side}: {one.reason}" for side, one in (("A", a), ("B", b)) if one.value is None]
         return Difference(name, unit, a, b, zeros, spread=spread, reason="; ".join(lacking))
+    value = (b.value - zero_b) - (a.value - zero_a)
     errors = [one.standard_error for one in (*values, *(rests or ()))]
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
-        reason = "the error of one of them is not known"
-        return Difference(name, unit, a, b, zeros, (b.value - zero_b) - (a.value - zero_a), None, spread, reason)
-    noise = sqrt(sum(error**2 for error in known))
-    return Difference(name, unit, a, b, zeros, (b.value - zero_b) - (a.value - zero_a), noise, spread)
+        return Difference(name, unit, a, b, zeros, value, None, spread, "the error of one of them is not known")
+    return Difference(name, unit, a, b, zeros, value, sqrt(sum(error**2 for error in known)), spread)

@@ -56,7 +56,7 @@ def _judgement(comparison: Comparison) -> Iterator[str]:
 
 
 def _largest(groups: Sequence[GroupDifference]) -> Iterator[str]:
-    if groups and groups[0].verdict is Verdict.BEYOND:
+    if len(groups) > 1 and groups[0].verdict is Verdict.BEYOND:
         one = groups[0]
         yield (
             f"Clearest: {one.condition}, {one.measure} {one.a:.1f} against {one.b:.1f} mN, "

@@ -27,7 +27,7 @@ FORCE_IN, DIFFERENCE_IN, FOLLOWING_IN = 3.6, 2.0, 1.45
 GUTTER_IN = 1.25
 
 
-def comparison_figure(pair: Pair, names: tuple[str, str] = ("A", "B")) -> Figure:
+def comparison_figure(pair: Pair, names: tuple[str, str] = ("", "")) -> Figure:
     """Draw a pair of runs: forces raw and filtered, B − A below them with what equal runs may differ by, and position.
 
     A relaxation is drawn twice over: the whole of it, and its ramp magnified.
@@ -35,7 +35,7 @@ def comparison_figure(pair: Pair, names: tuple[str, str] = ("A", "B")) -> Figure
     Parameters
     ----------
     names
-        What the two sides are called.
+        What the two sides are called; nothing for runs that are told apart by their files alone.
 
     Raises
     ------
@@ -72,11 +72,11 @@ def comparison_figure(pair: Pair, names: tuple[str, str] = ("A", "B")) -> Figure
 
 def _write_header(figure: Figure, pair: Pair, names: tuple[str, str], trouble: str) -> None:
     condition = str(pair.condition)
-    parts = [f"A: {names[0]}, {pair.a.file}"]
-    if pair.b_is_model:
-        parts.append(f"B: {names[1]}, on the recorded motion")
-    else:
-        parts.append(f"B: {names[1]}, {pair.b.file}")
+    a, b = (
+        ", ".join(dict.fromkeys(part for part in (name, file) if part))
+        for name, file in zip(names, (pair.a.file, pair.b.file), strict=True)
+    )
+    parts = [f"A: {a}", f"B: {names[1] or 'model'}, on the recorded motion" if pair.b_is_model else f"B: {b}"]
     if pair.shift_s is not None and not pair.b_is_model:
         parts.append(f"B shifted by {_shift(pair.shift_s)}")
     subtitle = fitting("  ·  ".join(parts), SMALL_PT, WIDTH_IN - LEFT_IN - RIGHT_IN)
