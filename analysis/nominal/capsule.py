@@ -41,7 +41,7 @@ VARIATIONS = (Variation("stiffness", 0.02), Variation("friction", 0.015))
 STEP = 1e-3
 """Relative step of a derivative by differences."""
 ANGLE_STEP_DEG = 0.2
-"""That of the angle: the force jumps where a bend of the motion comes to the equator, and when that is turns with it."""
+"""That of the angle: the force jumps where a bend of the motion comes to the equator, and when that is follows it."""
 TIMING_S = 0.005
 """So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
 RELAXED = 1e-9
