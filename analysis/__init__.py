@@ -8,6 +8,7 @@
 | `correlated_mean` | mean of correlated samples with an honest standard error |
 | `table` | a campaign as rows and as a data frame; means of repeated runs |
 | `comparison` | two campaigns, two runs, or a campaign and the friction model, side by side |
+| `paper` | the paper beside its own model: its numbers, and where they do not fit together |
 | `export` | runs to CSV, Parquet, MATLAB and NumPy files |
 | `importing` | measurements from elsewhere to run files |
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -160,7 +161,7 @@ class Made:
     """What one call of the command left, and what it printed."""
 
     folder: Path
-    printed: dict[str, object]
+    printed: dict[str, Any]
 
     @property
     def page(self) -> str:
@@ -186,6 +187,9 @@ def test_the_command_says_where_everything_is(made: Made) -> None:
     assert made.printed["report"] == str(made.folder / REPORT)
     assert made.printed["tables"] == [str(made.folder / f"{name}.csv") for name in TABLES]
     assert len(made.printed["findings"]) == len(findings())
+    identified = made.printed["identification"]
+    assert len(identified["relaxation"]["runs"]) == 4
+    assert len(identified["drag"]["speeds"]) == 11
 
 
 @pytest.mark.timeout(180)

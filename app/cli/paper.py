@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Folder for runs, report and tables.",
 )
-@click.option("--seed", metavar="N", type=click.IntRange(min=0, max=2**63 - 1), help="Seed of the simulated runs.")
+@click.option(
+    "--seed", metavar="N", type=click.IntRange(min=0), help="Seed of the simulated runs; 20120509 unless given."
+)
 @click.option(
     "--wall", type=click.Choice(["eq14", "table1"]), default="eq14", show_default=True, help="Wall parameters."
 )
@@ -57,13 +59,13 @@ def command(out: Path, seed: int | None, wall: "Wall", viscous: "Viscous", overw
 
 
 def _plain(made: "PaperReport") -> dict[str, object]:
+    from dragrig.identification_json import identification_table
+
     return {
         "folder": made.folder,
         "report": made.report,
         "tables": made.tables,
         "runs": made.runs,
-        "relaxation": made.identification.relaxation,
-        "coulomb": made.identification.coulomb,
-        "drag": made.identification.drag,
+        "identification": identification_table(made.identification),
         "findings": made.findings,
     }

@@ -10,7 +10,7 @@ from dragrig.analysis.identification.nominal_drag import Parts, Setup, parts
 from dragrig.analysis.identification.results import Boundary, Drag, LogLaw, SpeedPoint
 from dragrig.config.capsule import Capsule
 from dragrig.config.model import FrictionModelSettings
-from dragrig.figures.header import fitting, headline
+from dragrig.figures.header import fitting, headline, write_badge
 from dragrig.figures.labels import EndLabel, label_ends
 from dragrig.figures.model import described
 from dragrig.figures.panels import Place, add_panel, hide_time, label_y, plain_log_x
@@ -46,6 +46,7 @@ def drag_figure(
     wall_thickness_mm: float,
     boundary_mm_s: float | None = None,
     accuracy_mN: float | None = None,
+    backend: str = "",
 ) -> Figure:
     """Draw the measured drag with its 95 % intervals over the model's parts, and the law of ln v; below, what differs.
 
@@ -57,6 +58,8 @@ def drag_figure(
         A speed to mark besides, the paper's.
     accuracy_mN
         The sensor's accuracy, drawn as a band around no difference.
+    backend
+        Where the runs come from, said in the corner.
     """
     points = [one for one in drag.points if one.force.value is not None]
     speeds = [abs(one.speed_mm_s) for one in points] or [0.5, 60.0]
@@ -69,6 +72,8 @@ def drag_figure(
         headline(
             figure, LEFT_IN, "Drag against speed, measured and by the model", fitting(described(model), SMALL_PT, room)
         )
+        if backend:
+            write_badge(figure, backend)
         below = add_panel(figure, Place(LEFT_IN, FOOT_IN, WIDE_IN, LEFT_OVER_IN))
         above = add_panel(figure, Place(LEFT_IN, FOOT_IN + LEFT_OVER_IN + BETWEEN_IN, WIDE_IN, FORCE_IN), below)
         labels = _stacked(above, speed, curve)

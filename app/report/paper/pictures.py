@@ -34,12 +34,14 @@ def pictures(results: PaperResults) -> dict[str, Picture]:
         drawn["coulomb"] = embedded(
             coulomb_figure(results.coulomb_trace, results.coulomb, printed.COULOMB_FORCE_MN),
             "Force of the simulated Coulomb test against time, raw and filtered, with its mean and the printed one.",
-            "After the paper's Fig. 8: the simulated run, zero taken off. The dashed red line is the paper's mean.",
+            "After the paper's Fig. 8: the simulated run, zero taken off. The orange line is the paper's mean.",
         )
     drag = results.identification.drag
     if drag is not None:
         drawn["drag"] = embedded(
-            drag_figure(drag, model, capsule, thickness, printed.BOUNDARY_MM_S, printed.SENSOR_ACCURACY_MN),
+            drag_figure(
+                drag, model, capsule, thickness, printed.BOUNDARY_MM_S, printed.SENSOR_ACCURACY_MN, "simulated"
+            ),
             "Measured drag of the simulated runs with intervals against speed, the model's curve and the fitted "
             "logarithm; below, their differences.",
             "After the paper's Fig. 11: the model's curve, and simulated runs in place of the paper's measurements, "
