@@ -132,7 +132,7 @@ def test_of_campaigns_without_a_boundary_about_5_in_100_are_said_to_have_one() -
     none = next(one for one in found if one.speed_mm_s is None)
     assert none.interval is None
     assert "No boundary is supported" in none.sentence
-    assert "up to 5 in 100" in none.sentence
+    assert "about 5 in 100" in none.sentence
 
 
 def test_a_boundary_is_found_and_its_interval_holds_it() -> None:

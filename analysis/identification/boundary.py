@@ -4,6 +4,13 @@ The deviation of one from the other is taken to be errors, the freedom that a sp
 in ln v; or besides a hinge, the trend changing at the boundary. Boundaries are searched along a grid. A search
 finds something in any data, so that the improvement is judged by how often campaigns without a boundary, drawn
 from the same errors, improve as much under the same search.
+
+What sets in at a boundary may set in gradually, where a hinge bends at once. So the interval is never narrower than
+the two speeds measured next to the boundary. On simulated specimens at 9 or 11 speeds a hinge of 6, 12 and 30 mN for
+every factor e of speed is found in 55 to 80, 98 and 100 % of campaigns, and the interval holds it in 91 to 95, 95 to
+99 and 97 to 100 % of these; of a hinge of 3 mN, found in 20 %, in 64 to 88 %. Contact lost gradually above 15 mm/s,
+by 20 or 50 % of f_e in the end, is always found; the interval holds 15 mm/s in 77 to 83 and 96 to 99 %. Of campaigns
+without a boundary, 4 to 6 % are said to have one; fewer where the model was identified from the same runs.
 """
 
 from dataclasses import dataclass
@@ -95,11 +102,10 @@ def find_boundary(deviation: Deviation, what: str = "measurement and model") -> 
     chance = _chance(search, free, float(drop[best]) / left)
     if chance >= SIGNIFICANT:
         return Boundary(None, None, chance, _none_found(deviation, what, chance))
+    at = float(search.at_mm_s[best])
     inside = search.at_mm_s[drop[best] - drop <= PROFILE_95 * left]
-    interval = float(inside.min()), float(inside.max())
-    return Boundary(
-        float(search.at_mm_s[best]), interval, chance, _found(deviation, search, best, interval, chance, what)
-    )
+    interval = _no_finer_than(deviation.speed_mm_s, at, float(inside.min()), float(inside.max()))
+    return Boundary(at, interval, chance, _found(deviation, search, best, interval, chance, what))
 
 
 def _searched(deviation: Deviation) -> _Search:
@@ -110,6 +116,12 @@ def _searched(deviation: Deviation) -> _Search:
     unit = hinge @ whiten.T @ _without_trend(whiten, speed)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     return _Search(at, hinge, unit, whiten)
+
+
+def _no_finer_than(speed_mm_s: FloatArray, at_mm_s: float, low: float, high: float) -> tuple[float, float]:
+    """Widen an interval to the speeds next to the boundary."""
+    slower, faster = speed_mm_s[speed_mm_s <= at_mm_s], speed_mm_s[speed_mm_s >= at_mm_s]
+    return min(low, float(slower[-1])), max(high, float(faster[0]))
 
 
 def _without_trend(whiten: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
@@ -140,7 +152,7 @@ def _none_found(deviation: Deviation, what: str, chance: float) -> str:
         besides = f" Yet {what} differ (p {_spelt(alike)}), with no speed at which that begins."
     return (
         f"No boundary is supported: the difference between {what} bends no more than errors allow "
-        f"(p {_spelt(chance)} {_how()}); of campaigns without a boundary, up to 5 in 100 are said to have one.{besides}"
+        f"(p {_spelt(chance)} {_how()}); of campaigns without a boundary, about 5 in 100 are said to have one.{besides}"
     )
 
 

@@ -121,7 +121,7 @@ class CoulombRun:
     Attributes
     ----------
     force
-        Mean steady force of the filtered trace, zero taken off [mN].
+        Mean steady force of the filtered trace along the motion, zero taken off [mN]; a backward speed is negative.
     mu
         All of it ascribed to Coulomb friction, as the paper does.
     mu_without_viscous
@@ -152,7 +152,10 @@ class Coulomb:
 
 @dataclass(frozen=True, slots=True)
 class SpeedPoint:
-    """The steady drag at one speed, repeats averaged, beside the model's parts [mN]."""
+    """The steady drag at one speed, repeats averaged, beside the model's parts [mN].
+
+    Forces count along the motion, so that friction is positive both ways; a backward speed is negative.
+    """
 
     speed_mm_s: float
     runs: int
