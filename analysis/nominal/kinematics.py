@@ -15,7 +15,8 @@ from dragrig.analysis.nominal.velocity_chain import fit_velocity
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.recorded import JITTER_MM
 
-COUNT_MM = 2 / 3 * JITTER_MM
+STRETCH_MM = 4 / 3 * JITTER_MM
+"""A count at either end, by which a ramp may seem longer or shorter."""
 LONGEST_TIMING_S = 0.01
 """A joint of the slowest motion is known to this."""
 
@@ -50,12 +51,12 @@ class Kinematics:
     def acceleration_error(self, time_s: FloatArray) -> FloatArray:
         """Error [mm/s²] of the acceleration, one standard deviation, shape `(n,)`.
 
-        Half a count more or less moves both ends of a ramp, and all of its samples are wrong together; the error is
+        A count more or less moves the ends of a ramp, and all of its samples are wrong together; the error is
         widened so that samples which are taken for independent weigh no more than the ramp as a whole.
         """
         length, change = np.diff(self.joints_s), np.abs(np.diff(self.velocity_mm_s))
         fastest = np.maximum(np.abs(self.velocity_mm_s[1:]), np.abs(self.velocity_mm_s[:-1]))
-        stretched = COUNT_MM / np.maximum(fastest, 1e-9) / length
+        stretched = STRETCH_MM / np.maximum(fastest, 1e-9) / length
         error = change / length * np.minimum(stretched, 1.0) * np.sqrt(np.maximum(length / self.step_s, 1.0))
         return np.asarray(error[self._piece(time_s)])
 

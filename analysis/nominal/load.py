@@ -10,11 +10,11 @@ from dragrig.rig.devices import Contact
 
 CHANNEL = "force"
 BLANK, EXTERNAL = "blank", "external"
-SHARE = 0.2
+SHARE = 0.1
 """Window of the smoothing over the time since the motion last changed: forces change fast at first, then slowly."""
 LONGEST_S = 0.25
-SLOW_SHARE = 1 / 3
-"""Slow noise of the sensor over its white noise, which no window takes away."""
+SLOW_SHARE = 0.45
+"""Slow noise of the sensor over its white noise: a third, and more for it outlasts the windows."""
 GAUSSIAN = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
