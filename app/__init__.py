@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dragrig.api import (
         Campaign,
+        IdentifiedCampaign,
         Made,
         Run,
         calibrate_encoder,
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         export,
         filter,  # noqa: A004  # the word that people look for
         home,
+        identify,
         import_run,
         jog,
         load,
@@ -39,6 +41,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Campaign",
+    "IdentifiedCampaign",
     "Made",
     "Run",
     "__version__",
@@ -51,6 +54,7 @@ __all__ = [
     "export",
     "filter",
     "home",
+    "identify",
     "import_run",
     "jog",
     "load",

@@ -6,6 +6,7 @@ from dragrig.comparing import compare
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
 from dragrig.handling import home, jog, touch_off
+from dragrig.identifying import IdentifiedCampaign, identify
 from dragrig.importing import import_run
 from dragrig.measuring import check, resume, run, simulate
 from dragrig.reproducing import paper
@@ -14,6 +15,7 @@ from dragrig.rig.runfile.model import Run
 
 __all__ = [
     "Campaign",
+    "IdentifiedCampaign",
     "Made",
     "Run",
     "calibrate_encoder",
@@ -25,6 +27,7 @@ __all__ = [
     "export",
     "filter",
     "home",
+    "identify",
     "import_run",
     "jog",
     "load",

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dragrig.config.base import Settings
+from dragrig.config.identified import IdentifiedSettings
 
 Polynomial = Annotated[tuple[float, ...], Field(min_length=1, max_length=5)]
 """Coefficients of a polynomial in the strain (1 being 100 %), highest power first, up to the fourth."""
@@ -53,6 +54,8 @@ class FrictionModelSettings(Settings):
     """True age of the contact at the first sample over the noted one."""
     contact_angle_offset_deg: float = Field(default=0.0, gt=-30, lt=30)
     """Added to the capsule's contact angle."""
+    identified: IdentifiedSettings | None = None
+    """Where the values come from, if from runs."""
 
     @model_validator(mode="after")
     def _has_its_polynomials(self) -> Self:

@@ -28,6 +28,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "paper": "Simulate the paper's programme, identify it, and write a report.",
     },
     "Work": {
+        "identify": "Identify a specimen's parameters from its runs, with their uncertainty.",
         "mark": "Mark runs as bad, or take the mark back; everything later honours it.",
         "filter": "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",
         "import": "Turn measurements from elsewhere into run files.",

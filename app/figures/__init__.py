@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from dragrig.figures.campaign import campaign_figure
     from dragrig.figures.comparison import comparison_figure
     from dragrig.figures.coulomb import coulomb_figure
+    from dragrig.figures.joint_fit import joint_figure
     from dragrig.figures.model import forces_figure, skew_figure
     from dragrig.figures.overview import comparison_overview
     from dragrig.figures.relaxation_fit import relaxation_fit_figure
@@ -22,6 +23,7 @@ __all__ = [
     "coulomb_figure",
     "drag_figure",
     "forces_figure",
+    "joint_figure",
     "relaxation_fit_figure",
     "run_figure",
     "save",
@@ -38,6 +40,7 @@ _HOME = {
     "drag_figure": "steady",
     "forces_figure": "model",
     "relaxation_fit_figure": "relaxation_fit",
+    "joint_figure": "joint_fit",
     "run_figure": "run",
     "save": "saving",
     "save_in": "saving",

@@ -6,7 +6,7 @@ import numpy as np
 
 from dragrig.analysis.estimates import NORMAL_95, Estimate
 from dragrig.analysis.identification.joint.problem import Problem
-from dragrig.analysis.identification.joint.solve import Solution
+from dragrig.analysis.identification.joint.solve import FURTHEST, Solution, is_at_bound
 from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
 from dragrig.analysis.nominal.protocol import Combination
 from dragrig.rig.arrays import FloatArray
@@ -118,6 +118,12 @@ def _remarks(
             f"parameters soak up some of it, and the intervals, widened by {np.sqrt(widened):.2f}, need not hold"
         )
     yield from _straying(problem, runs)
+    pinned = [one.name for one, at in zip(problem.nominal.parameters, is_at_bound(solution.z), strict=True) if at]
+    if pinned:
+        yield (
+            f"{' and '.join(pinned)} went as far as a parameter may go, {FURTHEST:g} standard deviations from what was "
+            "known before: the model does not describe these runs"
+        )
     for group in _alike(correlation):
         names = [problem.nominal.parameters[index].name for index in group]
         yield (

@@ -37,12 +37,13 @@ class Problem:
             raise AnalysisError(f"the model {nominal.name} predicts nothing that these runs ({kinds}) recorded.")
         channels = dict.fromkeys(one.channel for one in evidence)
         noises = {name: estimate_noise(selection.experiments, name) for name in channels}
+        zeros = {name: _zero_sd(evidence, name, nominal) for name in channels}
         return cls(
             nominal,
             Scales.of(nominal.parameters),
             evidence,
             tuple(noises[one.channel] for one in evidence),
-            tuple(_zero_sd(evidence, one.channel, nominal) for one in evidence),
+            tuple(zeros[one.channel] for one in evidence),
             np.array([one.sd for one in nominal.variations], dtype=np.float64),
         )
 

@@ -8,13 +8,18 @@ import numpy as np
 
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.identification.joint.problem import Problem
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray
 
 PASSES = 12
 STILL = 0.05
 """A pass that moves no parameter by more than this, in units of its error, is the last."""
-MOST_STEPS = 12
-FURTHEST = 8.0
+LAID_OUT = 4
+"""So many passes lay the covariance out anew; a model that does not hold may go on for ever otherwise."""
+CLOSE = 1.0
+"""Less than this of its error from the minimum, the linearised problem is the problem."""
+FIRST_STEPS, MOST_STEPS = 3, 8
+"""Evaluations within a pass."""
+FURTHEST = 6.0
 """How far from what was known beforehand a parameter may go, in standard deviations of the prior."""
 NEAR = 0.02
 """Derivatives are taken anew where a parameter has moved by more than this: its value's share, or prior widths."""
@@ -74,8 +79,46 @@ class _Evaluations:
             self.steps += 1
         return self._derivatives
 
+    def renew(self, z: FloatArray) -> None:
+        """Take the derivatives right here."""
+        if self._derivatives_at is None or not np.array_equal(z, self._derivatives_at):
+            self._derivatives_at = None
+            self.derivatives(z)
+
     def _is_far(self, z: FloatArray, from_z: FloatArray) -> bool:
         return bool(np.max(np.abs(z - from_z) * np.minimum(self._problem.scales.sd, 1.0)) > NEAR)
+
+
+def is_at_bound(z: FloatArray) -> BoolArray:
+    """Tell which parameters are as far from what was known beforehand as they may go."""
+    return np.asarray(np.abs(z) >= FURTHEST - 1e-3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pass:
+    """Least squares under one covariance: residuals of the runs and of the priors, and their derivatives by `z`."""
+
+    evaluations: _Evaluations
+    whitenings: tuple[Whitening, ...]
+    misfit: float
+
+    def residuals(self, z: FloatArray) -> FloatArray:
+        return np.concatenate((self._weighted(self.evaluations.residuals(z)), z))
+
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return np.concatenate((self._weighted(self.evaluations.derivatives(z)), np.eye(len(z))))
+
+    def newton(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the step to the minimum of the linearised problem within the bounds, and the covariance there."""
+        slopes = self.jacobian(z)
+        gradient, curvature = slopes.T @ self.residuals(z), slopes.T @ slopes
+        free = ~is_at_bound(z) | (z * gradient > 0)
+        step = np.zeros_like(z)
+        step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
+        return step, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+
+    def _weighted(self, each: Sequence[FloatArray]) -> FloatArray:
+        return _whitened(self.whitenings, each) / sqrt(self.misfit)
 
 
 def solve(problem: Problem) -> Solution:
@@ -83,46 +126,33 @@ def solve(problem: Problem) -> Solution:
     from scipy.optimize import least_squares
 
     found = _Evaluations(problem)
-    z, misfit, why = np.zeros(len(problem.scales.nominal)), 0.0, ""
+    z, misfit, why = np.zeros(len(problem.scales.nominal)), np.inf, ""
     for turn in range(PASSES):
-        whitenings = problem.whitenings(problem.scales.values(z))
-        # Far from the truth the runs would outshout the priors and lead astray: they gain weight as they are explained.
-        misfit = misfit or _misfit(_whitened(whitenings, found.residuals(z)))
-
-        def residuals(
-            z: FloatArray, laid_out: tuple[Whitening, ...] = whitenings, weight: float = 1 / sqrt(misfit)
-        ) -> FloatArray:
-            return np.concatenate((weight * _whitened(laid_out, found.residuals(z)), z))
-
-        def jacobian(
-            z: FloatArray, laid_out: tuple[Whitening, ...] = whitenings, weight: float = 1 / sqrt(misfit)
-        ) -> FloatArray:
-            return np.concatenate((weight * _whitened(laid_out, found.derivatives(z)), np.eye(len(z))))
-
-        fit = least_squares(
-            residuals,
-            z,
-            jacobian,
-            bounds=(-FURTHEST, FURTHEST),
-            # The first pass only has to come near: its covariance was laid out around the nominal values.
-            max_nfev=MOST_STEPS if turn else 3,
-            ftol=1e-6,
-            xtol=1e-4,
-            gtol=1e-6,
-        )
-        slopes = np.asarray(fit.jac)
-        covariance = np.linalg.inv(slopes.T @ slopes)
-        moved = float(np.max(np.abs(fit.x - z) / np.sqrt(np.diag(covariance))))
-        z, before = fit.x, misfit
-        misfit = _misfit(_whitened(whitenings, found.residuals(z)))
-        if turn and not fit.success:
-            why = "the optimiser gave up after its most steps"
-        elif turn and moved < STILL and abs(misfit / before - 1) < STILL:
-            why = ""
-            break
+        if turn < LAID_OUT:
+            whitenings = problem.whitenings(problem.scales.values(z))
+            # Far from the truth the runs would outshout the priors and lead astray: they gain weight as they are
+            # explained.
+            before, misfit = misfit, _misfit(_whitened(whitenings, found.residuals(z)))
         else:
-            why = f"after {turn + 1} passes a parameter still moves by {moved:.2g} of its error"
-    return Solution(z, covariance, whitenings, misfit, not why, found.steps, why)
+            before = misfit
+            found.renew(z)
+        now = _Pass(found, whitenings, misfit)
+        step, covariance = now.newton(z)
+        moves = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        if moves < STILL and abs(misfit / before - 1) < STILL:
+            return Solution(z + step, covariance, whitenings, misfit, converged=True, steps=found.steps)
+        why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
+        if moves < CLOSE:
+            found.renew(z)
+            z = np.clip(z + now.newton(z)[0], -FURTHEST, FURTHEST)
+            continue
+        # The first pass only has to come near: its covariance was laid out around the nominal values.
+        most = MOST_STEPS if turn else FIRST_STEPS
+        fit = least_squares(
+            now.residuals, z, now.jacobian, bounds=(-FURTHEST, FURTHEST), max_nfev=most, ftol=1e-7, xtol=2e-3, gtol=1e-6
+        )
+        z = fit.x
+    return Solution(z, covariance, whitenings, misfit, converged=False, steps=found.steps, why=why)
 
 
 def _whitened(whitenings: Sequence[Whitening], each: Sequence[FloatArray]) -> FloatArray:

@@ -1,0 +1,113 @@
+"""All that a campaign says of one specimen, put together."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeVar
+
+from dragrig.analysis.identification.coulomb import identify_coulomb
+from dragrig.analysis.identification.drag import identify_drag
+from dragrig.analysis.identification.joint.fit import fit_jointly
+from dragrig.analysis.identification.relaxation import identify_relaxation
+from dragrig.analysis.identification.results import Identification, JointFit, Relaxation
+from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.identification.strain_law import wall_polynomials
+from dragrig.analysis.nominal.capsule import CHANNEL, CapsuleModel
+from dragrig.analysis.nominal.protocol import NominalModel
+from dragrig.analysis.progress import Progress, silent
+from dragrig.config.errors import AnalysisError, SettingsError
+from dragrig.config.model import FrictionModelSettings
+
+PartT = TypeVar("PartT")
+KINDS = {
+    "relaxation": "no usable relaxation: the elements are known from the drag alone, if at all",
+    "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
+    "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
+}
+DETERMINED = 0.1
+"""A parameter of whose prior width the runs took away less than this keeps its nominal value."""
+STEPS = 4
+
+
+def identify(selection: Selection, nominal: NominalModel, progress: Progress = silent) -> Identification:
+    """Identify a specimen.
+
+    The joint fit of the nominal model is always made. With the friction model of the capsule the relaxations, the
+    Coulomb test and the drag are evaluated on their own too, the drag beside the model that was just identified.
+
+    Raises
+    ------
+    AnalysisError
+        Where the model predicts nothing of these runs, or a run lacks what it needs.
+    """
+    progress(0, STEPS)
+    joint = fit_jointly(selection, nominal)
+    progress(1, STEPS)
+    found = Identification(
+        specimen=selection.specimen,
+        used=tuple(one.file for one in selection.experiments),
+        left_out=selection.left_out,
+        joint=joint,
+        relaxation=None,
+        coulomb=None,
+        drag=None,
+        remarks=(*selection.remarks, *_lacking(selection, nominal)),
+    )
+    if isinstance(nominal, CapsuleModel):
+        found = _part_by_part(found, selection, identified_settings(nominal, joint), progress)
+    progress(STEPS, STEPS)
+    return found
+
+
+def determined(joint: JointFit) -> dict[str, float]:
+    """Return the values of those parameters of which the runs say something."""
+    return {one.name: one.value for one in joint.parameters if one.learnt >= DETERMINED}
+
+
+def identified_settings(nominal: CapsuleModel, joint: JointFit) -> FrictionModelSettings:
+    """Return the friction model with what was determined in place, the rest nominal."""
+    return nominal.settings_of(determined(joint)) if joint.converged else nominal.settings
+
+
+def with_own_wall(settings: FrictionModelSettings, relaxation: Relaxation) -> FrictionModelSettings:
+    """Return the friction model with polynomials through the specimen's own relaxations for its wall.
+
+    Raises
+    ------
+    AnalysisError
+        Where the relaxations do not support them.
+    """
+    if not relaxation.laws:
+        why = "; ".join(relaxation.remarks) or "there is no usable relaxation"
+        raise AnalysisError(f"the wall cannot be taken from these relaxations ({why}); leave out --wall fitted.")
+    try:
+        polynomials = wall_polynomials(relaxation.laws)
+    except SettingsError as fault:
+        raise AnalysisError(f"the wall cannot be taken from these relaxations: {fault}") from fault
+    return settings.model_copy(update={"wall": "polynomial", "wall_polynomials": polynomials})
+
+
+def _part_by_part(
+    found: Identification, selection: Selection, model: FrictionModelSettings, progress: Progress
+) -> Identification:
+    remarks: list[str] = []
+
+    def part(make: Callable[[], PartT], what: str) -> PartT | None:
+        try:
+            return make()
+        except (AnalysisError, SettingsError) as fault:
+            remarks.append(f"{what}: {fault}")
+            return None
+
+    joint = found.joint
+    zeros = {one.file: one.zero for one in joint.runs if one.channel == CHANNEL} if joint and joint.converged else None
+    relaxation = part(lambda: identify_relaxation(selection), "relaxation")
+    progress(2, STEPS)
+    coulomb = part(lambda: identify_coulomb(selection, model), "Coulomb test")
+    drag = part(lambda: identify_drag(selection, model, zeros), "drag")
+    progress(3, STEPS)
+    return replace(found, relaxation=relaxation, coulomb=coulomb, drag=drag, remarks=(*found.remarks, *remarks))
+
+
+def _lacking(selection: Selection, nominal: NominalModel) -> Iterator[str]:
+    if isinstance(nominal, CapsuleModel):
+        yield from (sentence for kind, sentence in KINDS.items() if not selection.of_kind(kind))
