@@ -87,21 +87,30 @@ def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator
             yield Evidence(experiment, channel, predictor, blocks, blocks.nodes_s)
 
 
-def whitening(one: Evidence, values: FloatArray, noise: Noise, zero_sd: float, sds: FloatArray) -> Whitening:
-    """Lay out the covariance of a run around the prediction at parameter values.
+def whitening(
+    one: Evidence,
+    prediction: Prediction,
+    uncertainty: FloatArray,
+    noise: Noise,
+    zero_sd: float,
+    sds: FloatArray,
+) -> Whitening:
+    """Lay out the covariance of a run around a prediction.
 
     Parameters
     ----------
+    prediction, uncertainty
+        What the run's blocks should be, and how well that can be said of each, one standard deviation, shape `(B,)`.
     zero_sd
         Standard deviation of the run's zero; 0 for a channel that has none.
     sds
-        Relative standard deviations of the model's variations, shape `(V,)`.
+        Standard deviations of the model's variations, shape `(V,)`.
     """
     from scipy.linalg import cholesky, solve_triangular
 
-    blocks, prediction = one.blocks, one.predict(values)
+    blocks = one.blocks
     covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
-    covariance[np.diag_indices_from(covariance)] += one.uncertainty(values) ** 2
+    covariance[np.diag_indices_from(covariance)] += uncertainty**2
     root = cholesky(covariance, lower=True)
     columns = prediction.varying * sds[:, None]
     if zero_sd > 0:

@@ -9,7 +9,7 @@ from dragrig.analysis.identification.joint.evidence import Evidence, Whitening, 
 from dragrig.analysis.identification.joint.noise import Noise, estimate_noise
 from dragrig.analysis.identification.joint.scales import Scales
 from dragrig.analysis.identification.selection import Selection
-from dragrig.analysis.nominal.protocol import NominalModel
+from dragrig.analysis.nominal.protocol import NominalModel, Prediction
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 
@@ -47,18 +47,22 @@ class Problem:
             np.array([one.sd for one in nominal.variations], dtype=np.float64),
         )
 
-    def whitenings(self, values: FloatArray) -> tuple[Whitening, ...]:
-        """Lay out every run's covariance around the prediction at these values."""
-        parts = zip(self.evidence, self.noises, self.zero_sds, strict=True)
-        return tuple(whitening(one, values, noise, zero, self.sds) for one, noise, zero in parts)
-
-    def residuals(self, z: FloatArray) -> list[FloatArray]:
-        """Return predicted minus measured block means, one array for each piece of evidence."""
+    def predictions(self, z: FloatArray) -> list[Prediction]:
+        """Return the predicted block means, one for each piece of evidence."""
         values = self.scales.values(z)
-        return [one.predict(values).total - one.blocks.mean for one in self.evidence]
+        return [one.predict(values) for one in self.evidence]
+
+    def whitenings(self, z: FloatArray, predictions: Sequence[Prediction]) -> tuple[Whitening, ...]:
+        """Lay out every run's covariance around what is predicted at `z`."""
+        values = self.scales.values(z)
+        parts = zip(self.evidence, predictions, self.noises, self.zero_sds, strict=True)
+        return tuple(
+            whitening(one, predicted, one.uncertainty(values), noise, zero, self.sds)
+            for one, predicted, noise, zero in parts
+        )
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
-        """Return their derivatives by `z`, shape `(B, P)` each."""
+        """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence."""
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
         return [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]

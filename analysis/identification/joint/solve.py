@@ -8,6 +8,7 @@ import numpy as np
 
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.identification.joint.problem import Problem
+from dragrig.analysis.nominal.protocol import Prediction
 from dragrig.rig.arrays import BoolArray, FloatArray
 
 PASSES = 12
@@ -15,13 +16,13 @@ STILL = 0.05
 """A pass that moves no parameter by more than this, in units of its error, is the last."""
 LAID_OUT = 4
 """So many passes lay the covariance out anew; a model that does not hold may go on for ever otherwise."""
-CLOSE = 1.0
+CLOSE = 3.0
 """Less than this of its error from the minimum, the linearised problem is the problem."""
-FIRST_STEPS, MOST_STEPS = 3, 8
+FIRST_STEPS, MOST_STEPS = 2, 8
 """Evaluations within a pass."""
 FURTHEST = 6.0
 """How far from what was known beforehand a parameter may go, in standard deviations of the prior."""
-NEAR = 0.02
+NEAR = 0.05
 """Derivatives are taken anew where a parameter has moved by more than this: its value's share, or prior widths."""
 MISFIT = 1.1
 """Squares per degree of freedom above which the model is taken to leave more than noise."""
@@ -58,20 +59,24 @@ class Solution:
 
 
 class _Evaluations:
-    """The model's latest residuals and derivatives, which passes and steps share. Belongs to one `solve`."""
+    """The model's latest predictions and derivatives, which passes and steps share. Belongs to one `solve`."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._residuals_at: FloatArray | None = None
-        self._residuals: list[FloatArray] = []
+        self._predicted_at: FloatArray | None = None
+        self._predictions: list[Prediction] = []
         self._derivatives_at: FloatArray | None = None
         self._derivatives: list[FloatArray] = []
         self.steps = 0
 
+    def predictions(self, z: FloatArray) -> list[Prediction]:
+        if self._predicted_at is None or not np.array_equal(z, self._predicted_at):
+            self._predictions, self._predicted_at = self._problem.predictions(z), z.copy()
+        return self._predictions
+
     def residuals(self, z: FloatArray) -> list[FloatArray]:
-        if self._residuals_at is None or not np.array_equal(z, self._residuals_at):
-            self._residuals, self._residuals_at = self._problem.residuals(z), z.copy()
-        return self._residuals
+        pairs = zip(self._problem.evidence, self.predictions(z), strict=True)
+        return [predicted.total - one.blocks.mean for one, predicted in pairs]
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
         if self._derivatives_at is None or self._is_far(z, self._derivatives_at):
@@ -129,7 +134,7 @@ def solve(problem: Problem) -> Solution:
     z, misfit, why = np.zeros(len(problem.scales.nominal)), np.inf, ""
     for turn in range(PASSES):
         if turn < LAID_OUT:
-            whitenings = problem.whitenings(problem.scales.values(z))
+            whitenings = problem.whitenings(z, found.predictions(z))
             # Far from the truth the runs would outshout the priors and lead astray: they gain weight as they are
             # explained.
             before, misfit = misfit, _misfit(_whitened(whitenings, found.residuals(z)))
@@ -143,8 +148,7 @@ def solve(problem: Problem) -> Solution:
             return Solution(z + step, covariance, whitenings, misfit, converged=True, steps=found.steps)
         why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
         if moves < CLOSE:
-            found.renew(z)
-            z = np.clip(z + now.newton(z)[0], -FURTHEST, FURTHEST)
+            z = np.clip(z + step, -FURTHEST, FURTHEST)
             continue
         # The first pass only has to come near: its covariance was laid out around the nominal values.
         most = MOST_STEPS if turn else FIRST_STEPS
