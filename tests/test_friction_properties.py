@@ -15,6 +15,7 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
+from dragrig.sim_backend.friction.sliding import ELEMENTS
 
 MODEL = FrictionModelSettings()
 
@@ -169,3 +170,29 @@ def test_a_contact_beyond_the_parameters_is_refused() -> None:
         prepare(sliding(moves(), steep), FrictionModelSettings(contact_angle_offset_deg=10.0))
     with pytest.raises(SettingsError, match="shear_strain"):
         prepare(sticking(moves((2.5, 20.0)), 4.0), MODEL)
+
+
+@pytest.mark.parametrize("wall", ["eq14", "table1"])
+def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
+    model = FrictionModelSettings.model_validate({"wall": wall, "e2_scale": 1.1, "force_gain": 1.02})
+    run = sliding(moves((12.0, 5.0), (-9.0, 20.0), between=0.1))
+    time = np.linspace(0.0, run.profile.duration_s, 400)
+    found = prepare(run, model).by_element(time)
+    step = 0.02
+    for name, slopes in zip(ELEMENTS, found, strict=True):
+        ahead, behind = (
+            prepare(run, model.model_copy(update={name: getattr(model, name) * factor})).force(time)
+            for factor in (np.exp(step), np.exp(-step))
+        )
+        differences = (ahead - behind) / (2 * step)
+        # The interpolation of each force, good to a few µN, is divided by the step.
+        np.testing.assert_allclose(slopes, differences, atol=0.02 * np.abs(differences).max() + 0.2)
+
+
+def test_all_elements_scaled_alike_scale_what_the_wall_does() -> None:
+    run = sliding(moves((12.0, 5.0)))
+    time = np.linspace(0.0, run.profile.duration_s, 200)
+    prepared = prepare(run, MODEL)
+    parts = prepared.components(time)
+    weight = prepare(sliding(run.profile, fixture=Fixture.VACUUM), MODEL).components(time).f_c
+    np.testing.assert_allclose(prepared.by_element(time).sum(axis=0), parts.f_e + parts.f_c - weight, atol=0.02)

@@ -16,11 +16,11 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
+from dragrig.sim_backend.friction.prepared import PreparedForce
+from dragrig.sim_backend.friction.sliding import ELEMENTS, GRAVITY_M_S2
 from dragrig.sim_backend.friction.stretches import stretches
 
 CHANNEL = "force"
-SCALES = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale")
 BETWEEN_SPECIMENS = {
     "stiffness_scale": (0.15, "common scale of E1, E2, E3, η1, η2"),
     "e1_scale": (0.07, "scale of E1 on its own"),
@@ -34,6 +34,7 @@ BETWEEN_SPECIMENS = {
     "insertion_dwell_scale": (0.25, "true over noted age of the contact"),
 }
 """Relative standard deviations between specimens and rigs, by name in the model's settings."""
+DWELL = "insertion_dwell_scale"
 ANGLE = "contact_angle_offset_deg"
 ANGLE_SD_DEG = 0.7
 ZERO_SD_MN = 5.0
@@ -254,9 +255,10 @@ class SlidingPredictor(Predictor):
         return Prediction(parts.total, np.stack((parts.stiff, parts.coulomb)))
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return exact derivatives where the force is proportional, differences for elements, dwell and angle."""
+        """Return exact derivatives; differences for dwell and angle."""
         given = dict(zip(self.names, values.tolist(), strict=True))
-        parts = self._parts(given, time_s)
+        prepared = self._prepared(given)
+        parts = self._split(prepared, given, time_s)
         rows = {
             "force_gain": parts.total / given["force_gain"],
             "stiffness_scale": parts.stiff / given["stiffness_scale"],
@@ -264,18 +266,16 @@ class SlidingPredictor(Predictor):
             "mucus_scale": parts.viscous / given["mucus_scale"],
         }
         if self.acquisition.fixture is Fixture.FOAM:
-
-            def total(changed: Mapping[str, float]) -> FloatArray:
-                return self._parts(changed, time_s).total
-
-            rows |= _by_elements(total, given, rows["stiffness_scale"])
-            turned = (total({**given, ANGLE: given[ANGLE] + turn}) for turn in (ANGLE_STEP_DEG, -ANGLE_STEP_DEG))
-            rows[ANGLE] = np.subtract(*turned) / (2 * ANGLE_STEP_DEG)
+            by_element = zip(ELEMENTS, prepared.by_element(time_s), strict=True)
+            rows |= {name: by_log / given[name] for name, by_log in by_element}
+            rows[ANGLE] = self._slope(ANGLE, ANGLE_STEP_DEG, given, time_s)
             if self._knows_its_age(given):
-                step = STEP * given["insertion_dwell_scale"]
-                older = {**given, "insertion_dwell_scale": given["insertion_dwell_scale"] + step}
-                rows["insertion_dwell_scale"] = (total(older) - parts.total) / step
+                rows[DWELL] = self._slope(DWELL, STEP * given[DWELL], given, time_s)
         return _stacked(self.names, rows, len(time_s))
+
+    def _slope(self, name: str, step: float, given: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        ahead, behind = (self._parts({**given, name: given[name] + side * step}, time_s).total for side in (1.0, -1.0))
+        return (ahead - behind) / (2 * step)
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
@@ -289,12 +289,17 @@ class SlidingPredictor(Predictor):
         parts = self._parts(values, time_s)
         return parts.viscous + parts.coulomb
 
+    def _prepared(self, values: Mapping[str, float]) -> PreparedForce:
+        return prepare(self.acquisition, self.settings.model_copy(update=values), self.motion)
+
     def _parts(self, values: Mapping[str, float], time_s: FloatArray) -> _Parts:
-        model = self.settings.model_copy(update=values)
-        gain = model.force_gain
-        shown = prepare(self.acquisition, model, self.motion).components(time_s)
-        turning = np.tanh(self.motion.velocity(time_s) / model.regularisation_mm_s)
-        weight = model.friction_coefficient * self.acquisition.capsule.mass_g * GRAVITY_M_S2 * turning
+        return self._split(self._prepared(values), values, time_s)
+
+    def _split(self, prepared: PreparedForce, values: Mapping[str, float], time_s: FloatArray) -> _Parts:
+        gain = values["force_gain"]
+        shown = prepared.components(time_s)
+        turning = np.tanh(self.motion.velocity(time_s) / self.settings.regularisation_mm_s)
+        weight = values["friction_coefficient"] * self.acquisition.capsule.mass_g * GRAVITY_M_S2 * turning
         return _Parts(gain * shown.f_e, gain * shown.f_v, gain * shown.f_c, gain * weight)
 
     def _contact(self, values: Mapping[str, float]) -> HemisphereContact:
@@ -308,7 +313,7 @@ class SlidingPredictor(Predictor):
 
     def _knows_its_age(self, values: Mapping[str, float]) -> bool:
         slowest = self._contact(values).side_pressure().slow_rate
-        dwell_s = self.acquisition.insertion_dwell_s * values["insertion_dwell_scale"]
+        dwell_s = self.acquisition.insertion_dwell_s * values[DWELL]
         return float(np.exp(-slowest * dwell_s)) > RELAXED
 
 
@@ -319,11 +324,11 @@ def _by_elements(
     before = total(given)
     rows: dict[str, FloatArray] = {}
     left = by_common * given["stiffness_scale"]
-    for name in SCALES[:-1]:
+    for name in ELEMENTS[:-1]:
         step = STEP * given[name]
         rows[name] = (total({**given, name: given[name] + step}) - before) / step
         left = left - rows[name] * given[name]
-    rows[SCALES[-1]] = left / given[SCALES[-1]]
+    rows[ELEMENTS[-1]] = left / given[ELEMENTS[-1]]
     return rows
 
 

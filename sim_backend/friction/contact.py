@@ -116,16 +116,41 @@ class HemisphereContact:
             slow_rate=float(slow_rate),
         )
 
+    def axial_load_by_element(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
+        """Return derivatives of the axial load by the logarithms of E1, E2, E3, η1 and η2, along a first axis of 5."""
+        wall, per_stress = self._wall_at(x_mm)
+        slope = per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
+        return by_element(wall, age_s) * slope
+
+    def side_pressure_by_element(self, age_s: FloatArray) -> FloatArray:
+        """Return derivatives of P(L) S by the same, shape `(5, n)`."""
+        strain = self.strain_at_equator
+        per_stress = strain * self.wall_thickness_mm / self.radius_mm * self.area_mm2
+        return by_element(self._parameters(np.asarray(strain)), age_s) * per_stress
+
     def _hoop_stress_per_radius(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
-        local_radius = np.sqrt(self.radius_mm**2 - (self.length_mm - x_mm) ** 2)
-        strain = local_radius * (1 / (self.radius_mm * np.cos(self.angle_rad))) - 1
-        wall = self._parameters(strain)
+        wall, per_stress = self._wall_at(x_mm)
         fast_rate, slow_rate = wall.rates
         stress = wall.E1 * np.exp(-age_s * fast_rate) + wall.E2 * np.exp(-age_s * slow_rate) + wall.E3
-        return np.asarray(strain / local_radius * stress)
+        return np.asarray(per_stress * stress)
+
+    def _wall_at(self, x_mm: FloatArray) -> tuple[WallParameters, FloatArray]:
+        """Return the wall's parameters, and its strain over the local radius."""
+        local_radius = np.sqrt(self.radius_mm**2 - (self.length_mm - x_mm) ** 2)
+        strain = local_radius * (1 / (self.radius_mm * np.cos(self.angle_rad))) - 1
+        return self._parameters(strain), np.asarray(strain / local_radius)
 
     def _parameters(self, strain: FloatArray) -> WallParameters:
         return model_wall(self.model, strain)
+
+
+def by_element(wall: WallParameters, age_s: FloatArray) -> FloatArray:
+    """Return the derivatives of a relaxing stress per strain by the logarithms of E1, E2, E3, η1 and η2."""
+    fast_age, slow_age = (age_s * rate for rate in wall.rates)
+    fast, slow = wall.E1 * np.exp(-fast_age), wall.E2 * np.exp(-slow_age)
+    spring = np.broadcast_to(wall.E3, fast.shape)
+    by_fast, by_slow = fast * fast_age, slow * slow_age
+    return np.stack((fast - by_fast, slow - by_slow, spring, by_fast, by_slow))
 
 
 def _remedy(model: FrictionModelSettings) -> str:

@@ -1,13 +1,19 @@
 """Environmental resistance f_e of a contact history, by Gauss–Legendre quadrature over contact ages (Eq. 9)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from dragrig.rig.arrays import FloatArray, read_only
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory, Segment, Stroke
+
+Load: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+"""Something per length of the contact, from contact coordinates and ages of one shape; may add axes in front."""
 
 NODES = 10
 """Gauss–Legendre nodes per panel."""
@@ -41,16 +47,23 @@ class EnvironmentalResistance:
 
     def at(self, stroke: Stroke, time_s: FloatArray) -> FloatArray:
         """f_e [mN] at times of shape `(n,)` within a stroke, of the stroke's sign."""
-        position = self.history.motion.position(time_s)
-        total = np.zeros_like(time_s)
-        for segment in (*stroke.found, stroke.fresh):
-            if segment.direction == 0:
-                total += self._inserted(stroke, segment, time_s, position)
-            else:
-                total += self._passed(stroke, segment, time_s, position)
-        return stroke.direction * total
+        return self._summed(self.contact.axial_load, stroke, time_s)
 
-    def _inserted(self, stroke: Stroke, segment: Segment, time_s: FloatArray, position_mm: FloatArray) -> FloatArray:
+    def by_element(self, stroke: Stroke, time_s: FloatArray) -> FloatArray:
+        """Return derivatives of f_e [mN] by the logarithms of E1, E2, E3, η1 and η2, shape `(5, n)`."""
+        return self._summed(self.contact.axial_load_by_element, stroke, time_s)
+
+    def _summed(self, load: Load, stroke: Stroke, time_s: FloatArray) -> FloatArray:
+        position = self.history.motion.position(time_s)
+        parts = [
+            (self._inserted if segment.direction == 0 else self._passed)(load, stroke, segment, time_s, position)
+            for segment in (*stroke.found, stroke.fresh)
+        ]
+        return np.asarray(stroke.direction * sum(parts[1:], start=parts[0]))
+
+    def _inserted(
+        self, load: Load, stroke: Stroke, segment: Segment, time_s: FloatArray, position_mm: FloatArray
+    ) -> FloatArray:
         """Contribution of wall that has been in contact since the insertion: one age for all of it."""
         ends = [self.history.travelled(stroke, z, position_mm) for z in (segment.rear_mm, segment.front_mm)]
         low, high = np.sort(np.clip(ends, 0.0, self.contact.length_mm), axis=0)
@@ -59,12 +72,14 @@ class EnvironmentalResistance:
         nodes = np.concatenate((self.nodes, 1 + self.nodes))
         weights = np.concatenate((self.weights, self.weights))
         x = low[rows, None] + width * nodes
-        load = self.contact.axial_load(x, self.history.dwell_s + time_s[rows, None])
-        total = np.zeros_like(time_s)
-        total[rows] = (load @ weights) * width[:, 0]
+        per_row = (load(x, self.history.dwell_s + time_s[rows, None]) @ weights) * width[:, 0]
+        total = np.zeros((*per_row.shape[:-1], time_s.size))
+        total[..., rows] = per_row
         return total
 
-    def _passed(self, stroke: Stroke, segment: Segment, time_s: FloatArray, position_mm: FloatArray) -> FloatArray:
+    def _passed(
+        self, load: Load, stroke: Stroke, segment: Segment, time_s: FloatArray, position_mm: FloatArray
+    ) -> FloatArray:
         """Contribution of wall that a stroke passed, integrated over the time of passing."""
         youngest, oldest = self._age_limits(stroke, segment, time_s, position_mm)
         breaks = self.history.motion.breaks_s[segment.first + 1 : segment.last + 1]
@@ -79,8 +94,7 @@ class EnvironmentalResistance:
         passed, velocity = self.history.motion.along(time_s[rows, None] - age)
         z = passed if segment.direction > 0 else passed - self.history.reach_mm
         x = np.clip(self.history.travelled(stroke, z, position_mm[rows, None]), 0.0, self.contact.length_mm)
-        load = self.contact.axial_load(x, age) * np.abs(velocity)
-        return np.bincount(rows, (load @ self.weights) * width, minlength=time_s.size).astype(float)
+        return _gathered(((load(x, age) * np.abs(velocity)) @ self.weights) * width, rows, time_s.size)
 
     def _age_limits(
         self, stroke: Stroke, segment: Segment, time_s: FloatArray, position_mm: FloatArray
@@ -92,6 +106,13 @@ class EnvironmentalResistance:
         empty = ends[0] == ends[1]
         youngest, oldest = np.sort(np.maximum(ages, 0.0), axis=0)
         return youngest, np.where(empty, youngest, oldest)
+
+
+def _gathered(values: FloatArray, rows: npt.NDArray[np.intp], size: int) -> FloatArray:
+    """Sum values, shape `(…, r)`, by the row that each belongs to, shape `(…, size)`."""
+    if values.ndim == 1:
+        return np.bincount(rows, values, minlength=size).astype(float)
+    return np.stack([_gathered(one, rows, size) for one in values])
 
 
 def panel_ages(fastest_rate: float, longest_s: float) -> FloatArray:

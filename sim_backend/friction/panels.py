@@ -27,17 +27,17 @@ def graded_edges(begin_s: float, end_s: float, fastest_rate: float) -> FloatArra
 
 
 def interpolate(evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArray) -> PPoly:
-    """Interpolate `evaluate`, which takes times of shape `(n,)`, between strictly rising edges.
+    """Interpolate `evaluate`, from times of shape `(n,)` to values of shape `(…, n)`, between strictly rising edges.
 
     The nodes lie inside the panels, so that a jump at an edge is never asked about.
     """
     nodes, to_powers = _rule()
     width = np.diff(edges_s)
     times = edges_s[:-1, None] + width[:, None] * nodes
-    values = evaluate(times.ravel()).reshape(times.shape)
-    powers = np.arange(nodes.size)
-    coefficients = (to_powers @ values.T) / width ** powers[:, None]
-    return PPoly(coefficients[::-1], edges_s)
+    found = evaluate(times.ravel())
+    values = found.reshape(*found.shape[:-1], *times.shape)
+    coefficients = (values @ to_powers.T) / width[:, None] ** np.arange(nodes.size)
+    return PPoly(np.moveaxis(coefficients, (-1, -2), (0, 1))[::-1], edges_s)
 
 
 @cache

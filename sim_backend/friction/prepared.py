@@ -52,6 +52,25 @@ class PreparedForce:
             )
         return self.friction.components(time_s)
 
+    def by_element(self, time_s: FloatArray) -> FloatArray:
+        """Return derivatives of the force shown by the logarithms of the five elements, shape `(5, n)`.
+
+        Parameters
+        ----------
+        time_s
+            Rising times, shape `(n,)`.
+
+        Raises
+        ------
+        AnalysisError
+            Where the capsule does not slide.
+        """
+        if not isinstance(self.friction, SlidingForce):
+            raise AnalysisError(
+                "The capsule does not slide, so that its force has no such derivatives; take differences"
+            )
+        return self.force_gain * self.friction.by_element(time_s)
+
 
 def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Motion | None = None) -> PreparedForce:
     """Prepare the force of an acquisition: all that does not depend on the sample times is computed here.

@@ -1,6 +1,6 @@
 """Force on a capsule that slides: f_e + f_v + f_c at any times of a motion (Eq. 1)."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -11,13 +11,16 @@ from scipy.interpolate import PPoly
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
 from dragrig.sim_backend.friction.environment import NODES, EnvironmentalResistance
-from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.history import ContactHistory, Stroke
 from dragrig.sim_backend.friction.panels import graded_edges, interpolate
 from dragrig.sim_backend.friction.stretches import Stretch, stretches
 from dragrig.sim_backend.friction.viscous import viscous_force
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity; g · m/s² = mN."""
+
+ELEMENTS = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale")
+"""Scales of the five elements in a model's settings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +66,7 @@ class SlidingForce:
             weight_mN=mass_g * GRAVITY_M_S2,
             stretches=parts,
             begins_s=np.array([part.begin_s for part in parts]),
-            resistance=_interpolated(environment, parts) if pressing else None,
+            resistance=_interpolated(environment.at, contact.fastest_rate, parts) if pressing else None,
             side=contact.side_pressure() if pressing else None,
         )
 
@@ -87,6 +90,22 @@ class SlidingForce:
         f_e, f_v, f_c = parts.reshape(3, *time.shape)
         return Components(f_e, f_v, f_c)
 
+    def by_element(self, time_s: FloatArray) -> FloatArray:
+        """Return the total's derivatives by the logarithms of E1, E2, E3, η1, η2, rising times `(n,)` to `(5, n)`."""
+        slopes = np.zeros((len(ELEMENTS), time_s.size))
+        if self.side is None:
+            return slopes
+        environment = EnvironmentalResistance.of(self.contact, self.history)
+        resistance = _interpolated(environment.by_element, self.contact.fastest_rate, self.stretches)
+        time = np.clip(time_s, 0.0, self.history.motion.breaks_s[-1])
+        for stretch, piece in self._divided(time):
+            at = np.array([0.5 * (stretch.begin_s + stretch.end_s)]) if stretch.steady else time[piece]
+            slopes[:, piece] = resistance(at).T
+            if stretch.sign:
+                pressing = self.contact.side_pressure_by_element(self._equator_age(stretch, at))
+                slopes[:, piece] += pressing * self._turned(self.history.motion.velocity(time[piece]))
+        return slopes
+
     def _divided(self, rising_s: FloatArray) -> Iterator[tuple[Stretch, slice]]:
         begins = np.searchsorted(rising_s, self.begins_s[1:], side="left")
         edges = [0, *begins.tolist(), rising_s.size]
@@ -104,21 +123,29 @@ class SlidingForce:
         velocity = self.history.motion.velocity(middle if stretch.uniform else time_s)
         parts[1] = viscous_force(velocity, self.contact.model, self.contact.area_mm2)
         parts[2] = self._normal_force(stretch, middle if stretch.steady else time_s)
-        parts[2] *= self.contact.model.friction_coefficient * np.tanh(velocity / self.contact.model.regularisation_mm_s)
+        parts[2] *= self._turned(velocity)
+
+    def _turned(self, velocity_mm_s: FloatArray) -> FloatArray:
+        """Friction over normal force, with the sign of the velocity (Eq. 12)."""
+        model = self.contact.model
+        return np.asarray(model.friction_coefficient * np.tanh(velocity_mm_s / model.regularisation_mm_s))
 
     def _normal_force(self, stretch: Stretch, time_s: FloatArray) -> FloatArray:
         """N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
         if self.side is None:
             return np.full_like(time_s, self.weight_mN)
+        return self.weight_mN + self.side.force(self._equator_age(stretch, time_s))
+
+    def _equator_age(self, stretch: Stretch, time_s: FloatArray) -> FloatArray:
         position = self.history.motion.position(time_s)
         at_equator = self.history.wall_at(stretch.stroke, self.contact.length_mm, position)
-        age = np.maximum(time_s - self.history.begin(stretch.side, at_equator), 0.0)
-        return self.weight_mN + self.side.force(age)
+        return np.maximum(time_s - self.history.begin(stretch.side, at_equator), 0.0)
 
 
-def _interpolated(environment: EnvironmentalResistance, parts: tuple[Stretch, ...]) -> PPoly:
-    """Interpolate f_e stroke by stroke: one panel where it is steady, graded ones where it is not."""
-    rate = environment.contact.fastest_rate
+def _interpolated(
+    evaluate: Callable[[Stroke, FloatArray], FloatArray], rate: float, parts: tuple[Stretch, ...]
+) -> PPoly:
+    """Interpolate f_e, or what belongs to it, stroke by stroke: one panel where it is steady, graded ones elsewhere."""
     pieces: list[PPoly] = []
     for _, group in groupby(parts, key=lambda part: part.stroke.first):
         stroke_parts = list(group)
@@ -126,6 +153,6 @@ def _interpolated(environment: EnvironmentalResistance, parts: tuple[Stretch, ..
         for part in stroke_parts:
             ends = [part.end_s] if part.steady else graded_edges(part.begin_s, part.end_s, rate)[1:]
             edges.append(np.asarray(ends))
-        pieces.append(interpolate(partial(environment.at, stroke_parts[0].stroke), np.concatenate(edges)))
+        pieces.append(interpolate(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges)))
     edges = [piece.x if index == 0 else piece.x[1:] for index, piece in enumerate(pieces)]
     return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))
