@@ -62,7 +62,7 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
         reason = _not_usable(info, marks)
         if reason is None:
             try:
-                runs.append(read_run(info.path))
+                runs.append(read_run(info.path, info))
                 continue
             except RunFileError as fault:
                 reason = str(fault).removeprefix(f"{info.path}: ")

@@ -52,8 +52,13 @@ def read_info(path: Path) -> RunInfo:
     return _steadily(read, path)
 
 
-def read_run(path: Path) -> Run:
+def read_run(path: Path, known: RunInfo | None = None) -> Run:
     """Read a run file whole; a recording is cut where its samples end to be sure.
+
+    Parameters
+    ----------
+    known
+        What `read_info` just said of the file, which need not be read again.
 
     Raises
     ------
@@ -64,7 +69,7 @@ def read_run(path: Path) -> Run:
     def read() -> Run:
         with opened(path) as file, refused(path):
             version = layout_of(file)
-            info = version.info(file, path)
+            info = version.info(file, path) if known is None else known
             return Run(info, version.trace(file, info), version.events(file), version.filtered(file))
 
     return _steadily(read, path)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.analysis.identification.joint.blocks import Blocks, divide
-from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.nominal.protocol import NominalModel, Prediction, Predictor
 from dragrig.rig.arrays import FloatArray
@@ -88,10 +87,9 @@ def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator
 
 
 def whitening(
-    one: Evidence,
+    noise: FloatArray,
     prediction: Prediction,
     uncertainty: FloatArray,
-    noise: Noise,
     zero_sd: float,
     sds: FloatArray,
 ) -> Whitening:
@@ -99,6 +97,8 @@ def whitening(
 
     Parameters
     ----------
+    noise
+        Covariance of the noise of the block means, shape `(B, B)`.
     prediction, uncertainty
         What the run's blocks should be, and how well that can be said of each, one standard deviation, shape `(B,)`.
     zero_sd
@@ -108,13 +108,12 @@ def whitening(
     """
     from scipy.linalg import cholesky, solve_triangular
 
-    blocks = one.blocks
-    covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
+    covariance = noise.copy()
     covariance[np.diag_indices_from(covariance)] += uncertainty**2
     root = cholesky(covariance, lower=True)
     columns = prediction.varying * sds[:, None]
     if zero_sd > 0:
-        columns = np.vstack((np.full((1, len(blocks.mean)), zero_sd), columns))
+        columns = np.vstack((np.full((1, len(noise)), zero_sd), columns))
     own = np.asarray(solve_triangular(root, columns.T, lower=True))
     left, sizes, _ = np.linalg.svd(own, full_matrices=False)
     return Whitening(root, own, np.asarray(left), 1 - 1 / np.sqrt(1 + sizes**2))

@@ -25,6 +25,7 @@ class Problem:
     scales: Scales
     evidence: tuple[Evidence, ...]
     noises: tuple[Noise, ...]
+    noise_covariances: tuple[FloatArray, ...]
     zero_sds: tuple[float, ...]
     sds: FloatArray
 
@@ -43,6 +44,7 @@ class Problem:
             Scales.of(nominal.parameters),
             evidence,
             tuple(noises[one.channel] for one in evidence),
+            tuple(_covariance(one, noises[one.channel]) for one in evidence),
             tuple(zeros[one.channel] for one in evidence),
             np.array([one.sd for one in nominal.variations], dtype=np.float64),
         )
@@ -52,13 +54,18 @@ class Problem:
         values = self.scales.values(z)
         return [one.predict(values) for one in self.evidence]
 
-    def whitenings(self, z: FloatArray, predictions: Sequence[Prediction]) -> tuple[Whitening, ...]:
-        """Lay out every run's covariance around what is predicted at `z`."""
+    def uncertainties(self, z: FloatArray) -> list[FloatArray]:
+        """Return how well block means can be predicted, one standard deviation."""
         values = self.scales.values(z)
-        parts = zip(self.evidence, predictions, self.noises, self.zero_sds, strict=True)
+        return [one.uncertainty(values) for one in self.evidence]
+
+    def whitenings(
+        self, predictions: Sequence[Prediction], uncertainties: Sequence[FloatArray]
+    ) -> tuple[Whitening, ...]:
+        """Lay out every run's covariance around what is predicted."""
+        parts = zip(self.noise_covariances, predictions, uncertainties, self.zero_sds, strict=True)
         return tuple(
-            whitening(one, predicted, one.uncertainty(values), noise, zero, self.sds)
-            for one, predicted, noise, zero in parts
+            whitening(noise, predicted, uncertainty, zero, self.sds) for noise, predicted, uncertainty, zero in parts
         )
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
@@ -66,6 +73,10 @@ class Problem:
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
         return [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]
+
+
+def _covariance(one: Evidence, noise: Noise) -> FloatArray:
+    return noise.covariance(one.blocks.start_s, one.blocks.end_s, one.blocks.samples)
 
 
 def _zero_sd(evidence: Sequence[Evidence], channel: str, nominal: NominalModel) -> float:

@@ -67,6 +67,8 @@ class _Evaluations:
         self._predictions: list[Prediction] = []
         self._derivatives_at: FloatArray | None = None
         self._derivatives: list[FloatArray] = []
+        self._uncertain_at: FloatArray | None = None
+        self._uncertainties: list[FloatArray] = []
         self.steps = 0
 
     def predictions(self, z: FloatArray) -> list[Prediction]:
@@ -83,6 +85,11 @@ class _Evaluations:
             self._derivatives, self._derivatives_at = self._problem.derivatives(z), z.copy()
             self.steps += 1
         return self._derivatives
+
+    def whitenings(self, z: FloatArray) -> tuple[Whitening, ...]:
+        if self._uncertain_at is None or self._is_far(z, self._uncertain_at):
+            self._uncertainties, self._uncertain_at = self._problem.uncertainties(z), z.copy()
+        return self._problem.whitenings(self.predictions(z), self._uncertainties)
 
     def renew(self, z: FloatArray) -> None:
         """Take the derivatives right here."""
@@ -134,7 +141,7 @@ def solve(problem: Problem) -> Solution:
     z, misfit, why = np.zeros(len(problem.scales.nominal)), np.inf, ""
     for turn in range(PASSES):
         if turn < LAID_OUT:
-            whitenings = problem.whitenings(z, found.predictions(z))
+            whitenings = found.whitenings(z)
             # Far from the truth the runs would outshout the priors and lead astray: they gain weight as they are
             # explained.
             before, misfit = misfit, _misfit(_whitened(whitenings, found.residuals(z)))
