@@ -236,7 +236,7 @@ def _origin(found: IdentifiedCampaign, joint: JointFit) -> IdentifiedSettings:
         chi2_per_degree=joint.chi2 / joint.degrees,
         parameters=tuple(_value(one) for one in joint.parameters),
         combinations=tuple(_value(one) for one in joint.combinations),
-        correlation=tuple(tuple(map(float, row)) for row in joint.correlation),
+        correlation=tuple(tuple(row) for row in joint.correlation.round(4).tolist()),
     )
 
 

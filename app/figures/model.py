@@ -117,11 +117,11 @@ def described(model: FrictionModelSettings) -> str:
     """Say in a line which model a picture shows: its choices, and the scales that are not 1."""
     wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
     scales = [
-        f"{name.removesuffix('_scale').replace('_', ' ')} × {value:g}"
+        f"{name.removesuffix('_scale').replace('_', ' ')} × {value:.3g}"
         for name, value in model
         if name.endswith("_scale") and value != 1
     ]
-    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", f"μ = {model.friction_coefficient:g}")
+    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", f"μ = {model.friction_coefficient:.3g}")
     return "  ·  ".join((*choices, *scales))
 
 
