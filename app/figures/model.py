@@ -121,7 +121,8 @@ def described(model: FrictionModelSettings) -> str:
         for name, value in model
         if name.endswith("_scale") and value != 1
     ]
-    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", f"μ = {model.friction_coefficient:.3g}")
+    friction = f"μ = {model.friction_coefficient:.3g}"
+    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", friction)
     return "  ·  ".join((*choices, *scales))
 
 
