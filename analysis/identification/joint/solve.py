@@ -16,6 +16,9 @@ STILL = 0.05
 """A pass that moves no parameter by more than this, in units of its error, is the last."""
 LAID_OUT = 4
 """So many passes lay the covariance out anew; a model that does not hold may go on for ever otherwise."""
+ROUGH = 0.25
+"""A step smaller than this that makes the squares no smaller is the last: they jump where a bend of the motion comes to
+the equator within a block, and a minimum at such a jump has no slope of 0 to be told by."""
 CLOSE = 3.0
 """Less than this of its error from the minimum, the linearised problem is the problem."""
 FIRST_STEPS, MOST_STEPS = 2, 8
@@ -117,6 +120,10 @@ class _Pass:
     def residuals(self, z: FloatArray) -> FloatArray:
         return np.concatenate((self._weighted(self.evaluations.residuals(z)), z))
 
+    def squares(self, z: FloatArray) -> float:
+        residuals = self.residuals(z)
+        return float(residuals @ residuals)
+
     def jacobian(self, z: FloatArray) -> FloatArray:
         return np.concatenate((self._weighted(self.evaluations.derivatives(z)), np.eye(len(z))))
 
@@ -153,6 +160,9 @@ def solve(problem: Problem) -> Solution:
         moves = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         if moves < STILL and abs(misfit / before - 1) < STILL:
             return Solution(z + step, covariance, whitenings, misfit, converged=True, steps=found.steps)
+        settled = turn >= LAID_OUT and moves < ROUGH
+        if settled and now.squares(z) <= now.squares(np.clip(z + step, -FURTHEST, FURTHEST)):
+            return Solution(z, covariance, whitenings, misfit, converged=True, steps=found.steps)
         why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
         if moves < CLOSE:
             z = np.clip(z + step, -FURTHEST, FURTHEST)
