@@ -179,7 +179,7 @@ def pictures(found: IdentifiedCampaign, folder: Path, *, overwrite: bool = False
     result, runs = found.result, {one.file: one.run for one in found.selection.experiments}
     if result.joint is not None:
         yield save_in(folder, "joint-fit.png", joint_figure(result.joint), overwrite)
-    if result.relaxation is not None and any(one.elements for one in result.relaxation.fits):
+    if result.relaxation is not None and result.relaxation.fits:
         figure = relaxation_fit_figure(result.relaxation, found.selection)
         yield save_in(folder, "relaxation.png", figure, overwrite)
     if result.coulomb is not None and result.coulomb.runs:
@@ -196,8 +196,7 @@ def _drag_figure(found: IdentifiedCampaign) -> "Figure":
     if drag is None or not isinstance(found.nominal, CapsuleModel) or found.result.joint is None:
         raise AnalysisError(f"{found.source}: has no drag to draw.")
     model = identified_settings(found.nominal, found.result.joint)
-    boundary = drag.boundary.speed_mm_s if drag.boundary is not None else None
-    return drag_figure(drag, model, first.capsule, first.wall_thickness_mm, boundary)
+    return drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
 
 
 def _nominal(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:

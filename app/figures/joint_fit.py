@@ -1,14 +1,18 @@
-"""The joint fit in one picture: what was assumed of each parameter, what the runs made of it, how each run is left."""
+"""The joint fit in one picture: what was known of each parameter, what the runs made of it, how each run is left."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
+from dragrig.analysis.estimates import NORMAL_95
 from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
-from dragrig.figures.header import headline
-from dragrig.figures.panels import Place, add_panel
+from dragrig.figures.derived import with_error
+from dragrig.figures.header import headline, write_trouble
+from dragrig.figures.panels import Place, add_panel, plain_log_x
 from dragrig.figures.style import (
     BLACK,
     BLUE,
@@ -23,77 +27,194 @@ from dragrig.figures.style import (
     text_width_in,
 )
 
-ROW_IN = 0.36
-NARROW_IN, WIDE_IN, GAP_IN, RIGHT_IN, NUMBERS_IN = 3.7, 5.4, 0.35, 0.4, 2.1
-HEAD_IN, FOOT_IN, TITLE_IN = 1.25, 0.8, 0.5
-WIDEST_PERCENT = 60.0
+ROW_IN, TIGHT_ROW_IN = 0.36, 0.23
+ROOMY_RUNS, MOST_RUNS = 32, 60
+PANEL_IN, RUNS_IN, BETWEEN_IN, RIGHT_IN, NUMBERS_IN, ABOVE_IN = 4.4, 3.7, 0.5, 0.4, 0.12, 0.3
+HEAD_IN, FOOT_IN, COMBINED_HEAD_IN, TROUBLE_IN = 1.55, 0.8, 1.25, 0.3
+LONGEST_IN = 3.6
+"""Room for a name or a file; longer ones are cut off."""
+LEAST_SD, MOST_SD = 3.0, 10.0
+"""How far the axis of the parameters goes at least and at most."""
+LEAST_PERCENT, MOST_PERCENT = 2.0, 100.0
+LARGE_CHI2 = 5.0
+"""From here on the axis of the runs is logarithmic."""
+STANDS_OUT = 4.0
+UNLIKELY = 1e-3
+PRIOR = "#E3E7EC"
 
 
 def joint_figure(fit: JointFit) -> Figure:
     """Draw a joint fit.
 
-    Left, each parameter and combination relative to its value with 95 % intervals, the prior's behind; right, the
-    squares that each run leaves for each degree of freedom, 1 where nothing but noise and repeatability is left.
+    Left, each parameter with its 95 % interval, on a scale on which what was known before is the same for all; below,
+    the intervals of what they combine to. Right, χ² per degree of freedom of each run, 1 where nothing but noise and
+    repeatability is left; of more than 60 runs those with the largest.
     """
-    rows: list[Quantity] = [*fit.parameters, *fit.combinations]
-    height = max(len(rows), len(fit.runs)) * ROW_IN
-    names_in = max(text_width_in(one.name, TEXT_PT) for one in rows) + 0.4
-    files_in = max(text_width_in(one.file, SMALL_PT) for one in fit.runs) + 0.3
-    left_in = names_in + WIDE_IN + NUMBERS_IN
+    runs = _shown(fit.runs)
+    sheet = _Sheet.of(fit, runs)
     with drawing():
-        figure = new_figure(left_in + files_in + NARROW_IN + RIGHT_IN, height + HEAD_IN + TITLE_IN + FOOT_IN)
-        headline(figure, 0.3, f"Joint fit of the {fit.nominal} model", _subtitle(fit))
-        intervals = add_panel(figure, Place(names_in, FOOT_IN, WIDE_IN, height))
-        _intervals(intervals, rows)
-        runs = add_panel(figure, Place(left_in + files_in, FOOT_IN, NARROW_IN, height))
-        _left_over(runs, fit.runs)
+        figure = new_figure(sheet.wide, sheet.tall)
+        headline(figure, ABOVE_IN, f"Joint fit of the {fit.nominal} model", _subtitle(fit, len(runs)))
+        write_trouble(figure, ABOVE_IN, _trouble(fit))
+        parameters, combined, left = sheet.places
+        _parameters(add_panel(figure, parameters), fit.parameters)
+        if fit.combinations:
+            _combined(add_panel(figure, combined), fit.combinations)
+        _left_over(add_panel(figure, left), runs)
         return figure
 
 
-def _subtitle(fit: JointFit) -> str:
+@dataclass(frozen=True, slots=True)
+class _Sheet:
+    """Size of the picture and where its panels stand [inch]."""
+
+    wide: float
+    tall: float
+    places: tuple[Place, Place, Place]
+
+    @classmethod
+    def of(cls, fit: JointFit, runs: Sequence[RunResidual]) -> "_Sheet":
+        """Make room for names, numbers and rows."""
+        rows: list[Quantity] = [*fit.parameters, *fit.combinations]
+        names = ABOVE_IN + max(_width(one.name, TEXT_PT) for one in rows) + 0.15
+        numbers = NUMBERS_IN + max(text_width_in(_number(one), SMALL_PT) for one in rows)
+        files = max(_width(one, SMALL_PT) for one in _files(runs)) + 0.15
+        upper, lower = ROW_IN * len(fit.parameters), ROW_IN * len(fit.combinations)
+        right = len(runs) * (ROW_IN if len(runs) <= ROOMY_RUNS else TIGHT_ROW_IN)
+        left = upper + (lower + COMBINED_HEAD_IN if fit.combinations else 0.0)
+        top = FOOT_IN + max(left, right)
+        runs_at = names + PANEL_IN + numbers + BETWEEN_IN + files
+        places = (
+            Place(names, top - upper, PANEL_IN, upper),
+            Place(names, top - left, PANEL_IN, lower),
+            Place(runs_at, top - right, RUNS_IN, right),
+        )
+        tall = top + HEAD_IN + (TROUBLE_IN if _trouble(fit) else 0.0)
+        return cls(runs_at + RUNS_IN + RIGHT_IN, tall, places)
+
+
+def _width(text: str, size_pt: float) -> float:
+    return min(text_width_in(text, size_pt), LONGEST_IN)
+
+
+def _cut(text: str, size_pt: float) -> str:
+    """Leave out the middle of a long name: what tells runs apart stands at its ends."""
+    wide = text_width_in(text, size_pt)
+    if wide <= LONGEST_IN:
+        return text
+    half = int(0.47 * len(text) * LONGEST_IN / wide)
+    return f"{text[:half]}…{text[-half:]}"
+
+
+def _shown(runs: Sequence[RunResidual]) -> list[RunResidual]:
+    if len(runs) <= MOST_RUNS:
+        return list(runs)
+    least = sorted((one.chi2 for one in runs), reverse=True)[MOST_RUNS - 1]
+    return [one for one in runs if one.chi2 >= least][:MOST_RUNS]
+
+
+def _subtitle(fit: JointFit, shown: int) -> str:
+    total = len({one.file for one in fit.runs})
+    runs = f"{total} run{'' if total == 1 else 's'}"
+    if shown < len(fit.runs):
+        runs += f", the {shown} that are left worst shown"
+    return f"χ² {_plain(fit.chi2 / max(fit.degrees, 1))} per degree of freedom ({fit.degrees})  ·  {runs}"
+
+
+def _trouble(fit: JointFit) -> str:
     if not fit.converged:
-        return "DID NOT CONVERGE: no interval holds"
-    return f"{fit.chi2 / fit.degrees:.2f} squares for each of {fit.degrees} degrees of freedom, {len(fit.runs)} runs"
+        return "did not converge: no interval holds"
+    return "the model leaves more than noise: the intervals need not hold" if fit.p_value < UNLIKELY else ""
 
 
-def _intervals(axes: Axes, rows: Sequence[Quantity]) -> None:
-    for place, one in enumerate(rows):
-        middle, scale = one.value, _scale(one)
-        if isinstance(one, Identified):
-            low, high = ((end - middle) / scale for end in one.prior)
-            axes.barh(place, high - low, left=low, height=0.62, color="#E3E7EC", linewidth=0)
-        low, high = ((end - middle) / scale for end in one.interval)
-        colour = BLUE if isinstance(one, Identified) else PURPLE
-        axes.plot([low, high], [place, place], color=colour, linewidth=3.0)
-        axes.plot(0, place, "o", color=colour, markersize=6, markeredgecolor="white")
-        text = f"{one.value:.4g} ± {one.standard_error:.2g}" + ("" if one.unit == "1" else f" {one.unit}")
-        axes.text(1.02, place, text, transform=axes.get_yaxis_transform(), va="center", fontsize=SMALL_PT)
-    axes.set_yticks(range(len(rows)), [one.name for one in rows], fontsize=TEXT_PT)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    furthest = max(abs(end) for end in axes.get_xlim())
-    axes.set_xlim(-min(furthest, WIDEST_PERCENT), min(furthest, WIDEST_PERCENT))
-    axes.set_xlabel("Difference from the value (%; of an angle, ° × 10)")
+def _plain(value: float) -> str:
+    return f"{value:.2f}" if value < 100 else f"{value:.0f}"
+
+
+def _number(one: Quantity) -> str:
+    return with_error(one.value, one.standard_error) + ("" if one.unit == "1" else f" {one.unit}")
+
+
+def _files(runs: Sequence[RunResidual]) -> list[str]:
+    several = len({one.channel for one in runs}) > 1
+    return [f"{one.file} {one.channel}" if several else one.file for one in runs]
+
+
+def _parameters(axes: Axes, rows: Sequence[Identified]) -> None:
+    places = [_in_sd(one) for one in rows]
+    reach = min(max(LEAST_SD, *(1.08 * abs(end) for ends in places for end in ends)), MOST_SD)
+    axes.axvspan(-NORMAL_95, NORMAL_95, color=PRIOR, linewidth=0)
+    axes.axvline(0.0, color=PALE, linewidth=1.0)
+    for row, ends in enumerate(places):
+        _interval(axes, row, ends, reach, BLUE)
+    _rows(axes, rows)
+    axes.set_xlim(-reach, reach)
+    axes.set_xlabel("Standard deviations from what was known before")
     axes.set_title("95 % intervals, before (grey) and after the runs", loc="left", fontsize=TEXT_PT)
+
+
+def _in_sd(one: Identified) -> tuple[float, float, float]:
+    """Return low end, value and high end in standard deviations of the prior, logarithmically where it is positive."""
+    ends = np.array([*one.prior, one.interval[0], one.value, one.interval[1]])
+    known = np.log(ends) if (ends > 0).all() else ends
+    middle, half = (known[0] + known[1]) / 2, (known[1] - known[0]) / 2
+    low, value, high = (NORMAL_95 * (known[2:] - middle) / half).tolist() if half > 0 else (0.0, 0.0, 0.0)
+    return low, value, high
+
+
+def _combined(axes: Axes, rows: Sequence[Quantity]) -> None:
+    places = [(_percent(one, one.interval[0]), 0.0, _percent(one, one.interval[1])) for one in rows]
+    reach = min(max(LEAST_PERCENT, *(1.08 * abs(end) for ends in places for end in ends)), MOST_PERCENT)
+    axes.axvline(0.0, color=PALE, linewidth=1.0)
+    for row, ends in enumerate(places):
+        _interval(axes, row, ends, reach, PURPLE)
+    _rows(axes, rows)
+    axes.set_xlim(-reach, reach)
+    axes.set_xlabel("Difference from the value (%)")
+    axes.set_title("95 % intervals of what they combine to", loc="left", fontsize=TEXT_PT)
+
+
+def _percent(one: Quantity, end: float) -> float:
+    return 100 * (end - one.value) / (abs(one.value) or 1.0)
+
+
+def _interval(axes: Axes, row: int, ends: tuple[float, float, float], reach: float, colour: str) -> None:
+    """Draw value and interval; an arrow points to what lies beyond the axis."""
+    low, value, high = (min(max(end, -reach), reach) for end in ends)
+    axes.plot([low, high], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
+    for end, edge, marker in ((ends[0], -reach, "<"), (ends[2], reach, ">")):
+        if abs(end) > reach and np.sign(end) == np.sign(edge):
+            axes.plot(edge, row, marker, color=colour, markersize=9, clip_on=False)
+    if abs(ends[1]) <= reach:
+        axes.plot(value, row, "o", color=colour, markersize=7, markeredgecolor="white")
+
+
+def _rows(axes: Axes, rows: Sequence[Quantity]) -> None:
+    """Name the rows at the left, and write their numbers at the right."""
+    axes.set_yticks(range(len(rows)), [_cut(one.name, TEXT_PT) for one in rows], fontsize=TEXT_PT)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
-
-
-def _scale(one: Quantity) -> float:
-    return 0.1 if one.unit == "deg" or not one.value else abs(one.value) / 100
+    x = 1 + NUMBERS_IN / PANEL_IN
+    for row, one in enumerate(rows):
+        axes.text(x, row, _number(one), transform=axes.get_yaxis_transform(), va="center_baseline", fontsize=SMALL_PT)
 
 
 def _left_over(axes: Axes, runs: Sequence[RunResidual]) -> None:
-    for place, one in enumerate(runs):
-        spread = 2 * float(np.sqrt(2 / one.blocks))
-        colour = VERMILLION if one.chi2 > 1 + 2 * spread else BLACK
-        axes.plot([1 - spread, 1 + spread], [place, place], color=PALE, linewidth=6.0, solid_capstyle="butt")
-        axes.plot(one.chi2, place, "o", color=colour, markersize=6.5)
-    axes.axvline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-    axes.set_yticks(range(len(runs)), [one.file for one in runs], fontsize=SMALL_PT)
-    axes.set_ylim(len(runs) - 0.4, -0.6)
-    if max(one.chi2 for one in runs) > 10:
-        axes.set_xscale("log")
+    most = max(one.chi2 for one in runs)
+    if most > LARGE_CHI2:
+        plain_log_x(axes, 0.3, 1.3 * most)
     else:
-        axes.set_xlim(left=0.0)
-    axes.set_xlabel("Squares per degree of freedom")
-    axes.set_title("What each run leaves", loc="left", fontsize=TEXT_PT)
+        axes.set_xlim(0.0, max(2.0, 1.08 * most))
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
+    for row, one in enumerate(runs):
+        error = float(np.sqrt(2 / max(one.blocks, 1)))
+        low, high = max(1 - NORMAL_95 * error, 0.0), 1 + NORMAL_95 * error
+        colour = VERMILLION if one.chi2 > 1 + STANDS_OUT * error else BLACK
+        axes.barh(row, high - low, left=low, height=0.5, color=PRIOR, linewidth=0)
+        axes.plot(max(one.chi2, axes.get_xlim()[0]), row, "o", color=colour, markersize=6.5, clip_on=False)
+    axes.axvline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.set_yticks(range(len(runs)), [_cut(one, SMALL_PT) for one in _files(runs)], fontsize=SMALL_PT)
+    axes.set_ylim(len(runs) - 0.5, -0.5)
+    axes.set_xlabel("χ² per degree of freedom")
+    axes.set_title("What each run leaves (grey: noise)", loc="left", fontsize=TEXT_PT)
     axes.grid(visible=False, axis="y")

@@ -41,7 +41,10 @@ def label_ends(axes: Axes, labels: Sequence[EndLabel], size_pt: float = TEXT_PT)
             color=label.colour,
             annotation_clip=False,
             parse_math=label.math,
-            arrowprops={"arrowstyle": "-", "color": label.colour, "linewidth": 0.8, "shrinkA": 1, "shrinkB": 2}
-            if moved
-            else None,
+            arrowprops=_leader(label.colour) if moved else None,
         )
+
+
+def _leader(colour: str) -> dict[str, object]:
+    """Return a line that begins at the left edge of its name, so that it crosses no other's."""
+    return {"arrowstyle": "-", "color": colour, "linewidth": 0.8, "relpos": (0, 0.5), "shrinkA": 1, "shrinkB": 2}

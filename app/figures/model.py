@@ -1,6 +1,7 @@
 """Pictures of the friction model: the paper's Figs. 9 and 7."""
 
 from collections.abc import Sequence
+from math import inf
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,18 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.figures.header import headline
 from dragrig.figures.labels import EndLabel, label_ends
 from dragrig.figures.panels import Place, add_panel, label_y, plain_log_x
-from dragrig.figures.style import BLACK, BLUE, GREEN, GREY, SMALL_PT, VERMILLION, drawing, new_figure, sequence
+from dragrig.figures.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    SMALL_PT,
+    VERMILLION,
+    drawing,
+    new_figure,
+    sequence,
+    text_width_in,
+)
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 
@@ -113,8 +125,8 @@ def skew_figure(
         return figure
 
 
-def described(model: FrictionModelSettings) -> str:
-    """Say in a line which model a picture shows: its choices, and the scales that are not 1."""
+def described(model: FrictionModelSettings, room_in: float = inf) -> str:
+    """Say in a line which model a picture shows: its choices, and the scales that are not 1, at least how many."""
     wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
     scales = [
         f"{name.removesuffix('_scale').replace('_', ' ')} × {value:.3g}"
@@ -123,7 +135,10 @@ def described(model: FrictionModelSettings) -> str:
     ]
     friction = f"μ = {model.friction_coefficient:.3g}"
     choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", friction)
-    return "  ·  ".join((*choices, *scales))
+    whole = "  ·  ".join((*choices, *scales))
+    if text_width_in(whole, SMALL_PT) <= room_in:
+        return whole
+    return "  ·  ".join((*choices, f"{len(scales)} scales that are not 1"))
 
 
 def few_of(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:

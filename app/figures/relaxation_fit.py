@@ -64,6 +64,8 @@ def relaxation_fit_figure(relaxation: Relaxation, selection: Selection) -> Figur
         label_y(forces[0], "Force (mN)")
         label_y(left_overs[0], "Residual (σ)")
         _scale(forces, left_overs[0], drawn)
+        if not drawn:
+            left_overs[0].set_yticks([])
         laws = Place(LEFT_IN, LAWS_FOOT_IN, WIDTH_IN - LEFT_IN - RIGHT_IN, LAWS_IN)
         draw_laws(figure, laws, relaxation.fits, relaxation.laws)
         return figure
@@ -84,6 +86,8 @@ def _subtitle(relaxation: Relaxation) -> str:
     total = len(relaxation.fits)
     runs = f"{total} run{'' if total == 1 else 's'}"
     told = runs if identified == total else f"{identified} of {runs} identified"
+    if not identified:
+        return f"{told}  ·  grey: measured"
     return f"{told}  ·  grey: measured  ·  orange: spring and two Maxwell branches, driven through the measured ramp"
 
 

@@ -69,9 +69,8 @@ def drag_figure(
     with drawing():
         figure = new_figure(WIDTH_IN, FOOT_IN + LEFT_OVER_IN + BETWEEN_IN + FORCE_IN + 1.15)
         room = WIDTH_IN - LEFT_IN - 0.3
-        headline(
-            figure, LEFT_IN, "Drag against speed, measured and by the model", fitting(described(model), SMALL_PT, room)
-        )
+        told = fitting(described(model, room), SMALL_PT, room)
+        headline(figure, LEFT_IN, "Drag against speed, measured and by the model", told)
         if backend:
             write_badge(figure, backend)
         below = add_panel(figure, Place(LEFT_IN, FOOT_IN, WIDE_IN, LEFT_OVER_IN))

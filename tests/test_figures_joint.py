@@ -1,0 +1,113 @@
+"""The picture of a joint fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from dragrig.analysis.estimates import Estimate
+from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
+from dragrig.figures import joint_figure
+from dragrig.figures.joint_fit import MOST_RUNS
+
+STIFFNESS = Identified("stiffness_scale", "1", 1.05, 0.03, (0.99, 1.11), (0.75, 1.34), 0.8)
+ANGLE = Identified("contact_angle_offset_deg", "deg", -0.2, 0.1, (-0.4, 0.0), (-1.4, 1.4), 0.8)
+SHOWN = Quantity("e1_shown", "1", 1.016, 0.009, (0.999, 1.034))
+
+
+def run(file: str, chi2: float = 1.0, channel: str = "force") -> RunResidual:
+    return RunResidual(file, "drag", channel, 300, chi2, 1.0, Estimate(0.0, 0.1), {})
+
+
+def fit(*runs: RunResidual, parameters: tuple[Identified, ...] = (STIFFNESS, ANGLE)) -> JointFit:
+    correlation = np.eye(len(parameters))
+    return JointFit("capsule", parameters, (SHOWN,), correlation, runs or (run("a.h5"),), 300, 300, 0.5, True, 2)
+
+
+def words(figure: Figure) -> list[Text]:
+    """Return every text that is drawn; ticks beyond an axis are not."""
+    assert isinstance(figure.canvas, FigureCanvasAgg)
+    figure.canvas.draw()
+    found = list(figure.texts)
+    for axes in figure.axes:
+        found += [*axes.texts, axes.xaxis.label, *(one for one in axes.get_children() if isinstance(one, Text))]
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            found += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    return [one for one in dict.fromkeys(found) if one.get_text().strip()]
+
+
+def panel(figure: Figure, title: str) -> Axes:
+    return next(axes for axes in figure.axes if title in axes.get_title(loc="left"))
+
+
+def names(axes: Axes) -> list[str]:
+    return [one.get_text() for one in axes.get_yticklabels()]
+
+
+LONG = "2026-05-04-a-campaign-with-a-name-that-never-comes-to-an-end-at-least-not-soon"
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        fit(),
+        fit(*(run(f"{LONG}-{number:03d}-drag.h5") for number in range(34))),
+        fit(run("a.h5", 4020.0), run("b.h5", 0.01)),
+        fit(parameters=tuple(replace(STIFFNESS, name=f"{LONG}_{number}", unit="mN·s/mm") for number in range(3))),
+        replace(fit(), combinations=(), converged=False),
+        replace(fit(), p_value=1e-9),
+    ],
+    ids=["plain", "many runs, long names", "large and small", "long parameters", "not converged", "unexplained"],
+)
+def test_every_word_stays_on_the_page_and_clear_of_the_others(drawn: JointFit) -> None:
+    figure = joint_figure(drawn)
+    boxes = [one.get_window_extent() for one in words(figure)]
+    page = figure.bbox
+    for box in boxes:
+        assert page.x0 <= box.x0 < box.x1 <= page.x1
+        assert page.y0 <= box.y0 < box.y1 <= page.y1
+    for place, box in enumerate(boxes):
+        for other in boxes[place + 1 :]:
+            apart = max(box.x0, other.x0) - min(box.x1, other.x1), max(box.y0, other.y0) - min(box.y1, other.y1)
+            assert max(apart) > -3.0
+
+
+def test_parameters_stand_where_their_priors_have_them() -> None:
+    axes = panel(joint_figure(fit()), "before")
+    middles = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
+    nominal = np.sqrt(0.75 * 1.34)
+    log_sd = np.log(1.34 / 0.75) / (2 * 1.96)
+    assert middles == pytest.approx([np.log(1.05 / nominal) / log_sd, -0.2 / (1.4 / 1.96)], rel=1e-3)
+    assert names(axes) == ["stiffness_scale", "contact_angle_offset_deg"]
+
+
+def test_what_lies_far_outside_is_pointed_at() -> None:
+    far = replace(STIFFNESS, value=9.0, interval=(8.9, 9.1))
+    axes = panel(joint_figure(fit(parameters=(far, ANGLE))), "before")
+    arrows = [line for line in axes.lines if line.get_marker() == ">"]
+    assert [line.get_xdata()[0] for line in arrows] == [axes.get_xlim()[1]]
+
+
+def test_runs_that_are_left_badly_are_shown_on_a_scale_for_all() -> None:
+    axes = panel(joint_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
+    assert axes.get_xscale() == "log"
+    assert "1000" in [one.get_text() for one in axes.get_xticklabels()]
+    assert names(axes) == ["a.h5", "b.h5"]
+
+
+def test_of_very_many_runs_those_are_shown_that_are_left_worst() -> None:
+    runs = [run(f"{number:03d}.h5", 1.0 + number / 100) for number in range(3 * MOST_RUNS)]
+    figure = joint_figure(fit(*runs))
+    assert names(panel(figure, "each run")) == [one.file for one in runs[-MOST_RUNS:]]
+    assert any(f"{3 * MOST_RUNS} runs, the {MOST_RUNS} that" in one.get_text() for one in figure.texts)
+
+
+def test_channels_are_named_where_there_are_several() -> None:
+    figure = joint_figure(fit(run("a.h5"), run("a.h5", channel="motor_force")))
+    assert names(panel(figure, "each run")) == ["a.h5 force", "a.h5 motor_force"]
+    assert any(one.get_text().endswith("1 run") for one in figure.texts)
