@@ -20,7 +20,7 @@ def clipped(run: Run) -> npt.NDArray[np.bool_]:
     force = run.trace.force
     counted = run.info.checks.get("clipped_samples")
     found = np.zeros(len(force), dtype=np.bool_)
-    if not len(force) or (counted is not None and not counted):
+    if not np.isfinite(force).any() or (counted is not None and not counted):
         return found
     for extreme in (np.nanmax(force), np.nanmin(force)):
         at = np.asarray(force == extreme)

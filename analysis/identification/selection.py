@@ -1,21 +1,21 @@
 """Which runs of a campaign an identification may use, and why the others are left out."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from dragrig.analysis.identification.results import LeftOut
+from dragrig.analysis.identification.spoilt import spoilt, spoilt_in_part
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.rig.runfile.campaigns import specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo, Status
 
-WORST_SHARE = 0.2
-"""A run more of whose samples are clipped or missing is left out; fewer are left out of the run."""
 SLIDES_BACK = "return"
+MOST_REASONS = 3
+"""So many reasons are told where no run is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +55,8 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
     left_out = [LeftOut(path.name, str(fault).removeprefix(f"{path}: ")) for path, fault in found.unreadable]
     left_out += [LeftOut(path.name, "it is a recording that was not finished") for path in found.recordings]
     marks = {path: mark.reason for path, mark in found.marks.items()}
+    if not found.runs and left_out:
+        raise AnalysisError(f"{folder}: holds no run that can be read ({_counted(left_out)}).")
     chosen = _of_one_specimen(found.runs, specimen, folder)
     runs: list[Run] = []
     for done, info in enumerate(chosen):
@@ -72,12 +74,15 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
 
 
 def select_from(runs: Iterable[Run], specimen: str | None = None) -> Selection:
-    """Do the same with runs in memory; raises `AnalysisError` as `select`."""
-    whole = {run.info.path: run for run in runs}
-    chosen = _of_one_specimen([run.info for run in whole.values()], specimen, Path("these runs"))
+    """Do the same with runs in memory; raises `AnalysisError` as `select`, and where two have one file name."""
+    whole = tuple(runs)
+    twice = [name for name, count in Counter(run.info.path.name for run in whole).items() if count > 1]
+    if twice:
+        raise AnalysisError(f"these runs: several are called {twice[0]}; identify one campaign at a time.")
+    chosen = _of_one_specimen([run.info for run in whole], specimen, Path("these runs"))
     reasons = {info.path: _not_usable(info, {}) for info in chosen}
     left_out = [LeftOut(path.name, reason) for path, reason in reasons.items() if reason]
-    usable = [whole[path] for path, reason in reasons.items() if reason is None]
+    usable = [run for run in whole if reasons.get(run.info.path, "of another specimen") is None]
     return _selection(specimen_key(chosen[0]), usable, left_out, "these runs")
 
 
@@ -87,15 +92,19 @@ def _of_one_specimen(infos: Iterable[RunInfo], specimen: str | None, where: Path
         groups.setdefault(specimen_key(info), []).append(info)
     if not groups:
         raise AnalysisError(f"{where}: holds no run file that can be read; name the folder of a campaign.")
-    known = {name: key for key, group in groups.items() for name in (key, str(group[0].header.specimen.get("name")))}
-    if specimen is not None and specimen not in known:
+    meant = [key for key, group in groups.items() if specimen in (key, str(group[0].header.specimen.get("name")))]
+    if specimen is not None and not meant:
         raise AnalysisError(f"{where}: has no run of specimen {specimen!r}, only of {', '.join(sorted(groups))}.")
+    if len(meant) > 1:
+        raise AnalysisError(
+            f"{where}: several specimens are called {specimen}; name one of {', '.join(sorted(meant))}."
+        )
     if specimen is None and len(groups) > 1:
         counted = ", ".join(f"{key} ({len(group)})" for key, group in sorted(groups.items()))
         raise AnalysisError(
             f"{where}: holds runs of several specimens, whose parameters differ: {counted}; name one with --specimen."
         )
-    return groups[known[specimen] if specimen is not None else next(iter(groups))]
+    return groups[meant[0] if meant else next(iter(groups))]
 
 
 def _not_usable(info: RunInfo, marks: Mapping[Path, str]) -> str | None:
@@ -112,32 +121,24 @@ def _selection(specimen: str, runs: Iterable[Run], left_out: Iterable[LeftOut], 
     kept: list[Experiment] = []
     dropped, remarks = list(left_out), list[str]()
     for experiment in map(Experiment, runs):
-        reason = _spoilt(experiment)
+        reason = spoilt(experiment)
         if reason is not None:
             dropped.append(LeftOut(experiment.file, reason))
             continue
         kept.append(experiment)
-        remarks += _spoilt_in_part(experiment)
+        remarks += spoilt_in_part(experiment)
     if not kept:
-        why = "; ".join(f"{one.what}: {one.reason}" for one in dropped)
-        raise AnalysisError(f"{where}: no run can be used ({why}).")
+        raise AnalysisError(f"{where}: no run can be used ({_counted(dropped)}).")
     return Selection(specimen, tuple(kept), tuple(dropped), tuple(remarks))
 
 
-def _spoilt(experiment: Experiment) -> str | None:
-    if not experiment.valid.size:
-        return "it has no samples"
-    bad = 1.0 - float(np.mean(experiment.valid))
-    if bad > WORST_SHARE:
-        return f"{bad:.0%} of its samples are clipped or missing (NaN)"
-    try:
-        _ = experiment.motion, experiment.fixture
-    except AnalysisError as fault:
-        return str(fault).removeprefix(f"{experiment.file}: ")
-    return None
-
-
-def _spoilt_in_part(experiment: Experiment) -> Iterator[str]:
-    bad = int(np.count_nonzero(~experiment.valid))
-    if bad:
-        yield f"{experiment.file}: {bad} samples are clipped or missing (NaN) and were left out"
+def _counted(left_out: Sequence[LeftOut]) -> str:
+    """Return each reason once, with the runs that it holds for, most of them counted only."""
+    reasons: dict[str, list[str]] = {}
+    for one in left_out:
+        reasons.setdefault(one.reason, []).append(one.what)
+    told = [
+        f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
+        for reason, files in reasons.items()
+    ]
+    return "; ".join(told if len(told) <= MOST_REASONS else [*told[:MOST_REASONS], "and other reasons"])
