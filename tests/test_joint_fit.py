@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import dragrig
 from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.results import JointFit
-from dragrig.analysis.identification.selection import select
+from dragrig.analysis.identification.selection import select, select_from
 from dragrig.analysis.nominal.capsule import MODEL
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -59,3 +60,10 @@ def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
     assert dwell.learnt < 0.05
     assert dwell.interval == pytest.approx(dwell.prior, rel=0.02)
     assert any("told apart" in remark for remark in fit.remarks)
+
+
+def test_drags_alone_lead_to_a_minimum_where_the_squares_jump() -> None:
+    settings = ["rig.sampling.rate_hz=500", "rig.simulated.seed=7", "travel_mm=-40", "speed_mm_s=[1,5,20,40]"]
+    found = fit_jointly(select_from(dragrig.simulate("drag", assignments=settings)), MODEL)
+    assert found.converged
+    assert found.chi2 / found.degrees < 1.2

@@ -16,11 +16,11 @@ STILL = 0.05
 """A pass that moves no parameter by more than this, in units of its error, is the last."""
 LAID_OUT = 4
 """So many passes lay the covariance out anew; a model that does not hold may go on for ever otherwise."""
-ROUGH = 0.25
-"""A step smaller than this that makes the squares no smaller is the last: they jump where a bend of the motion comes to
-the equator within a block, and a minimum at such a jump has no slope of 0 to be told by."""
 CLOSE = 3.0
 """Less than this of its error from the minimum, the linearised problem is the problem."""
+SHARES = (1.0, 0.5, 0.25, 0.1)
+"""Shares of a step of which none makes the squares smaller where it is the last: they jump where a bend of the motion
+comes to the equator within a block, and a minimum at such a jump has no slope of 0 to be told by."""
 FIRST_STEPS, MOST_STEPS = 2, 8
 """Evaluations within a pass."""
 FURTHEST = 6.0
@@ -136,6 +136,12 @@ class _Pass:
         step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
         return step, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
+    def lower(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Return the furthest place along a step, of some, where the squares are lower than at `z`."""
+        here = self.squares(z)
+        places = (np.clip(z + share * step, -FURTHEST, FURTHEST) for share in SHARES)
+        return next((place for place in places if self.squares(place) < here), None)
+
     def _weighted(self, each: Sequence[FloatArray]) -> FloatArray:
         return _whitened(self.whitenings, each) / sqrt(self.misfit)
 
@@ -160,9 +166,11 @@ def solve(problem: Problem) -> Solution:
         moves = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         if moves < STILL and abs(misfit / before - 1) < STILL:
             return Solution(z + step, covariance, whitenings, misfit, converged=True, steps=found.steps)
-        settled = turn >= LAID_OUT and moves < ROUGH
-        if settled and now.squares(z) <= now.squares(np.clip(z + step, -FURTHEST, FURTHEST)):
-            return Solution(z, covariance, whitenings, misfit, converged=True, steps=found.steps)
+        if turn >= LAID_OUT and moves < CLOSE:
+            lower = now.lower(z, step)
+            if lower is None:
+                return Solution(z, covariance, whitenings, misfit, converged=True, steps=found.steps)
+            step = lower - z
         why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
         if moves < CLOSE:
             z = np.clip(z + step, -FURTHEST, FURTHEST)
