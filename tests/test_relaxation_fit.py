@@ -10,9 +10,8 @@ from relaxations import relaxation, selected
 from runfiles import PRACTICE
 
 import dragrig
-from dragrig.analysis.identification.joint.noise import Noise
-from dragrig.analysis.identification.maxwell.noise import USUAL, estimate_noise
 from dragrig.analysis.identification.maxwell.residuals import predicted_force
+from dragrig.analysis.identification.noise import USUAL, Noise, estimate_noise
 from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import RelaxationFit
 from dragrig.analysis.identification.selection import Selection, select, select_from
@@ -89,11 +88,11 @@ def test_slow_noise_of_the_sensor_widens_the_intervals_as_it_must() -> None:
 
 def test_noise_levels_are_estimated_and_short_records_fall_back_on_the_usual() -> None:
     runs = [Experiment(relaxation(seed=seed, slow_mN=1.0, correlation_s=0.4)) for seed in range(4)]
-    noise = estimate_noise(runs)
+    noise = estimate_noise(runs, "force")
     assert noise.white == pytest.approx(1.5, rel=0.03)
     assert noise.slow == pytest.approx(1.0, rel=0.25)
     assert noise.correlation_s == pytest.approx(0.4, rel=0.5)
-    assert estimate_noise([Experiment(relaxation(rest_s=0.05, hold_s=0.1))]) == USUAL
+    assert estimate_noise([Experiment(relaxation(rest_s=0.05, hold_s=0.1))], "force") == USUAL
 
 
 def test_block_means_have_the_covariance_of_the_noise() -> None:

@@ -10,7 +10,7 @@ from math import hypot, log
 import numpy as np
 
 from dragrig.analysis.estimates import Estimate, missing
-from dragrig.analysis.identification.joint.noise import Noise, estimate_noise
+from dragrig.analysis.identification.noise import Noise, estimate_noise
 from dragrig.analysis.identification.pooling import Pooled, pooled, trend
 from dragrig.analysis.identification.results import Coulomb, CoulombRun
 from dragrig.analysis.identification.selection import Selection

@@ -10,7 +10,7 @@ from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.boundary import Deviation, find_boundary
 from dragrig.analysis.identification.determination import determinations
 from dragrig.analysis.identification.drag_runs import AtSpeed, DragRun, at_speeds, drag_runs
-from dragrig.analysis.identification.joint.noise import estimate_noise
+from dragrig.analysis.identification.noise import estimate_noise
 from dragrig.analysis.identification.nominal_drag import freedom, parts, resting_force
 from dragrig.analysis.identification.results import Boundary, Drag, LogLaw, SpeedPoint
 from dragrig.analysis.identification.selection import Selection

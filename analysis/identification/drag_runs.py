@@ -8,7 +8,7 @@ from math import hypot, log
 import numpy as np
 
 from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.identification.joint.noise import Noise
+from dragrig.analysis.identification.noise import Noise
 from dragrig.analysis.identification.nominal_drag import Setup, parts, resting_force
 from dragrig.analysis.identification.results import LeftOut, SpeedPoint
 from dragrig.analysis.identification.sliding import along, difference, rest_mean, sliding

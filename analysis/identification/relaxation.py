@@ -5,11 +5,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from dragrig.analysis.estimates import NORMAL_95, Estimate
-from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.fit import BranchFit, Whitened, fit_two
-from dragrig.analysis.identification.maxwell.noise import estimate_noise
 from dragrig.analysis.identification.maxwell.record import ShearRecord
 from dragrig.analysis.identification.maxwell.third import five_or_more
+from dragrig.analysis.identification.noise import Noise, estimate_noise
 from dragrig.analysis.identification.results import Quantity, Relaxation, RelaxationFit
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.strain_law import strain_laws
@@ -40,7 +39,7 @@ def identify_relaxation(selection: Selection) -> Relaxation:
     experiments = selection.of_kind(KIND)
     if not experiments:
         return Relaxation((), (), ("There is no relaxation run, so that nothing says what the five elements are.",))
-    noise = estimate_noise(experiments)
+    noise = estimate_noise(experiments, "force")
     fits = tuple(fit_run(experiment, noise) for experiment in experiments)
     laws, remarks = strain_laws(fits)
     return Relaxation(fits, laws, remarks)

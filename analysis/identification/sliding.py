@@ -13,7 +13,7 @@ from dragrig.analysis.correlated_mean import FEWEST_SAMPLES, correlated_mean
 from dragrig.analysis.estimates import Estimate, missing
 from dragrig.analysis.filtering import usual_settings
 from dragrig.analysis.gaps import gap_starts
-from dragrig.analysis.identification.joint.noise import Noise
+from dragrig.analysis.identification.noise import Noise
 from dragrig.analysis.measures import SLOWEST_NOISE_S
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.phases import Mask, at_rest, steady_stretch

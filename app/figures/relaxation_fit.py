@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig.analysis.identification.maxwell.noise import estimate_noise
 from dragrig.analysis.identification.maxwell.residuals import RunResiduals, residuals
+from dragrig.analysis.identification.noise import estimate_noise
 from dragrig.analysis.identification.results import Relaxation, RelaxationFit
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.nominal.experiment import Experiment
@@ -42,7 +42,7 @@ def relaxation_fit_figure(relaxation: Relaxation, selection: Selection) -> Figur
     if not chosen:
         raise AnalysisError("There is no relaxation run to draw; name a campaign that has some")
     experiments = {one.file: one for one in selection.of_kind("relaxation")}
-    noise = estimate_noise(experiments.values())
+    noise = estimate_noise(experiments.values(), "force")
     with drawing():
         figure = new_figure(WIDTH_IN, RUNS_FOOT_IN + RESIDUAL_IN + 0.15 + FORCE_IN + HEAD_IN)
         headline(figure, LEFT_IN, f"Five elements from relaxation · {selection.specimen}", _subtitle(relaxation))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.identification.joint.blocks import Blocks, divide
+from dragrig.analysis.identification.blocks import Blocks, divide
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.nominal.protocol import NominalModel, Prediction, Predictor
 from dragrig.rig.arrays import FloatArray
@@ -19,21 +19,20 @@ class Evidence:
     channel: str
     predictor: Predictor
     blocks: Blocks
-    nodes_s: FloatArray
 
     def predict(self, values: FloatArray) -> Prediction:
         """Predict the means of the blocks."""
-        found = self.predictor.predict(values, self.nodes_s)
+        found = self.predictor.predict(values, self.blocks.nodes_s)
         return Prediction(self.blocks.of(found.total), self.blocks.of(found.varying))
 
     def uncertainty(self, values: FloatArray) -> FloatArray:
         """Return how well they can be predicted, one standard deviation."""
-        found = self.predictor.uncertainty(values, self.nodes_s)
+        found = self.predictor.uncertainty(values, self.blocks.nodes_s)
         return np.asarray(np.sqrt(self.blocks.of(found**2)))
 
     def sensitivities(self, values: FloatArray) -> FloatArray:
         """Return their derivatives, shape `(P, B)`."""
-        return self.blocks.of(self.predictor.sensitivities(values, self.nodes_s))
+        return self.blocks.of(self.predictor.sensitivities(values, self.blocks.nodes_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +81,8 @@ def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator
     """Prepare every channel of every run that the model predicts; raises `AnalysisError` as its `prepare`."""
     for experiment in experiments:
         for channel, predictor in nominal.prepare(experiment).items():
-            blocks = divide(experiment, channel, predictor.events_s)
-            yield Evidence(experiment, channel, predictor, blocks, blocks.nodes_s)
+            blocks = divide(experiment, channel, predictor.events_s, jumps=True)
+            yield Evidence(experiment, channel, predictor, blocks)
 
 
 def whitening(

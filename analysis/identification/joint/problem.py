@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.analysis.identification.joint.evidence import Evidence, Whitening, gather, whitening
-from dragrig.analysis.identification.joint.noise import Noise, estimate_noise
 from dragrig.analysis.identification.joint.scales import Scales
+from dragrig.analysis.identification.noise import Noise, estimate_noise
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.nominal.protocol import NominalModel, Prediction
 from dragrig.config.errors import AnalysisError

@@ -3,8 +3,6 @@
 | module | what |
 |---|---|
 | `record` | one run made ready: motion, block means, response of any branch |
-| `blocks` | samples in adaptive block means, fine where the motion bends |
-| `noise` | white and slow noise of the force sensor, from rests and ends of holds |
 | `fit` | moduli and time constants by least squares on whitened block means |
 | `residuals` | a fit beside its run |
 | `third` | whether a third branch is needed |

@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
-from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.record import ShearRecord
+from dragrig.analysis.identification.noise import Noise
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 
@@ -36,7 +36,7 @@ class Whitened:
     def of(cls, record: ShearRecord, noise: Noise) -> "Whitened":
         """Whiten with the sensor's noise."""
         blocks = record.blocks
-        covariance = noise.covariance(blocks.begin_s, blocks.end_s, blocks.samples)
+        covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
         return cls(record, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
     def rows(self, signals: FloatArray) -> FloatArray:
@@ -126,7 +126,7 @@ def scan(whitened: Whitened) -> list[FloatArray]:
     """
     record, grid = whitened.record, whitened.grid_s
     rows = np.vstack((whitened.zero(), whitened.rows(np.vstack((record.spring(), record.branches(grid))))))
-    target = whitened.rows(record.blocks.force_mN[None])[0]
+    target = whitened.rows(record.blocks.mean[None])[0]
     size = np.sqrt((rows**2).sum(axis=1))
     products, right = (rows / size[:, None]) @ (rows / size[:, None]).T, (rows / size[:, None]) @ target
     pairs = np.array([(0, 1, 2 + i, 2 + j) for i, j in combinations(range(grid.size), 2) if j > i + 1])
@@ -166,7 +166,7 @@ def refine(whitened: Whitened, start: FloatArray) -> BranchFit:
 
     count = start.size // 2 - 1
     zero, spring = whitened.zero(), whitened.rows(whitened.record.spring()[None])
-    target = whitened.rows(whitened.record.blocks.force_mN[None])[0]
+    target = whitened.rows(whitened.record.blocks.mean[None])[0]
     grid = np.log(whitened.grid_s)
 
     def residual(values: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.identification.maxwell.blocks import Blocks, bends, divide
+from dragrig.analysis.identification.blocks import Blocks, divide
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
@@ -17,6 +17,8 @@ LEAST_PEAK = 0.5
 PEAK_S = 0.02
 FEWEST_AFTER = 50
 """Least valid samples after the ramp."""
+LEAST_WAY_MM = 0.01
+"""A shorter way between rests is an encoder that wavers, and no motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +52,7 @@ class ShearRecord:
         if experiment.contact is not Contact.STICKING:
             raise AnalysisError(f"{experiment.file}: nothing was sheared, the specimen's fixture is none")
         capsule = experiment.capsule
-        turns = bends(experiment)
+        turns = _bends(experiment)
         if turns.size < 2:
             raise AnalysisError(f"{experiment.file}: it has no ramp, the position stays where it is")
         ramp = float(turns[0]), float(turns[-1])
@@ -61,7 +63,7 @@ class ShearRecord:
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
             pieces=experiment.followed.pieces(),
-            blocks=divide(experiment, turns),
+            blocks=divide(experiment, "force", turns, jumps=False),
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
             hold_s=hold_s,
@@ -70,11 +72,11 @@ class ShearRecord:
 
     def spring(self) -> FloatArray:
         """Mean force of a spring of 1 kPa in each block [mN], shape `(n,)`."""
-        return self.area_mm2 * self.blocks.mean(strain_at(self.pieces, self.thickness_mm, self.blocks.nodes_s))
+        return self.area_mm2 * self.blocks.of(strain_at(self.pieces, self.thickness_mm, self.blocks.nodes_s))
 
     def branches(self, times_s: FloatArray) -> FloatArray:
         """Mean force of Maxwell branches of 1 kPa and these time constants [mN], shape `(B, n)`."""
-        return self.area_mm2 * self.blocks.mean(self._prepared(times_s).at(self.blocks.nodes_s))
+        return self.area_mm2 * self.blocks.of(self._prepared(times_s).at(self.blocks.nodes_s))
 
     def forces_at(self, times_s: FloatArray, moduli: FloatArray, spring: float, time_s: FloatArray) -> FloatArray:
         """Force of spring and branches [mN] at any times of the run."""
@@ -83,6 +85,14 @@ class ShearRecord:
 
     def _prepared(self, times_s: FloatArray) -> MaxwellBranches:
         return MaxwellBranches.through(1 / times_s, self.pieces, self.thickness_mm)
+
+
+def _bends(experiment: Experiment) -> FloatArray:
+    """Return when the motion begins, bends and ends; empty where it does not move."""
+    motion = experiment.motion
+    ways = np.abs(np.diff(motion.position(motion.breaks_s)))
+    moving = np.flatnonzero((motion.signs != 0) & (ways >= LEAST_WAY_MM))
+    return np.unique(motion.breaks_s[np.concatenate((moving, moving + 1))])
 
 
 def _held(experiment: Experiment, ramp_s: tuple[float, float]) -> float:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.identification.joint.noise import Noise
 from dragrig.analysis.identification.maxwell.fit import Whitened
 from dragrig.analysis.identification.maxwell.record import ShearRecord
+from dragrig.analysis.identification.noise import Noise
 from dragrig.analysis.identification.results import RelaxationFit
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError
@@ -40,7 +40,7 @@ def residuals(fit: RelaxationFit, experiment: Experiment, noise: Noise, points: 
     moduli, times, spring, zero = _values(fit)
     blocks = record.blocks
     predicted = zero + spring * record.spring() + moduli @ record.branches(times)
-    whitened = Whitened.of(record, noise).rows((blocks.force_mN - predicted)[None])[0, :-1]
+    whitened = Whitened.of(record, noise).rows((blocks.mean - predicted)[None])[0, :-1]
     begin = record.ramp_s[0]
     time = begin + np.geomspace(record.step_s, blocks.end_s[-1] - begin, points)
     force = zero + record.forces_at(times, moduli, spring, time)
