@@ -92,7 +92,10 @@ def test_noise_levels_are_estimated_and_short_records_fall_back_on_the_usual() -
     assert noise.white == pytest.approx(1.5, rel=0.03)
     assert noise.slow == pytest.approx(1.0, rel=0.25)
     assert noise.correlation_s == pytest.approx(0.4, rel=0.5)
-    assert estimate_noise([Experiment(relaxation(rest_s=0.05, hold_s=0.1))], "force") == USUAL
+    short = estimate_noise([Experiment(relaxation(rest_s=0.1, hold_s=0.2, slow_mN=0.0))], "force")
+    assert short.white == pytest.approx(1.5, rel=0.4)
+    assert (short.slow, short.correlation_s) == pytest.approx((short.white / 3, 0.2))
+    assert estimate_noise([Experiment(relaxation(rest_s=0.01, hold_s=0.02))], "force") == USUAL
 
 
 def test_block_means_have_the_covariance_of_the_noise() -> None:

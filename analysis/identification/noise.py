@@ -18,8 +18,8 @@ from dragrig.rig.profile import Phase
 BLOCK_S = 0.05
 """Stretches are averaged in blocks of this length; faster noise is told by the differences of samples."""
 FEWEST_BLOCKS = 8
-FEWEST_SAMPLES = 64
-"""Less than this many samples in all say nothing of the noise."""
+FEWEST_DIFFERENCES = 12
+"""Fewer in all say nothing of the noise."""
 LONGEST_S = 60.0
 """So much of a stretch is looked at."""
 RELAXING = 3
@@ -104,7 +104,7 @@ def estimate_noise(experiments: Iterable[Experiment], channel: str) -> Noise:
         layout, means = _in_blocks(stretch)
         if layout.blocks >= FEWEST_BLOCKS:
             groups.setdefault(layout, []).append(means)
-    if count < FEWEST_SAMPLES:
+    if count < FEWEST_DIFFERENCES:
         return USUAL
     white = max(float(np.sqrt(squares / count)), RESOLUTION * largest, 1e-9)
     slow, correlation_s = _slow(groups, white) if groups else (SLOW_SHARE * white, USUAL_CORRELATION_S)
