@@ -46,8 +46,9 @@ def joint_table(fit: JointFit) -> Table:
         "chi2": finite(fit.chi2),
         "degrees": fit.degrees,
         "p_value": finite(fit.p_value),
-        "parameters": {_key(one): {**_quantity(one), **_learnt(one)} for one in fit.parameters},
-        "combinations": _quantities(fit.combinations),
+        "holds": fit.holds,
+        "parameters": {_key(one): _identified(one, fit) for one in fit.parameters},
+        "combinations": {_key(one): _identified(one, fit) for one in fit.combinations},
         "correlation": _matrix(fit.correlation, [one.name for one in fit.parameters]),
         "runs": [
             {
@@ -195,8 +196,18 @@ def _quantity(one: Quantity) -> Table:
     }
 
 
-def _learnt(one: Identified) -> Table:
-    return {"prior_95": _interval(one.prior), "learnt": finite(one.learnt), "meaning": one.meaning}
+def _identified(one: Identified, fit: JointFit) -> Table:
+    """Return a number of a joint fit: none that the runs do not determine, no error of a fit that did not converge."""
+    known = one.determined
+    return {
+        "determined": known,
+        "value": finite(one.value) if known else None,
+        "standard_error": finite(one.standard_error) if known and fit.converged else None,
+        "interval_95": _interval(one.interval) if known and fit.converged else None,
+        "prior_95": _interval(one.prior),
+        "learnt": finite(one.learnt),
+        "meaning": one.meaning,
+    }
 
 
 def _estimate(one: Estimate) -> Table:

@@ -5,20 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig.analysis.identification.identify import determined, identified_settings, with_own_wall
+from dragrig.analysis.identification.identify import determined, identified_settings, why_no_model, with_own_wall
 from dragrig.analysis.identification.identify import identify as identify_selection
 from dragrig.analysis.identification.relaxation import identify_relaxation
-from dragrig.analysis.identification.results import Identification, Identified, JointFit, Quantity
+from dragrig.analysis.identification.results import Identification, JointFit
 from dragrig.analysis.identification.selection import Selection, select, select_from
 from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.nominal.catalogue import find_model
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
-from dragrig.config.identified import IdentifiedSettings, IdentifiedValue
 from dragrig.config.library import find
 from dragrig.config.loading import to_toml
 from dragrig.config.model import FrictionModelSettings
+from dragrig.identification_origin import origin
 from dragrig.rig.runfile.model import Run
 
 if TYPE_CHECKING:
@@ -51,7 +51,10 @@ class IdentifiedCampaign:
 
     @property
     def parameters(self) -> "pd.DataFrame":
-        """The joint fit, a row for each parameter: value, standard_error, low, high, prior_low, prior_high, learnt."""
+        """The joint fit, a row for each parameter: value, standard_error, low, high, prior_low, prior_high, learnt.
+
+        A parameter that is not `determined` has no more than what was known before.
+        """
         import pandas as pd
 
         joint = _joint(self.result)
@@ -65,11 +68,17 @@ class IdentifiedCampaign:
                 "prior_low": one.prior[0],
                 "prior_high": one.prior[1],
                 "learnt": one.learnt,
+                "determined": one.determined,
                 "meaning": one.meaning,
             }
             for one in joint.parameters
         ]
         return pd.DataFrame(rows, index=[one.name for one in joint.parameters])
+
+    @property
+    def why_no_model(self) -> str | None:
+        """Why these runs give no model; None where they give one."""
+        return why_no_model(_joint(self.result))
 
     @property
     def model(self) -> FrictionModelSettings:
@@ -78,17 +87,17 @@ class IdentifiedCampaign:
         Raises
         ------
         AnalysisError
-            When another nominal model was fitted, or the fit did not converge.
+            When another nominal model was fitted, the fit did not converge, or no parameter is determined.
         """
         if not isinstance(self.nominal, CapsuleModel):
-            raise AnalysisError(
-                f"{self.source}: the model {self.nominal.name} is no friction model; only capsule has such settings."
-            )
-        joint = _converged(self.result, self.source)
+            raise AnalysisError(f"{self.source}: {self.nominal.name} is no friction model; only capsule is one.")
+        joint = _supported(self.result, self.source)
         settings = identified_settings(self.nominal, joint)
-        return settings.model_copy(
-            update={"name": f"{settings.name}-{self.result.specimen}", "identified": _origin(self, joint)}
-        )
+        told = {
+            "name": f"{settings.name}-{self.result.specimen}",
+            "identified": origin(self.result, joint, self.source),
+        }
+        return settings.model_copy(update=told)
 
     def toml(self) -> str:
         """Return the file that the simulator loads (a user's own model: its values); raises `AnalysisError`."""
@@ -96,7 +105,7 @@ class IdentifiedCampaign:
 
         if isinstance(self.nominal, CapsuleModel):
             return to_toml(self.model)
-        joint = _converged(self.result, self.source)
+        joint = _supported(self.result, self.source)
         known = {one.name: one.nominal for one in self.nominal.parameters} | determined(joint)
         return tomli_w.dumps(self.nominal.document(known))
 
@@ -216,36 +225,8 @@ def _joint(result: Identification) -> JointFit:
     return result.joint
 
 
-def _converged(result: Identification, source: str) -> JointFit:
+def _supported(result: Identification, source: str) -> JointFit:
     joint = _joint(result)
-    if not joint.converged:
-        raise AnalysisError(f"{source}: the joint fit did not converge, so that no model is written; see its remarks.")
+    if (reason := why_no_model(joint)) is not None:
+        raise AnalysisError(f"{source}: {reason}.")
     return joint
-
-
-def _origin(found: IdentifiedCampaign, joint: JointFit) -> IdentifiedSettings:
-    from dragrig import __version__
-
-    return IdentifiedSettings(
-        campaign=found.source,
-        specimen=found.result.specimen,
-        runs=len(found.result.used),
-        software=f"dragrig {__version__}",
-        converged=joint.converged,
-        chi2_per_degree=joint.chi2 / joint.degrees,
-        parameters=tuple(_value(one) for one in joint.parameters),
-        combinations=tuple(_value(one) for one in joint.combinations),
-        correlation=tuple(tuple(row) for row in joint.correlation.round(4).tolist()),
-    )
-
-
-def _value(one: Quantity) -> IdentifiedValue:
-    return IdentifiedValue(
-        name=one.name,
-        unit=one.unit,
-        value=one.value,
-        standard_error=one.standard_error,
-        low=one.interval[0],
-        high=one.interval[1],
-        learnt=one.learnt if isinstance(one, Identified) else None,
-    )

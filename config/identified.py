@@ -6,7 +6,10 @@ from dragrig.config.base import Settings
 
 
 class IdentifiedValue(Settings):
-    """A parameter that runs determined, with its 95 % interval; `learnt` is the share of the prior they took away."""
+    """A number of a fit with its 95 % interval; `learnt` is the share of the prior's width that runs took away.
+
+    One that is not `determined` is no more than what was known before.
+    """
 
     name: str
     unit: str = "1"
@@ -15,6 +18,7 @@ class IdentifiedValue(Settings):
     low: float
     high: float
     learnt: float | None = None
+    determined: bool = True
 
 
 class IdentifiedSettings(Settings):

@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
+from dragrig.analysis.identification.results import Identified, JointFit, RunResidual
 from dragrig.figures import joint_figure
 from dragrig.figures.joint_fit import MOST_RUNS
 
 STIFFNESS = Identified("stiffness_scale", "1", 1.05, 0.03, (0.99, 1.11), (0.75, 1.34), 0.8)
 ANGLE = Identified("contact_angle_offset_deg", "deg", -0.2, 0.1, (-0.4, 0.0), (-1.4, 1.4), 0.8)
-SHOWN = Quantity("e1_shown", "1", 1.016, 0.009, (0.999, 1.034))
+SHOWN = Identified("e1_shown", "1", 1.016, 0.009, (0.999, 1.034), (0.7, 1.4), 0.9)
 
 
 def run(file: str, chi2: float = 1.0, channel: str = "force") -> RunResidual:

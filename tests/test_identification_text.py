@@ -54,7 +54,7 @@ JOINT = JointFit(
         identified("dwell_scale", 1.0, 0.25, 0.0),
         identified("angle_deg", 0.21, 0.16, 0.77, "deg"),
     ),
-    combinations=(quantity("e1_shown", 1.0148, 0.0099),),
+    combinations=(identified("e1_shown", 1.0148, 0.0099, 0.9),),
     correlation=np.eye(3),
     runs=(residual("010-drag.h5"), residual("014-drag.h5", 2.0)),
     chi2=410.0,
@@ -157,9 +157,23 @@ def test_what_cannot_be_known_is_said_in_words() -> None:
 def test_a_fit_that_did_not_converge_or_does_not_explain_the_runs_says_so_first() -> None:
     lost = identification_text(replace(WHOLE, joint=replace(JOINT, converged=False)))
     assert "did NOT converge in 7 steps, no interval below holds" in lost.split("parameter")[0]
+    assert line(lost, "stiffness_scale").split() == ["stiffness_scale", "1.051", "0.700", "to", "1.300", "a", "scale"]
     poor = identification_text(replace(WHOLE, joint=replace(JOINT, p_value=1e-9)))
     assert "leaves something unexplained" in poor.split("parameter")[0]
     assert "unexplained" not in identification_text(WHOLE)
+
+
+def test_what_runs_do_not_determine_stands_without_a_number() -> None:
+    text = identification_text(WHOLE)
+    assert line(text, "dwell_scale").split()[:5] == ["dwell_scale", "-", "0.70", "to", "1.30"]
+    nothing = tuple(replace(one, learnt=0.02) for one in JOINT.parameters)
+    assert "determine NONE" in identification_text(replace(WHOLE, joint=replace(JOINT, parameters=nothing)))
+    joint = identification_table(WHOLE)["joint"]
+    assert isinstance(joint, dict)
+    dwell = joint["parameters"]["dwell_scale"]
+    assert (dwell["determined"], dwell["value"], dwell["interval_95"]) == (False, None, None)
+    assert dwell["prior_95"] == [0.7, 1.3]
+    assert joint["combinations"]["e1_shown"]["determined"] is True
 
 
 def test_parts_that_are_not_there_are_named_and_nothing_is_made_up() -> None:
@@ -209,7 +223,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 
 @given(anything, anything, anything)
 def test_no_number_breaks_text_or_json(value: float, error: float, p_value: float) -> None:
-    odd = Identified("x", "mN·s/mm", value, error, (value, error), (error, value), p_value, "odd")
+    odd = Identified("x", "mN·s/mm", value, error, (value, error), (error, value), abs(p_value), "odd")
     matrix = np.full((1, 1), value)
     joint = replace(JOINT, parameters=(odd,), combinations=(odd,), chi2=value, p_value=p_value, correlation=matrix)
     point = SpeedPoint(abs(value), 1, Estimate(value, error), error, p_value, value)
@@ -218,7 +232,7 @@ def test_no_number_breaks_text_or_json(value: float, error: float, p_value: floa
     assert "x" in identification_text(whole)
     table = json.loads(json.dumps(identification_table(whole), allow_nan=False))
     found = table["joint"]["parameters"]["x_mN_s_mm"]["value"]
-    assert found == value if math.isfinite(value) else found is None
+    assert found == (value if math.isfinite(value) and odd.determined else None)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e3))

@@ -127,3 +127,27 @@ def test_specimens_that_are_mixed_are_not_averaged(campaign: Path, capsys: pytes
 def test_a_folder_without_runs_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(tmp_path)]) == 2
     assert "no run file" in capsys.readouterr().err
+
+
+def test_runs_that_determine_nothing_give_no_model(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path in campaign.glob("*.h5"):
+        if "blank" not in path.name:
+            path.unlink()
+    assert main(["identify", str(campaign), "--quiet"]) == 0
+    assert "These runs determine NONE of its parameters" in capsys.readouterr().out
+    assert not (campaign / "identified" / "model.toml").exists()
+    assert main(["identify", str(campaign), "--quiet", "--json", "--save-model", str(campaign / "mine.toml")]) == 2
+    assert "determine no parameter" in capsys.readouterr().err
+
+
+def test_a_fit_that_does_not_converge_ends_with_2_and_no_model(
+    campaign: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.analysis.identification.joint.solve.PASSES", 1)
+    for arguments in ([], ["--json"]):
+        assert main(["identify", str(campaign), "--quiet", *arguments]) == 2
+        said = capsys.readouterr()
+        assert "did not converge" in said.err
+        assert len(said.err.strip().splitlines()) == 1
+    assert json.loads(said.out)["joint"]["parameters"]["friction_coefficient"]["interval_95"] is None
+    assert not (campaign / "identified" / "model.toml").exists()

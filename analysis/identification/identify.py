@@ -23,8 +23,6 @@ KINDS = {
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
     "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
 }
-DETERMINED = 0.1
-"""A parameter of whose prior width the runs took away less than this keeps its nominal value."""
 STEPS = 4
 
 
@@ -59,8 +57,17 @@ def identify(selection: Selection, nominal: NominalModel, progress: Progress = s
 
 
 def determined(joint: JointFit) -> dict[str, float]:
-    """Return the values of those parameters of which the runs say something."""
-    return {one.name: one.value for one in joint.parameters if one.learnt >= DETERMINED}
+    """Return the values of those parameters of which the runs say something; the others keep their nominal ones."""
+    return {one.name: one.value for one in joint.parameters if one.determined}
+
+
+def why_no_model(joint: JointFit) -> str | None:
+    """Return why a joint fit gives no model of the runs, None where it gives one."""
+    if not joint.converged:
+        return "the joint fit did not converge, so that there is no model; see its remarks"
+    if not determined(joint):
+        return "these runs determine no parameter, so that there is no model of them"
+    return None
 
 
 def identified_settings(nominal: CapsuleModel, joint: JointFit) -> FrictionModelSettings:

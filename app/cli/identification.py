@@ -1,7 +1,7 @@
 """What an identification says, as text for a terminal."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import sqrt
+from math import isnan, sqrt
 
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.results import Identification, Identified, JointFit, LeftOut, RunResidual
@@ -9,12 +9,9 @@ from dragrig.cli.identification_parts import coulomb_text, drag_text, relaxation
 from dragrig.cli.precision import between, chance, interval_of, to_error, unit_of, with_error
 from dragrig.cli.wording import columns, number
 
-HARDLY = 0.1
-"""A parameter of whose prior the runs took away a smaller share is hardly known better than before."""
 STANDS_OUT = 4.0
 """Standard deviations of χ² above which a run is pointed out."""
-LIKELY = 1e-3
-"""A fit whose χ² has a smaller chance leaves something unexplained."""
+UNKNOWN = "-"
 MISSING = {
     "joint": "Joint fit: none.",
     "relaxation": "Relaxation: not identified.",
@@ -39,18 +36,9 @@ def identification_text(identification: Identification) -> str:
 
 def joint_text(fit: JointFit) -> str:
     """Return the joint fit: parameters, their products, what cannot be told apart, and how each run is left."""
-    lines = [_verdict(fit), "", _parameters(fit.parameters)]
+    lines = [_verdict(fit), "", _parameters(fit)]
     if fit.combinations:
-        rows = [
-            (
-                one.name,
-                to_error(one.value, one.standard_error),
-                interval_of(one),
-                _percent(one.half_width),
-                unit_of(one.unit),
-            )
-            for one in fit.combinations
-        ]
+        rows = [(*_value(one, fit), _percent(one, fit), unit_of(one.unit)) for one in fit.combinations]
         lines += ["", "What these combine to", columns(("", "value", "95 % interval", "±", ""), rows)]
     told = [*_words(fit), *fit.remarks]
     lines += ["", *(f"! {one}" for one in told)] if told else []
@@ -80,33 +68,44 @@ def _verdict(fit: JointFit) -> str:
         if fit.degrees
         else "no degree of freedom"
     )
-    beginning = f"Joint fit of the {fit.nominal} model, {fit.steps} steps: {per_degree}, {chance(fit.p_value)}"
-    if fit.p_value < LIKELY:
-        return f"{beginning}: the model leaves something unexplained, so that the intervals may be too narrow."
+    beginning = f"Joint fit of the {fit.nominal} model, {fit.steps} steps: {per_degree}, {_chance(fit.p_value)}"
+    if not fit.holds:
+        return f"{beginning}: the model leaves something unexplained, so that no interval below need hold."
+    if not any(one.determined for one in fit.parameters):
+        return f"{beginning}. These runs determine NONE of its parameters."
     return f"{beginning}."
 
 
-def _parameters(parameters: Sequence[Identified]) -> str:
+def _chance(p_value: float) -> str:
+    return "its chance not known" if isnan(p_value) else chance(p_value)
+
+
+def _value(one: Identified, fit: JointFit) -> tuple[str, str, str]:
+    """Return name, value and interval: no value that the runs do not determine, no interval that does not hold."""
+    if not one.determined:
+        return one.name, UNKNOWN, ""
+    return one.name, to_error(one.value, one.standard_error), interval_of(one) if fit.converged else ""
+
+
+def _parameters(fit: JointFit) -> str:
     rows = [
         (
-            one.name,
-            to_error(one.value, one.standard_error),
+            *_value(one, fit),
             unit_of(one.unit),
-            interval_of(one),
             between(one.prior, one.standard_error),
-            f"{100 * one.learnt:.0f} %",
+            f"{100 * one.learnt:.0f} %" if fit.converged else "",
             one.meaning,
         )
-        for one in parameters
+        for one in fit.parameters
     ]
-    return columns(("parameter", "value", "", "95 % interval", "before the runs", "learnt", "what it is"), rows)
+    return columns(("parameter", "value", "95 % interval", "", "before the runs", "learnt", "what it is"), rows)
 
 
 def _words(fit: JointFit) -> Iterator[str]:
-    unknown = [one.name for one in fit.parameters if one.learnt < HARDLY]
+    unknown = [one.name for one in fit.parameters if not one.determined]
     if unknown:
-        yield f"the runs say next to nothing of {_listed(unknown)}: what stands there is what was known before"
-    strange = [one.name for one in fit.parameters if not one.prior[0] <= one.value <= one.prior[1]]
+        yield f"the runs say next to nothing of {_listed(unknown)}: no more is known than before"
+    strange = [one.name for one in fit.parameters if one.determined and not one.prior[0] <= one.value <= one.prior[1]]
     if strange:
         yield (
             f"{_listed(strange)} lies outside of what was expected before the runs"
@@ -146,8 +145,9 @@ def _stands_out(run: RunResidual) -> bool:
     return run.blocks > 0 and run.chi2 > 1 + STANDS_OUT * sqrt(2 / run.blocks)
 
 
-def _percent(share: float) -> str:
-    return f"{number(100 * share, 2)} %" if share < 10 else ""
+def _percent(one: Identified, fit: JointFit) -> str:
+    share = one.half_width
+    return f"{number(100 * share, 2)} %" if fit.converged and one.determined and share < 10 else ""
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -9,6 +9,7 @@ import click
 from dragrig.cli import options
 from dragrig.cli.console import is_quiet, result, result_json, shown_path
 from dragrig.cli.progress import Meter
+from dragrig.config.errors import AnalysisError
 
 if TYPE_CHECKING:
     from dragrig.identifying import IdentifiedCampaign
@@ -55,7 +56,8 @@ def command(
 
     CAMPAIGN is a folder of run files. Prints what the runs determine and what they do not; writes the model, which
     dragrig run loads with --model, and pictures. Runs marked bad, ways back and runs that did not end as planned are
-    left out. The exit code is 0 even where runs are lacking, and 2 where the fit did not converge.
+    left out. The exit code is 0 even where runs are lacking, and 2 where the fit did not converge; no model is written
+    then, nor where the runs determine nothing of it.
     """
     from dragrig import identifying
     from dragrig.cli.identification import identification_text
@@ -71,12 +73,15 @@ def command(
     if save_model is not None:
         written.append(identifying.save_model(found, save_model, overwrite=overwrite))
     if out is not None or not as_json:
-        written += _write(found, out or _beside(campaign), with_model=save_model is None, overwrite=overwrite)
+        with_model = save_model is None and found.why_no_model is None
+        written += _write(found, out or _beside(campaign), with_model=with_model, overwrite=overwrite)
     if as_json:
         result_json({**identification_table(found.result), "files": written})
-        return
-    for path in written:
-        result(shown_path(path))
+    else:
+        for path in written:
+            result(shown_path(path))
+    if found.result.joint is not None and not found.result.joint.converged:
+        raise AnalysisError(f"{campaign}: {found.why_no_model}.")
 
 
 def _write(found: "IdentifiedCampaign", folder: Path, *, with_model: bool, overwrite: bool) -> list[Path]:

@@ -39,7 +39,6 @@ LEAST_PERCENT, MOST_PERCENT = 2.0, 100.0
 LARGE_CHI2 = 5.0
 """From here on the axis of the runs is logarithmic."""
 STANDS_OUT = 4.0
-UNLIKELY = 1e-3
 PRIOR = "#E3E7EC"
 
 
@@ -124,7 +123,7 @@ def _subtitle(fit: JointFit, shown: int) -> str:
 def _trouble(fit: JointFit) -> str:
     if not fit.converged:
         return "did not converge: no interval holds"
-    return "the model leaves more than noise: the intervals need not hold" if fit.p_value < UNLIKELY else ""
+    return "the model leaves more than noise: the intervals need not hold" if not fit.holds else ""
 
 
 def _plain(value: float) -> str:

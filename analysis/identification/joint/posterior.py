@@ -7,12 +7,10 @@ import numpy as np
 from dragrig.analysis.estimates import NORMAL_95, Estimate
 from dragrig.analysis.identification.joint.problem import Problem
 from dragrig.analysis.identification.joint.solve import FURTHEST, Solution, is_at_bound
-from dragrig.analysis.identification.results import Identified, JointFit, Quantity, RunResidual
+from dragrig.analysis.identification.results import DOUBTFUL, Identified, JointFit, RunResidual
 from dragrig.analysis.nominal.protocol import Combination
 from dragrig.rig.arrays import FloatArray
 
-DOUBTFUL = 0.01
-"""Below this chance of as large residuals the model does not hold, and intervals are widened."""
 ALIKE = 0.95
 """Parameters that are correlated more strongly than this cannot be told apart."""
 STRAYS = 1e-3
@@ -26,10 +24,11 @@ def joint_fit(problem: Problem, solution: Solution) -> JointFit:
     runs = tuple(_runs(problem, solution, values))
     chi2 = sum(one.chi2 * one.blocks for one in runs) + float(solution.z @ solution.z)
     degrees = sum(one.blocks for one in runs)
-    known = min(noise.degrees for noise in problem.noises) or 1
-    p_value = float(f.sf(chi2 / degrees, degrees, known))
+    known = min(noise.degrees for noise in problem.noises)
+    # Noise that was assumed and not seen rejects no model, but it excuses nothing either.
+    p_value = float(f.sf(chi2 / degrees, degrees, known)) if known else float("nan")
+    widened = 1.0 if p_value >= DOUBTFUL else max(1.0, chi2 / degrees)
     # The solution's own misfit is in its covariance already.
-    widened = max(1.0, chi2 / degrees) if p_value < DOUBTFUL else 1.0
     covariance = max(1.0, widened / solution.misfit) * solution.covariance
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)
@@ -66,13 +65,26 @@ def _parameters(problem: Problem, z: FloatArray, sd: FloatArray) -> Iterator[Ide
         )
 
 
-def _combined(problem: Problem, values: FloatArray, covariance: FloatArray, one: Combination) -> Quantity:
+def _combined(problem: Problem, values: FloatArray, covariance: FloatArray, one: Combination) -> Identified:
     powers = np.array([one.powers.get(parameter.name, 0.0) for parameter in problem.nominal.parameters])
     value = float(np.prod(values**powers))
     along = powers * problem.scales.sd
-    sd = float(np.sqrt(along @ covariance @ along))
-    interval = (value * float(np.exp(-NORMAL_95 * sd)), value * float(np.exp(NORMAL_95 * sd)))
-    return Quantity(one.name, one.unit, value, value * sd, interval)
+    sd, before = float(np.sqrt(along @ covariance @ along)), float(np.sqrt(along @ along))
+    nominal = float(np.prod(np.array([parameter.nominal for parameter in problem.nominal.parameters]) ** powers))
+    return Identified(
+        name=one.name,
+        unit=one.unit,
+        value=value,
+        standard_error=value * sd,
+        interval=_spread(value, sd),
+        prior=_spread(nominal, before),
+        learnt=max(0.0, 1.0 - sd / before) if before else 0.0,
+        meaning=one.meaning,
+    )
+
+
+def _spread(median: float, sd: float) -> tuple[float, float]:
+    return median * float(np.exp(-NORMAL_95 * sd)), median * float(np.exp(NORMAL_95 * sd))
 
 
 def _runs(problem: Problem, solution: Solution, values: FloatArray) -> Iterator[RunResidual]:
@@ -110,7 +122,8 @@ def _remarks(
 ) -> Iterator[str]:
     if not solution.converged:
         yield f"the fit did not converge ({solution.why}): no interval holds"
-    if widened > 1.0:
+    assumed = min(noise.degrees for noise in problem.noises) == 0
+    if widened > 1.0 and not assumed:
         worst = max(runs, key=lambda one: one.chi2)
         yield (
             f"the model {problem.nominal.name} leaves {widened:.2f} times the squares that noise and repeatability "
@@ -130,8 +143,11 @@ def _remarks(
             f"{', '.join(names[:-1])} and {names[-1]} can hardly be told apart by these runs (correlation at least "
             f"{ALIKE:g}): what they combine to is known better than each"
         )
-    if min(noise.degrees for noise in problem.noises) == 0:
-        yield "no run rests long enough to show its noise, so that the usual one was assumed"
+    if assumed:
+        yield (
+            "no run rests long enough to show its noise, so that the usual one was assumed: nothing tells whether the "
+            f"model holds, and the intervals were widened by {np.sqrt(widened):.2f} for what it leaves"
+        )
 
 
 def _alike(correlation: FloatArray) -> Iterator[list[int]]:

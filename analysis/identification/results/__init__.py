@@ -1,6 +1,6 @@
 """What an identification says, as values; every number stands with its uncertainty or is missing with the reason."""
 
-from dragrig.analysis.identification.results.joint import Identified, JointFit, RunResidual
+from dragrig.analysis.identification.results.joint import DOUBTFUL, Identified, JointFit, RunResidual
 from dragrig.analysis.identification.results.quantity import LeftOut, Quantity
 from dragrig.analysis.identification.results.relaxation import ElementsTest, Relaxation, RelaxationFit, StrainLaw
 from dragrig.analysis.identification.results.sliding import (
@@ -15,6 +15,7 @@ from dragrig.analysis.identification.results.sliding import (
 from dragrig.analysis.identification.results.whole import Identification
 
 __all__ = [
+    "DOUBTFUL",
     "Boundary",
     "Coulomb",
     "CoulombRun",

@@ -7,10 +7,15 @@ from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.results.quantity import Quantity
 from dragrig.rig.arrays import FloatArray
 
+DETERMINED = 0.1
+"""A number of whose prior width the runs took away less than this is not known from them."""
+DOUBTFUL = 0.01
+"""Below this chance of as large residuals a model does not hold."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified(Quantity):
-    """A parameter of the joint fit.
+    """A parameter of the joint fit, or a product of some.
 
     Attributes
     ----------
@@ -23,6 +28,11 @@ class Identified(Quantity):
     prior: tuple[float, float] = (float("nan"), float("nan"))
     learnt: float = 0.0
     meaning: str = ""
+
+    @property
+    def determined(self) -> bool:
+        """Whether the runs say anything of it."""
+        return self.learnt >= DETERMINED
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +60,8 @@ class JointFit:
     correlation
         Between the parameters, shape `(P, P)`, their order.
     chi2, degrees, p_value
-        Whitened squares, run factors and priors included, their degrees of freedom, and the chance of as many.
+        Whitened squares, run factors and priors included, their degrees of freedom, and the chance of as many; NaN
+        where no run shows its noise.
     converged
         Whether the optimiser did; where not, no interval holds.
     steps
@@ -59,7 +70,7 @@ class JointFit:
 
     nominal: str
     parameters: tuple[Identified, ...]
-    combinations: tuple[Quantity, ...]
+    combinations: tuple[Identified, ...]
     correlation: FloatArray
     runs: tuple[RunResidual, ...]
     chi2: float
@@ -68,6 +79,11 @@ class JointFit:
     converged: bool
     steps: int
     remarks: tuple[str, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        """Whether the fit converged and leaves no more than noise and repeatability explain."""
+        return self.converged and not self.p_value < DOUBTFUL
 
     @property
     def values(self) -> Mapping[str, float]:
