@@ -15,6 +15,7 @@ from dragrig.analysis.identification.pooling import Pooled, pooled, trend
 from dragrig.analysis.identification.results import Coulomb, CoulombRun
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.sliding import difference, rest_mean, sliding
+from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.capsule import BETWEEN_SPECIMENS, CHANNEL, VARIATIONS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError, SettingsError
@@ -33,6 +34,7 @@ SAME_SPEED = 1.5
 SIGNIFICANT = 0.05
 
 
+@one_thread()
 def identify_coulomb(selection: Selection, model: FrictionModelSettings) -> Coulomb:
     """Return μ of each Coulomb run and of all together.
 

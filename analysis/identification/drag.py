@@ -15,6 +15,7 @@ from dragrig.analysis.identification.nominal_drag import freedom, parts, resting
 from dragrig.analysis.identification.results import Boundary, Drag, LogLaw, SpeedPoint
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.speed_law import log_law
+from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.capsule import CHANNEL
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
@@ -22,6 +23,7 @@ from dragrig.rig.arrays import FloatArray
 SIGNIFICANT = 0.05
 
 
+@one_thread()
 def identify_drag(
     selection: Selection, model: FrictionModelSettings, zeros: Mapping[str, Estimate] | None = None
 ) -> Drag:

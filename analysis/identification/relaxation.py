@@ -12,6 +12,7 @@ from dragrig.analysis.identification.noise import Noise, estimate_noise
 from dragrig.analysis.identification.results import Quantity, Relaxation, RelaxationFit
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.strain_law import strain_laws
+from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
@@ -30,6 +31,7 @@ _TO_ELEMENTS = np.array(
 """Logarithms of E1, E2, E3, η1, η2 from zero and logarithms of E3, E1, E2, τ1, τ2."""
 
 
+@one_thread()
 def identify_relaxation(selection: Selection) -> Relaxation:
     """Identify E1, E2, E3, η1, η2 from each relaxation run, ramp and hold, and their laws over strain.
 

@@ -10,9 +10,11 @@ from dragrig.analysis.identification.joint.problem import Problem
 from dragrig.analysis.identification.joint.solve import solve
 from dragrig.analysis.identification.results import JointFit
 from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.protocol import NominalModel
 
 
+@one_thread()
 def fit_jointly(selection: Selection, nominal: NominalModel) -> JointFit:
     """Fit a nominal model to all runs of a specimen at once.
 
