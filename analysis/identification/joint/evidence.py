@@ -70,11 +70,23 @@ class Whitening:
         scale = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
         return np.asarray(plain - self.left @ (scale * along))
 
-    def own_of(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the run's zero and factors in prior standard deviations, and their covariance."""
+    def own_of(self, residual: FloatArray, slopes: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the run's zero and factors in prior standard deviations, and their covariance.
+
+        Parameters
+        ----------
+        residual
+            Measured minus predicted block means, shape `(B,)`.
+        slopes, covariance
+            Derivatives of the prediction by the parameters, shape `(B, P)`, and the parameters' covariance: what is
+            not known of them is not known of a run's own values either.
+        """
         precision = np.eye(self.own.shape[1]) + self.own.T @ self.own
-        covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        return covariance @ (self.own.T @ self.of_noise(residual)), covariance
+        whitened = self.own.T @ self.of_noise(np.column_stack((residual, slopes)))
+        along = np.asarray(np.linalg.solve(precision, whitened), dtype=np.float64)
+        found, by_parameters = along[:, 0], along[:, 1:]
+        whole = np.linalg.inv(precision) + by_parameters @ covariance @ by_parameters.T
+        return found, np.asarray(whole, dtype=np.float64)
 
 
 def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator[Evidence]:

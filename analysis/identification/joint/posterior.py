@@ -88,11 +88,12 @@ def _spread(median: float, sd: float) -> tuple[float, float]:
 
 
 def _runs(problem: Problem, solution: Solution, values: FloatArray) -> Iterator[RunResidual]:
-    for one, white, zero_sd in zip(problem.evidence, solution.whitenings, problem.zero_sds, strict=True):
+    parts = zip(problem.evidence, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
+    for one, white, slopes, zero_sd in parts:
         prediction = one.predict(values)
         residual = one.blocks.mean - prediction.total
         whole = white.whole(residual)
-        own, covariance = white.own_of(residual)
+        own, covariance = white.own_of(residual, slopes, solution.covariance)
         errors = np.sqrt(np.diag(covariance))
         zero = Estimate(0.0, 0.0)
         left = residual

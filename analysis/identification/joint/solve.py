@@ -41,8 +41,8 @@ class Solution:
         Parameters in units of their priors, shape `(P,)`.
     covariance
         Of `z` given the runs, shape `(P, P)`.
-    whitenings
-        One for each piece of evidence.
+    whitenings, slopes
+        For each piece of evidence: what whitens it, and the derivatives of its block means by `z`, shape `(B, P)`.
     misfit
         By how much the runs' squares exceed what noise explains; the runs were given less weight by as much, so that
         what is known beforehand keeps its own. 1 where the model holds.
@@ -55,6 +55,7 @@ class Solution:
     z: FloatArray
     covariance: FloatArray
     whitenings: tuple[Whitening, ...]
+    slopes: tuple[FloatArray, ...]
     misfit: float
     converged: bool
     steps: int
@@ -165,11 +166,13 @@ def solve(problem: Problem) -> Solution:
         step, covariance = now.newton(z)
         moves = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         if moves < STILL and abs(misfit / before - 1) < STILL:
-            return Solution(z + step, covariance, whitenings, misfit, converged=True, steps=found.steps)
+            z, why = z + step, ""
+            break
         if turn >= LAID_OUT and moves < CLOSE:
             lower = now.lower(z, step)
             if lower is None:
-                return Solution(z, covariance, whitenings, misfit, converged=True, steps=found.steps)
+                why = ""
+                break
             step = lower - z
         why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
         if moves < CLOSE:
@@ -181,7 +184,8 @@ def solve(problem: Problem) -> Solution:
             now.residuals, z, now.jacobian, bounds=(-FURTHEST, FURTHEST), max_nfev=most, ftol=1e-7, xtol=2e-3, gtol=1e-6
         )
         z = fit.x
-    return Solution(z, covariance, whitenings, misfit, converged=False, steps=found.steps, why=why)
+    slopes = tuple(found.derivatives(z))
+    return Solution(z, covariance, whitenings, slopes, misfit, converged=not why, steps=found.steps, why=why)
 
 
 def _whitened(whitenings: Sequence[Whitening], each: Sequence[FloatArray]) -> FloatArray:
