@@ -246,7 +246,8 @@ class SlidingPredictor(Predictor):
         """Where the motion bends, and where wall passed at such a moment comes to the equator, for likely angles."""
         found = [self.motion.breaks_s]
         if self.acquisition.fixture is Fixture.FOAM:
-            found += [self._begins(turn * ANGLE_SD_DEG) for turn in (-2.0, 0.0, 2.0)]
+            nominal = self.settings.contact_angle_offset_deg
+            found += [self._begins(nominal + turn * ANGLE_SD_DEG) for turn in (-2.0, 0.0, 2.0)]
         return np.unique(np.concatenate(found))
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
@@ -268,7 +269,7 @@ class SlidingPredictor(Predictor):
         if self.acquisition.fixture is Fixture.FOAM:
             by_element = zip(ELEMENTS, prepared.by_element(time_s), strict=True)
             rows |= {name: by_log / given[name] for name, by_log in by_element}
-            rows[ANGLE] = self._slope(ANGLE, ANGLE_STEP_DEG, given, time_s)
+            rows[ANGLE] = self._by_angle(given, time_s)
             if self._knows_its_age(given):
                 rows[DWELL] = self._slope(DWELL, STEP * given[DWELL], given, time_s)
         return _stacked(self.names, rows, len(time_s))
@@ -276,6 +277,14 @@ class SlidingPredictor(Predictor):
     def _slope(self, name: str, step: float, given: Mapping[str, float], time_s: FloatArray) -> FloatArray:
         ahead, behind = (self._parts({**given, name: given[name] + side * step}, time_s).total for side in (1.0, -1.0))
         return (ahead - behind) / (2 * step)
+
+    def _by_angle(self, given: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        turns = (given[ANGLE] + ANGLE_STEP_DEG, given[ANGLE] - ANGLE_STEP_DEG)
+        more, less = (self._parts({**given, ANGLE: turn}, time_s) for turn in turns)
+        # Friction jumps when a bend comes to the equator; the jump over the step would be no slope, and is left out.
+        ahead, behind = (np.searchsorted(self._begins(turn), time_s, side="right") for turn in turns)
+        change = np.where(ahead == behind, more.total - less.total, more.elastic - less.elastic)
+        return np.asarray(change / (2 * ANGLE_STEP_DEG))
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
@@ -307,7 +316,7 @@ class SlidingPredictor(Predictor):
         return HemisphereContact.of(acquisition.capsule, acquisition.specimen.wall_thickness_mm, model)
 
     def _begins(self, turn_deg: float) -> FloatArray:
-        contact = self._contact({ANGLE: self.settings.contact_angle_offset_deg + turn_deg})
+        contact = self._contact({ANGLE: turn_deg})
         history = ContactHistory.of(self.motion, contact.length_mm + self.settings.side_contact_mm, 1.0)
         return np.array([one.begin_s for one in stretches(history, contact.length_mm)])
 
