@@ -59,7 +59,7 @@ class Experiment:
 
     @cached_property
     def followed(self) -> ProfileMotion:
-        """The measured motion without any smoothing: straight lines from sample to sample while the stage moves.
+        """The measured motion without any smoothing: straight lines, two from sample to sample, while the stage moves.
 
         For what depends on the position and not on the sign of the speed; its velocity is as rough as the encoder.
         """

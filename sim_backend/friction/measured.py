@@ -1,4 +1,4 @@
-"""A measured motion as the wall of a sticking capsule takes it: straight from sample to sample.
+"""A measured motion as the wall of a sticking capsule takes it: straight from point to point, two to a sample.
 
 An elastic wall asks for the position, not for its derivative, so that the encoder's counts do no harm, while
 the smoothing that a velocity needs rounds the corners of a ramp off by 20 µm, which is 30 mN.
@@ -15,7 +15,7 @@ MOST_KNOTS = 4000
 
 
 def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
-    """Return a measured motion of constant velocity from sample to sample, still where it rests.
+    """Return a measured motion of constant velocity from point to point, still where it rests.
 
     Parameters
     ----------
@@ -24,6 +24,7 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
     time_s, position_mm
         The record, shape `(n,)`: rising times from 0, finite positions.
     """
+    time_s, position_mm = _rounded(time_s, position_mm)
     edges = np.searchsorted(time_s, motion.breaks_s)
     times, positions = [np.zeros(0)], [np.zeros(0)]
     for number, sign in enumerate(motion.signs.tolist()):
@@ -45,6 +46,21 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
         velocity_mm_s=velocity,
         acceleration_mm_s2=np.zeros_like(velocity),
     )
+
+
+def _rounded(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Put a point between any two samples, off the chord by what constant acceleration makes of it.
+
+    A chord cuts the bends of a ramp short. The acceleration is the smaller one of those at both samples, and none where
+    they differ in sign, so that a corner is not overshot.
+    """
+    bend = np.pad(np.diff(position_mm, 2), 1)
+    before, after = bend[:-1], bend[1:]
+    agreed = np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
+    time, position = np.repeat(time_s, 2)[:-1], np.repeat(position_mm, 2)[:-1]
+    time[1::2] = 0.5 * (time_s[1:] + time_s[:-1])
+    position[1::2] = 0.5 * (position_mm[1:] + position_mm[:-1]) - agreed / 8
+    return time, position
 
 
 def _thinned(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
