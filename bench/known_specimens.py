@@ -1,0 +1,224 @@
+"""Campaigns of simulated specimens whose values are known, identified, and compared with them; for `coverage.py`."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import inf, log, prod
+from random import Random
+
+import dragrig
+from dragrig.analysis.estimates import NORMAL_95, Estimate
+from dragrig.analysis.identification.identify import identify
+from dragrig.analysis.identification.joint.fit import fit_jointly
+from dragrig.analysis.identification.results import Coulomb, Drag, Identification, JointFit, Quantity, Relaxation
+from dragrig.analysis.identification.selection import Selection, select_from
+from dragrig.analysis.nominal.capsule import COMBINATIONS, CapsuleModel
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import RigSettings
+from dragrig.rig.runfile.model import Run
+from dragrig.setup import resolve
+from dragrig.sim_backend.devices.noise import Stream, generator
+from dragrig.sim_backend.devices.variation import draw_run, draw_specimen
+from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
+from dragrig.sim_backend.friction.steady import SteadyForces, steady_forces
+from dragrig.sim_backend.friction.wall import model_wall
+
+SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+ELEMENTS = ("E1", "E2", "E3", "eta1", "eta2")
+WHITE_MN = (1.0, 2.0)
+"""Range of the white noise from campaign to campaign; slow noise is a third of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What campaigns are like: wall and sample rate, and the share of drags that was recorded."""
+
+    name: str
+    wall: str = "eq14"
+    rate_hz: float = 500.0
+    drags: float = 1.0
+
+
+KINDS = {
+    one.name: one
+    for one in (Kind("usual"), Kind("table1", wall="table1"), Kind("half", drags=0.5), Kind("1khz", rate_hz=1000.0))
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """An interval beside the true value; `deviation` is in standard errors of the interval."""
+
+    group: str
+    name: str
+    value: float
+    true: float
+    deviation: float
+    half_width: float
+    learnt: float = 1.0
+
+    @property
+    def covered(self) -> bool:
+        """Whether the 95 % interval holds the true value."""
+        return abs(self.deviation) <= NORMAL_95
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One campaign, identified."""
+
+    seed: int
+    white_mN: float
+    converged: bool
+    chi2: float
+    p_value: float
+    simulated_s: float
+    identified_s: float
+    scores: tuple[Score, ...]
+    remarks: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A simulated campaign with the settings that made it."""
+
+    runs: tuple[Run, ...]
+    rig: RigSettings
+    specimen: FrictionModelSettings
+
+    def order(self, file: str) -> int:
+        """Return a run's place in the session, which its random numbers hang on."""
+        return next(run.info.header.order for run in self.runs if run.info.path.name == file)
+
+    def of_run(self, file: str) -> FrictionModelSettings:
+        """Return the true model of one run."""
+        simulated = self.rig.simulated
+        return draw_run(self.specimen, simulated.variation, simulated.seed, self.order(file))
+
+    def zero_mN(self, file: str) -> float:
+        """Return the true zero of one run."""
+        simulated = self.rig.simulated
+        normal = generator(simulated.seed, Stream.ZERO, self.order(file)).standard_normal()
+        return simulated.noise.zero_mN * float(normal)
+
+
+def plan(seed: int) -> Plan:
+    """Return the 31 runs, the drags of each repeat in an order of the seed's own."""
+    steps = (
+        {"kind": "relaxation", "shear_strain": [0.5, 1.0, 1.5, 2.0], "hold_s": 20.0},
+        {"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 40.0},
+        {"kind": "coulomb", "speed_mm_s": [0.5, 5.0, 40.0], "travel_mm": 40.0},
+        {"kind": "drag", "speed_mm_s": list(SPEEDS_MM_S), "travel_mm": 40.0, "repeats": 2,
+         "order": "random_within_repeat"},
+    )  # fmt: skip
+    return Plan.model_validate(
+        {"name": "known", "seed": seed, "steps": [{"way_back": "by_hand", **step} for step in steps]}
+    )
+
+
+def simulate(kind: Kind, seed: int) -> Known:
+    """Make a campaign on a specimen of its own, in memory."""
+    draw = Random(seed)
+    white = draw.uniform(*WHITE_MN)
+    changes = [
+        f"rig.sampling.rate_hz={kind.rate_hz}", f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true",
+        f"rig.simulated.noise.white_mN={white}", f"rig.simulated.noise.slow_mN={white / 3}",
+        "rig.sampling.motor_force=false", f"model.wall={kind.wall}",
+    ]  # fmt: skip
+    runs = list(dragrig.simulate(plan(seed), assignments=changes))
+    drags = [run for run in runs if run.info.kind == "drag"]
+    lost = draw.sample(drags, round((1.0 - kind.drags) * len(drags)))
+    setup = resolve(plan(seed), assignments=changes)
+    return Known(tuple(run for run in runs if run not in lost), setup.rig, draw_specimen(setup.model, seed))
+
+
+def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
+    """Simulate, identify and compare; with `parts` what is derived beside the joint fit too."""
+    begin = time.perf_counter()
+    known = simulate(kind, seed)
+    made = time.perf_counter()
+    nominal = CapsuleModel(FrictionModelSettings(wall=kind.wall))
+    selection = select_from(known.runs)
+    found = identify(selection, nominal) if parts else None
+    joint = fit_jointly(selection, nominal) if found is None else found.joint
+    assert joint is not None
+    done = time.perf_counter()
+    scores = [*of_joint(known, joint), *(of_parts(known, selection, found) if found else ())]
+    return Outcome(
+        seed, known.rig.simulated.noise.white_mN, joint.converged, joint.chi2 / joint.degrees, joint.p_value,
+        made - begin, done - made, tuple(scores), joint.remarks,
+    )  # fmt: skip
+
+
+def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
+    """Compare parameters, combinations, and each run's own zero and factors."""
+    true = {one.name: float(getattr(known.specimen, one.name)) for one in joint.parameters}
+    for one in joint.parameters:
+        yield _of_quantity("parameter", one, true[one.name], one.learnt)
+    for combination, quantity in zip(COMBINATIONS, joint.combinations, strict=True):
+        yield _of_quantity("combination", quantity, prod(true[name] ** n for name, n in combination.powers.items()))
+    for run in joint.runs:
+        drawn = known.of_run(run.file)
+        yield _of_estimate("run", f"zero {run.kind}", run.zero, known.zero_mN(run.file))
+        if run.kind in {"relaxation", "drag"}:
+            stiffness = drawn.stiffness_scale / known.specimen.stiffness_scale
+            yield _of_estimate("run", f"stiffness {run.kind}", run.factors["stiffness"], stiffness)
+        if run.kind in {"coulomb", "drag"}:
+            friction = drawn.friction_coefficient / known.specimen.friction_coefficient
+            yield _of_estimate("run", f"friction {run.kind}", run.factors["friction"], friction)
+
+
+def of_parts(known: Known, selection: Selection, found: Identification) -> Iterator[Score]:
+    """Compare what is derived from relaxations, Coulomb runs and drags on their own."""
+    if found.relaxation:
+        yield from _of_relaxation(known, found.relaxation)
+    if found.coulomb:
+        yield from _of_coulomb(known, selection, found.coulomb)
+    if found.drag:
+        yield from _of_drag(known, selection, found.drag)
+
+
+def _of_relaxation(known: Known, found: Relaxation) -> Iterator[Score]:
+    for fit in found.fits:
+        wall = model_wall(known.of_run(fit.file), fit.shear_strain)
+        # Nobody knows the true gain: the elements are those that the force channel shows.
+        true = {one: known.specimen.force_gain * float(getattr(wall, one)) for one in ELEMENTS}
+        true |= {"tau1": true["eta1"] / true["E1"], "tau2": true["eta2"] / true["E2"]}
+        for one in (*fit.elements, *fit.times):
+            yield _of_quantity("relaxation", one, true[one.name])
+
+
+def _of_coulomb(known: Known, selection: Selection, found: Coulomb) -> Iterator[Score]:
+    mu = known.specimen.friction_coefficient
+    yield _of_estimate("coulomb", "mu_without_viscous", found.mu_without_viscous, mu)
+    slowest = _steady(known, selection.of_kind("coulomb")[0], SPEEDS_MM_S[0])
+    weight = selection.of_kind("coulomb")[0].capsule.mass_g * GRAVITY_M_S2
+    yield _of_estimate("coulomb", "mu", found.mu, mu + float(slowest.f_v[0]) / weight)
+
+
+def _of_drag(known: Known, selection: Selection, found: Drag) -> Iterator[Score]:
+    for point in found.points:
+        steady = _steady(known, selection.of_kind("drag")[0], point.speed_mm_s)
+        true = known.specimen.force_gain * float(steady.total[0])
+        yield _of_estimate("drag", f"{point.speed_mm_s:4.1f} mm/s", point.force, true)
+
+
+def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyForces:
+    return steady_forces([speed_mm_s], known.specimen, experiment.capsule, experiment.wall_thickness_mm)
+
+
+def _of_quantity(group: str, one: Quantity, true: float, learnt: float = 1.0) -> Score:
+    # A positive quantity is lognormal.
+    of = log if one.interval[0] > 0 else float
+    low, value, high = map(of, (one.interval[0], one.value, one.interval[1]))
+    deviation = 2 * NORMAL_95 * (value - of(true)) / (high - low)
+    return Score(group, one.name, one.value, true, deviation, one.half_width, learnt)
+
+
+def _of_estimate(group: str, name: str, one: Estimate, true: float) -> Score:
+    if one.value is None or not one.standard_error:
+        return Score(group, name, float("nan"), true, float("nan"), float("nan"))
+    half = NORMAL_95 * one.standard_error / abs(one.value or inf)
+    return Score(group, name, one.value, true, (one.value - true) / one.standard_error, half)
