@@ -2,17 +2,16 @@
 
 from dragrig.analysis.identification.results import Identification, Identified, JointFit
 from dragrig.config.identified import IdentifiedSettings, IdentifiedValue
+from dragrig.rig.header import software
 
 
 def origin(result: Identification, joint: JointFit, campaign: str) -> IdentifiedSettings:
     """Return what the file of an identified model says of where its values come from."""
-    from dragrig import __version__
-
     return IdentifiedSettings(
         campaign=campaign,
         specimen=result.specimen,
         runs=len(result.used),
-        software=f"dragrig {__version__}",
+        software=software(),
         converged=joint.converged,
         chi2_per_degree=joint.chi2 / joint.degrees,
         parameters=tuple(_value(one) for one in joint.parameters),

@@ -1,20 +1,19 @@
 """The paper's programme on the simulated rig, identified, and the report on it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dragrig import campaigns
 from dragrig.analysis.progress import Progress, silent
-from dragrig.config.errors import OutputError
+from dragrig.config.errors import AnalysisError, OutputError, SettingsError
 from dragrig.report.files import taken, write_texts
-from dragrig.report.paper.names import REPORT, TABLES
+from dragrig.report.paper.names import MODEL_FILE, REPORT, TABLES
 from dragrig.rig.acquiring import Outcome as RunOutcome
 from dragrig.rig.people import Nobody
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.record import record_in
-from dragrig.rig.runfile import campaign, files, naming, read_run
+from dragrig.rig.runfile import campaign, files, naming
 from dragrig.sessions import Terms
 from dragrig.setup import Setup, resolve
 
@@ -22,13 +21,16 @@ if TYPE_CHECKING:
     from dragrig.analysis.identification.results import Identification
     from dragrig.analysis.paper.finding import Finding
     from dragrig.campaigns import Made
+    from dragrig.identifying import IdentifiedCampaign
     from dragrig.report.paper.results import PaperResults
 
 PLAN = "paper"
 SEED = 20120509
 """Seed of noise, zeros and variation unless another is given."""
+MOST_SEED = 2**63 - 1
+"""As far as whole numbers go in settings."""
 RATE_HZ = 500.0
-STEPS = 40
+IDENTIFYING, WRITING = 20, 20
 """What comes after the runs, counted as so many of them."""
 NOTE = "made by dragrig paper"
 """Every run carries it, so that nobody else's run is ever replaced."""
@@ -39,10 +41,14 @@ Viscous = Literal["published", "newtonian"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperReport:
-    """What `paper` left: the folder with its runs, the report and the tables, and what they hold."""
+    """What `paper` left: the folder with its runs, the report and the tables, and what they hold.
+
+    `model` is the identified friction model, a file that the simulator loads; None where the fit did not converge.
+    """
 
     folder: Path
     report: Path
+    model: Path | None
     tables: tuple[Path, ...]
     runs: tuple[Path, ...]
     identification: "Identification"
@@ -58,14 +64,14 @@ def paper(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> PaperReport:
-    """Simulate the paper's programme, identify it, and write a report: HTML, tables as CSV, run files.
+    """Simulate the paper's programme, identify it, and write a report: HTML, tables as CSV, model, run files.
 
     The same seed gives the same runs and numbers.
 
     Parameters
     ----------
     out
-        Folder of the campaign, the report and the tables.
+        Folder of the campaign, the report, the tables and the identified model.
     wall, viscous
         Which of the paper's wall parameters, and which reading of Eq. 10, is simulated.
     overwrite
@@ -76,7 +82,7 @@ def paper(
     Raises
     ------
     OutputError
-        When the folder holds runs, a report or tables already, or refuses.
+        When the folder holds runs, a report, tables or a model already, or refuses.
     SettingsError
         For a choice that does not exist.
 
@@ -91,7 +97,8 @@ def paper(
     counted = _Counted(progress)
     made = campaigns.begin(setup, folder, Terms(folder, note=NOTE), counted)
     made.session.require()
-    return _evaluated(made, setup, counted.step)
+    found = identified(folder, setup, counted.share(IDENTIFYING))
+    return _written(made, found, _results(made, setup, found), counted.share(WRITING))
 
 
 class _Counted(Nobody):
@@ -99,7 +106,7 @@ class _Counted(Nobody):
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
-        self._done, self._of = 0, STEPS
+        self._done, self._of = 0, IDENTIFYING + WRITING
 
     def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
         del programme, real_time
@@ -107,31 +114,57 @@ class _Counted(Nobody):
 
     def run_ends(self, run: PlannedRun, outcome: RunOutcome) -> None:
         del run, outcome
-        self.step()
-
-    def step(self, steps: int = 1) -> None:
-        self._done += steps
+        self._done += 1
         self._progress(self._done, self._of)
 
+    def share(self, steps: int) -> Progress:
+        """Return what follows a piece of work that counts as so many runs."""
+        before = self._done
+        self._done += steps
 
-def _evaluated(made: "Made", setup: Setup, step: Callable[[int], None]) -> PaperReport:
-    """Identify the campaign and write report and tables beside its runs."""
+        def follow(done: int, of: int) -> None:
+            self._progress(before + steps * done // max(of, 1), self._of)
+
+        return follow
+
+
+def identified(folder: Path, setup: Setup, progress: Progress = silent) -> "IdentifiedCampaign":
+    """Identify the campaign, the scales counted from the model that was simulated."""
+    from dragrig.identifying import identify
+
+    return identify(folder, model=setup.model, progress=progress)
+
+
+def _written(made: "Made", found: "IdentifiedCampaign", results: "PaperResults", progress: Progress) -> PaperReport:
+    """Write model, tables and report beside the runs."""
     from dragrig.report.paper.page import page
     from dragrig.report.paper.pictures import pictures
     from dragrig.report.paper.tables import tables
 
     runs = tuple(one.path for one in made.session.runs if one.path is not None)
-    results = _results(made, setup)
-    step(STEPS // 2)
+    model = _model_written(found, made.folder)
     tabulated = tables(results)
-    texts = {f"{name}.csv": table.csv() for name, table in tabulated.items()}
-    written = write_texts(made.folder, texts)
-    (report,) = write_texts(made.folder, {REPORT: page(results, tabulated, pictures(results))})
-    step(STEPS - STEPS // 2)
-    return PaperReport(made.folder, report, written, runs, results.identification, results.findings)
+    written = write_texts(made.folder, {f"{name}.csv": table.csv() for name, table in tabulated.items()})
+    progress(1, 3)
+    drawn = pictures(results)
+    progress(2, 3)
+    text = page(results, tabulated, drawn, None if model is None else model.name)
+    (report,) = write_texts(made.folder, {REPORT: text})
+    progress(3, 3)
+    return PaperReport(made.folder, report, model, written, runs, results.identification, results.findings)
 
 
-def _results(made: "Made", setup: Setup) -> "PaperResults":
+def _model_written(found: "IdentifiedCampaign", folder: Path) -> Path | None:
+    """Write the model that the simulator loads; None, and no older one left, where the fit did not converge."""
+    try:
+        text = found.toml()
+    except AnalysisError:
+        files.remove(folder / MODEL_FILE)
+        return None
+    return write_texts(folder, {MODEL_FILE: text})[0]
+
+
+def _results(made: "Made", setup: Setup, found: "IdentifiedCampaign") -> "PaperResults":
     from dragrig.analysis.paper.elements import element_rows
     from dragrig.analysis.paper.findings import findings
     from dragrig.config.capsule import Capsule
@@ -139,14 +172,14 @@ def _results(made: "Made", setup: Setup) -> "PaperResults":
     from dragrig.report.paper.results import PaperResults
     from dragrig.sim_backend.devices.variation import draw_run
 
-    found = identified(made.folder, setup)
-    simulated = setup.rig.simulated
+    simulated, result = setup.rig.simulated, found.result
     of_run = {
         one.path.name: draw_run(setup.model, simulated.variation, simulated.seed, one.order)
         for one in made.session.runs
         if one.path is not None
     }
-    trace = found.coulomb.runs[0].file if found.coulomb is not None and found.coulomb.runs else None
+    traces = {one.file: one.run for one in found.selection.experiments}
+    first = result.coulomb.runs[0].file if result.coulomb is not None and result.coulomb.runs else ""
     return PaperResults(
         model=setup.model,
         capsule=find(Capsule, "capsule", "drag"),
@@ -154,36 +187,17 @@ def _results(made: "Made", setup: Setup) -> "PaperResults":
         rig=setup.rig,
         runs=len(of_run),
         of_run=of_run,
-        identification=found,
-        elements=element_rows(found.relaxation, setup.model, of_run),
+        identification=result,
+        elements=element_rows(result.relaxation, setup.model, of_run),
         findings=findings(),
-        coulomb_trace=None if trace is None else read_run(made.folder / trace),
-    )
-
-
-def identified(folder: Path, setup: Setup) -> "Identification":
-    """Identify relaxations, Coulomb test and drags, against the model that was simulated."""
-    from dragrig.analysis.identification.coulomb import identify_coulomb
-    from dragrig.analysis.identification.drag import identify_drag
-    from dragrig.analysis.identification.relaxation import identify_relaxation
-    from dragrig.analysis.identification.results import Identification
-    from dragrig.analysis.identification.selection import select
-
-    chosen = select(folder)
-    return Identification(
-        specimen=chosen.specimen,
-        used=tuple(one.file for one in chosen.experiments),
-        left_out=chosen.left_out,
-        joint=None,
-        relaxation=identify_relaxation(chosen),
-        coulomb=identify_coulomb(chosen, setup.model),
-        drag=identify_drag(chosen, setup.model),
-        remarks=chosen.remarks,
+        coulomb_trace=traces.get(first),
     )
 
 
 def setup_of(seed: int, wall: str, viscous: str) -> Setup:
     """Return the settings of the programme; raises `SettingsError` for a choice that does not exist."""
+    if not 0 <= seed <= MOST_SEED:
+        raise SettingsError(f"--seed {seed}: a seed is a whole number from 0 to {MOST_SEED}.")
     return resolve(
         PLAN,
         rig="bench",
@@ -205,13 +219,13 @@ def make_room(folder: Path, *, overwrite: bool) -> None:
         return
     here = campaign(folder)
     held = [one.path for one in here.runs] + [path for path, _ in here.unreadable] + list(here.recordings)
-    written = taken(folder, (REPORT, *(f"{name}.csv" for name in TABLES)))
-    if not overwrite and (held or written):
-        raise OutputError(f"{(*held, *written)[0]}: is there already; name another folder, or say --overwrite.")
+    written = taken(folder, (REPORT, MODEL_FILE, *(f"{name}.csv" for name in TABLES)))
     own = {one.path for one in here.runs if one.header.entry.get("note") == NOTE}
     foreign = next((path for path in held if path not in own), None)
     if foreign is not None:
         raise OutputError(f"{foreign}: is no run of dragrig paper and is not replaced; name another folder.")
+    if not overwrite and (held or written):
+        raise OutputError(f"{(*held, *written)[0]}: is there already; name another folder, or say --overwrite.")
     one_each = {one.header.settings_toml: one.path for one in here.runs if one.path in own}
     beside = {folder / record_in(path).file_name() for path in one_each.values()}
     beside |= {naming.mark_path(path) for path in own}

@@ -93,6 +93,24 @@ def test_what_lies_far_outside_is_pointed_at() -> None:
     assert [line.get_xdata()[0] for line in arrows] == [axes.get_xlim()[1]]
 
 
+def dots(axes: Axes) -> int:
+    return sum(line.get_marker() == "o" for line in axes.lines)
+
+
+def test_no_number_stands_where_runs_say_nothing() -> None:
+    unknown = replace(ANGLE, learnt=0.05)
+    axes = panel(joint_figure(fit(parameters=(STIFFNESS, unknown))), "before")
+    assert [one.get_text() for one in axes.texts] == ["1.050 ± 0.030", "not determined"]
+    assert dots(axes) == 1
+
+
+def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
+    axes = panel(joint_figure(replace(fit(), converged=False)), "before")
+    assert [one.get_text() for one in axes.texts] == ["1.05", "−0.2 deg"]
+    assert dots(axes) == 2
+    assert all(np.ptp(line.get_xdata()) == 0 for line in axes.lines)
+
+
 def test_runs_that_are_left_badly_are_shown_on_a_scale_for_all() -> None:
     axes = panel(joint_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
     assert axes.get_xscale() == "log"

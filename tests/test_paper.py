@@ -8,7 +8,7 @@ import shutil
 import subprocess
 import sys
 from base64 import b64decode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,11 +18,20 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
 from dragrig import reproducing
-from dragrig.analysis.identification.results import Drag, Identification, LeftOut
+from dragrig.analysis.estimates import Estimate
+from dragrig.analysis.identification.results import (
+    Drag,
+    Identification,
+    Identified,
+    JointFit,
+    LeftOut,
+    RunResidual,
+)
 from dragrig.analysis.paper.determination import by_correlation, by_eq15, examples, offset_for
 from dragrig.analysis.paper.elements import element_rows
 from dragrig.analysis.paper.finding import Finding, percent, spelled
@@ -32,11 +41,10 @@ from dragrig.analysis.paper.printed import CAPSULE, MODEL, R2_ABOVE, R2_BELOW
 from dragrig.cli import main
 from dragrig.cli.lazy import group
 from dragrig.config.capsule import Capsule
-from dragrig.config.errors import OutputError
 from dragrig.config.library import find
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.report.paper.names import REPORT, TABLES
+from dragrig.report.paper.names import MODEL_FILE, REPORT, TABLES
 from dragrig.report.paper.page import page
 from dragrig.report.paper.results import PaperResults
 from dragrig.report.paper.tables import tables
@@ -145,6 +153,7 @@ def test_numbers_keep_their_sign_and_their_unit() -> None:
     assert [spelled(0.99999, 4), spelled(0), spelled(float("nan"))] == ["1.000", "0", "–"]
     assert [percent(0.2), percent(-0.0036)] == ["+20 %", "−0.36 %"]
     assert kept_together("40 mN at 0.5 mm/s, 1 gut") == "40\u00a0mN at 0.5\u00a0mm/s, 1 gut"
+    assert kept_together("more (p = 0.4), p < 1") == "more (p\u00a0=\u00a00.4), p\u00a0<\u00a01"
 
 
 @given(st.lists(st.tuples(st.text(), st.one_of(st.none(), st.floats())), max_size=5))
@@ -172,19 +181,37 @@ class Made:
             return list(csv.DictReader(file))
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    folder = tmp_path_factory.mktemp("paper") / "out"
-    done = CliRunner().invoke(
-        group, ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"], standalone_mode=False
-    )
-    assert done.exception is None, done.exception
-    return Made(folder, json.loads(done.stdout))
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Made:
+    """Call the command once for all workers, who share a folder; the one that comes first does it."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own if worker_id == "master" else own.parent) / "paper"
+    said = folder.with_suffix(".json")
+    with FileLock(folder.with_suffix(".lock")):
+        if not said.exists():
+            arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
+            done = CliRunner().invoke(group, arguments, standalone_mode=False)
+            assert done.exception is None, done.exception
+            said.write_text(done.stdout, "utf-8")
+    return Made(folder, json.loads(said.read_text("utf-8")))
+
+
+@pytest.fixture
+def few(made: Made, tmp_path: Path) -> Made:
+    """A copy with two of its runs and all that was written about them."""
+    folder = tmp_path / "few"
+    folder.mkdir()
+    runs = sorted(made.folder.glob("*.h5"))
+    others = [path for path in made.folder.iterdir() if path.suffix != ".h5"]
+    for path in (*runs[:2], *others):
+        shutil.copy(path, folder)
+    return Made(folder, made.printed)
 
 
 @pytest.mark.timeout(180)
 def test_the_command_says_where_everything_is(made: Made) -> None:
     assert made.printed["report"] == str(made.folder / REPORT)
+    assert made.printed["model"] == str(made.folder / MODEL_FILE)
     assert made.printed["tables"] == [str(made.folder / f"{name}.csv") for name in TABLES]
     assert len(made.printed["findings"]) == len(findings())
     identified = made.printed["identification"]
@@ -243,7 +270,7 @@ def test_the_report_needs_nothing_but_itself(made: Made) -> None:
     assert not {"script", "link", "iframe", "object"} & read.tags
     assert len(read.ids) == len(set(read.ids))
     assert all(link.startswith("#") and link[1:] in read.ids for link in read.links)
-    assert len(read.sources) == 5
+    assert len(read.sources) == 6
     for source, alt in zip(read.sources, read.alts, strict=True):
         kind, data = source.split(",", 1)
         assert kind == "data:image/svg+xml;base64"
@@ -315,48 +342,107 @@ def test_the_elements_that_were_put_in_come_back(made: Made) -> None:
 
 
 @pytest.mark.timeout(180)
-def test_what_is_there_is_not_overwritten(made: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path.name: path.stat().st_mtime_ns for path in made.folder.iterdir()}
-    assert main(["paper", "--out", str(made.folder)]) == 2
-    assert {path.name: path.stat().st_mtime_ns for path in made.folder.iterdir()} == before
+def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
+    rows = made.rows("parameters")
+    assert len(rows) == 11
+    known = [row for row in rows if row["value"]]
+    assert {row["parameter"] for row in rows if not row["value"]} == {"force_gain", "insertion_dwell_scale"}
+    assert sum(float(row["low"]) <= float(row["simulated"]) <= float(row["high"]) for row in known) >= 8
+    assert all(float(row["prior_low"]) < float(row["low"]) < float(row["high"]) for row in known)
+    assert "next to nothing" in made.page
+    assert "can hardly be told apart" in made.page
+    elements = [row for row in made.rows("combinations") if row["combination"].startswith(("e", "fast", "slow"))]
+    assert len(elements) == 7
+    assert all(float(row["half_width"]) < 0.03 for row in elements)
+
+
+@pytest.mark.timeout(180)
+def test_each_runs_own_factors_come_back(made: Made) -> None:
+    runs = made.rows("joint-runs")
+    assert len(runs) == 29
+    found = [row for row in runs if row["kind"] == "relaxation"]
+    ratio = np.array([float(row["stiffness_factor"]) / float(row["simulated_stiffness_factor"]) for row in found])
+    assert np.ptp(ratio) < 0.005
+    assert all(row["friction_factor"] == row["simulated_friction_factor"] == "" for row in found)
+
+
+@pytest.mark.timeout(180)
+def test_the_identified_model_is_one_that_the_simulator_loads(made: Made) -> None:
+    model = find(FrictionModelSettings, "model", str(made.folder / MODEL_FILE))
+    (friction,) = (row["value"] for row in made.rows("parameters") if row["parameter"] == "friction_coefficient")
+    assert model.friction_coefficient == pytest.approx(float(friction), rel=1e-9)
+    assert model.insertion_dwell_scale == 1.0
+    assert f"dragrig run drag --model {MODEL_FILE}" in made.page
+
+
+@pytest.mark.timeout(180)
+def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in few.folder.iterdir()}
+    assert main(["paper", "--out", str(few.folder)]) == 2
+    assert {path.name: path.stat().st_mtime_ns for path in few.folder.iterdir()} == before
     told = capsys.readouterr().err
     assert "is there already" in told
     assert "--overwrite" in told
     assert told.count("\n") == 1
-    (tmp_path / "findings.csv").write_text("mine\n", "utf-8")
-    assert main(["paper", "--out", str(tmp_path)]) == 2
-    assert "findings.csv" in capsys.readouterr().err
+    for name in ("findings.csv", MODEL_FILE):
+        mine = tmp_path / "mine" / name
+        mine.parent.mkdir(exist_ok=True)
+        mine.write_text("mine\n", "utf-8")
+        assert main(["paper", "--out", str(mine.parent)]) == 2
+        assert name in capsys.readouterr().err
+        mine.unlink()
 
 
 @pytest.mark.timeout(180)
-def test_overwriting_takes_away_own_runs_and_nothing_else(made: Made, tmp_path: Path) -> None:
-    folder = tmp_path / "copy"
-    shutil.copytree(made.folder, folder)
-    mark_bad(campaign(folder).runs[0].path, "tried")
-    (folder / "notes.txt").write_text("mine\n", "utf-8")
-    reproducing.make_room(folder, overwrite=True)
-    assert {path.name for path in folder.iterdir()} == {"notes.txt", REPORT, *(f"{name}.csv" for name in TABLES)}
+def test_overwriting_takes_away_own_runs_and_nothing_else(few: Made) -> None:
+    mark_bad(campaign(few.folder).runs[0].path, "tried")
+    (few.folder / "notes.txt").write_text("mine\n", "utf-8")
+    reproducing.make_room(few.folder, overwrite=True)
+    left = {"notes.txt", REPORT, MODEL_FILE, *(f"{name}.csv" for name in TABLES)}
+    assert {path.name for path in few.folder.iterdir()} == left
 
 
 @pytest.mark.timeout(180)
-def test_other_peoples_runs_are_never_replaced(made: Made, tmp_path: Path) -> None:
-    foreign = Path(__file__).parent / "data" / "campaign" / "010-drag.h5"
-    own = campaign(made.folder).runs[0].path
-    for path in (foreign, own):
-        shutil.copy(path, tmp_path)
-    with pytest.raises(OutputError, match=r"010-drag\.h5: is no run of dragrig paper"):
-        reproducing.make_room(tmp_path, overwrite=True)
-    assert {path.name for path in tmp_path.iterdir()} == {foreign.name, own.name}
+def test_other_peoples_runs_are_never_replaced(few: Made, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(Path(__file__).parent / "data" / "campaign" / "010-drag.h5", few.folder)
+    before = {path.name for path in few.folder.iterdir()}
+    for choice in ([], ["--overwrite"]):
+        assert main(["paper", "--out", str(few.folder), *choice]) == 2
+        told = capsys.readouterr().err
+        assert "010-drag.h5: is no run of dragrig paper" in told
+        assert "say --overwrite" not in told
+    assert {path.name for path in few.folder.iterdir()} == before
 
 
-def test_a_place_that_cannot_be_written_is_said_in_a_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("", "utf-8")
-    assert main(["paper", "--out", str(tmp_path / "file" / "inside")]) == 2
+@pytest.mark.parametrize("seed", ["x", "-1", "1.5", "9" * 30])
+def test_a_seed_is_a_whole_number(seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", "--out", str(tmp_path / "out"), "--seed", seed]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1
-    assert "inside" in told
+    assert "--seed" in told
+    assert seed in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("place", ["file", "file/inside"])
+def test_a_file_is_no_folder(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("", "utf-8")
+    assert main(["paper", "--out", str(tmp_path / place)]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert Path(place).name in told
+
+
+def test_a_folder_that_is_closed_is_said_in_a_sentence(
+    tmp_path: Path, close_folder: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "closed"
+    folder.mkdir()
+    close_folder(folder)
+    assert main(["paper", "--out", str(folder)]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "closed" in told
 
 
 def test_choices_reach_the_simulator() -> None:
@@ -370,6 +456,10 @@ def nothing_identified() -> Iterator[Identification]:
     bare = Identification("gut", (), (LeftOut("a.h5", "it is <broken>"),), None, None, None, None, ("a & b",))
     yield bare
     yield replace(bare, drag=Drag((), None, None, (), ("no drag run",)))
+    scale = Identified("stiffness_scale", "1", 777.7, 1.0, (5.0, 9.0), (0.7, 1.4), 0.0)
+    left = RunResidual("a.h5", "drag", "force", 9, 1.0, 1.0, Estimate(0.0, 0.1), {})
+    joint = JointFit("capsule", (scale,), (), np.eye(1), (left,), 9, 9, 0.5, False, 99, ("it <ran> away",))
+    yield replace(bare, joint=joint)
 
 
 def test_what_was_not_identified_is_said_to_be_missing() -> None:
@@ -377,11 +467,17 @@ def test_what_was_not_identified_is_said_to_be_missing() -> None:
         results = PaperResults(
             MODEL, CAPSULE, 2.5, RigSettings(), 0, {}, identification, element_rows(None, MODEL, {}), findings(), None
         )
-        text = page(results, tables(results), {})
+        made = tables(results)
+        text = page(results, made, {})
         assert "No element was identified" in text
         assert "it is &lt;broken&gt;" in text
         assert "a &amp; b" in text
         assert ("No drag was identified" in text) == (identification.drag is None)
+        assert ("did not converge" in text) == (identification.joint is not None)
+        assert ("it &lt;ran&gt; away" in text) == (identification.joint is not None)
+        assert "777.7" not in text
+        assert made["parameters"].rows == ()
+        assert MODEL_FILE not in text
 
 
 def test_the_overview_of_commands_loads_no_report() -> None:

@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Folder for runs, report and tables.",
 )
-@click.option(
-    "--seed", metavar="N", type=click.IntRange(min=0), help="Seed of the simulated runs; 20120509 unless given."
-)
+@click.option("--seed", metavar="N", type=int, help="Seed of the simulated runs; 20120509 unless given.")
 @click.option(
     "--wall", type=click.Choice(["eq14", "table1"]), default="eq14", show_default=True, help="Wall parameters."
 )
@@ -43,8 +41,9 @@ def command(out: Path, seed: int | None, wall: "Wall", viscous: "Viscous", overw
     """Simulate the paper's programme, identify it, and write a report.
 
     Relaxations at four strains, the Coulomb test, blanks, and drags at 11 speeds twice, all simulated. The report is
-    one HTML file with its figures inside: Table 1 beside Eq. 14 and what is identified, Figs. 7, 8, 9 and 11, and what
-    in the paper does not fit together, with numbers. Its tables are written as CSV too.
+    one HTML file with its figures inside: Table 1 beside Eq. 14 and what is identified, Figs. 7, 8, 9 and 11, all
+    parameters from all runs at once, and what in the paper does not fit together, with numbers. Its tables are written
+    as CSV too, and the identified model as model.toml, which dragrig run loads with --model.
     """
     from dragrig.reproducing import SEED, paper
 
@@ -56,6 +55,11 @@ def command(out: Path, seed: int | None, wall: "Wall", viscous: "Viscous", overw
         return
     say(f"{len(made.runs)} runs, {len(made.tables)} tables, {len(made.findings)} findings")
     result(f"report  {shown_path(made.report)}\nfolder  {shown_path(made.folder)}")
+    if made.model is not None:
+        result(f"model   {shown_path(made.model)}")
+        path = shown_path(made.model)
+        quoted = f'"{path}"' if " " in path else path
+        say(f"a dry run of this specimen: dragrig run drag --model {quoted}")
 
 
 def _plain(made: "PaperReport") -> dict[str, object]:
@@ -64,6 +68,7 @@ def _plain(made: "PaperReport") -> dict[str, object]:
     return {
         "folder": made.folder,
         "report": made.report,
+        "model": made.model,
         "tables": made.tables,
         "runs": made.runs,
         "identification": identification_table(made.identification),

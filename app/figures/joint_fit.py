@@ -56,9 +56,9 @@ def joint_figure(fit: JointFit) -> Figure:
         headline(figure, ABOVE_IN, f"Joint fit of the {fit.nominal} model", _subtitle(fit, len(runs)))
         write_trouble(figure, ABOVE_IN, _trouble(fit))
         parameters, combined, left = sheet.places
-        _parameters(add_panel(figure, parameters), fit.parameters)
+        _parameters(add_panel(figure, parameters), fit)
         if fit.combinations:
-            _combined(add_panel(figure, combined), fit.combinations)
+            _combined(add_panel(figure, combined), fit)
         _left_over(add_panel(figure, left), runs)
         return figure
 
@@ -74,9 +74,9 @@ class _Sheet:
     @classmethod
     def of(cls, fit: JointFit, runs: Sequence[RunResidual]) -> "_Sheet":
         """Make room for names, numbers and rows."""
-        rows: list[Quantity] = [*fit.parameters, *fit.combinations]
+        rows = [*fit.parameters, *fit.combinations]
         names = ABOVE_IN + max(_width(one.name, TEXT_PT) for one in rows) + 0.15
-        numbers = NUMBERS_IN + max(text_width_in(_number(one), SMALL_PT) for one in rows)
+        numbers = NUMBERS_IN + max(text_width_in(_number(one, fit), SMALL_PT) for one in rows)
         files = max(_width(one, SMALL_PT) for one in _files(runs)) + 0.15
         upper, lower = ROW_IN * len(fit.parameters), ROW_IN * len(fit.combinations)
         right = len(runs) * (ROW_IN if len(runs) <= ROOMY_RUNS else TIGHT_ROW_IN)
@@ -130,8 +130,12 @@ def _plain(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 
-def _number(one: Quantity) -> str:
-    return with_error(one.value, one.standard_error) + ("" if one.unit == "1" else f" {one.unit}")
+def _number(one: Identified, fit: JointFit) -> str:
+    """Spell a value: none that the runs do not determine, no error of a fit that did not converge."""
+    if not one.determined:
+        return "not determined"
+    error = one.standard_error if fit.converged else None
+    return with_error(one.value, error) + ("" if one.unit == "1" else f" {one.unit}")
 
 
 def _files(runs: Sequence[RunResidual]) -> list[str]:
@@ -139,15 +143,12 @@ def _files(runs: Sequence[RunResidual]) -> list[str]:
     return [f"{one.file} {one.channel}" if several else one.file for one in runs]
 
 
-def _parameters(axes: Axes, rows: Sequence[Identified]) -> None:
-    places = [_in_sd(one) for one in rows]
-    reach = min(max(LEAST_SD, *(1.08 * abs(end) for ends in places for end in ends)), MOST_SD)
+def _parameters(axes: Axes, fit: JointFit) -> None:
+    places = [_in_sd(one) for one in fit.parameters]
+    reach = _reach(places, LEAST_SD, MOST_SD)
     axes.axvspan(-NORMAL_95, NORMAL_95, color=PRIOR, linewidth=0)
     axes.axvline(0.0, color=PALE, linewidth=1.0)
-    for row, ends in enumerate(places):
-        _interval(axes, row, ends, reach, BLUE)
-    _rows(axes, rows)
-    axes.set_xlim(-reach, reach)
+    _intervals(axes, fit, fit.parameters, places, reach, BLUE)
     axes.set_xlabel("Standard deviations from what was known before")
     axes.set_title("95 % intervals, before (grey) and after the runs", loc="left", fontsize=TEXT_PT)
 
@@ -161,20 +162,45 @@ def _in_sd(one: Identified) -> tuple[float, float, float]:
     return low, value, high
 
 
-def _combined(axes: Axes, rows: Sequence[Quantity]) -> None:
-    places = [(_percent(one, one.interval[0]), 0.0, _percent(one, one.interval[1])) for one in rows]
-    reach = min(max(LEAST_PERCENT, *(1.08 * abs(end) for ends in places for end in ends)), MOST_PERCENT)
+def _combined(axes: Axes, fit: JointFit) -> None:
+    places = [(_percent(one, one.interval[0]), 0.0, _percent(one, one.interval[1])) for one in fit.combinations]
+    reach = _reach([place for place, one in zip(places, fit.combinations, strict=True) if one.determined],
+                   LEAST_PERCENT, MOST_PERCENT)  # fmt: skip
     axes.axvline(0.0, color=PALE, linewidth=1.0)
-    for row, ends in enumerate(places):
-        _interval(axes, row, ends, reach, PURPLE)
-    _rows(axes, rows)
-    axes.set_xlim(-reach, reach)
+    _intervals(axes, fit, fit.combinations, places, reach, PURPLE)
     axes.set_xlabel("Difference from the value (%)")
     axes.set_title("95 % intervals of what they combine to", loc="left", fontsize=TEXT_PT)
 
 
 def _percent(one: Quantity, end: float) -> float:
     return 100 * (end - one.value) / (abs(one.value) or 1.0)
+
+
+def _reach(places: Sequence[tuple[float, float, float]], least: float, most: float) -> float:
+    return min(max([least, *(1.08 * abs(end) for ends in places for end in ends)]), most)
+
+
+def _intervals(
+    axes: Axes,
+    fit: JointFit,
+    rows: Sequence[Identified],
+    places: Sequence[tuple[float, float, float]],
+    reach: float,
+    colour: str,
+) -> None:
+    """Draw what is determined, name the rows at the left, and write their numbers at the right."""
+    for row, (one, (low, value, high)) in enumerate(zip(rows, places, strict=True)):
+        if one.determined:
+            _interval(axes, row, (low, value, high) if fit.converged else (value, value, value), reach, colour)
+    axes.set_yticks(range(len(rows)), [_cut(one.name, TEXT_PT) for one in rows], fontsize=TEXT_PT)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_xlim(-reach, reach)
+    axes.grid(visible=False, axis="y")
+    x = 1 + NUMBERS_IN / PANEL_IN
+    for row, one in enumerate(rows):
+        words, colour = _number(one, fit), BLACK if one.determined else GREY
+        place = axes.get_yaxis_transform()
+        axes.text(x, row, words, transform=place, va="center_baseline", fontsize=SMALL_PT, color=colour)
 
 
 def _interval(axes: Axes, row: int, ends: tuple[float, float, float], reach: float, colour: str) -> None:
@@ -186,16 +212,6 @@ def _interval(axes: Axes, row: int, ends: tuple[float, float, float], reach: flo
             axes.plot(edge, row, marker, color=colour, markersize=9, clip_on=False)
     if abs(ends[1]) <= reach:
         axes.plot(value, row, "o", color=colour, markersize=7, markeredgecolor="white")
-
-
-def _rows(axes: Axes, rows: Sequence[Quantity]) -> None:
-    """Name the rows at the left, and write their numbers at the right."""
-    axes.set_yticks(range(len(rows)), [_cut(one.name, TEXT_PT) for one in rows], fontsize=TEXT_PT)
-    axes.set_ylim(len(rows) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
-    x = 1 + NUMBERS_IN / PANEL_IN
-    for row, one in enumerate(rows):
-        axes.text(x, row, _number(one), transform=axes.get_yaxis_transform(), va="center_baseline", fontsize=SMALL_PT)
 
 
 def _left_over(axes: Axes, runs: Sequence[RunResidual]) -> None:

@@ -47,6 +47,7 @@ def drag_figure(
     boundary_mm_s: float | None = None,
     accuracy_mN: float | None = None,
     backend: str = "",
+    simulated: FrictionModelSettings | None = None,
 ) -> Figure:
     """Draw the measured drag with its 95 % intervals over the model's parts, and the law of ln v; below, what differs.
 
@@ -60,6 +61,8 @@ def drag_figure(
         The sensor's accuracy, drawn as a band around no difference.
     backend
         Where the runs come from, said in the corner.
+    simulated
+        The model that the runs were simulated with, drawn as a line beside the one that was identified.
     """
     points = [one for one in drag.points if one.force.value is not None]
     speeds = [abs(one.speed_mm_s) for one in points] or [0.5, 60.0]
@@ -81,6 +84,11 @@ def drag_figure(
             above.plot(speed, law, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
             below.plot(speed, law - curve.total, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
             labels.append(EndLabel(float(law[-1]), "law of ln v", PURPLE))
+        if simulated is not None:
+            truth = parts(Setup(capsule, wall_thickness_mm), simulated, speed).total
+            above.plot(speed, truth, color=GREY, linewidth=1.6, linestyle=(0, (2, 2)))
+            below.plot(speed, truth - curve.total, color=GREY, linewidth=1.6, linestyle=(0, (2, 2)))
+            labels.append(EndLabel(float(truth[-1]), "as simulated", GREY))
         _points(above, points, [0.0] * len(points))
         _points(below, points, [one.model_mN for one in points])
         if points:

@@ -5,12 +5,18 @@ from collections.abc import Mapping
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-_NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))")
+_TOGETHER = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
+_APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
 
 
 def kept_together(text: str) -> str:
-    """Let no line break come between a number and its unit."""
-    return _NUMBER_AND_UNIT.sub("\u00a0", text)
+    """Let no line break come between a number and its unit, nor around an equals sign before a number."""
+    return _TOGETHER.sub("\u00a0", text)
+
+
+def typeset(value: object) -> object:
+    """Set the apostrophes of a text as a printer does."""
+    return _APOSTROPHE.sub("\u2019", value) if type(value) is str else value
 
 
 def render(template: str, context: Mapping[str, object]) -> str:
@@ -22,6 +28,7 @@ def render(template: str, context: Mapping[str, object]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=typeset,
     )
     environment.filters["kept"] = kept_together
     return environment.get_template(template).render(context)

@@ -5,7 +5,9 @@ from collections.abc import Mapping
 from dragrig.analysis.paper import printed
 from dragrig.analysis.paper.elements import ElementRow
 from dragrig.analysis.paper.finding import percent, spelled
+from dragrig.figures.derived import with_error
 from dragrig.report.embedding import Picture
+from dragrig.report.paper.joint_tables import held
 from dragrig.report.paper.results import PaperResults
 from dragrig.report.rendering import render
 from dragrig.report.tabular import Table
@@ -16,8 +18,10 @@ _WALLS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic t
 _VISCOUS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
 
 
-def page(results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[str, Picture]) -> str:
-    """Return the whole report as one HTML page."""
+def page(
+    results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[str, Picture], model: str | None = None
+) -> str:
+    """Return the whole report as one HTML page; `model` names the file of the identified model beside it."""
     return render(
         "paper.html",
         {
@@ -26,6 +30,8 @@ def page(results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[s
             "settings": _settings(results),
             "wall": _WALLS.get(results.model.wall, results.model.wall),
             "elements": _agreement(results.elements),
+            "joint": _joint(results),
+            "model": model,
             "identification": results.identification,
             "findings": results.findings,
             "tables": tables,
@@ -33,6 +39,7 @@ def page(results: PaperResults, tables: Mapping[str, Table], pictures: Mapping[s
             "printed": printed,
             "spelled": spelled,
             "percent": percent,
+            "with_error": with_error,
         },
     )
 
@@ -51,6 +58,19 @@ def _settings(results: PaperResults) -> dict[str, str]:
         f"zero off by {noise.zero_mN:g} mN (standard deviation) in each run",
         "Between runs": f"stiffness varies by {100 * variation.run_stiffness:g} %, "
         f"μ by {100 * variation.run_friction:g} % (standard deviations)",
+    }
+
+
+def _joint(results: PaperResults) -> dict[str, object] | None:
+    """Say what the joint fit gave back; None without one that converged."""
+    fit = results.identification.joint
+    if fit is None or not fit.converged:
+        return None
+    return {
+        "fit": fit,
+        "parameters": held(fit.parameters, results.model),
+        "combinations": held(fit.combinations, results.model),
+        "unknown": [one.name for one in fit.parameters if not one.determined],
     }
 
 

@@ -3,7 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from dragrig.analysis.identification.identify import identified_settings
 from dragrig.analysis.identification.results import CoulombRun, Identification
+from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.paper.elements import ElementRow
 from dragrig.analysis.paper.finding import Finding
 from dragrig.config.capsule import Capsule
@@ -44,3 +46,11 @@ class PaperResults:
         """What was identified from the Coulomb test."""
         found = self.identification.coulomb
         return found.runs[0] if found is not None and found.runs else None
+
+    @property
+    def identified_model(self) -> FrictionModelSettings | None:
+        """The model with what the joint fit determined in place; None without one that converged."""
+        joint = self.identification.joint
+        if joint is None or not joint.converged:
+            return None
+        return identified_settings(CapsuleModel(self.model), joint)

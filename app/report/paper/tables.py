@@ -3,10 +3,12 @@
 import numpy as np
 
 from dragrig.analysis.estimates import Estimate
+from dragrig.analysis.identification.nominal_drag import Setup, parts
 from dragrig.analysis.paper import coulomb_test, printed
 from dragrig.analysis.paper.determination import examples
 from dragrig.analysis.paper.wall import SYMBOLS
 from dragrig.figures.model import SKEW_SPEEDS
+from dragrig.report.paper.joint_tables import joint_tables
 from dragrig.report.paper.results import PaperResults
 from dragrig.report.tabular import Cell, Column, Table, digits, places, plainly, share
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
@@ -23,6 +25,7 @@ def tables(results: PaperResults) -> dict[str, Table]:
         _skew(results),
         _coulomb(results),
         _forces(results),
+        *joint_tables(results),
         _drag(results),
         _determination(results),
         _examples(),
@@ -138,18 +141,22 @@ def _drag(results: PaperResults) -> Table:
         *(Column(f"{name}_mN", f"{name}, mN", places(2)) for name in ("f_e", "f_v", "f_c", "model")),
         Column("difference_mN", "measured − model", places(2)),
         Column("ln_law_mN", "ln v law, mN", places(2)),
+        Column("simulated_model_mN", "as simulated, mN", places(2)),
     )
     drag = results.identification.drag
+    points = () if drag is None else drag.points
+    setup = Setup(results.capsule, results.wall_thickness_mm)
+    put_in = parts(setup, results.model, np.array([one.speed_mm_s for one in points])).total.tolist()
     rows = []
-    for one in () if drag is None else drag.points:
+    for one, simulated in zip(points, put_in, strict=True):
         law = None if drag is None or drag.log_law is None else drag.log_law
         fitted = None if law is None else law.intercept.value + law.slope.value * float(np.log(one.speed_mm_s))
         measured = one.force.value
         low, high = one.force.interval or (None, None)
         less = None if measured is None else measured - one.model_mN
-        parts = (one.f_e_mN, one.f_v_mN, one.f_c_mN, one.model_mN)
-        rows.append((one.speed_mm_s, one.runs, measured, low, high, *parts, less, fitted))
-    return Table("drag", "Steady drag of the simulated runs beside the model", columns, tuple(rows))
+        by_model = (one.f_e_mN, one.f_v_mN, one.f_c_mN, one.model_mN)
+        rows.append((one.speed_mm_s, one.runs, measured, low, high, *by_model, less, fitted, simulated))
+    return Table("drag", "Steady drag of the simulated runs beside the identified model", columns, tuple(rows))
 
 
 def _determination(results: PaperResults) -> Table:
@@ -163,7 +170,7 @@ def _determination(results: PaperResults) -> Table:
     rows = tuple(
         (one.band, one.speeds, one.eq15, one.correlation) for one in (() if drag is None else drag.determination)
     )
-    return Table("determination", "How the model explains the simulated runs", columns, rows)
+    return Table("determination", "How the identified model explains the simulated runs", columns, rows)
 
 
 def _examples() -> Table:
