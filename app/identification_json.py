@@ -60,6 +60,7 @@ def joint_table(fit: JointFit) -> Table:
                 "rms_mN": finite(run.rms_mN),
                 "zero_mN": _estimate(run.zero),
                 "factors": {name: _estimate(one) for name, one in run.factors.items()},
+                "offsets": {name: _estimate(one) for name, one in run.offsets.items()},
             }
             for run in fit.runs
         ],

@@ -176,6 +176,14 @@ def test_what_runs_do_not_determine_stands_without_a_number() -> None:
     assert joint["combinations"]["e1_shown"]["determined"] is True
 
 
+def test_what_is_added_to_a_run_is_no_factor_and_a_channel_without_zero_shows_none() -> None:
+    own = replace(JOINT.runs[0], zero=missing("none"), factors={}, offsets={"load_zero_mN": Estimate(-11.5, 3.0)})
+    text = identification_text(Identification("stage", ("a.h5",), (), replace(JOINT, runs=(own,)), None, None, None))
+    assert "load_zero_mN ×" not in text
+    assert line(text, "010-drag.h5").split() == ["010-drag.h5", "drag", "force", "1.02", "1.23", "-", "-11.5"]
+    assert "Relaxation" not in text
+
+
 def test_parts_that_are_not_there_are_named_and_nothing_is_made_up() -> None:
     bare = Identification("jejunum", ("010-drag.h5",), (), None, None, None, None)
     text = identification_text(bare)

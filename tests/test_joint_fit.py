@@ -1,8 +1,9 @@
 """One fit of everything: a specimen's values come back, what runs cannot tell is said, and so is doubt."""
 
-from math import degrees
+from math import degrees, isnan
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.results import JointFit
 from dragrig.analysis.identification.selection import select, select_from
 from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.rig.runfile import read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 TRUE = {
@@ -67,3 +69,26 @@ def test_drags_alone_lead_to_a_minimum_where_the_squares_jump() -> None:
     found = fit_jointly(select_from(dragrig.simulate("drag", assignments=settings)), MODEL)
     assert found.converged
     assert found.chi2 / found.degrees < 1.2
+
+
+def test_noise_that_was_assumed_excuses_nothing(tmp_path: Path) -> None:
+    source, path = CAMPAIGN / "014-drag.h5", tmp_path / "014-drag.h5"
+    path.write_bytes(source.read_bytes())
+    with h5py.File(path, "r+") as file:
+        trace = file["entry/trace"]
+        begin = int(np.argmax(trace["phase"][()] > 0))
+        rng = np.random.default_rng(3)
+        for name in list(trace):
+            values, attributes = trace[name][()][begin:], dict(trace[name].attrs)
+            if name == "force":
+                values = values + rng.normal(0.0, 10.0, len(values))
+            del trace[name]
+            trace.create_dataset(name, data=values).attrs.update(attributes)
+    found = fit_jointly(select(tmp_path), MODEL)
+    assert isnan(found.p_value)
+    assert found.chi2 / found.degrees > 2
+    assert any("the usual one was assumed" in remark for remark in found.remarks)
+    (friction,) = (one for one in found.parameters if one.name == "friction_coefficient")
+    with_rest = fit_jointly(select_from([read_run(source)]), MODEL)
+    (known,) = (one for one in with_rest.parameters if one.name == "friction_coefficient")
+    assert friction.standard_error > 1.3 * known.standard_error

@@ -37,7 +37,7 @@ PARAMETERS = (
 
 
 class DriveModel(NominalModel):
-    """Mass, friction and offset of a stage; a run's unknown sensor zero is its variation `load_zero`, in mN."""
+    """Mass, friction and offset of a stage; a run's unknown sensor zero is its variation `load_zero_mN`."""
 
     @property
     def name(self) -> str:
@@ -52,7 +52,7 @@ class DriveModel(NominalModel):
     @property
     def variations(self) -> tuple[Variation, ...]:
         """The sensor's zero, which the load holds."""
-        return (Variation("load_zero", LOAD_ZERO_SD_MN),)
+        return (Variation("load_zero_mN", LOAD_ZERO_SD_MN, "mN"),)
 
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
         """Prepare the motor force of a run; nothing where none was recorded.

@@ -44,10 +44,24 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """A part of the prediction that differs from run to run by a factor, of relative standard deviation `sd`."""
+    """A part of the prediction that differs from run to run.
+
+    Attributes
+    ----------
+    name, sd
+        What differs, and by how much: one standard deviation.
+    unit
+        `1` where the part differs by a factor, `sd` being relative; another where so much of it is added.
+    """
 
     name: str
     sd: float
+    unit: str = "1"
+
+    @property
+    def usual(self) -> float:
+        """What a run has that does not differ: a factor of 1, or nothing added."""
+        return 1.0 if self.unit == "1" else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from dragrig.cli.wording import columns, number
 STANDS_OUT = 4.0
 """Standard deviations of χ² above which a run is pointed out."""
 UNKNOWN = "-"
+LARGE = 1000.0
 MISSING = {
     "joint": "Joint fit: none.",
     "relaxation": "Relaxation: not identified.",
@@ -25,13 +26,20 @@ def identification_text(identification: Identification) -> str:
     parts = [
         _heading(identification),
         joint_text(identification.joint) if identification.joint is not None else MISSING["joint"],
-        relaxation_text(identification.relaxation) if identification.relaxation is not None else MISSING["relaxation"],
-        coulomb_text(identification.coulomb) if identification.coulomb is not None else MISSING["coulomb"],
-        drag_text(identification.drag) if identification.drag is not None else MISSING["drag"],
+        *_part_by_part(identification),
         left_out_text(identification.left_out),
         "\n".join(f"! {remark}" for remark in identification.remarks),
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def _part_by_part(identification: Identification) -> Iterator[str]:
+    one = identification
+    if one.joint is not None and all(part is None for part in (one.relaxation, one.coulomb, one.drag)):
+        return  # a model that has no such parts
+    yield relaxation_text(one.relaxation) if one.relaxation is not None else MISSING["relaxation"]
+    yield coulomb_text(one.coulomb) if one.coulomb is not None else MISSING["coulomb"]
+    yield drag_text(one.drag) if one.drag is not None else MISSING["drag"]
 
 
 def joint_text(fit: JointFit) -> str:
@@ -118,27 +126,31 @@ def _words(fit: JointFit) -> Iterator[str]:
 
 
 def _runs(runs: Sequence[RunResidual]) -> str:
-    names = list(dict.fromkeys(name for run in runs for name in run.factors))
-    header = ("run", "kind", "channel", "χ²", "", "rms mN", "zero mN", "±", *(f"{name} ×" for name in names))
-    return columns(header, [_run(run, names) for run in runs])
+    factors = list(dict.fromkeys(name for run in runs for name in run.factors))
+    offsets = list(dict.fromkeys(name for run in runs for name in run.offsets))
+    own = (*(f"{name} ×" for name in factors), *offsets)
+    header = ("run", "kind", "channel", "χ²", "", "rms mN", "zero mN", "±", *own)
+    return columns(header, [_run(run, factors, offsets) for run in runs])
 
 
-def _run(run: RunResidual, names: Sequence[str]) -> tuple[str, ...]:
+def _run(run: RunResidual, factors: Sequence[str], offsets: Sequence[str]) -> tuple[str, ...]:
+    zero = with_error(run.zero) if run.zero.value is not None else (UNKNOWN, "")
     return (
         run.file,
         run.kind,
         run.channel,
-        f"{run.chi2:.2f}",
+        f"{run.chi2:.2f}" if run.chi2 < LARGE else f"{run.chi2:.3g}",
         "!" if _stands_out(run) else "",
         f"{run.rms_mN:.2f}",
-        *with_error(run.zero),
-        *_factors(run.factors, names),
+        *zero,
+        *_own(run.factors, factors, ".3f"),
+        *_own(run.offsets, offsets, ".1f"),
     )
 
 
-def _factors(factors: Mapping[str, Estimate], names: Sequence[str]) -> tuple[str, ...]:
-    found = (factors.get(name) for name in names)
-    return tuple("" if one is None or one.value is None else f"{one.value:.3f}" for one in found)
+def _own(known: Mapping[str, Estimate], names: Sequence[str], spelling: str) -> tuple[str, ...]:
+    found = (known.get(name) for name in names)
+    return tuple("" if one is None or one.value is None else format(one.value, spelling) for one in found)
 
 
 def _stands_out(run: RunResidual) -> bool:

@@ -1,6 +1,7 @@
 """What the relaxations, Coulomb runs and drags of a campaign say, each by itself, as text for a terminal."""
 
 from collections.abc import Iterator, Sequence
+from math import isfinite
 
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.results import (
@@ -129,15 +130,20 @@ def _estimate(estimate: Estimate) -> str:
     return f"{value} ± {error} (95 %: {between(estimate.interval, estimate.standard_error)})"
 
 
+def _known(estimate: Estimate) -> tuple[str, str]:
+    """Spell an estimate for two columns; why one is missing stands with the coefficient of all runs."""
+    return with_error(estimate) if estimate.value is not None else ("-", "")
+
+
 def _coulomb(run: CoulombRun) -> tuple[str, ...]:
     return (
         run.file,
         number(run.speed_mm_s),
         f"{run.weight_mN:.1f}",
-        *with_error(run.force),
-        *with_error(run.mu),
-        *with_error(run.mu_without_viscous),
-        f"{run.viscous_mN:.2f}",
+        *_known(run.force),
+        *_known(run.mu),
+        *_known(run.mu_without_viscous),
+        f"{run.viscous_mN:.2f}" if isfinite(run.viscous_mN) else "-",
         "" if run.viscous_share is None else f"{100 * run.viscous_share:.1f} %",
     )
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dragrig.analysis.estimates import NORMAL_95, Estimate
+from dragrig.analysis.estimates import NORMAL_95, Estimate, missing
 from dragrig.analysis.identification.joint.problem import Problem
 from dragrig.analysis.identification.joint.solve import FURTHEST, Solution, is_at_bound
 from dragrig.analysis.identification.results import DOUBTFUL, Identified, JointFit, RunResidual
@@ -95,15 +95,16 @@ def _runs(problem: Problem, solution: Solution, values: FloatArray) -> Iterator[
         whole = white.whole(residual)
         own, covariance = white.own_of(residual, slopes, solution.covariance)
         errors = np.sqrt(np.diag(covariance))
-        zero = Estimate(0.0, 0.0)
+        zero = missing("the model has no zero of this channel's own")
         left = residual
         if zero_sd > 0:
             zero = Estimate(float(own[0]) * zero_sd, float(errors[0]) * zero_sd)
             left, own, errors = left - own[0] * zero_sd, own[1:], errors[1:]
         left = left - (own * problem.sds) @ prediction.varying
-        factors = {
-            variation.name: Estimate(1.0 + float(share) * variation.sd, float(error) * variation.sd)
-            for variation, share, error in zip(problem.nominal.variations, own, errors, strict=True)
+        variations = problem.nominal.variations
+        varied = {
+            variation: Estimate(variation.usual + float(share) * variation.sd, float(error) * variation.sd)
+            for variation, share, error in zip(variations, own, errors, strict=True)
         }
         seconds = one.blocks.end_s - one.blocks.start_s
         yield RunResidual(
@@ -114,7 +115,8 @@ def _runs(problem: Problem, solution: Solution, values: FloatArray) -> Iterator[
             chi2=float(whole @ whole) / len(residual),
             rms_mN=float(np.sqrt(np.average(left**2, weights=seconds))),
             zero=zero,
-            factors=factors,
+            factors={variation.name: found for variation, found in varied.items() if variation.unit == "1"},
+            offsets={variation.name: found for variation, found in varied.items() if variation.unit != "1"},
         )
 
 
@@ -127,8 +129,8 @@ def _remarks(
     if widened > 1.0 and not assumed:
         worst = max(runs, key=lambda one: one.chi2)
         yield (
-            f"the model {problem.nominal.name} leaves {widened:.2f} times the squares that noise and repeatability "
-            f"explain, most in {worst.file} ({worst.chi2:.1f} times): something acts that it does not have, its "
+            f"the model {problem.nominal.name} leaves {widened:.3g} times the squares that noise and repeatability "
+            f"explain, most in {worst.file} ({worst.chi2:.3g} times): something acts that it does not have, its "
             f"parameters soak up some of it, and the intervals, widened by {np.sqrt(widened):.2f}, need not hold"
         )
     yield from _straying(problem, runs)
@@ -165,17 +167,18 @@ def _straying(problem: Problem, runs: tuple[RunResidual, ...]) -> Iterator[str]:
     from scipy.stats import chi2
 
     for variation in problem.nominal.variations:
-        found = [one.factors[variation.name] for one in runs]
-        # A run that says nothing of a factor leaves it at 1 with the prior's error.
+        found = [{**one.factors, **one.offsets}[variation.name] for one in runs]
+        # A run that says nothing of a variation leaves it as usual with the prior's error.
         said = [
-            one.value - 1.0
+            one.value - variation.usual
             for one in found
             if one.value is not None and one.standard_error is not None and one.standard_error < 0.8 * variation.sd
         ]
         squares = float(np.sum(np.square(said))) / variation.sd**2
         if said and chi2.sf(squares, len(said)) < STRAYS:
             rms = float(np.sqrt(np.mean(np.square(said))))
+            by, usual = (f"{size:.1%}" if variation.unit == "1" else f"{size:.3g}" for size in (rms, variation.sd))
             yield (
-                f"{variation.name} differs from run to run by {rms:.1%}, more than the usual {variation.sd:.1%}: "
+                f"{variation.name} differs from run to run by {by}, more than the usual {usual}: "
                 "the specimen changes, or something acts that the model does not have"
             )

@@ -1,7 +1,7 @@
 """What all runs say together."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.results.quantity import Quantity
@@ -37,7 +37,10 @@ class Identified(Quantity):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResidual:
-    """How the joint fit leaves one run: whitened squares per degree of freedom, zero and factors of the run."""
+    """How the joint fit leaves one run: whitened squares per degree of freedom, and what is the run's own.
+
+    `zero` is missing where the model gives the channel none; `factors` and `offsets` are its variations, by name.
+    """
 
     file: str
     kind: str
@@ -47,6 +50,7 @@ class RunResidual:
     rms_mN: float
     zero: Estimate
     factors: Mapping[str, Estimate]
+    offsets: Mapping[str, Estimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
