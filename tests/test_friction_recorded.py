@@ -11,6 +11,7 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
+from dragrig.sim_backend.friction.measured import measured_motion
 
 MODEL = FrictionModelSettings()
 
@@ -112,3 +113,13 @@ def test_any_record_gives_a_finite_force_near_its_positions(seed: int, samples: 
 def test_a_record_that_is_none_is_refused(time: list[float], position: list[float], message: str) -> None:
     with pytest.raises(AnalysisError, match=message):
         RecordedMotion.of(time, position)
+
+
+@pytest.mark.parametrize("rate", [50.0, 60.0, 70.0, 300.0])
+@pytest.mark.parametrize("strain", [0.5, 1.3, 2.0])
+def test_a_followed_motion_has_no_two_points_at_one_time(rate: float, strain: float) -> None:
+    profile = moves((2.5 * strain, 20.0))
+    time, position = counts(profile, rate)
+    followed = measured_motion(RecordedMotion.of(time, position), time, position)
+    assert np.diff(followed.breaks_s).min() > 1e-6
+    assert np.abs(followed.velocity(time)).max() < 30.0

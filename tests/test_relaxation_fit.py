@@ -215,3 +215,10 @@ def test_the_fit_predicts_the_force_it_was_fitted_to() -> None:
     stray = np.asarray(run.trace.force) - predicted_force(fit, one, one.time_s)
     assert np.std(stray) < 1.8
     assert abs(stray[:500].mean()) < 0.6
+
+
+def test_too_few_samples_for_the_fast_branch_give_no_elements() -> None:
+    runs = dragrig.simulate("relaxation", assignments=["rig.sampling.rate_hz=50", "rig.simulated.seed=9"])
+    found = identify_relaxation(select_from(runs))
+    assert len(found.fits) == 4
+    assert all(not fit.elements and "too seldom for a fast branch" in fit.remark for fit in found.fits)

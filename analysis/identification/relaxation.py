@@ -22,6 +22,8 @@ ELEMENTS = (("E1", "kPa"), ("E2", "kPa"), ("E3", "kPa"), ("eta1", "kPa·s"), ("e
 TIMES = ("tau1", "tau2")
 LEAST_SUPPORT = 0.25
 """A relative standard error beyond which a run does not support an element."""
+FEWEST_SAMPLES = 1.5
+"""A branch that relaxes within fewer samples takes up whatever the stage does between two of them."""
 POOR_FIT = 2.0
 """Squared whitened residuals per degree of freedom beyond which the fit is called poor."""
 
@@ -100,6 +102,9 @@ def _without(record: ShearRecord, fit: BranchFit, reason: str) -> RelaxationFit:
 
 
 def _unsupported(record: ShearRecord, fit: BranchFit, errors: FloatArray) -> str | None:
+    fast = float(fit.times_s[0])
+    if fast < FEWEST_SAMPLES * record.step_s:
+        return f"a sample every {1e3 * record.step_s:.2g} ms is too seldom for a fast branch of {1e3 * fast:.2g} ms"
     worst = int(np.argmax(np.where(np.isfinite(errors), errors, np.inf)))
     if errors[worst] <= LEAST_SUPPORT:
         return None

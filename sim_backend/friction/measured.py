@@ -12,6 +12,8 @@ from dragrig.sim_backend.friction.recorded import RecordedMotion
 
 MOST_KNOTS = 4000
 """A longer way is averaged down to about as many knots."""
+SAME_TIME_S = 1e-7
+"""Times closer than this are one, computed in two ways."""
 
 
 def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
@@ -33,7 +35,7 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
             time, position = motion.breaks_s[number : number + 2], np.full(2, position_mm[within].mean())
         else:
             time, position = _thinned(time_s[within], position_mm[within])
-        later = time > (times[-1][-1] if times[-1].size else -1.0)
+        later = time > (times[-1][-1] + SAME_TIME_S if times[-1].size else -1.0)
         times.append(time[later])
         positions.append(position[later])
     time, position = np.concatenate(times), np.concatenate(positions)
