@@ -12,7 +12,8 @@ from dragrig.analysis.identification.identify import identify
 from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.results import Coulomb, Drag, Identification, JointFit, Quantity, Relaxation
 from dragrig.analysis.identification.selection import Selection, select_from
-from dragrig.analysis.nominal.capsule import COMBINATIONS, CapsuleModel
+from dragrig.analysis.nominal.capsule import CapsuleModel
+from dragrig.analysis.nominal.capsule_parameters import COMBINATIONS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan

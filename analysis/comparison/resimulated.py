@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from dragrig.analysis.nominal.capsule import acquisition_of
+from dragrig.analysis.nominal.capsule_forces import acquisition_of
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError
 from dragrig.config.model import FrictionModelSettings

@@ -16,7 +16,7 @@ from dragrig.analysis.identification.results import Coulomb, CoulombRun
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.sliding import difference, rest_mean, sliding
 from dragrig.analysis.identification.threads import one_thread
-from dragrig.analysis.nominal.capsule import BETWEEN_SPECIMENS, CHANNEL, VARIATIONS
+from dragrig.analysis.nominal.capsule_parameters import BETWEEN_SPECIMENS, CHANNEL, VARIATIONS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.model import FrictionModelSettings

@@ -16,7 +16,7 @@ from dragrig.analysis.identification.results import Boundary, Drag, LogLaw, Spee
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.speed_law import log_law
 from dragrig.analysis.identification.threads import one_thread
-from dragrig.analysis.nominal.capsule import CHANNEL
+from dragrig.analysis.nominal.capsule_parameters import CHANNEL
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 

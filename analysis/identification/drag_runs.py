@@ -12,7 +12,7 @@ from dragrig.analysis.identification.noise import Noise
 from dragrig.analysis.identification.nominal_drag import Setup, parts, resting_force
 from dragrig.analysis.identification.results import LeftOut, SpeedPoint
 from dragrig.analysis.identification.sliding import along, difference, rest_mean, sliding
-from dragrig.analysis.nominal.capsule import VARIATIONS
+from dragrig.analysis.nominal.capsule_parameters import VARIATIONS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.phases import at_rest
 from dragrig.config.errors import AnalysisError, SettingsError

@@ -11,7 +11,8 @@ from dragrig.analysis.identification.relaxation import identify_relaxation
 from dragrig.analysis.identification.results import Identification, JointFit, Relaxation
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.strain_law import wall_polynomials
-from dragrig.analysis.nominal.capsule import CHANNEL, CapsuleModel
+from dragrig.analysis.nominal.capsule import CapsuleModel
+from dragrig.analysis.nominal.capsule_parameters import CHANNEL
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import AnalysisError, SettingsError

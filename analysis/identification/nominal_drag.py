@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.nominal.capsule import ANGLE, ANGLE_SD_DEG, BETWEEN_SPECIMENS
+from dragrig.analysis.nominal.capsule_parameters import ANGLE, ANGLE_SD_DEG, BETWEEN_SPECIMENS
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.config.capsule import Capsule
 from dragrig.config.model import FrictionModelSettings

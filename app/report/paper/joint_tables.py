@@ -6,7 +6,7 @@ from math import prod
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.results import Identified, JointFit, RunResidual
 from dragrig.analysis.identification.results.joint import DETERMINED
-from dragrig.analysis.nominal.capsule import COMBINATIONS, VARIATIONS
+from dragrig.analysis.nominal.capsule_parameters import COMBINATIONS, VARIATIONS
 from dragrig.analysis.nominal.protocol import Variation
 from dragrig.config.model import FrictionModelSettings
 from dragrig.report.paper.results import PaperResults
