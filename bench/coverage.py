@@ -14,7 +14,7 @@ import argparse
 import csv
 import multiprocessing
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, fields
 from functools import partial
 from math import isfinite, sqrt
@@ -77,13 +77,13 @@ def report(outcomes: Sequence[Outcome]) -> None:
     )
 
 
-def keep(file: TextIO, kind: str, outcomes: Iterable[Outcome]) -> None:
+def keep(file: TextIO, kind: str, outcome: Outcome) -> None:
     """Write every score as a row of CSV."""
     rows = csv.writer(file)
-    rows.writerow(["kind", "seed", "white_mN", "converged", "chi2", *(one.name for one in fields(Score))])
-    for outcome in outcomes:
-        before = [kind, outcome.seed, outcome.white_mN, outcome.converged, outcome.chi2]
-        rows.writerows([*before, *astuple(score)] for score in outcome.scores)
+    if not file.tell():
+        rows.writerow(["kind", "seed", "white_mN", "converged", "chi2", *(one.name for one in fields(Score))])
+    before = [kind, outcome.seed, outcome.white_mN, outcome.converged, outcome.chi2]
+    rows.writerows([*before, *astuple(score)] for score in outcome.scores)
     file.flush()
 
 
@@ -108,11 +108,11 @@ def main() -> None:
             outcomes: list[Outcome] = []
             for one in pool.imap_unordered(partial(examine, KINDS[name], parts=given.parts), seeds):
                 outcomes.append(one)
+                if given.csv:
+                    keep(given.csv, name, one)
                 print(f"\r{name}: {len(outcomes)} of {len(seeds)}", end="", file=sys.stderr, flush=True)
             print(f"\n== {name}: {KINDS[name]}")
             report(outcomes)
-            if given.csv:
-                keep(given.csv, name, sorted(outcomes, key=lambda one: one.seed))
 
 
 if __name__ == "__main__":
