@@ -1,0 +1,98 @@
+"""The joint fit's errors are those that it makes, over several simulated specimens whose values are known."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.analysis.estimates import NORMAL_95, Estimate
+from dragrig.analysis.identification.joint.fit import fit_jointly
+from dragrig.analysis.identification.results import JointFit
+from dragrig.analysis.identification.selection import select_from
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import NoiseSettings, VariationSettings
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.devices.noise import Stream, generator
+from dragrig.sim_backend.devices.variation import draw_run, draw_specimen
+
+SEEDS = (11, 12, 13)
+PLAN = Plan.model_validate(
+    {
+        "name": "short",
+        "steps": [
+            {"kind": "relaxation", "shear_strain": [0.5, 1.5], "hold_s": 8, "way_back": "by_hand"},
+            {"kind": "coulomb", "speed_mm_s": [0.5, 20], "travel_mm": 20, "way_back": "by_hand"},
+            {"kind": "drag", "speed_mm_s": [2, 10, 40], "travel_mm": 20, "way_back": "by_hand"},
+        ],
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A fit beside what was simulated."""
+
+    seed: int
+    specimen: FrictionModelSettings
+    fit: JointFit
+
+
+@pytest.fixture(scope="module")
+def campaigns() -> tuple[Known, ...]:
+    found = []
+    for seed in SEEDS:
+        drawn = [f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true", "rig.sampling.rate_hz=500"]
+        fit = fit_jointly(select_from(dragrig.simulate(PLAN, assignments=drawn)), MODEL)
+        found.append(Known(seed, draw_specimen(MODEL.settings, seed), fit))
+    return tuple(found)
+
+
+def spread(squares: Sequence[float], count: int) -> float:
+    """Root mean square of deviations in standard errors: 1 where errors are right."""
+    return float(np.sqrt(sum(squares) / count))
+
+
+def distance(fit: JointFit, specimen: FrictionModelSettings) -> float:
+    """Squared distance between fit and truth, in units of the fit's covariance."""
+
+    def scaled(values: Iterable[float]) -> FloatArray:
+        pairs = zip(values, MODEL.parameters, strict=True)
+        return np.array([log(value) if one.positive else value for value, one in pairs])
+
+    at, low, high = (scaled(ends) for ends in zip(*((one.value, *one.interval) for one in fit.parameters), strict=True))
+    true = scaled(float(getattr(specimen, one.name)) for one in fit.parameters)
+    deviations = 2 * NORMAL_95 * (at - true) / (high - low)
+    return float(deviations @ np.linalg.solve(fit.correlation, deviations))
+
+
+def square(found: Estimate, true: float) -> float:
+    assert found.value is not None
+    assert found.standard_error is not None
+    return ((found.value - true) / found.standard_error) ** 2
+
+
+def test_parameters_are_as_far_off_as_their_errors_say(campaigns: Sequence[Known]) -> None:
+    assert all(one.fit.converged for one in campaigns)
+    found = [distance(one.fit, one.specimen) for one in campaigns]
+    assert 0.6 < spread(found, len(found) * len(MODEL.parameters)) < 1.45
+
+
+def test_what_is_each_runs_own_is_as_far_off_as_its_error_says(campaigns: Sequence[Known]) -> None:
+    zeros, factors = [], []
+    for one in campaigns:
+        for order, run in enumerate(one.fit.runs):
+            normal = generator(one.seed, Stream.ZERO, order).standard_normal()
+            zeros.append(square(run.zero, NoiseSettings().zero_mN * float(normal)))
+            drawn = draw_run(one.specimen, VariationSettings(), one.seed, order)
+            if run.kind == "relaxation":
+                factors.append(square(run.factors["stiffness"], drawn.stiffness_scale / one.specimen.stiffness_scale))
+            else:
+                own = drawn.friction_coefficient / one.specimen.friction_coefficient
+                factors.append(square(run.factors["friction"], own))
+    assert 0.6 < spread(zeros, len(zeros)) < 1.45
+    assert 0.6 < spread(factors, len(factors)) < 1.45
