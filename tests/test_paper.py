@@ -354,6 +354,7 @@ def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
     elements = [row for row in made.rows("combinations") if row["combination"].startswith(("e", "fast", "slow"))]
     assert len(elements) == 7
     assert all(float(row["half_width"]) < 0.03 for row in elements)
+    assert sum(float(row["low"]) <= float(row["simulated"]) <= float(row["high"]) for row in elements) >= 6
 
 
 @pytest.mark.timeout(180)

@@ -29,6 +29,7 @@ def page(
             "software": software(),
             "settings": _settings(results),
             "wall": _WALLS.get(results.model.wall, results.model.wall),
+            "papers_own": results.model == printed.MODEL,
             "elements": _agreement(results.elements),
             "joint": _joint(results),
             "model": model,
