@@ -221,6 +221,16 @@ def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) 
     assert any("different specimens" in one for one in dragrig.compare(run, other).remarks)
 
 
+def test_an_altered_copy_and_opposite_directions_are_said() -> None:
+    run = drag("speed_mm_s=20")
+    altered = dragrig.compare([run], [with_force(run, lambda force: 0.5 * force)])
+    assert any("one is an altered copy" in one for one in altered.remarks)
+    assert not any("compared with itself" in one for one in altered.remarks)
+    back = replace(run, trace=replace(run.trace, channels={**run.trace.channels, "position": -run.trace.position}))
+    turned = dragrig.compare([run], [back])
+    assert any("move in opposite directions" in one for one in turned.remarks)
+
+
 def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(RunFileError, match="holds no run files"):
         dragrig.compare(PRACTICE, tmp_path)

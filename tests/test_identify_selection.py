@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.selection import select, select_from
+from dragrig.analysis.nominal.capsule import MODEL
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import read_run
 
@@ -103,3 +105,19 @@ def test_runs_in_memory_that_cannot_be_told_apart_are_refused() -> None:
     elsewhere = replace(run, info=replace(run.info, path=Path("other") / run.info.path.name))
     with pytest.raises(AnalysisError, match="several are called"):
         select_from([run, elsewhere])
+
+
+def test_a_drag_that_says_it_had_no_gut_is_no_blank_run(campaign: Path) -> None:
+    with h5py.File(campaign / "010-drag.h5", "r+") as file:
+        file["entry/specimen"].attrs["fixture"] = "none"
+    assert "fixture is none, yet moving takes" in reasons(campaign)["010-drag.h5"]
+
+
+def test_a_model_that_predicts_nothing_says_what_was_recorded(campaign: Path) -> None:
+    for path in campaign.glob("*.h5"):
+        with h5py.File(path, "r+") as file:
+            trace = file["entry/trace"]
+            trace.move("force", "motor_force")
+            trace.attrs["signal"] = "motor_force"
+    with pytest.raises(AnalysisError, match=r"recorded .*motor_force.*; name another model with --nominal"):
+        fit_jointly(select(campaign), MODEL)

@@ -123,6 +123,9 @@ def _pair(one: _Seen, other: _Seen, zero_mN: float, *, b_is_model: bool) -> Pair
     a, b = one.source.read(), other.source.read()
     said = [f"{side}: {seen.source.remark}" for side, seen in (("A", one), ("B", other)) if seen.source.remark]
     said += further_differences(a.info, b.info)
+    ways = [seen.measures.speed.value for seen in (one, other)]
+    if ways[0] is not None and ways[1] is not None and ways[0] * ways[1] < 0:
+        said.append("A and B move in opposite directions, so that their forces are not to be compared as they stand")
     overlay = None
     try:
         overlay = lay_over(a, b)
@@ -170,10 +173,14 @@ def _no_pair(a: Side, b: Side, pairing: Pairing) -> str:
 
 
 def _remarks(a: Side, b: Side, pairs: Sequence[Pair]) -> Iterator[str]:
-    same = sum(pair.a.info.header.run_id == pair.b.info.header.run_id for pair in pairs)
-    if not b.is_model and same:
+    twins = [] if b.is_model else [p for p in pairs if p.a.info.header.run_id == p.b.info.header.run_id]
+    altered = sum(any(phase.rms_mN > 0 for phase in pair.phases) for pair in twins)
+    if same := len(twins) - altered:
         which = "every run" if same == len(pairs) else f"{same} of {len(pairs)} pairs"
         yield f"A and B are the same recording in {which}: it is compared with itself"
+    if altered:
+        which = "every run" if altered == len(pairs) else f"{altered} of {len(pairs)} pairs"
+        yield f"A and B carry the same run id in {which} although their forces differ: one is an altered copy"
     for side, name in ((a, "A"), (b, "B")):
         if len(side.specimens) > 1 and not (side.is_model):
             yield f"{name} holds runs of several specimens: {', '.join(side.specimens)}"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dragrig.analysis.comparison.resimulated import simulated_again
 from dragrig.analysis.comparison.results import Side, Source
-from dragrig.analysis.identification.results import LeftOut
+from dragrig.analysis.identification.results import LeftOut, counted
 from dragrig.config.errors import AnalysisError, RunFileError, plain
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.runfile import campaign, read_info, read_mark, read_run
@@ -82,8 +82,8 @@ def _usable(
         else:
             sources.append(Source(info, partial(read_run, info.path)))
     if not sources:
-        why = "; ".join(f"{one.what}: {one.reason}" for one in left_out)
-        raise AnalysisError(f"{where}: holds no run that can be compared{f' ({why})' if why else ''}.")
+        why = f" ({counted(left_out)})" if left_out else ""
+        raise AnalysisError(f"{where}: holds no run that can be compared{why}.")
     return Side(name, tuple(sources), tuple(left_out), tuple(dict.fromkeys(map(specimen_key, chosen))))
 
 

@@ -1,11 +1,11 @@
 """Which runs of a campaign an identification may use, and why the others are left out."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dragrig.analysis.identification.results import LeftOut
+from dragrig.analysis.identification.results import LeftOut, counted
 from dragrig.analysis.identification.spoilt import spoilt, spoilt_in_part
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.progress import Progress, silent
@@ -14,8 +14,6 @@ from dragrig.rig.runfile.campaigns import specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo, Status
 
 SLIDES_BACK = "return"
-MOST_REASONS = 3
-"""So many reasons are told where no run is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +54,7 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
     left_out += [LeftOut(path.name, "it is a recording that was not finished") for path in found.recordings]
     marks = {path: mark.reason for path, mark in found.marks.items()}
     if not found.runs and left_out:
-        raise AnalysisError(f"{folder}: holds no run that can be read ({_counted(left_out)}).")
+        raise AnalysisError(f"{folder}: holds no run that can be read ({counted(left_out)}).")
     chosen = _of_one_specimen(found.runs, specimen, folder)
     runs: list[Run] = []
     for done, info in enumerate(chosen):
@@ -128,17 +126,5 @@ def _selection(specimen: str, runs: Iterable[Run], left_out: Iterable[LeftOut], 
         kept.append(experiment)
         remarks += spoilt_in_part(experiment)
     if not kept:
-        raise AnalysisError(f"{where}: no run can be used ({_counted(dropped)}).")
+        raise AnalysisError(f"{where}: no run can be used ({counted(dropped)}).")
     return Selection(specimen, tuple(kept), tuple(dropped), tuple(remarks))
-
-
-def _counted(left_out: Sequence[LeftOut]) -> str:
-    """Return each reason once, with the runs that it holds for, most of them counted only."""
-    reasons: dict[str, list[str]] = {}
-    for one in left_out:
-        reasons.setdefault(one.reason, []).append(one.what)
-    told = [
-        f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
-        for reason, files in reasons.items()
-    ]
-    return "; ".join(told if len(told) <= MOST_REASONS else [*told[:MOST_REASONS], "and other reasons"])

@@ -17,6 +17,9 @@ BESIDE_S = 0.03
 """So long before and after missing samples the speed is looked at."""
 WRONG_WAY_MN = 10.0
 """A force along the motion by more than this is no noise and no zero, but a wrong sign."""
+BLANK = "blank"
+TOUCHED_MN = 20.0
+"""A capsule that nothing touches does not take as much, whatever the stage does."""
 MOVING_MM_S = 0.05
 SHEARED_SHARE = 0.5
 FORCE = "force"
@@ -78,9 +81,27 @@ def _moved_unseen(experiment: Experiment) -> str | None:
 
 
 def _wrong_way(experiment: Experiment) -> str | None:
+    """Say so where the force cannot be friction on what the run says was there."""
+    against = _against_motion(experiment)
+    if against is None:
+        return None
+    if experiment.contact is Contact.NONE:
+        if experiment.kind == BLANK or abs(against) < TOUCHED_MN:
+            return None
+        return f"its fixture is none, yet moving takes {against:.0f} mN: something held the capsule"
+    if against > -WRONG_WAY_MN:
+        return None
+    return (
+        f"its force points along the motion ({-against:.0f} mN) instead of against it: force or position has the "
+        "wrong sign"
+    )
+
+
+def _against_motion(experiment: Experiment) -> float | None:
+    """Return the mean force [mN] against the motion, that at rest taken off."""
     trace = experiment.run.trace
     rest = at_rest(trace) & experiment.valid
-    if experiment.contact is Contact.NONE or FORCE not in trace.channels or not rest.any():
+    if FORCE not in trace.channels or not rest.any():
         return None
     force = np.asarray(trace.channels[FORCE], dtype=np.float64)
     usable = experiment.valid & np.isfinite(force)
@@ -93,10 +114,4 @@ def _wrong_way(experiment: Experiment) -> str | None:
     moving = usable & (way != 0)
     if not moving.any():
         return None
-    against = float(np.mean((force[moving] - float(np.mean(force[rest & usable]))) * way[moving]))
-    if against > -WRONG_WAY_MN:
-        return None
-    return (
-        f"its force points along the motion ({-against:.0f} mN) instead of against it: force or position has the "
-        "wrong sign"
-    )
+    return float(np.mean((force[moving] - float(np.mean(force[rest & usable]))) * way[moving]))

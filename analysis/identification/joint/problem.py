@@ -35,7 +35,11 @@ class Problem:
         evidence = tuple(gather(selection.experiments, nominal))
         if not evidence:
             kinds = ", ".join(sorted({one.kind for one in selection.experiments}))
-            raise AnalysisError(f"the model {nominal.name} predicts nothing that these runs ({kinds}) recorded.")
+            recorded = ", ".join(sorted({name for one in selection.experiments for name in one.run.trace.channels}))
+            raise AnalysisError(
+                f"the model {nominal.name} predicts nothing of these runs ({kinds}), which recorded {recorded}; name "
+                "another model with --nominal."
+            )
         channels = dict.fromkeys(one.channel for one in evidence)
         noises = {name: estimate_noise(selection.experiments, name) for name in channels}
         zeros = {name: _zero_sd(evidence, name, nominal) for name in channels}

@@ -1,7 +1,7 @@
 """What an identification says, as values; every number stands with its uncertainty or is missing with the reason."""
 
 from dragrig.analysis.identification.results.joint import DOUBTFUL, Identified, JointFit, RunResidual
-from dragrig.analysis.identification.results.quantity import LeftOut, Quantity
+from dragrig.analysis.identification.results.quantity import LeftOut, Quantity, counted
 from dragrig.analysis.identification.results.relaxation import ElementsTest, Relaxation, RelaxationFit, StrainLaw
 from dragrig.analysis.identification.results.sliding import (
     Boundary,
@@ -33,4 +33,5 @@ __all__ = [
     "RunResidual",
     "SpeedPoint",
     "StrainLaw",
+    "counted",
 ]

@@ -1,6 +1,10 @@
 """A number with its interval, and what is not used."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+MOST_REASONS = 3
+"""So many reasons are told where no run is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,3 +30,15 @@ class LeftOut:
 
     what: str
     reason: str
+
+
+def counted(left_out: Iterable[LeftOut]) -> str:
+    """Return each reason once, with the runs that it holds for, most of them counted only."""
+    reasons: dict[str, list[str]] = {}
+    for one in left_out:
+        reasons.setdefault(one.reason, []).append(one.what)
+    told = [
+        f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
+        for reason, files in reasons.items()
+    ]
+    return "; ".join(told if len(told) <= MOST_REASONS else [*told[:MOST_REASONS], "and other reasons"])
