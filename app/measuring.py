@@ -27,9 +27,9 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Ch
     out
         Folder whose free space counts; the rig's data root unless given.
     choices
-        `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each; `backend`: a name; `double`: whether its
-        double is meant, in place of the hardware; `assignments`:
-        changes as on the command line, `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
+        `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each, or the model itself; `backend`: a name;
+        `double`: whether its double is meant, in place of the hardware; `assignments`: changes as on the command line,
+        `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
 
     Raises
     ------

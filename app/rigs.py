@@ -26,7 +26,7 @@ class RigChoices(TypedDict, total=False):
     """The keyword arguments of `resolve_rig`; none and None mean the usual."""
 
     rig: str | Path | None
-    model: str | Path | None
+    model: str | Path | FrictionModelSettings | None
     backend: str | None
     double: bool
     assignments: Sequence[str]
@@ -113,15 +113,21 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
     )
 
 
-def found_settings(model: type[SettingsT], kind: str, name_or_path: str | Path | None) -> tuple[SettingsT, Path | None]:
+def found_settings(
+    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None
+) -> tuple[SettingsT, Path | None]:
     """Return settings by file or shipped name, the usual ones for none, and the folder of their file."""
-    data, source = table(kind, str(name_or_path or DEFAULTS[kind]))
+    if isinstance(given, model):
+        return given, None
+    data, source = table(kind, str(given or DEFAULTS[kind]))
     return parse(model, data, source), folder_of(source)
 
 
-def chosen(model: type[SettingsT], kind: str, name_or_path: str | Path | None, before: SettingsT | None) -> SettingsT:
+def chosen(
+    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None, before: SettingsT | None
+) -> SettingsT:
     """Return what was chosen; otherwise what a session had before, or the usual."""
-    return before if before is not None and not name_or_path else found_settings(model, kind, name_or_path)[0]
+    return before if before is not None and not given else found_settings(model, kind, given)[0]
 
 
 def contact_in(rig_folder: Path | None, before_mm: float | None = None) -> float | None:

@@ -79,9 +79,9 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     folder
         Where to look for the lab folder; the working folder unless given.
     choices
-        `rig`, `specimen`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the
-        shipped one outside of a lab. `capsule`: the same, for every step. `backend`: the rig's own unless given.
-        `double`: whether its double is meant.
+        `rig`, `specimen`, `model`: a file or a shipped name, the model settings in memory as well; the rig is the lab
+        folder's unless given, and the shipped one outside of a lab. `capsule`: a file or a name, for every step.
+        `backend`: the rig's own unless given. `double`: whether its double is meant.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
         key every step that has it.
 

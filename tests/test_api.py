@@ -11,6 +11,7 @@ import pytest
 import dragrig
 from dragrig import evaluating, measuring
 from dragrig.config.errors import AnalysisError, OutputError, PlanError
+from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.protocols.drag import Drag
 
 ROOT = Path(__file__).parents[1]
@@ -50,6 +51,14 @@ def test_memory_and_files_hold_the_same_samples(run: dragrig.Run, tmp_path: Path
     assert filed.info.path.parent == tmp_path / "c"
     assert dragrig.load(filed.info.path).info.header.run_id == filed.info.header.run_id
     assert [one.path for one in dragrig.campaign(tmp_path / "c").good] == [filed.info.path]
+
+
+def test_a_model_in_memory_is_simulated_as_its_settings_are(run: dragrig.Run) -> None:
+    slippery = FrictionModelSettings(friction_coefficient=0.02)
+    (given,) = dragrig.simulate(DRAG, model=slippery)
+    (assigned,) = dragrig.simulate(DRAG, assignments=["model.friction_coefficient=0.02"])
+    assert np.array_equal(given.trace.force, assigned.trace.force)
+    assert not np.array_equal(given.trace.force, run.trace.force)
 
 
 def test_a_filter_leaves_a_run_in_memory_as_it_is_and_stores_in_a_file(run: dragrig.Run, tmp_path: Path) -> None:
