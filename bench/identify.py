@@ -37,6 +37,8 @@ from dragrig.sim_backend.devices.variation import draw_specimen
 from dragrig.sim_backend.friction import prepare
 
 BAR_S = 3.0
+LEAST = 1e-5
+"""A narrower interval is that of a parameter on which no sample depends."""
 NAMES = tuple(one.name for one in MODEL.parameters)
 STEPS = (
     {"kind": "relaxation", "shear_strain": [0.5, 1.0, 1.5, 2.0]},
@@ -147,7 +149,8 @@ def line(one: Identified | Quantity, true: float, plain: float, error: float) ->
     half, own = 0.5 * (one.interval[1] - one.interval[0]), NORMAL_95 * error
     print(
         f"{one.name:26}{true:9.4f}{one.value:11.4f}{half:9.4f}{abs(one.value - true) / half:7.2f}{plain:10.4f}"
-        f"{abs(plain - true) / half:8.2f}{own:17.5f}{abs(plain - true) / own if own else np.nan:8.1f}"
+        f"{abs(plain - true) / half:8.2f}"
+        + (f"{own:17.5f}{abs(plain - true) / own:8.1f}" if own > LEAST * abs(true) else f"{'none':>17}{'-':>8}")
     )
 
 
