@@ -103,20 +103,30 @@ def _measured(
         )
     setup = Setup.of(experiment)
     seen = sliding(experiment)
-    age, held = None, 0.0
+    age, held, along_mN = None, 0.0, 0.0
     if zero is None:
         age = _rest_age(experiment)
         held = resting_force(setup, model, age)
         force = _raised(difference(seen.steady, rest_mean(experiment, seen.direction, noise())), held)
     else:
-        force = difference(seen.steady, along(zero, seen.direction))
+        along_mN = _goes_along(zero, resting_force(setup, model, _rest_age(experiment)))
+        own = Estimate(zero.value, ((zero.standard_error or 0.0) ** 2 - along_mN**2) ** 0.5)
+        force = difference(seen.steady, along(own, seen.direction))
     if force.value is None:
         raise AnalysisError(force.reason)
     by_model = parts(setup, model, np.array([seen.speed_mm_s]))
     # A run whose wall is stiffer presses harder at rest too, which goes off with the rest.
-    stiff = STIFFNESS * (float(by_model.wall[0]) - held)
+    stiff = STIFFNESS * (float(by_model.wall[0]) - held) - along_mN
     scatter = hypot(stiff, FRICTION * float(by_model.f_c[0]))
     return DragRun(experiment.file, setup, seen.direction, seen.speed_mm_s, force, scatter, age)
+
+
+def _goes_along(zero: Estimate, resting_mN: float) -> float:
+    """Return which part of a zero's error goes along with the steady force's scatter, one standard deviation.
+
+    Where a fit tells the zero, it does so from the rest, and is in doubt by how hard the run's own wall presses there.
+    """
+    return min(zero.standard_error or 0.0, STIFFNESS * abs(resting_mN))
 
 
 def _raised(force: Estimate, by_mN: float) -> Estimate:
