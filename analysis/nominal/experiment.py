@@ -118,7 +118,8 @@ class Experiment:
     @property
     def insertion_dwell_s(self) -> float:
         """Noted age of the contact at the first sample."""
-        return _number(self.run.info.header.entry.get("insertion_dwell_s")) or USUAL_DWELL_S
+        noted = _number(self.run.info.header.entry.get("insertion_dwell_s"))
+        return USUAL_DWELL_S if noted is None else noted
 
     @property
     def capsule(self) -> Capsule:
