@@ -4,12 +4,15 @@ Everything is linear in the moduli, so that a branch is evaluated for a modulus 
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.motion import Pieces
+
+InexactArray = TypeVar("InexactArray", npt.NDArray[np.float64], npt.NDArray[np.complex128])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +70,7 @@ def located(pieces: Pieces, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], F
     return index, np.asarray(time_s - pieces.start_s[index])
 
 
-def linear_recursion(factor: FloatArray, addend: FloatArray) -> FloatArray:
+def linear_recursion(factor: InexactArray, addend: InexactArray) -> InexactArray:
     """Return y with y[0] = addend[0] and y[i] = factor[i] · y[i − 1] + addend[i] along the last axis, by doubling."""
     factor, total = factor.copy(), addend.copy()
     shift = 1

@@ -1,0 +1,170 @@
+"""What an effect declares: where it acts, parameters with units and priors, a source, and what it changes."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.scene import Scene
+
+
+class Place(StrEnum):
+    """Where an effect acts."""
+
+    WALL = "wall"
+    INTERFACE = "interface"
+    SPECIMEN = "specimen"
+    FORCE_SENSOR = "force sensor"
+    MOTOR = "motor"
+    ACQUISITION = "acquisition"
+
+
+class Role(StrEnum):
+    """What a parameter is to an effect."""
+
+    SIZE = "size"
+    """How large the effect is: at 0 there is none, and what it changes grows in proportion or nearly so."""
+    SHAPE = "shape"
+    """How it depends on speed, position, time, …."""
+    PHASE = "phase"
+    """Where in its period something periodic begins [rad]."""
+
+
+class Domain(StrEnum):
+    """What an effect is above all a function of."""
+
+    SPEED = "speed"
+    POSITION = "position"
+    TIME = "time"
+    SESSION = "session"
+    FREQUENCY = "frequency"
+    STRAIN = "strain"
+    TRANSIENT = "transient"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """A parameter of an effect.
+
+    Attributes
+    ----------
+    name, unit
+        As in settings, the unit in the name where there is one; `1` for none.
+    role
+        Size, shape or phase; every effect has exactly one size, and at most one phase.
+    usual
+        Value unless one is given; a plain case of the effect that runs show clearly.
+    low, high
+        Prior range. A size whose sign is not known has a negative `low`.
+    tried
+        For a shape: the values that a diagnosis looks at, from its prior range; `usual` alone unless given.
+    meaning
+        A few words for tables.
+    """
+
+    name: str
+    unit: str
+    role: Role
+    usual: float
+    low: float
+    high: float
+    meaning: str
+    tried: tuple[float, ...] = ()
+
+
+class Effect(ABC):
+    """A candidate for a gap between the simulated and the real rig.
+
+    Derive from `ForceEffect`, `SensorEffect`, `MotorEffect` or `EncoderEffect`, one class in one file with an instance
+    `EFFECT`. Everything is a pure function; values of parameters travel by name.
+    """
+
+    id: ClassVar[str]
+    place: ClassVar[Place]
+    domain: ClassVar[Domain]
+    summary: ClassVar[str]
+    """One sentence: what it is."""
+    exposes: ClassVar[str]
+    """Which runs and phases show it."""
+    source: ClassVar[str]
+    """Where the form comes from."""
+    parameters: ClassVar[tuple[EffectParameter, ...]]
+    aliases: ClassVar[tuple[str, ...]] = ()
+    """Effects that runs hardly tell from this one."""
+    nominal: ClassVar[str] = ""
+    """Nominal model that it belongs to alone; empty for any."""
+
+    @property
+    def size(self) -> EffectParameter:
+        """How large it is."""
+        return next(one for one in self.parameters if one.role is Role.SIZE)
+
+    @property
+    def phase(self) -> EffectParameter | None:
+        """Where its period begins; None for what is not periodic."""
+        return next((one for one in self.parameters if one.role is Role.PHASE), None)
+
+    @property
+    def shapes(self) -> tuple[EffectParameter, ...]:
+        """What it depends on."""
+        return tuple(one for one in self.parameters if one.role is Role.SHAPE)
+
+    @property
+    def usual(self) -> Mapping[str, float]:
+        """Usual values of all parameters."""
+        return {one.name: one.usual for one in self.parameters}
+
+    @property
+    def channel(self) -> str:
+        """Channel that it shows in."""
+        return "force"
+
+
+class ForceEffect(Effect):
+    """An effect in wall, interface or specimen: a force on the capsule beside the nominal one."""
+
+    @abstractmethod
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the true force that is added [mN], shape `(n,)`; zeros where the effect does not act.
+
+        The sign is the scene's: positive resists motion towards positive position.
+        """
+
+
+class SensorEffect(Effect):
+    """An effect in the force sensor or its acquisition: what is shown of a force."""
+
+    @abstractmethod
+    def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return what the channel shows [mN] of a force at the scene's times, shape `(n,)`."""
+
+
+class MotorEffect(Effect):
+    """An effect in the motor: how the stage moves when it is told to."""
+
+    @property
+    def channel(self) -> str:
+        """Channel that it shows in."""
+        return "position"
+
+    @abstractmethod
+    def moved(self, time_s: FloatArray, command_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return where the stage is [mm] at rising times, from where it is told to be, shapes `(n,)`.
+
+        Positions count from the first sample. Between times the command is taken as a straight line.
+        """
+
+
+class EncoderEffect(Effect):
+    """An effect in how the position is recorded."""
+
+    @property
+    def channel(self) -> str:
+        """Channel that it shows in."""
+        return "position"
+
+    @abstractmethod
+    def recorded(self, time_s: FloatArray, position_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return the recorded position [mm], counted from the first sample, of a true one, shapes `(n,)`."""

@@ -1,0 +1,27 @@
+"""The catalogue: every module of this package that has an `EFFECT`."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import MappingProxyType
+
+from dragrig.config.errors import SettingsError
+from dragrig.sim_backend import effects
+from dragrig.sim_backend.effects.base import Effect
+
+
+@cache
+def catalogue() -> Mapping[str, Effect]:
+    """Return all effects by id, in order of their ids."""
+    names = sorted(f"{effects.__name__}.{one.name}" for one in iter_modules(effects.__path__) if not one.ispkg)
+    found = [getattr(import_module(name), "EFFECT", None) for name in names]
+    return MappingProxyType({one.id: one for one in found if isinstance(one, Effect)})
+
+
+def find_effect(name: str) -> Effect:
+    """Return an effect by id; raises `SettingsError` for one that the catalogue does not have."""
+    known = catalogue()
+    if name not in known:
+        raise SettingsError(f"effect {name!r} is not in the catalogue, which has {', '.join(known)}")
+    return known[name]

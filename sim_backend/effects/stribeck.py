@@ -1,0 +1,35 @@
+"""Friction coefficient that falls with speed, from boundary to mixed lubrication."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+
+
+class Stribeck(ForceEffect):
+    """f_c grows by `ratio · exp(−|v| / speed)`."""
+
+    id: ClassVar[str] = "stribeck"
+    place: ClassVar[Place] = Place.INTERFACE
+    domain: ClassVar[Domain] = Domain.SPEED
+    summary: ClassVar[str] = "The friction coefficient falls with speed, from boundary to mixed lubrication."
+    exposes: ClassVar[str] = "Coulomb and drag runs at low speed"
+    source: ClassVar[str] = "Stribeck (1902); exponential form of Armstrong-Hélouvry et al., Automatica 30 (1994) 1083"
+    aliases: ClassVar[tuple[str, ...]] = ("adhesion",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("ratio", "1", Role.SIZE, 0.4, 0.0, 2.0, "static over Coulomb friction, less 1"),
+        EffectParameter(
+            "speed_mm_s", "mm/s", Role.SHAPE, 3.0, 0.5, 20.0, "Stribeck speed", tried=(0.7, 1.5, 3.0, 6.0, 12.0)
+        ),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the Coulomb friction that is added."""
+        return np.asarray(scene.f_c * values["ratio"] * np.exp(-scene.speed_mm_s / values["speed_mm_s"]))
+
+
+EFFECT = Stribeck()
