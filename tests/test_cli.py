@@ -31,7 +31,9 @@ def dragrig(*arguments: str, cwd: Path, **environment: str) -> subprocess.Comple
     )
 
 
-@pytest.mark.parametrize("arguments", [["--help"], *([name, "--help"] for name, _ in COMMANDS)], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments", [["--help"], *([name, "--help"] for name, _ in COMMANDS), ["gap", "effects", "--help"]], ids=" ".join
+)
 def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
     code = (
         f"import sys; from dragrig.cli import main; code = main({arguments!r});"

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from importlib import import_module
+from typing import ClassVar
 
 import click
 
@@ -23,6 +24,7 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
         "info": "Say what run files hold.",
         "table": "Tabulate a campaign: a line per run, and means per speed.",
         "compare": "Compare two campaigns, two runs, or either with the friction model.",
+        "gap": "Say what the friction model leaves out on a rig or a gut.",
         "show": "Draw runs: force, raw and filtered, position and speed, with the phases.",
         "model": "Print and draw what the friction model says of steady sliding.",
         "paper": "Simulate the paper's programme, identify it, and write a report.",
@@ -41,18 +43,29 @@ _MODULES = {"import": "import_", "filter": "filter_", "touch-off": "touch_off"}
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name alone."""
+    """A group that knows its commands by name alone: all of them, unless a derived one has its own.
+
+    Attributes
+    ----------
+    sections
+        Commands by section, with the line that the overview shows.
+    package
+        Where each command's module is.
+    """
+
+    sections: ClassVar[Mapping[str, Mapping[str, str]]] = SECTIONS
+    package: ClassVar[str] = "dragrig.cli"
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all commands, in the order of the overview."""
         del ctx
-        return [name for commands in SECTIONS.values() for name in commands]
+        return [name for commands in self.sections.values() for name in commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Load one command."""
         if cmd_name not in self.list_commands(ctx):
             return None
-        module = import_module(f"dragrig.cli.{_MODULES.get(cmd_name, cmd_name)}")
+        module = import_module(f"{self.package}.{_MODULES.get(cmd_name, cmd_name)}")
         command = module.command
         if not isinstance(command, click.Command):
             raise TypeError(f"{module.__name__}.command is not a click command")
@@ -71,7 +84,7 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the overview without loading any command."""
         del ctx
-        for section, commands in SECTIONS.items():
+        for section, commands in self.sections.items():
             with formatter.section(section):
                 formatter.write_dl(list(commands.items()))
 

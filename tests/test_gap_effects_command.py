@@ -1,0 +1,35 @@
+"""`dragrig gap effects`: the catalogue as a person and as a program read it."""
+
+import json
+
+from click.testing import CliRunner
+
+from dragrig.cli.lazy import group
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+
+def told(*arguments: str) -> str:
+    done = CliRunner().invoke(group, ["gap", *arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_every_effect_is_told_with_its_parameters_and_its_source() -> None:
+    text = told("effects")
+    for effect in catalogue().values():
+        assert f"\n{effect.id}\n" in text
+        assert effect.source in text
+        for parameter in effect.parameters:
+            assert f"    {parameter.name} " in text
+
+
+def test_as_json_it_holds_what_a_program_needs_to_set_an_effect() -> None:
+    effects = {one["id"]: one for one in json.loads(told("effects", "--json"))["effects"]}
+    assert effects.keys() == catalogue().keys()
+    ratio = effects["stribeck"]["parameters"][0]
+    assert (ratio["name"], ratio["unit"], ratio["role"]) == ("ratio", "1", "size")
+    assert ratio["low"] <= ratio["usual"] <= ratio["high"]
+
+
+def test_without_a_command_the_group_says_what_there_is() -> None:
+    assert "effects" in told()
