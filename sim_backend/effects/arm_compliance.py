@@ -1,7 +1,9 @@
-"""An arm that rings after every jerk."""
+"""An arm that rings after every jerk and every change of force."""
 
 from collections.abc import Mapping
 from typing import ClassVar
+
+import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
@@ -10,27 +12,33 @@ from dragrig.sim_backend.effects.scene import Scene
 
 
 class ArmCompliance(SensorEffect):
-    """A lightly damped mass on the arm, driven by the stage's acceleration."""
+    """The force, with that of a mass on the arm, goes through the arm's resonance.
+
+    `share` of the force does, the rest at once. A small share with a large mass is an arm that rings with the
+    stage's jerks alone, a mass of nothing one that rings with the force alone.
+    """
 
     id: ClassVar[str] = "arm_compliance"
     place: ClassVar[Place] = Place.FORCE_SENSOR
     domain: ClassVar[Domain] = Domain.TRANSIENT
-    summary: ClassVar[str] = "The arm that carries the sensor rings after every jerk."
-    exposes: ClassVar[str] = "accelerate, decelerate and what follows, blank runs included"
-    source: ClassVar[str] = "damped oscillator driven by its support; Thomson, Theory of Vibration, section 3.5"
-    aliases: ClassVar[tuple[str, ...]] = ("payload_inertia",)
+    summary: ClassVar[str] = "The arm that carries the sensor rings after every jerk and every change of force."
+    exposes: ClassVar[str] = "accelerate, decelerate and what follows"
+    source: ClassVar[str] = "damped oscillator under load and on a moving support; Thomson, Theory of Vibration"
+    aliases: ClassVar[tuple[str, ...]] = ("payload_inertia", "channel_latency")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("mass_g", "g", Role.SIZE, 30.0, 0.0, 500.0, "mass that swings"),
+        EffectParameter("share", "1", Role.SIZE, 1.0, 0.0, 2.0, "of the force that rings"),
         EffectParameter(
-            "frequency_hz", "Hz", Role.SHAPE, 18.0, 5.0, 60.0, "resonance", tried=(6.0, 9.0, 13.0, 18.0, 26.0, 38.0)
+            "frequency_hz", "Hz", Role.SHAPE, 20.0, 3.0, 100.0, "resonance", tried=(9.0, 12.0, 16.0, 21.0, 28.0, 38.0)
         ),
-        EffectParameter("damping", "1", Role.SHAPE, 0.05, 0.01, 0.3, "share of critical damping", tried=(0.03, 0.1)),
+        EffectParameter("damping", "1", Role.SHAPE, 0.2, 0.01, 0.7, "share of critical damping"),
+        EffectParameter("mass_g", "g", Role.SHAPE, 20.0, 0.0, 5000.0, "mass on the arm", tried=(0.0, 1000.0)),
     )
 
     def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return the force with that of the mass that swings; g · mm/s² is µN."""
-        driving = scene.acceleration_mm_s2 * (1e-3 * values["mass_g"])
-        return force_mN + resonator(scene.time_s, driving, values["frequency_hz"], values["damping"])
+        """Return the force as the arm passes it on; g · mm/s² is µN."""
+        driving = force_mN + 1e-3 * values["mass_g"] * scene.acceleration_mm_s2
+        rung = resonator(scene.time_s, driving, values["frequency_hz"], values["damping"])
+        return np.asarray(force_mN + values["share"] * (rung - force_mN))
 
 
 EFFECT = ArmCompliance()

@@ -1,0 +1,32 @@
+"""Mass beyond the force sensor."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.scene import Scene
+
+
+class PayloadInertia(SensorEffect):
+    """The sensor shows mass times acceleration of what hangs on it."""
+
+    id: ClassVar[str] = "payload_inertia"
+    place: ClassVar[Place] = Place.FORCE_SENSOR
+    domain: ClassVar[Domain] = Domain.TRANSIENT
+    summary: ClassVar[str] = "The mass beyond the sensor needs a force to be accelerated."
+    exposes: ClassVar[str] = "accelerate and decelerate, blank runs included"
+    source: ClassVar[str] = "Newton's second law"
+    aliases: ClassVar[tuple[str, ...]] = ("arm_compliance",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("mass_g", "g", Role.SIZE, 20.0, 0.0, 1000.0, "mass beyond the sensor"),
+    )
+
+    def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
+        """Return the force with that of the mass; g · mm/s² is µN."""
+        return np.asarray(force_mN + 1e-3 * values["mass_g"] * scene.acceleration_mm_s2)
+
+
+EFFECT = PayloadInertia()

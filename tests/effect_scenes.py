@@ -1,0 +1,68 @@
+"""Scenes that the tests of effects share, and what an effect changes in them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from dragrig.config.capsule import Capsule
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition, Contact
+from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect
+from dragrig.sim_backend.effects.scene import Scene, gut_scene
+from dragrig.sim_backend.friction.motion import ProfileMotion
+
+KINDS = ("drag", "coulomb", "relaxation", "blank")
+SESSION_S = 1234.5
+"""Some way into a session, for what drifts along it."""
+
+_CAPSULE = Capsule(name="c", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1)
+_MET = {
+    "drag": (Fixture.FOAM, Contact.SLIDING),
+    "coulomb": (Fixture.VACUUM, Contact.SLIDING),
+    "relaxation": (Fixture.FOAM, Contact.STICKING),
+    "blank": (Fixture.NONE, Contact.NONE),
+}
+
+
+def acquisition(kind: str, stopped_s: float | None = None) -> Acquisition:
+    """A run of a kind; at `stopped_s` the stage brakes to a standstill for the rest of its time."""
+    travel, speed, hold = (2.5, 20.0, 6.0) if kind == "relaxation" else (15.0, 10.0, 2.0)
+    profile = MotionProfile.from_pieces(
+        (still(1.0, Phase.REST), *trapezoid(travel, speed, 400.0), still(hold, Phase.HOLD))
+    )
+    if stopped_s is not None:
+        profile = profile.stopped(stopped_s, 3000.0, hold_s=profile.duration_s)
+    fixture, contact = _MET[kind]
+    made = Acquisition(kind, 3, kind, profile, _CAPSULE, Specimen(name="jejunum"), fixture, contact, 60.0)
+    return replace(made, shear_strain=1.0) if kind == "relaxation" else made
+
+
+def scene(kind: str, stopped_s: float | None = None, until_s: float | None = None) -> Scene:
+    """The scene of a run of a kind, every 2 ms of the first `until_s`."""
+    made = acquisition(kind, stopped_s)
+    time = np.arange(0.0, made.profile.duration_s if until_s is None else until_s, 0.002)
+    return gut_scene(made, FrictionModelSettings(), ProfileMotion.of(made.profile), time, SESSION_S)
+
+
+def changed(effect: Effect, seen: Scene, values: Mapping[str, float]) -> FloatArray:
+    """What an effect changes in the channel that it shows in."""
+    time, position = seen.time_s, seen.position_mm
+    match effect:
+        case ForceEffect():
+            return effect.added(seen, values)
+        case SensorEffect():
+            return effect.shown(seen, seen.nominal, values) - seen.nominal
+        case MotorEffect():
+            return effect.moved(time, position, values) - position
+        case EncoderEffect():
+            return effect.recorded(time, position, values) - position
+    raise AssertionError(effect)
+
+
+def sized(effect: Effect, share: float) -> dict[str, float]:
+    """Usual values with the size scaled."""
+    return {**effect.usual, effect.size.name: share * effect.size.usual}

@@ -1,0 +1,77 @@
+"""What holds for every effect of the catalogue, whatever it is."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from effect_scenes import KINDS, changed, scene, sized
+
+from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, Role, SensorEffect
+from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.effects.scene import Scene
+
+EFFECTS = tuple(catalogue().values())
+every = pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.id)
+STOPPED_S = 1.3
+
+
+@cache
+def seen(kind: str) -> Scene:
+    return scene(kind)
+
+
+@every
+def test_it_says_what_it_is(effect: Effect) -> None:
+    roles = [one.role for one in effect.parameters]
+    assert roles.count(Role.SIZE) == 1
+    assert roles.count(Role.PHASE) <= 1
+    assert isinstance(effect, ForceEffect | SensorEffect | MotorEffect | EncoderEffect)
+    assert effect.summary.endswith(".")
+    assert effect.source
+    for one in effect.parameters:
+        assert one.low <= one.usual <= one.high, one.name
+        assert all(one.low <= tried <= one.high for tried in one.tried), one.name
+        assert one.unit == "1" or "_" in one.name, one.name
+    assert effect.size.low <= 0
+
+
+@every
+@pytest.mark.parametrize("kind", KINDS)
+def test_without_size_it_changes_nothing(effect: Effect, kind: str) -> None:
+    assert np.abs(changed(effect, seen(kind), sized(effect, 0.0))).max() < 1e-9
+
+
+@every
+def test_it_shows_somewhere_and_grows_with_its_size(effect: Effect) -> None:
+    whole, half = (
+        sum(float(np.abs(changed(effect, seen(kind), sized(effect, share))).sum()) for kind in KINDS)
+        for share in (0.2, 0.1)
+    )
+    if not effect.nominal:
+        assert whole > 0
+    assert half == pytest.approx(0.5 * whole, rel=0.15)
+
+
+@every
+def test_what_is_in_the_gut_does_not_show_without_it(effect: Effect) -> None:
+    if isinstance(effect, ForceEffect):
+        assert not changed(effect, seen("blank"), effect.usual).any()
+
+
+@every
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_finite_for_all_that_is_tried(effect: Effect, kind: str) -> None:
+    for one in effect.parameters:
+        for value in (one.low, one.high, *one.tried):
+            assert np.isfinite(changed(effect, seen(kind), {**effect.usual, one.name: value})).all(), (one.name, value)
+
+
+@every
+@pytest.mark.parametrize("kind", ["drag", "relaxation"])
+def test_it_knows_nothing_of_what_is_to_come(effect: Effect, kind: str) -> None:
+    until = 1.05 if kind == "relaxation" else STOPPED_S
+    full = changed(effect, scene(kind, until_s=until), effect.usual)
+    broken_off = changed(effect, scene(kind, stopped_s=until, until_s=until), effect.usual)
+    assert broken_off == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
+    longer = changed(effect, scene(kind, until_s=until + 0.5), effect.usual)[: full.size]
+    assert longer == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
