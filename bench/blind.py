@@ -1,0 +1,131 @@
+"""Campaigns with hidden effects, and how a diagnosis did on them.
+
+`python bench/blind.py make --cases 100 --seed 1 --out DIR` writes DIR/0001/*.h5 and so on, and DIR/answers.json.
+"""
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+import argparse
+import hashlib
+import json
+import multiprocessing
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, answer, draw, make
+
+SHARES = {
+    "full": 0.40,
+    "third": 0.15,
+    "tenth": 0.10,
+    "none": 0.10,
+    "outside": 0.10,
+    "pair": 0.07,
+    "rough": 0.08 * 2 / 3,
+    "rough none": 0.08 / 3,
+}
+"""Of each kind of case; single effects go through the whole vocabulary in turn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is to be hidden in one campaign."""
+
+    number: int
+    kind: str
+    seed: int
+    effects: tuple[str, ...]
+    sizes: tuple[float, ...]
+    rough: bool
+
+
+def mix(cases: int, seed: int) -> list[Case]:
+    """Return a balanced mix in random order; counts follow the shares as nearly as whole numbers allow."""
+    random = np.random.default_rng(seed)
+    exact = np.array([share * cases for share in SHARES.values()])
+    counts = np.floor(exact).astype(int)
+    counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
+    kinds = [kind for kind, count in zip(SHARES, counts.tolist(), strict=True) for _ in range(count)]
+    singles, foreign = _in_turn(tuple(CATALOGUE), random), _in_turn(tuple(OUTSIDE), random)
+    made = []
+    for kind in kinds:
+        effects, sizes = _hidden(kind, singles, foreign, random)
+        made.append((kind, effects, sizes))
+    order = random.permutation(len(made)).tolist()
+    seeds = random.integers(1, 2**31, len(made)).tolist()
+    return [
+        Case(number, made[at][0], own, made[at][1], made[at][2], rough=made[at][0].startswith("rough"))
+        for number, (at, own) in enumerate(zip(order, seeds, strict=True), 1)
+    ]
+
+
+def _in_turn(names: Sequence[str], random: np.random.Generator) -> Iterator[str]:
+    while True:
+        yield from random.permutation(np.array(names)).tolist()
+
+
+def _hidden(
+    kind: str, singles: Iterator[str], foreign: Iterator[str], random: np.random.Generator
+) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    if kind in {"none", "rough none"}:
+        return (), ()
+    if kind == "outside":
+        return (next(foreign),), (1.0,)
+    if kind == "pair":
+        first, second = next(singles), next(singles)
+        while _place(first) == _place(second):
+            second = next(singles)
+        return (first, second), (1.0, 1.0 if random.random() < 0.5 else 1 / 3)
+    return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind, 1.0),)
+
+
+def _place(name: str) -> str:
+    return CATALOGUE[name][0].__module__
+
+
+def write(out: Path, case: Case) -> dict[str, Any]:
+    """Write one campaign and return its answer."""
+    secret = draw(case.seed, effects=case.effects, size=case.sizes, rough=case.rough)
+    folder = out / f"{case.number:04d}"
+    if folder.exists():
+        shutil.rmtree(folder)
+    make(secret, folder)
+    return {"case": case.kind, **answer(secret)}
+
+
+def make_all(cases: int, seed: int, out: Path) -> None:
+    """Write all campaigns of a mix and seal their answers."""
+    out.mkdir(parents=True, exist_ok=True)
+    planned = mix(cases, seed)
+    with multiprocessing.Pool(2) as pool:
+        found = pool.map(partial(write, out), planned, chunksize=1)
+    text = json.dumps({f"{one.number:04d}": told for one, told in zip(planned, found, strict=True)}, indent=1)
+    (out / "answers.json").write_text(text, encoding="utf-8")
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    (out / "answers.sha256").write_text(f"{digest}  answers.json\n", encoding="utf-8")
+    print(f"{len(planned)} campaigns in {out}, answers sealed with sha256 {digest}")
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    maker = commands.add_parser("make", help="write campaigns and their sealed answers")
+    maker.add_argument("--cases", type=int, default=100)
+    maker.add_argument("--seed", type=int, default=1)
+    maker.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    make_all(given.cases, given.seed, given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,228 @@
+"""Hidden effects in the force that the catalogue does not have; the right verdict is `unknown`."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from dragrig.sim_backend.blind.effects.base import DRAG, EVERY, SLIDING, Draw, Effect, Parts, Phase, Scene
+from dragrig.sim_backend.blind.motion import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class AmplifierSaturates(Effect):
+    """Above a load the amplifier passes on only a part of what comes."""
+
+    name, form, rank = "amplifier_saturates", "hard knee", 2
+    amplitude: Annotated[float, Draw(0.6, 1.0)]
+    load_mN: Annotated[float, Draw(500.0, 1000.0)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        return np.asarray(force - self.amplitude * np.maximum(force - self.load_mN, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class StickSlip(Effect):
+    """At low speed the capsule sticks and slips by lengths that are never the same."""
+
+    name, form, kinds = "stick_slip", "irregular saw", SLIDING
+    amplitude: Annotated[float, Draw(10.0, 25.0)]
+    slip_mm: Annotated[float, Draw(0.15, 0.6, log=True)]
+    speed_mm_s: Annotated[float, Draw(2.0, 4.0)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        p = scene.motion.p
+        lengths = self.slip_mm * scene.random("stick").gamma(4.0, 0.25, int(p.max() / self.slip_mm * 2) + 20)
+        edges = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = np.clip(np.searchsorted(edges, p, side="right") - 1, 0, lengths.size - 1)
+        part = (p - edges[at]) / lengths[at]
+        slow = np.exp(-((scene.speed / self.speed_mm_s) ** 4)) * (scene.speed > 0)
+        return np.asarray(self.amplitude * (lengths[at] / self.slip_mm) * (part - 0.5) * slow)
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentCrosstalk(Effect):
+    """The motor's current couples into the force channel in proportion to the commanded speed [mN at 60 mm/s]."""
+
+    name, form, rank = "current_crosstalk", "proportional to speed", 2
+    amplitude: Annotated[float, Draw(10.0, 25.0, signed=True)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        return force + self.amplitude * np.abs(scene.command.v) / 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class LooseCoupling(Effect):
+    """A loose coupling lets the force drop for stretches of random length."""
+
+    name, form, kinds = "loose_coupling", "random stretches", SLIDING
+    amplitude: Annotated[float, Draw(0.15, 0.45)]
+    length_mm: Annotated[float, Draw(1.5, 6.0)]
+    share: Annotated[float, Draw(0.15, 0.35)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        p, random = scene.motion.p, scene.random("coupling")
+        firm = random.exponential(self.length_mm * (1 / self.share - 1), 200)
+        loose = random.exponential(self.length_mm, 200)
+        edges = np.cumsum(np.ravel(np.column_stack([firm, loose])))
+        lost = np.searchsorted(edges, p) % 2 == 1
+        return np.asarray(force * np.where(lost & (scene.motion.v > 0), 1 - self.amplitude, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class GainSwitches(Effect):
+    """The amplifier comes up with one of two gains, by chance from run to run."""
+
+    name, form, rank = "gain_switches", "two gains", 2
+    amplitude: Annotated[float, Draw(0.10, 0.30)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        return force * (1 - self.amplitude * float(scene.random("gain").random() < 0.5))
+
+
+@dataclass(frozen=True, slots=True)
+class FixtureCreeps(Effect):
+    """The fixture gives way while the stage moves and creeps back after it stops, with nothing attached too."""
+
+    name, form = "fixture_creeps", "two times"
+    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    out_s: Annotated[float, Draw(0.3, 1.5)]
+    back_s: Annotated[float, Draw(0.5, 2.0)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        go, _, _, stop = scene.run.bounds_s
+        t = scene.motion.t
+        grown = 1 - np.exp(-np.clip(t - go, 0.0, stop - go) / self.out_s)
+        return force + self.amplitude * grown * np.exp(-np.maximum(t - stop, 0.0) / self.back_s)
+
+
+@dataclass(frozen=True, slots=True)
+class FoamResonance(Effect):
+    """Extra force inside one band of speed, where the foam resonates."""
+
+    name, form, kinds = "foam_resonance", "peak in ln v", DRAG
+    amplitude: Annotated[float, Draw(12.0, 28.0)]
+    speed_mm_s: Annotated[float, Draw(7.0, 14.0)]
+    width: Annotated[float, Draw(0.25, 0.5)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        off = np.log(np.maximum(scene.speed, 1e-6) / self.speed_mm_s) / self.width
+        return np.asarray(self.amplitude * scene.direction * np.exp(-(off**2)))
+
+
+@dataclass(frozen=True, slots=True)
+class WallSeam(Effect):
+    """A seam in the wall: one bump at one position."""
+
+    name, form, kinds = "wall_seam", "single bump", DRAG
+    amplitude: Annotated[float, Draw(12.0, 30.0)]
+    place_mm: Annotated[float, Draw(8.0, 24.0)]
+    width_mm: Annotated[float, Draw(0.8, 2.5)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        return np.asarray(self.amplitude * np.exp(-(((scene.motion.p - self.place_mm) / self.width_mm) ** 2)))
+
+
+@dataclass(frozen=True, slots=True)
+class ThermostatZero(Effect):
+    """The zero follows the room's heating, which switches on and off at times of the session, in every run."""
+
+    name, form, rank = "thermostat_zero", "saw of session time", 2
+    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    period_s: Annotated[float, Draw(9.0, 20.0)]
+    on: Annotated[float, Draw(0.15, 0.35)]
+    phase: Phase
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        turn = np.mod(scene.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
+        return force + self.amplitude * (np.where(turn < self.on, turn / self.on, (1 - turn) / (1 - self.on)) - 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class TableVibration(Effect):
+    """The table shakes at a few hertz in every run, now more, now less."""
+
+    name, form = "table_vibration", "narrow band"
+    amplitude: Annotated[float, Draw(4.0, 10.0)]
+    hertz: Annotated[float, Draw(3.0, 8.0)]
+    damping: Annotated[float, Draw(0.01, 0.04)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        from dragrig.sim_backend.blind.effects.linear import resonance
+
+        t = scene.motion.t
+        before = 2000
+        drive = scene.random("table").standard_normal(t.size + before)
+        shaken = resonance(drive, self.hertz, self.damping, t)
+        gain = np.sqrt(np.pi * self.hertz * (t[1] - t[0]) / (2 * self.damping))
+        return np.asarray(force + self.amplitude * (shaken / gain)[before:])
+
+
+@dataclass(frozen=True, slots=True)
+class MissingBits(Effect):
+    """The converter has lost its lowest bits: the force comes in steps [mN]."""
+
+    name, form, rank = "missing_bits", "steps", 4
+    amplitude: Annotated[float, Draw(12.0, 24.0)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        return np.round(force / self.amplitude) * self.amplitude if self.amplitude else force
+
+
+@dataclass(frozen=True, slots=True)
+class Suction(Effect):
+    """Suction that grows while the capsule stands and breaks as it moves."""
+
+    name, form, kinds = "suction", "grows at standstill", DRAG
+    amplitude: Annotated[float, Draw(10.0, 25.0)]
+    time_s: Annotated[float, Draw(0.5, 2.0)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        t, (go, _, _, stop) = scene.motion.t, scene.run.bounds_s
+        standing = np.where(t < go, t, np.maximum(t - stop, 0.0))
+        return np.asarray(-self.amplitude * (1 - np.exp(-((standing / self.time_s) ** 1.5))))
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeClamps(Effect):
+    """A brake closes some time after the stop and loads the sensor, the same way in every run."""
+
+    name, form = "brake_clamps", "step after the stop"
+    amplitude: Annotated[float, Draw(8.0, 20.0, signed=True)]
+    after_s: Annotated[float, Draw(0.3, 1.5)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        return force + self.amplitude * (scene.motion.t > scene.run.bounds_s[3] + self.after_s)
+
+
+@dataclass(frozen=True, slots=True)
+class CableLoop(Effect):
+    """A cable that drags: its loop pushes in the middle of the stroke and pulls at the end, blanks included."""
+
+    name, form, kinds = "cable_loop", "one arch", EVERY
+    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    place_mm: Annotated[float, Draw(14.0, 26.0)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        p = scene.motion.p / self.place_mm
+        return np.asarray(force + self.amplitude * p * (1 - p))
+
+
+FORMS: tuple[type[Effect], ...] = (
+    AmplifierSaturates, StickSlip, CurrentCrosstalk, LooseCoupling, GainSwitches, FixtureCreeps, FoamResonance,
+    WallSeam, ThermostatZero, TableVibration, MissingBits, Suction, BrakeClamps, CableLoop,
+)  # fmt: skip

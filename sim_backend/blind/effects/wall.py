@@ -1,0 +1,132 @@
+"""Hidden effects of the wall that moves with the capsule: contact, inertia, stiffness, relaxation."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from dragrig.sim_backend.blind.effects.base import DRAG, TISSUE, Draw, Effect, Parts, Scene
+from dragrig.sim_backend.blind.motion import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class LiftOffFade(Effect):
+    """The front part of the contact carries less and less as speed grows."""
+
+    name, form, kinds = "wall_lift_off", "front fades", DRAG
+    amplitude: Annotated[float, Draw(0.5, 0.95)]
+    speed_mm_s: Annotated[float, Draw(15.0, 30.0)]
+    power: Annotated[float, Draw(2.0, 5.0)]
+    front: Annotated[float, Draw(0.45, 0.75)]
+
+    def contact(self, where: Floats, speed: Floats) -> Floats:
+        """Return the share of the pressure left."""
+        edge = 1 / (1 + np.exp((where - self.front) / 0.04))
+        return np.asarray(1 - self.amplitude * edge * (1 - 1 / (1 + (speed / self.speed_mm_s) ** self.power)))
+
+
+@dataclass(frozen=True, slots=True)
+class LiftOffPeel(Effect):
+    """The contact is lost from the front up to a place that moves back with speed."""
+
+    name, form, kinds = "wall_lift_off", "peeling front", DRAG
+    amplitude: Annotated[float, Draw(0.45, 0.85)]
+    speed_mm_s: Annotated[float, Draw(10.0, 20.0)]
+    power: Annotated[float, Draw(0.6, 1.4)]
+
+    def contact(self, where: Floats, speed: Floats) -> Floats:
+        """Return the share of the pressure left."""
+        part = np.maximum(speed - self.speed_mm_s, 0.0) / (60.0 - self.speed_mm_s)
+        lost = self.amplitude * part**self.power
+        return np.asarray(1 - np.clip((lost - where) / 0.06 + 0.5, 0.0, 1.0) * np.minimum(lost / 0.06, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class InertiaPower(Effect):
+    """A force of a power of speed near the square."""
+
+    name, form, kinds = "wall_inertia", "power near two", DRAG
+    amplitude: Annotated[float, Draw(12.0, 35.0)]
+    power: Annotated[float, Draw(1.7, 2.6)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        return np.asarray(self.amplitude * scene.direction * (scene.speed / 60.0) ** self.power)
+
+
+@dataclass(frozen=True, slots=True)
+class InertiaBending(Effect):
+    """A force of the square of speed that bends over to a straight line."""
+
+    name, form, kinds = "wall_inertia", "square that bends over", DRAG
+    amplitude: Annotated[float, Draw(12.0, 35.0)]
+    speed_mm_s: Annotated[float, Draw(30.0, 120.0)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        v, bend = scene.speed, self.speed_mm_s
+        return np.asarray(self.amplitude * scene.direction * (v / 60.0) ** 2 * (1 + 60.0 / bend) / (1 + v / bend))
+
+
+@dataclass(frozen=True, slots=True)
+class HyperelasticLock(Effect):
+    """Moduli grow with a power of strain, fast branches more than the spring."""
+
+    name, form, kinds = "hyperelastic_wall", "power of strain", TISSUE
+    amplitude: Annotated[float, Draw(0.2, 0.5)]
+    power: Annotated[float, Draw(1.6, 3.5)]
+    slower: Annotated[float, Draw(0.2, 0.7)]
+
+    def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the factors on the moduli."""
+        more = self.amplitude * (np.maximum(strain, 0.0) / 2) ** self.power
+        return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
+
+
+@dataclass(frozen=True, slots=True)
+class HyperelasticKink(Effect):
+    """Moduli grow in a straight line beyond a strain where fibres have stretched."""
+
+    name, form, kinds = "hyperelastic_wall", "straightened fibres", TISSUE
+    amplitude: Annotated[float, Draw(0.2, 0.5)]
+    strain: Annotated[float, Draw(0.3, 0.9)]
+    slower: Annotated[float, Draw(0.2, 0.7)]
+
+    def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the factors on the moduli."""
+        more = self.amplitude * np.logaddexp(0.0, (strain - self.strain) / 0.1) * 0.1 / (2 - self.strain)
+        return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationStretched(Effect):
+    """Stress that fades as a stretched exponential of age."""
+
+    name, form, kinds = "extra_relaxation", "stretched exponential", TISSUE
+    amplitude: Annotated[float, Draw(0.12, 0.35)]
+    time_s: Annotated[float, Draw(2.5, 15.0, log=True)]
+    power: Annotated[float, Draw(0.45, 0.8)]
+
+    def tail(self, age_s: Floats) -> Floats:
+        """Return the stress beyond the model as a part of E3."""
+        return np.asarray(self.amplitude * np.exp(-((np.maximum(age_s, 0.0) / self.time_s) ** self.power)))
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxationPower(Effect):
+    """Stress that fades as a power of age."""
+
+    name, form, kinds = "extra_relaxation", "power law", TISSUE
+    amplitude: Annotated[float, Draw(0.12, 0.35)]
+    time_s: Annotated[float, Draw(1.5, 6.0, log=True)]
+    power: Annotated[float, Draw(0.5, 1.2)]
+
+    def tail(self, age_s: Floats) -> Floats:
+        """Return the stress beyond the model as a part of E3."""
+        return np.asarray(self.amplitude * (1 + np.maximum(age_s, 0.0) / self.time_s) ** -self.power)
+
+
+FORMS: tuple[type[Effect], ...] = (
+    LiftOffFade, LiftOffPeel, InertiaPower, InertiaBending, HyperelasticLock, HyperelasticKink, RelaxationStretched,
+    RelaxationPower,
+)  # fmt: skip

@@ -1,0 +1,92 @@
+"""What is run on a specimen, in which order and when: the programme of a campaign."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+RATE_HZ = 500.0
+PAUSE_S = 90.0
+"""From the last sample of a run to the first of the next."""
+WALL_MM = 2.5
+SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
+FRESH_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
+PROGRAMMES = ("practice", "fresh")
+
+
+@dataclass(frozen=True, slots=True)
+class RunPlan:
+    """One run as it is commanded; a relaxation has a strain, every other run has none."""
+
+    kind: str
+    order: int
+    start_s: float
+    speed_mm_s: float
+    travel_mm: float
+    accel_mm_s2: float
+    rest_s: float
+    hold_s: float
+    strain: float | None = None
+
+    @property
+    def bounds_s(self) -> tuple[float, float, float, float]:
+        """When acceleration, steady motion, deceleration and hold begin [s]."""
+        ramp = self.peak_mm_s / self.accel_mm_s2
+        steady = self.travel_mm / self.peak_mm_s - ramp
+        go = self.rest_s
+        return go, go + ramp, go + ramp + steady, go + 2 * ramp + steady
+
+    @property
+    def peak_mm_s(self) -> float:
+        """The highest speed that the travel allows."""
+        return min(self.speed_mm_s, sqrt(self.travel_mm * self.accel_mm_s2))
+
+    @property
+    def samples(self) -> int:
+        """How many samples the record has."""
+        return round((self.bounds_s[3] + self.hold_s) * RATE_HZ)
+
+
+def programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
+    """Return the runs of a programme, drags in random order.
+
+    Parameters
+    ----------
+    name
+        `practice`: relaxations, blanks, Coulomb runs, and every speed of drag twice, 27 to 31 runs. `fresh`: other
+        strains and speeds.
+
+    Raises
+    ------
+    ValueError
+        For any other name.
+    """
+    if name == "practice":
+        strains, coulomb, speeds = [0.5, 1.0, 1.5, 2.0], [0.5, 5.0, 40.0], [*SPEEDS_MM_S, *SPEEDS_MM_S]
+        blanks = [5.0, 40.0, 20.0][: 2 + int(random.random() < 0.3)]
+        speeds += random.choice(SPEEDS_MM_S, int(random.choice([0, 0, 0, 1, 2, 3])), replace=False).tolist()
+    elif name == "fresh":
+        strains, coulomb, speeds = [0.75, 1.25], [1.0, 15.0], [*FRESH_SPEEDS_MM_S, *FRESH_SPEEDS_MM_S]
+        blanks = [10.0, 50.0]
+    else:
+        raise ValueError(f"{name!r} is no programme; take one of {', '.join(PROGRAMMES)}")
+    drags = random.permutation(np.array(speeds)).tolist()
+    moves = [("blank", v) for v in blanks] + [("coulomb", v) for v in coulomb] + [("drag", v) for v in drags]
+    return _timed([_relaxation(strain) for strain in strains] + [_stroke(kind, speed) for kind, speed in moves])
+
+
+def _relaxation(strain: float) -> RunPlan:
+    return RunPlan("relaxation", 0, 0.0, 20.0, strain * WALL_MM, 2000.0, 1.0, 20.0, strain)
+
+
+def _stroke(kind: str, speed_mm_s: float) -> RunPlan:
+    return RunPlan(kind, 0, 0.0, speed_mm_s, 40.0, 400.0, 1.0, 3.0)
+
+
+def _timed(runs: Sequence[RunPlan]) -> tuple[RunPlan, ...]:
+    timed, start = [], 0.0
+    for order, run in enumerate(runs):
+        timed.append(replace(run, order=order, start_s=round(start, 6)))
+        start += (run.samples - 1) / RATE_HZ + PAUSE_S
+    return tuple(timed)

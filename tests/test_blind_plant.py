@@ -1,0 +1,191 @@
+"""The plant that examines a diagnosis: its nominal equations, its secrets, and the files it writes."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from dragrig.rig.runfile.reader import read_run
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, Secret, answer, draw, make, signature, without_effects
+from dragrig.sim_backend.blind.effects.base import Effect
+from dragrig.sim_backend.blind.programme import RunPlan
+from dragrig.sim_backend.blind.record import Trace, ideal, recorded
+from dragrig.sim_backend.blind.specimen import Noise, Rough, Specimen, Variation
+
+REFERENCE = Path(__file__).parent / "data" / "reference"
+PUBLISHED = Specimen(1.0, (1.0,) * 5, 0.082, 1.0, 60.0, 1.0, 60.0)
+NAMES = sorted({*CATALOGUE, *OUTSIDE})
+KINDS = ("drag", "coulomb", "relaxation", "blank")
+
+
+def stroke(kind: str, speed: float) -> RunPlan:
+    return RunPlan(kind, 0, 0.0, speed, 40.0, 400.0, 1.0, 3.0)
+
+
+def ramp(strain: float) -> RunPlan:
+    return RunPlan("relaxation", 0, 0.0, 20.0, 2.5 * strain, 2000.0, 1.0, 20.0, strain)
+
+
+def published(run: RunPlan, rough: Rough | None = None) -> Trace:
+    """The run on the published specimen, with nothing hidden in it."""
+    quiet, same = Noise(1.0, 0.3, 0.2), Variation(1.0, 1.0, 0.0)
+    return ideal(Secret(1, PUBLISHED, quiet, rough or Rough(), (), (), "practice", (run,), (same,)), 0)
+
+
+def short(secret: Secret) -> Secret:
+    """A few of its runs: one of each kind and the fastest and the slowest of the drags above 5 mm/s."""
+    kept: dict[tuple[str, float], int] = {}
+    for at, run in enumerate(secret.runs):
+        if run.kind != "coulomb" or run.speed_mm_s > 1:
+            kept.setdefault((run.kind, run.speed_mm_s if run.kind == "drag" else 0.0), at)
+    chosen = sorted(at for (kind, speed), at in kept.items() if kind != "drag" or speed in {5.0, 60.0})
+    return replace(
+        secret, runs=tuple(secret.runs[at] for at in chosen), variations=tuple(secret.variations[at] for at in chosen)
+    )
+
+
+def forms() -> Iterator[type[Effect]]:
+    for group in (*CATALOGUE.values(), *OUTSIDE.values()):
+        yield from group
+
+
+@pytest.mark.parametrize(
+    ("name", "run"),
+    [
+        ("drag-2", stroke("drag", 2.0)),
+        ("drag-20", stroke("drag", 20.0)),
+        ("drag-60", stroke("drag", 60.0)),
+        ("coulomb-0.5", stroke("coulomb", 0.5)),
+        ("relaxation-050", ramp(0.5)),
+        ("relaxation-100", ramp(1.0)),
+        ("relaxation-200", ramp(2.0)),
+    ],
+)
+def test_nominal_runs_agree_with_the_reference(name: str, run: RunPlan) -> None:
+    wanted = np.genfromtxt(REFERENCE / f"{name}.csv", delimiter=",", names=True)
+    trace = published(run)
+    at = np.round(wanted["time_s"] * 500)
+    common = (np.abs(wanted["time_s"] * 500 - at) < 1e-6) & (at < trace.time.size)
+    settled = np.ones(wanted.size, dtype=bool)
+    for change in np.flatnonzero(np.diff(wanted["phase"])):
+        settled[change + 1 : change + 3] = False
+    kept = common & settled
+    index = at[kept].astype(int)
+    assert np.array_equal(trace.phase[index], wanted["phase"][kept])
+    assert np.abs(trace.position[index] - wanted["position_mm"][kept]).max() < 1e-5
+    error = np.abs(trace.force[index] - wanted["force_mN"][kept]).max()
+    assert error < 0.002 * np.ptp(wanted["force_mN"])
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+    def digest(folder: Path) -> str:
+        return sha256(b"".join(file.read_bytes() for file in sorted(folder.glob("*.h5")))).hexdigest()
+
+    for name, seed in (("a", 4), ("b", 4), ("c", 5)):
+        make(short(draw(seed, effects=["table_vibration", "stribeck"])), tmp_path / name)
+    assert digest(tmp_path / "a") == digest(tmp_path / "b") != digest(tmp_path / "c")
+
+
+def test_the_files_are_read_as_runs_and_say_nothing_of_what_is_hidden(tmp_path: Path) -> None:
+    secret = draw(11, effects=["stribeck"])
+    make(secret, tmp_path)
+    files = sorted(tmp_path.glob("*.h5"))
+    assert 27 <= len(files) == len(secret.runs) <= 31
+    kinds = [read_run(file).info.kind for file in files]
+    assert [kinds.count(kind) for kind in ("relaxation", "coulomb")] == [4, 3]
+    assert kinds.count("drag") >= 18
+    with h5py.File(files[-1]) as file:
+        told: list[str] = []
+        file.visititems(lambda name, item: told.append(f"{name} {dict(item.attrs)}"))
+    assert not any(word in " ".join(told) for word in ("stribeck", "seed", "rational"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_form_acts_where_it_says_and_scales_with_size(name: str) -> None:
+    plain = short(draw(3))
+    for form in CATALOGUE.get(name) or OUTSIDE[name]:
+        whole, third, none = (form.drawn(np.random.default_rng(8), size) for size in (1.0, 1 / 3, 0.0))
+        strength = {}
+        for effect in (whole, third, none):
+            found = signature(replace(plain, effects=(effect,), sizes=(1.0,)))
+            strength[effect.amplitude] = sum(
+                float(np.abs(one.force).sum() + np.abs(one.position).sum()) for one in found
+            )
+            for one in found:
+                assert np.isfinite(one.force).all()
+                assert np.isfinite(one.position).all()
+                if one.run.kind not in form.kinds:
+                    assert not one.force.any()
+                    assert not one.position.any()
+        assert strength[whole.amplitude] > strength[third.amplitude] > 100 * strength[none.amplitude]
+
+
+def test_position_effects_show_in_the_position_and_force_effects_do_not() -> None:
+    plain = short(draw(3))
+    for form in forms():
+        effect = form.drawn(np.random.default_rng(2), 1.0)
+        moved = any(
+            np.abs(one.position).max() > 1e-6 for one in signature(replace(plain, effects=(effect,), sizes=(1.0,)))
+        )
+        assert moved == (form.channel == "position"), form
+
+
+def test_a_campaign_without_noise_has_only_its_effect_beyond_the_same_without_effects() -> None:
+    secret = short(draw(9, effects=["folds"]))
+    for index, one in enumerate(signature(secret)):
+        both = ideal(secret, index).force - ideal(without_effects(secret), index).force
+        assert np.array_equal(one.force, both)
+
+
+def test_the_fresh_campaign_has_the_same_specimen_and_effect_at_other_speeds() -> None:
+    first, second = (draw(21, effects=["adhesion"], runs=name) for name in ("practice", "fresh"))
+    assert (first.specimen, first.effects, first.noise) == (second.specimen, second.effects, second.noise)
+    speeds = [{run.speed_mm_s for run in one.runs if run.kind == "drag"} for one in (first, second)]
+    assert not speeds[0] & speeds[1]
+    assert {run.strain for run in second.runs if run.kind == "relaxation"} == {0.75, 1.25}
+
+
+def test_noise_is_as_large_and_as_slow_as_drawn() -> None:
+    secret = draw(13)
+    at = next(index for index, run in enumerate(secret.runs) if run.speed_mm_s == 0.5 and run.kind == "coulomb")
+    rest = recorded(secret, at).force - ideal(secret, at).force - secret.variations[at].zero_mN
+    white = float(np.std(np.diff(rest)) / np.sqrt(2))
+    assert white == pytest.approx(secret.noise.white_mN, rel=0.05)
+    slow = float(np.std(rest[: rest.size // 25 * 25].reshape(-1, 25).mean(axis=1)))
+    assert slow == pytest.approx(secret.noise.slow_mN, rel=0.35)
+
+
+def test_rough_campaigns_differ_slightly_from_the_nominal_equations() -> None:
+    runs = (ramp(1.5), stroke("drag", 20.0))
+    plain = [published(run).force for run in runs]
+    for seed in range(12):
+        rough = draw(seed, rough=True).rough
+        bent = [published(run, rough).force for run in runs]
+        off = [np.sqrt(np.mean((one - other) ** 2)) / np.ptp(one) for one, other in zip(plain, bent, strict=True)]
+        assert 5e-4 < max(off) < 0.10, rough
+
+
+def test_the_answer_says_what_is_hidden() -> None:
+    known = answer(draw(1, effects=["stribeck", "servo_lag"], size=(1.0, 1 / 3)))
+    assert (known["verdict"], known["effects"], known["size"]) == ("several", ["stribeck", "servo_lag"], [1.0, 1 / 3])
+    foreign = answer(draw(1, effects=["wall_seam"]))
+    assert (foreign["verdict"], foreign["effects"], foreign["truth"]) == ("unknown", [], "wall_seam")
+    assert answer(draw(1))["verdict"] == "no_gap"
+
+
+def test_a_name_or_a_size_too_many_is_refused() -> None:
+    with pytest.raises(ValueError, match="is no effect; take one of"):
+        draw(1, effects=["friction"])
+    with pytest.raises(ValueError, match="2 sizes for 1 effects"):
+        draw(1, effects=["folds"], size=(1.0, 0.5))
+
+
+def test_all_24_effects_of_the_vocabulary_and_ten_others_are_there() -> None:
+    assert len(CATALOGUE) == 24
+    assert len(OUTSIDE) >= 10
+    assert not set(CATALOGUE) & set(OUTSIDE)
+    assert all(len(group) >= 2 for group in CATALOGUE.values())
