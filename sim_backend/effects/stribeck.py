@@ -11,7 +11,7 @@ from dragrig.sim_backend.effects.scene import Scene
 
 
 class Stribeck(ForceEffect):
-    """f_c grows by `ratio · exp(−|v| / speed)`."""
+    """f_c grows by `ratio · exp(−(|v| / speed)^power)`."""
 
     id: ClassVar[str] = "stribeck"
     place: ClassVar[Place] = Place.INTERFACE
@@ -25,11 +25,13 @@ class Stribeck(ForceEffect):
         EffectParameter(
             "speed_mm_s", "mm/s", Role.SHAPE, 3.0, 0.5, 20.0, "Stribeck speed", tried=(0.7, 1.5, 3.0, 6.0, 12.0)
         ),
+        EffectParameter("power", "1", Role.SHAPE, 1.0, 0.4, 4.0, "how suddenly it falls", tried=(1.0, 2.0)),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
         """Return the Coulomb friction that is added."""
-        return np.asarray(scene.f_c * values["ratio"] * np.exp(-scene.speed_mm_s / values["speed_mm_s"]))
+        faster = (scene.speed_mm_s / values["speed_mm_s"]) ** values["power"]
+        return np.asarray(scene.f_c * values["ratio"] * np.exp(-faster))
 
 
 EFFECT = Stribeck()

@@ -1,0 +1,45 @@
+"""An aged contact that takes more force to start."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+
+
+class Breakaway(ForceEffect):
+    """f_c grows by `ratio · exp(−distance / slip)` over the distance since the start."""
+
+    id: ClassVar[str] = "breakaway"
+    place: ClassVar[Place] = Place.INTERFACE
+    domain: ClassVar[Domain] = Domain.TRANSIENT
+    summary: ClassVar[str] = "An aged contact needs more force to start and loses it over a short slip."
+    exposes: ClassVar[str] = "the first tenths of a millimetre of Coulomb and drag runs"
+    source: ClassVar[str] = (
+        "contact ageing renewed over a memory length; Dieterich, Journal of Geophysical Research 84 (1979) 2161; "
+        "Baumberger and Caroli, Advances in Physics 55 (2006) 279"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ("presliding",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("ratio", "1", Role.SIZE, 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, less 1"),
+        EffectParameter(
+            "slip_mm",
+            "mm",
+            Role.SHAPE,
+            0.2,
+            0.02,
+            2.0,
+            "distance over which it is lost",
+            tried=(0.05, 0.1, 0.2, 0.4, 0.8),
+        ),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the friction of the aged contact."""
+        return np.asarray(scene.f_c * values["ratio"] * np.exp(-scene.stance.slid_mm / values["slip_mm"]))
+
+
+EFFECT = Breakaway()

@@ -1,0 +1,79 @@
+"""A relaxation slower than both branches of the wall."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.stresses import force_of_stress
+
+LEAST_SPREAD = 0.01
+"""Less than this is one branch."""
+
+TERMS = 8
+"""Maxwell branches that stand for a spread of rates."""
+
+
+def chain(time_s: float, spread: float) -> tuple[list[float], list[float]]:
+    """Return rates [1/s] and weights of Maxwell branches for a gamma distribution of rates of mean 1 / `time_s`."""
+    from scipy.special import roots_genlaguerre
+
+    if spread < LEAST_SPREAD:
+        return [1 / time_s], [1.0]
+    nodes, weights = roots_genlaguerre(TERMS, 1 / spread - 1)
+    return (nodes * spread / time_s).tolist(), (weights / weights.sum()).tolist()
+
+
+def _kept(age_s: FloatArray, rates: list[float], weights: list[float]) -> FloatArray:
+    kept = np.zeros_like(age_s)
+    for rate, weight in zip(rates, weights, strict=True):
+        kept += weight * np.exp(-rate * age_s)
+    return kept
+
+
+class ExtraRelaxation(ForceEffect):
+    """A third branch of modulus `share · E3` that relaxes as `(1 + spread · t / time)^(−1 / spread)`.
+
+    Without a spread that is one Maxwell branch; with it a gamma distribution of rates around 1 / `time_s`, a power law
+    at long times.
+    """
+
+    id: ClassVar[str] = "extra_relaxation"
+    place: ClassVar[Place] = Place.WALL
+    domain: ClassVar[Domain] = Domain.TIME
+    summary: ClassVar[str] = "The wall relaxes on, more slowly than both Maxwell branches."
+    exposes: ClassVar[str] = "long holds: relaxations, and drag runs at low speed"
+    source: ClassVar[str] = (
+        "Maxwell chain of Fung, Biomechanics (1993), chapter 7; modified power law of Williams, "
+        "AIAA Journal 2 (1964) 785"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ("force_drift", "hyperelastic_wall")
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("share", "1", Role.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
+        EffectParameter(
+            "time_s", "s", Role.SHAPE, 8.0, 1.0, 120.0, "relaxation time", tried=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0)
+        ),
+        EffectParameter(
+            "spread", "1", Role.SHAPE, 0.0, 0.0, 2.0, "variance of the rates over their mean squared", tried=(0.0, 1.0)
+        ),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the force of the third branch."""
+        rates, weights = chain(values["time_s"], values["spread"])
+        if scene.sheared is not None:
+            branches = [weight * scene.sheared.branch(rate) for rate, weight in zip(rates, weights, strict=True)]
+            modulus = values["share"] * scene.sheared.moduli[2]
+            return np.asarray(scene.sheared.area_mm2 * modulus * np.sum(branches, axis=0))
+        wall = scene.wall
+        if wall is None:
+            return np.zeros_like(scene.time_s)
+        front = values["share"] * wall.parameters.E3 * wall.strain * _kept(wall.age_s, rates, weights)
+        equator = values["share"] * wall.equator_parameters.E3 * wall.strain_at_equator
+        return force_of_stress(scene, wall, front, equator * _kept(wall.equator_age_s, rates, weights))
+
+
+EFFECT = ExtraRelaxation()

@@ -1,0 +1,62 @@
+"""A muscular layer that stiffens with strain."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.stresses import Branches, force_of_stress
+
+
+class HyperelasticWall(ForceEffect):
+    """Stress of the fast branch grows by `stiffening · ε^power`, that of slow branch and spring by `slow_share` of it.
+
+    A wall that is strained fast has more of its stress in the fast branch, and so stiffens more.
+    """
+
+    id: ClassVar[str] = "hyperelastic_wall"
+    place: ClassVar[Place] = Place.WALL
+    domain: ClassVar[Domain] = Domain.STRAIN
+    summary: ClassVar[str] = "The muscular layer stiffens with strain, the more the faster it is strained."
+    exposes: ClassVar[str] = "relaxations, whose peaks rise faster with strain; drag runs at speed"
+    source: ClassVar[str] = (
+        "leading terms of exponential stiffening; Fung, Biomechanics (1993), chapter 7; of the intestine, "
+        "Egorov et al., Journal of Biomechanics 35 (2002) 1417"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ("extra_relaxation", "force_nonlinearity")
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("stiffening", "1", Role.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
+        EffectParameter("power", "1", Role.SHAPE, 2.0, 0.5, 5.0, "power of the strain", tried=(1.0, 2.5)),
+        EffectParameter(
+            "slow_share",
+            "1",
+            Role.SHAPE,
+            0.2,
+            0.0,
+            1.0,
+            "part of it in slow branch and spring",
+            tried=(0.0, 0.01, 0.04, 0.2, 1.0),
+        ),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the force of the further stress."""
+        power, slow_share = values["power"], values["slow_share"]
+        if scene.sheared is not None:
+            fast, slow, spring = scene.sheared.stresses
+            growth = values["stiffening"] * np.abs(scene.sheared.strain) ** power
+            return np.asarray(scene.sheared.area_mm2 * growth * (fast + slow_share * (slow + spring)))
+        wall = scene.wall
+        if wall is None:
+            return np.zeros_like(scene.time_s)
+        front, equator = Branches.on_hemisphere(wall), Branches.at_equator(wall)
+        along = values["stiffening"] * wall.strain**power * (front.fast + slow_share * (front.slow + front.spring))
+        at_end = values["stiffening"] * wall.strain_at_equator**power
+        at_end = at_end * (equator.fast + slow_share * (equator.slow + equator.spring))
+        return force_of_stress(scene, wall, along, at_end)
+
+
+EFFECT = HyperelasticWall()

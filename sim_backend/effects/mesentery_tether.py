@@ -1,0 +1,50 @@
+"""A mesentery, or a fixture, that pulls back late in the stroke."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+
+REFERENCE_MM = 10.0
+"""Distance beyond the onset at which its force is named."""
+
+
+class MesenteryTether(ForceEffect):
+    """Beyond an onset it pulls with `force · ((distance − onset) / 10 mm)^power`, moving or not."""
+
+    id: ClassVar[str] = "mesentery_tether"
+    place: ClassVar[Place] = Place.WALL
+    domain: ClassVar[Domain] = Domain.POSITION
+    summary: ClassVar[str] = "The mesentery or the fixture pulls back late in the stroke."
+    exposes: ClassVar[str] = "growth beyond some position of drag runs, and what stays of it in the hold"
+    source: ClassVar[str] = "toe and linear region of a slack membrane taken up; Fung, Biomechanics (1993), chapter 7"
+    aliases: ClassVar[tuple[str, ...]] = ("film_depletion",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "pull 10 mm beyond the onset"),
+        EffectParameter(
+            "onset_mm",
+            "mm",
+            Role.SHAPE,
+            20.0,
+            0.0,
+            200.0,
+            "distance from the start where it begins",
+            tried=(0.0, 10.0, 18.0, 25.0, 31.0),
+        ),
+        EffectParameter("power", "1", Role.SHAPE, 1.0, 1.0, 4.0, "how it grows", tried=(1.0, 2.0)),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the pull."""
+        if not scene.closed:
+            return np.zeros_like(scene.time_s)
+        position = scene.position_mm
+        taken_up = np.maximum(np.abs(position) - values["onset_mm"], 0.0) / REFERENCE_MM
+        return np.asarray(values["force_mN"] * np.sign(position) * taken_up ** values["power"])
+
+
+EFFECT = MesenteryTether()

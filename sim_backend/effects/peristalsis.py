@@ -1,0 +1,44 @@
+"""Living muscle that contracts."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+
+PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 5, 40))
+"""Evenly spaced in frequency: in a run of 90 s no period is more than a third of a turn from one of them."""
+
+
+class Peristalsis(ForceEffect):
+    """Pulses `force · exp(sharpness · (cos(2π · session time / period + phase) − 1))`, while holding too."""
+
+    id: ClassVar[str] = "peristalsis"
+    place: ClassVar[Place] = Place.WALL
+    domain: ClassVar[Domain] = Domain.SESSION
+    summary: ClassVar[str] = "Living muscle contracts in pulses that are periodic in time, also while holding."
+    exposes: ClassVar[str] = "the spectrum of drag runs against the session's clock"
+    source: ClassVar[str] = (
+        "slow waves of 8 to 12 per minute in the small intestine, Huizinga and Lammers, American Journal of Physiology "
+        "296 (2009) G1; pulse of von Mises form"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
+        EffectParameter("period_s", "s", Role.SHAPE, 8.0, 3.0, 40.0, "time from pulse to pulse", tried=PERIODS_S),
+        EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "0 for none, the larger the shorter the pulse"),
+        EffectParameter("phase", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the pulses of a gut that is closed on the capsule."""
+        if not scene.closed:
+            return np.zeros_like(scene.time_s)
+        angle = 2 * np.pi * scene.session_s / values["period_s"] + values["phase"]
+        return np.asarray(values["force_mN"] * np.exp(values["sharpness"] * (np.cos(angle) - 1)))
+
+
+EFFECT = Peristalsis()

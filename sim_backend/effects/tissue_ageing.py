@@ -1,0 +1,49 @@
+"""A wall whose stiffness drifts with session time."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+
+REFERENCE_S = 3600.0
+"""Session time at which its size is named."""
+
+
+class TissueAgeing(ForceEffect):
+    """Stiffness changes by `change` in the first hour, as `1 − exp(−time / constant)`: a line for a long constant."""
+
+    id: ClassVar[str] = "tissue_ageing"
+    place: ClassVar[Place] = Place.SPECIMEN
+    domain: ClassVar[Domain] = Domain.SESSION
+    summary: ClassVar[str] = "Stiffness drifts with session time, as the tissue dries or loses its tone."
+    exposes: ClassVar[str] = "a trend across relaxation and drag runs with their start time"
+    source: ClassVar[str] = (
+        "first-order kinetics of water and tone lost post mortem; Nicolle and Palierne, "
+        "Journal of the Mechanical Behavior of Biomedical Materials 3 (2010) 630"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ("preconditioning",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("change", "1", Role.SIZE, 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"),
+        EffectParameter(
+            "constant_s",
+            "s",
+            Role.SHAPE,
+            2000.0,
+            300.0,
+            100000.0,
+            "time constant of the change",
+            tried=(400.0, 1000.0, 2500.0, 100000.0),
+        ),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the force of the stiffness that is added."""
+        aged = np.expm1(-scene.session_s / values["constant_s"]) / np.expm1(-REFERENCE_S / values["constant_s"])
+        return np.asarray(scene.stiff * values["change"] * aged)
+
+
+EFFECT = TissueAgeing()

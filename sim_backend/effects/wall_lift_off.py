@@ -1,0 +1,57 @@
+"""A wall that cannot follow the hemisphere at speed."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
+from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.stresses import Branches
+
+TINY_MM = 1e-9
+"""Keeps a length that is 0 from dividing by it."""
+
+
+class WallLiftOff(ForceEffect):
+    """The front of the contact is lost over `share · v^n / (v^n + speed^n)` of its length."""
+
+    id: ClassVar[str] = "wall_lift_off"
+    place: ClassVar[Place] = Place.WALL
+    domain: ClassVar[Domain] = Domain.SPEED
+    summary: ClassVar[str] = "At speed the wall cannot follow the hemisphere, and contact is lost from the front."
+    exposes: ClassVar[str] = "drag runs above some 15 mm/s: f_e falls short"
+    source: ClassVar[str] = (
+        "assumption 3 of the paper given up; contact lost where the wall's recovery is slower than the passage, "
+        "as of a viscoelastic half-space at speed, Johnson, Contact Mechanics (1985), chapter 9"
+    )
+    aliases: ClassVar[tuple[str, ...]] = ("wall_inertia",)
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter("share", "1", Role.SIZE, 0.4, 0.0, 1.0, "share of the contact's length lost at high speed"),
+        EffectParameter(
+            "speed_mm_s",
+            "mm/s",
+            Role.SHAPE,
+            25.0,
+            8.0,
+            80.0,
+            "speed at which half of it is lost",
+            tried=(10.0, 15.0, 22.0, 33.0, 50.0),
+        ),
+        EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
+    )
+
+    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+        """Return the part of f_e that is lost; the edge of the contact is blurred by a third of the length lost."""
+        wall = scene.wall
+        if wall is None:
+            return np.zeros_like(scene.time_s)
+        faster = (scene.speed_mm_s / values["speed_mm_s"]) ** values["power"]
+        lost_mm = wall.contact.length_mm * values["share"] * faster / (1 + faster)
+        beyond = wall.x_mm / np.maximum(lost_mm, TINY_MM)[:, None]
+        gone = np.clip(2 - 1.5 * beyond, 0.0, 1.0) * Branches.on_hemisphere(wall).total
+        return np.asarray(-np.sign(scene.f_e) * wall.resistance(gone))
+
+
+EFFECT = WallLiftOff()
