@@ -19,10 +19,12 @@ from dragrig.sim_backend.effects.catalogue import catalogue, find_effect
 from dragrig.sim_backend.effects.scene import Scene, gut_scene
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
-GUT = tuple(one for one in catalogue().values() if isinstance(one, ForceEffect))
 CLOSED_ONLY = {"adhesion", "folds", "mesentery_tether", "peristalsis", "wall_lift_off", "wall_inertia"}
 TISSUE = {"hyperelastic_wall", "extra_relaxation", "tissue_ageing", "preconditioning"}
 INTERFACE = {"stribeck", "breakaway", "presliding", "film_depletion"}
+GUT = tuple(
+    one for one in catalogue().values() if isinstance(one, ForceEffect) and one.id in CLOSED_ONLY | TISSUE | INTERFACE
+)
 TRAVEL = 40.0
 
 
@@ -84,17 +86,16 @@ def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, sce
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
-def test_twice_the_size_is_twice_the_force_or_nearly(one: ForceEffect) -> None:
+def test_twice_the_size_is_twice_the_force(one: ForceEffect) -> None:
     for scene in (drag(60.0), relaxation()):
         small, large = (one.added(scene, {**one.usual, one.size.name: f * one.size.usual}) for f in (0.5, 1.0))
-        assert np.abs(2 * small - large).max() <= 0.25 * np.abs(large).max() + 1e-9
+        assert np.abs(2 * small - large).max() <= 1e-9 * np.abs(large).max() + 1e-9
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
 def test_an_effect_acts_where_it_can(one: ForceEffect) -> None:
     acts = [bool(np.abs(one.added(scene, one.usual)).max() > 0.1) for scene in (relaxation(), coulomb(), drag())]
     expected = [one.id in TISSUE, one.id in INTERFACE, True]
-    assert one.id in CLOSED_ONLY | TISSUE | INTERFACE
     assert acts == expected
     nothing = seen(blank(moves((TRAVEL, 10.0))))
     assert not one.added(nothing, one.usual).any()
@@ -131,7 +132,8 @@ def signature(one: ForceEffect, scenes: tuple[Scene, ...], values: Mapping[str, 
     return np.asarray(whole / np.linalg.norm(whole))
 
 
-def test_sources_and_places_are_given() -> None:
+def test_the_catalogue_has_them_all_with_a_source_and_a_place() -> None:
+    assert {one.id for one in GUT} == CLOSED_ONLY | TISSUE | INTERFACE
     for one in GUT:
         assert len(one.source) > 20
         assert one.place in {Place.WALL, Place.INTERFACE, Place.SPECIMEN}
@@ -261,7 +263,7 @@ def test_folds_pass_at_the_same_positions_at_every_speed() -> None:
     shares = []
     for scene in (drag(2.0), drag(30.0)):
         moving = scene.stance.moving > 0
-        share = added("folds", scene, wavelength_mm=5.0, phase=0.7)[moving] / (scene.f_e + scene.f_c)[moving]
+        share = added("folds", scene, wavelength_mm=5.0, phase_rad=0.7)[moving] / (scene.f_e + scene.f_c)[moving]
         shares.append(np.interp(at, scene.position_mm[moving], share))
     assert shares[0] == pytest.approx(shares[1], abs=1.5e-2)
     assert shares[0] == pytest.approx(0.1 * np.sin(2 * np.pi * at / 5.0 + 0.7), abs=1.5e-2)

@@ -31,14 +31,14 @@ class Folds(ForceEffect):
         EffectParameter(
             "wavelength_mm", "mm", Role.SHAPE, 4.0, 1.2, 25.0, "distance of the folds", tried=WAVELENGTHS_MM
         ),
-        EffectParameter("phase", "rad", Role.PHASE, 0.0, -3.15, 3.15, "of the sine where the run begins"),
+        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "of the sine where the run begins"),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
         """Return the modulation."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)
-        angle = 2 * np.pi * scene.position_mm / values["wavelength_mm"] + values["phase"]
+        angle = 2 * np.pi * scene.position_mm / values["wavelength_mm"] + values["phase_rad"]
         return np.asarray((scene.f_e + scene.f_c) * values["depth"] * np.sin(angle))
 
 

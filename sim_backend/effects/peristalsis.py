@@ -30,14 +30,14 @@ class Peristalsis(ForceEffect):
         EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
         EffectParameter("period_s", "s", Role.SHAPE, 8.0, 3.0, 40.0, "time from pulse to pulse", tried=PERIODS_S),
         EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "0 for none, the larger the shorter the pulse"),
-        EffectParameter("phase", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
+        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
         """Return the pulses of a gut that is closed on the capsule."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)
-        angle = 2 * np.pi * scene.session_s / values["period_s"] + values["phase"]
+        angle = 2 * np.pi * scene.session_s / values["period_s"] + values["phase_rad"]
         return np.asarray(values["force_mN"] * np.exp(values["sharpness"] * (np.cos(angle) - 1)))
 
 

@@ -15,7 +15,7 @@ TINY_MM = 1e-9
 
 
 class WallLiftOff(ForceEffect):
-    """The front of the contact is lost over `share · v^n / (v^n + speed^n)` of its length."""
+    """Over the front `v^n / (v^n + speed^n)` of the contact's length `share` of the pressure is lost."""
 
     id: ClassVar[str] = "wall_lift_off"
     place: ClassVar[Place] = Place.WALL
@@ -28,7 +28,7 @@ class WallLiftOff(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("wall_inertia",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("share", "1", Role.SIZE, 0.4, 0.0, 1.0, "share of the contact's length lost at high speed"),
+        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"),
         EffectParameter(
             "speed_mm_s",
             "mm/s",
@@ -36,21 +36,21 @@ class WallLiftOff(ForceEffect):
             25.0,
             8.0,
             80.0,
-            "speed at which half of it is lost",
+            "speed at which half of the contact does",
             tried=(10.0, 15.0, 22.0, 33.0, 50.0),
         ),
         EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
-        """Return the part of f_e that is lost; the edge of the contact is blurred by a third of the length lost."""
+        """Return the part of f_e that is lost; the edge is blurred by a third of the length that lifts off."""
         wall = scene.wall
         if wall is None:
             return np.zeros_like(scene.time_s)
         faster = (scene.speed_mm_s / values["speed_mm_s"]) ** values["power"]
-        lost_mm = wall.contact.length_mm * values["share"] * faster / (1 + faster)
-        beyond = wall.x_mm / np.maximum(lost_mm, TINY_MM)[:, None]
-        gone = np.clip(2 - 1.5 * beyond, 0.0, 1.0) * Branches.on_hemisphere(wall).total
+        lifted_mm = wall.contact.length_mm * faster / (1 + faster)
+        beyond = wall.x_mm / np.maximum(lifted_mm, TINY_MM)[:, None]
+        gone = values["share"] * np.clip(2 - 1.5 * beyond, 0.0, 1.0) * Branches.on_hemisphere(wall).total
         return np.asarray(-np.sign(scene.f_e) * wall.resistance(gone))
 
 
