@@ -1,7 +1,6 @@
 """A trace as means over blocks of time: short where the prediction changes fast, long where it does not."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -48,7 +47,9 @@ class Blocks:
         return np.asarray(0.5 * (predicted[..., ::2] + predicted[..., 1::2]))
 
 
-def divide(experiment: Experiment, channel: str, events_s: FloatArray, *, jumps: bool) -> Blocks:
+def divide(
+    experiment: Experiment, channel: str, events_s: FloatArray, *, jumps: bool, longest_mm: float = np.inf
+) -> Blocks:
     """Average a channel over blocks that are one sample short after each event and grow from there.
 
     Parameters
@@ -57,12 +58,18 @@ def divide(experiment: Experiment, channel: str, events_s: FloatArray, *, jumps:
         Whether parameters move a jump of the prediction in time. Each sample then covers the time up to its
         neighbours, so that the mean follows such a parameter gradually. Else it is an instant, which keeps the
         sharp peak of a relaxation.
+    longest_mm
+        No block reaches further along the way, so that what is periodic in position shows.
     """
     values = np.asarray(experiment.run.trace.channels[channel], dtype=np.float64)
     usable = np.flatnonzero(experiment.valid & np.isfinite(values))
     time, values = experiment.time_s[usable], values[usable]
     step = 1.0 / experiment.run.trace.sample_rate_hz
-    edges = _edges(events_s, float(experiment.time_s[-1]), step) - 0.5 * step
+    end_s = float(experiment.time_s[-1])
+    begins = _begins(events_s, end_s, step)
+    longest = _longest(experiment, begins, longest_mm)
+    pieces = zip(begins[:-1], begins[1:], longest, strict=True)
+    edges = np.unique(np.concatenate([_graded(*piece, step) for piece in pieces])) - 0.5 * step
     starts = np.unique(np.searchsorted(time, edges))
     starts = starts[starts < time.size]
     samples = np.diff(np.append(starts, time.size))
@@ -82,17 +89,27 @@ def divide(experiment: Experiment, channel: str, events_s: FloatArray, *, jumps:
     )
 
 
-def _edges(events_s: FloatArray, end_s: float, step_s: float) -> FloatArray:
+def _begins(events_s: FloatArray, end_s: float, step_s: float) -> list[float]:
+    """Return when stretches without an event begin, and when the last one ends."""
     inside = events_s[(events_s > 0) & (events_s < end_s)]
     # The motion is known to a sample or so; a block must not reach across its event.
-    begins = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s])))
-    pieces = [_graded(begin, end, step_s) for begin, end in pairwise(begins.tolist())]
-    return np.unique(np.concatenate(pieces))
+    begins: list[float] = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s]))).tolist()
+    return begins
 
 
-def _graded(begin_s: float, end_s: float, step_s: float) -> FloatArray:
+def _longest(experiment: Experiment, begins_s: list[float], longest_mm: float) -> list[float]:
+    """Return the longest block of each stretch, by how fast the stage moves in it."""
+    if not np.isfinite(longest_mm):
+        return [np.inf] * (len(begins_s) - 1)
+    speed = np.abs(np.diff(experiment.position(np.array(begins_s)))) / np.diff(begins_s)
+    longest: list[float] = (longest_mm / np.maximum(speed, 1e-9)).tolist()
+    return longest
+
+
+def _graded(begin_s: float, end_s: float, longest_s: float, step_s: float) -> FloatArray:
     edges = [begin_s]
     while edges[-1] < end_s:
         since = edges[-1] - begin_s
-        edges.append(edges[-1] + min(max(GROWTH * since, step_s), max(LONGEST_S, LONGEST_SHARE * since)))
+        usual = min(max(GROWTH * since, step_s), max(LONGEST_S, LONGEST_SHARE * since))
+        edges.append(edges[-1] + max(min(usual, longest_s), step_s))
     return np.array(edges[:-1])

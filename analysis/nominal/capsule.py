@@ -52,7 +52,8 @@ class CapsuleModel(NominalModel):
         names = tuple(one.name for one in self.parameters)
         if experiment.contact is Contact.STICKING:
             return {CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}
-        return {CHANNEL: SlidingPredictor(acquisition_of(experiment), experiment.motion, self.settings, names)}
+        acquisition, motion = acquisition_of(experiment), experiment.motion
+        return {CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, experiment.obeyed)}
 
     def settings_of(self, values: Mapping[str, float]) -> FrictionModelSettings:
         """Return the model's settings with identified values in place."""

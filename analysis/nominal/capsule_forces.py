@@ -16,6 +16,7 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.leading import leading_motion
 from dragrig.sim_backend.friction.prepared import PreparedForce
 from dragrig.sim_backend.friction.sliding import ELEMENTS, GRAVITY_M_S2
 from dragrig.sim_backend.friction.stretches import stretches
@@ -26,6 +27,8 @@ ANGLE_STEP_DEG = 0.2
 """That of the angle: the force jumps where a bend of the motion comes to the equator, and when that is follows it."""
 TIMING_S = 0.005
 """So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
+MOVING_MM_S, RESTING_MM_S = 0.15, 0.05
+"""So well 1 µm counts tell the velocity within some 30 ms: of a stage that moves, and of one that creeps."""
 RELAXED = 1e-9
 """A contact whose wall has relaxed to this share no longer knows its age."""
 
@@ -138,6 +141,8 @@ class SlidingPredictor(Predictor):
     motion: RecordedMotion
     settings: FrictionModelSettings
     names: tuple[str, ...]
+    obeyed: bool = True
+    """Whether the motion is known exactly."""
 
     @property
     def events_s(self) -> FloatArray:
@@ -190,7 +195,16 @@ class SlidingPredictor(Predictor):
         last = float(self.motion.breaks_s[-1])
         shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-TIMING_S, 0.0, TIMING_S)])
         before, now, after = np.split(self._friction(given, shifted), 3)
-        return np.maximum(np.abs(before - now), np.abs(after - now))
+        early_or_late = np.maximum(np.abs(before - now), np.abs(after - now))
+        return early_or_late if self.obeyed else np.hypot(early_or_late, self._creeping(now, time_s))
+
+    def _creeping(self, friction: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return how much friction may differ where the stage creeps more slowly than its encoder can tell."""
+        velocity, over = self.motion.velocity(time_s), self.settings.regularisation_mm_s
+        begun = time_s >= self.motion.breaks_s[np.argmax(self.motion.signs != 0)]
+        unsure = np.where(velocity == 0, RESTING_MM_S, MOVING_MM_S)
+        sides = [np.abs(np.tanh((velocity + side * unsure) / over) - np.tanh(velocity / over)) for side in (-1.0, 1.0)]
+        return np.asarray(np.where(begun, np.maximum(*sides), 0.0) * np.abs(friction).max(initial=0.0))
 
     def _friction(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
         parts = self._parts(values, time_s)
@@ -215,7 +229,7 @@ class SlidingPredictor(Predictor):
 
     def _begins(self, turn_deg: float) -> FloatArray:
         contact = self._contact({ANGLE: turn_deg})
-        history = ContactHistory.of(self.motion, contact.length_mm + self.settings.side_contact_mm, 1.0)
+        history = ContactHistory.of(leading_motion(self.motion), contact.length_mm + self.settings.side_contact_mm, 1.0)
         return np.array([one.begin_s for one in stretches(history, contact.length_mm)])
 
     def _knows_its_age(self, values: Mapping[str, float]) -> bool:

@@ -14,6 +14,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.protocols import kinds
 from dragrig.rig.runfile.model import Attribute, Run
+from dragrig.sim_backend.friction.commanded import commanded_motion
 from dragrig.sim_backend.friction.measured import measured_motion
 from dragrig.sim_backend.friction.motion import ProfileMotion
 from dragrig.sim_backend.friction.recorded import RecordedMotion
@@ -21,6 +22,8 @@ from dragrig.sim_backend.friction.recorded import RecordedMotion
 USUAL_DWELL_S = 60.0
 """Age of the contact at the first sample where a run does not say (the paper's programme)."""
 USUAL_WALL_MM = 2.5
+FOLLOWS_MM = 0.0025
+"""A stage whose encoder of 1 µm counts stays within this of its command is where it was told to be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +54,24 @@ class Experiment:
         return np.isfinite(self.run.trace.force) & ~clipped(self.run)
 
     @cached_property
+    def obeyed(self) -> bool:
+        """Whether the stage followed its command to the encoder's count, so that the command is the better record.
+
+        One that equals the position was made of it, as for records from elsewhere.
+        """
+        position = np.asarray(self.run.trace.position, dtype=np.float64)
+        command = np.asarray(self.run.trace.command, dtype=np.float64)
+        off = np.abs(position - command)[np.isfinite(position)]
+        return bool(np.isfinite(command).all() and 0 < off.max(initial=0.0) <= FOLLOWS_MM)
+
+    @cached_property
     def motion(self) -> RecordedMotion:
-        """The measured motion; raises `AnalysisError` where it cannot be used."""
+        """The motion, as commanded where the stage obeyed and else as measured.
+
+        Raises `AnalysisError` where the record cannot be used.
+        """
+        if self.obeyed:
+            return commanded_motion(self.time_s, self.run.trace.command)
         position = np.asarray(self.run.trace.position, dtype=np.float64)
         seen = np.isfinite(position)
         return RecordedMotion.of(self.time_s[seen], position[seen])
@@ -63,6 +82,8 @@ class Experiment:
 
         For what depends on the position and not on the sign of the speed; its velocity is as rough as the encoder.
         """
+        if self.obeyed:
+            return self.motion.fine
         position = np.asarray(self.run.trace.position, dtype=np.float64)
         seen = np.isfinite(position)
         return measured_motion(self.motion, self.time_s[seen], position[seen])

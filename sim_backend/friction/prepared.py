@@ -11,6 +11,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
+from dragrig.sim_backend.friction.leading import leading_motion
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
 from dragrig.sim_backend.friction.sliding import Components, SlidingForce
 from dragrig.sim_backend.friction.sticking import StickingForce
@@ -97,6 +98,7 @@ def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Moti
         return PreparedForce(StickingForce.of(acquisition, model, motion), model.force_gain)
     contact = HemisphereContact.of(acquisition.capsule, acquisition.specimen.wall_thickness_mm, model)
     reach = contact.length_mm + model.side_contact_mm
-    history = ContactHistory.of(motion, reach, acquisition.insertion_dwell_s * model.insertion_dwell_scale)
-    pressing = acquisition.fixture is Fixture.FOAM
-    return PreparedForce(SlidingForce.of(contact, history, acquisition.capsule.mass_g, pressing), model.force_gain)
+    dwell_s = acquisition.insertion_dwell_s * model.insertion_dwell_scale
+    history = ContactHistory.of(leading_motion(motion), reach, dwell_s)
+    pressing, mass_g = acquisition.fixture is Fixture.FOAM, acquisition.capsule.mass_g
+    return PreparedForce(SlidingForce.of(contact, history, mass_g, pressing, motion=motion), model.force_gain)

@@ -67,11 +67,11 @@ class RecordedMotion:
         AnalysisError
             When the record is too short, its times do not rise, or a value is not finite.
         """
-        grid, raw = _uniform(*_checked(time_s, position_mm))
+        grid, raw = on_a_grid(*checked(time_s, position_mm))
         window = max(FEWEST, 2 * round(0.5 * WINDOW_S / float(grid[1])) + 1)
         smooth, edges = smooth_between_rests(raw, window, jitter_mm)
         fine = _pieces(grid, smooth - smooth[0], edges, jitter_mm)
-        breaks = _with_bends(fine, grid[edges])
+        breaks = with_bends(fine, grid[edges])
         first = np.searchsorted(fine.breaks_s, breaks[:-1])
         signs = np.sign(np.add.reduceat(fine.signs, first)).astype(np.int8)
         return cls(breaks, signs, signs == 0, fine)
@@ -98,7 +98,8 @@ class RecordedMotion:
         return self.fine.pieces()
 
 
-def _checked(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+def checked(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return a record that a motion can be made of, its times from 0; raises `AnalysisError` for another."""
     time, position = np.asarray(time_s, dtype=float), np.asarray(position_mm, dtype=float)
     if time.ndim != 1 or time.shape != position.shape or time.size < FEWEST:
         raise AnalysisError(f"A recorded motion needs at least {FEWEST} times and as many positions")
@@ -109,7 +110,7 @@ def _checked(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatAr
     return time - time[0], position
 
 
-def _uniform(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def on_a_grid(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Average a fast record down, then put it on a uniform grid from 0 to its last time."""
     step = float(np.median(np.diff(time_s)))
     block = max(1, min(int(FINEST_STEP_S / step + 1e-6), time_s.size // FEWEST))
@@ -170,7 +171,7 @@ def _pieces(grid_s: FloatArray, position_mm: FloatArray, edges: IndexArray, tole
     )
 
 
-def _with_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
+def with_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
     """Add to the edges those ends of pieces between which the velocity runs nearly straight."""
     time = fine.breaks_s
     ending = fine.velocity_mm_s + fine.acceleration_mm_s2 * np.diff(time)

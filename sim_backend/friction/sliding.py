@@ -12,6 +12,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
 from dragrig.sim_backend.friction.environment import NODES, EnvironmentalResistance
 from dragrig.sim_backend.friction.history import ContactHistory, Stroke
+from dragrig.sim_backend.friction.motion import Motion
 from dragrig.sim_backend.friction.panels import graded_edges, interpolate
 from dragrig.sim_backend.friction.stretches import Stretch, stretches
 from dragrig.sim_backend.friction.viscous import viscous_force
@@ -42,7 +43,8 @@ class SlidingForce:
     """Friction of a sliding run, prepared for any sample times.
 
     `resistance` is f_e interpolated and `side` the radial force of the wall; both are None where the gut
-    is held open, so that it presses on nothing.
+    is held open, so that it presses on nothing. `motion` is what friction takes its velocity from where that is not
+    the history's, which leaves the shortest ways back out.
     """
 
     contact: HemisphereContact
@@ -52,10 +54,17 @@ class SlidingForce:
     begins_s: FloatArray
     resistance: PPoly | None
     side: SidePressure | None
+    motion: Motion | None = None
 
     @classmethod
     def of(
-        cls, contact: HemisphereContact, history: ContactHistory, mass_g: float, pressing: bool, nodes: int = NODES
+        cls,
+        contact: HemisphereContact,
+        history: ContactHistory,
+        mass_g: float,
+        pressing: bool,
+        nodes: int = NODES,
+        motion: Motion | None = None,
     ) -> "SlidingForce":
         """Evaluate f_e on its knots, with a quadrature of so many nodes per panel."""
         parts = tuple(stretches(history, contact.length_mm))
@@ -68,6 +77,7 @@ class SlidingForce:
             begins_s=np.array([part.begin_s for part in parts]),
             resistance=_interpolated(environment.at, contact.fastest_rate, parts) if pressing else None,
             side=contact.side_pressure() if pressing else None,
+            motion=None if motion is history.motion else motion,
         )
 
     def total(self, time_s: FloatArray) -> FloatArray:
@@ -101,9 +111,9 @@ class SlidingForce:
         for stretch, piece in self._divided(time):
             at = np.array([0.5 * (stretch.begin_s + stretch.end_s)]) if stretch.steady else time[piece]
             slopes[:, piece] = resistance(at).T
-            if stretch.sign:
+            if stretch.sign or self.motion is not None:
                 pressing = self.contact.side_pressure_by_element(self._equator_age(stretch, at))
-                slopes[:, piece] += pressing * self._turned(self.history.motion.velocity(time[piece]))
+                slopes[:, piece] += pressing * self._turned(self._velocity(time[piece]))
         return slopes
 
     def _divided(self, rising_s: FloatArray) -> Iterator[tuple[Stretch, slice]]:
@@ -117,13 +127,16 @@ class SlidingForce:
         """Write f_e, f_v and f_c; what is constant in the stretch is evaluated once, in its middle."""
         middle = np.array([0.5 * (stretch.begin_s + stretch.end_s)])
         parts[0] = 0.0 if self.resistance is None else self.resistance(middle if stretch.steady else time_s)
-        if stretch.sign == 0:
+        if stretch.sign == 0 and self.motion is None:
             parts[1:] = 0.0
             return
-        velocity = self.history.motion.velocity(middle if stretch.uniform else time_s)
+        velocity = self._velocity(middle if stretch.uniform and self.motion is None else time_s)
         parts[1] = viscous_force(velocity, self.contact.model, self.contact.area_mm2)
         parts[2] = self._normal_force(stretch, middle if stretch.steady else time_s)
         parts[2] *= self._turned(velocity)
+
+    def _velocity(self, time_s: FloatArray) -> FloatArray:
+        return (self.motion or self.history.motion).velocity(time_s)
 
     def _turned(self, velocity_mm_s: FloatArray) -> FloatArray:
         """Friction over normal force, with the sign of the velocity (Eq. 12)."""

@@ -89,11 +89,14 @@ class Whitening:
         return found, np.asarray(whole, dtype=np.float64)
 
 
-def gather(experiments: Sequence[Experiment], nominal: NominalModel) -> Iterator[Evidence]:
-    """Prepare every channel of every run that the model predicts; raises `AnalysisError` as its `prepare`."""
+def gather(experiments: Sequence[Experiment], nominal: NominalModel, longest_mm: float = np.inf) -> Iterator[Evidence]:
+    """Prepare every channel of every run that the model predicts, in blocks no longer than so many mm.
+
+    Raises `AnalysisError` as the model's `prepare`.
+    """
     for experiment in experiments:
         for channel, predictor in nominal.prepare(experiment).items():
-            blocks = divide(experiment, channel, predictor.events_s, jumps=True)
+            blocks = divide(experiment, channel, predictor.events_s, jumps=True, longest_mm=longest_mm)
             yield Evidence(experiment, channel, predictor, blocks)
 
 

@@ -30,9 +30,12 @@ class Problem:
     sds: FloatArray
 
     @classmethod
-    def of(cls, selection: Selection, nominal: NominalModel) -> "Problem":
-        """Prepare all runs; raises `AnalysisError` where the model predicts nothing of any of them."""
-        evidence = tuple(gather(selection.experiments, nominal))
+    def of(cls, selection: Selection, nominal: NominalModel, longest_mm: float = np.inf) -> "Problem":
+        """Prepare all runs, in blocks no longer than so many mm of the way.
+
+        Raises `AnalysisError` where the model predicts nothing of any of them.
+        """
+        evidence = tuple(gather(selection.experiments, nominal, longest_mm))
         if not evidence:
             kinds = ", ".join(sorted({one.kind for one in selection.experiments}))
             recorded = ", ".join(sorted({name for one in selection.experiments for name in one.run.trace.channels}))

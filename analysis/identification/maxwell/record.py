@@ -90,9 +90,14 @@ class ShearRecord:
 def _bends(experiment: Experiment) -> FloatArray:
     """Return when the motion begins, bends and ends; empty where it does not move."""
     motion = experiment.motion
-    ways = np.abs(np.diff(motion.position(motion.breaks_s)))
-    moving = np.flatnonzero((motion.signs != 0) & (ways >= LEAST_WAY_MM))
-    return np.unique(motion.breaks_s[np.concatenate((moving, moving + 1))])
+    place, moves = motion.position(motion.breaks_s), np.pad((motion.signs != 0).astype(np.int8), 1)
+    begins, ends = np.flatnonzero(np.diff(moves) > 0), np.flatnonzero(np.diff(moves) < 0)
+    ways = [(begin, end) for begin, end in zip(begins, ends, strict=True) if _way(place[begin : end + 1])]
+    return np.concatenate([np.zeros(0), *(motion.breaks_s[begin : end + 1] for begin, end in ways)])
+
+
+def _way(place_mm: FloatArray) -> bool:
+    return bool(np.ptp(place_mm) >= LEAST_WAY_MM)
 
 
 def _held(experiment: Experiment, ramp_s: tuple[float, float]) -> float:
