@@ -1,6 +1,8 @@
 """Campaigns with hidden effects, and how a diagnosis did on them.
 
 `python bench/blind.py make --cases 100 --seed 1 --out DIR` writes DIR/0001/*.h5 and so on, and DIR/answers.json.
+`python bench/blind.py score DIR` reads DIR/0001/diagnosis.json and so on and prints how often they are right.
+`python bench/blind.py sizes --draws 4` prints how large the effects are, form by form.
 """
 
 import os
@@ -115,6 +117,50 @@ def make_all(cases: int, seed: int, out: Path) -> None:
     print(f"{len(planned)} campaigns in {out}, answers sealed with sha256 {digest}")
 
 
+def print_score(folder: Path) -> None:
+    """Print how often the diagnoses beside the campaigns are right."""
+    from rich.console import Console
+
+    from dragrig.gap_scoring import score
+
+    text = (folder / "answers.json").read_text(encoding="utf-8")
+    sealed = folder / "answers.sha256"
+    if sealed.exists() and sealed.read_text(encoding="utf-8").split()[0] != hashlib.sha256(text.encode()).hexdigest():
+        print("answers.json is not what was sealed")
+    answers: dict[str, dict[str, Any]] = json.loads(text)
+    told = {name: folder / name / "diagnosis.json" for name in answers}
+    pairs = [
+        (name, answers[name], json.loads(path.read_text(encoding="utf-8")))
+        for name, path in told.items()
+        if path.exists()
+    ]
+    if len(pairs) < len(answers):
+        print(f"{len(answers) - len(pairs)} of {len(answers)} campaigns have no diagnosis.json and are left out")
+    console = Console()
+    for table in score(pairs).tables():
+        console.print(table)
+
+
+def print_sizes(draws: int, names: Sequence[str]) -> None:
+    """Print d′ of every form at full size: median, least and largest of some draws."""
+    from dataclasses import replace
+
+    from blind_sizes import directions, size
+
+    bases = [draw(7 + at) for at in range(draws)]
+    nominal = [directions(one) for one in bases]
+    print(f"{'effect':20s} {'form':28s} {'force':>6s} {'least':>6s} {'most':>6s}  position")
+    for name, forms in {**CATALOGUE, **OUTSIDE}.items():
+        for form in forms if name in names or not names else ():
+            found = []
+            for base, known in zip(bases, nominal, strict=True):
+                effect = form.drawn(np.random.default_rng(base.seed), 1.0)
+                found.append(size(replace(base, effects=(effect,), sizes=(1.0,)), known))
+            force = sorted(one.force for one in found)
+            place = np.median([one.position for one in found])
+            print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -123,8 +169,18 @@ def main() -> None:
     maker.add_argument("--cases", type=int, default=100)
     maker.add_argument("--seed", type=int, default=1)
     maker.add_argument("--out", type=Path, required=True)
+    scorer = commands.add_parser("score", help="compare diagnoses with the answers")
+    scorer.add_argument("folder", type=Path)
+    sizer = commands.add_parser("sizes", help="print how large the effects are")
+    sizer.add_argument("--draws", type=int, default=4)
+    sizer.add_argument("effects", nargs="*")
     given = parser.parse_args()
-    make_all(given.cases, given.seed, given.out)
+    if given.command == "make":
+        make_all(given.cases, given.seed, given.out)
+    elif given.command == "score":
+        print_score(given.folder)
+    else:
+        print_sizes(given.draws, given.effects)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The plant that examines a diagnosis: its nominal equations, its secrets, and the files it writes."""
 
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
@@ -182,6 +183,16 @@ def test_a_name_or_a_size_too_many_is_refused() -> None:
         draw(1, effects=["friction"])
     with pytest.raises(ValueError, match="2 sizes for 1 effects"):
         draw(1, effects=["folds"], size=(1.0, 0.5))
+
+
+def test_nothing_of_the_simulator_is_shared_with_the_plant() -> None:
+    """The import contracts name every other part of the simulator, those that come later too."""
+    root = Path(__file__).parents[1]
+    rooms = {f"dragrig.sim_backend.{one.parent.name}" for one in (root / "sim_backend").glob("*/__init__.py")}
+    told = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    for name in ("The blind plant shares nothing", "Nobody who is examined"):
+        contract = next(one for one in told if one["name"].startswith(name))
+        assert rooms | {"dragrig.analysis"} == {*contract["source_modules"], *contract["forbidden_modules"]}
 
 
 def test_all_24_effects_of_the_vocabulary_and_ten_others_are_there() -> None:

@@ -15,7 +15,7 @@ class LagSecondOrder(Effect):
     """A stage that follows as a damped second-order system; the amplitude is the time it lags at constant speed [s]."""
 
     name, form, channel = "servo_lag", "second order", "position"
-    amplitude: Annotated[float, Draw(0.025, 0.090, log=True)]
+    amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
     damping: Annotated[float, Draw(0.55, 1.0)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
@@ -32,7 +32,7 @@ class LagDeadTime(Effect):
     """A stage that starts late and then follows through two poles."""
 
     name, form, channel = "servo_lag", "dead time and low-pass", "position"
-    amplitude: Annotated[float, Draw(0.025, 0.090, log=True)]
+    amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
     dead: Annotated[float, Draw(0.2, 0.5)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:

@@ -14,7 +14,7 @@ class StribeckRational(Effect):
     """μ falls as a rational function of speed."""
 
     name, form, kinds = "stribeck", "rational", SLIDING
-    amplitude: Annotated[float, Draw(0.25, 0.55)]
+    amplitude: Annotated[float, Draw(0.4, 0.9)]
     speed_mm_s: Annotated[float, Draw(1.5, 8.0, log=True)]
     power: Annotated[float, Draw(1.0, 2.2)]
 
@@ -28,7 +28,7 @@ class StribeckLogNormal(Effect):
     """μ falls as the error function of the logarithm of speed."""
 
     name, form, kinds = "stribeck", "error function in ln v", SLIDING
-    amplitude: Annotated[float, Draw(0.25, 0.55)]
+    amplitude: Annotated[float, Draw(0.4, 0.9)]
     speed_mm_s: Annotated[float, Draw(1.5, 8.0, log=True)]
     width: Annotated[float, Draw(0.5, 1.3)]
 
@@ -45,7 +45,7 @@ class StribeckRamp(Effect):
     """μ falls in proportion to the logarithm of speed between two speeds."""
 
     name, form, kinds = "stribeck", "piecewise in log v", SLIDING
-    amplitude: Annotated[float, Draw(0.25, 0.55)]
+    amplitude: Annotated[float, Draw(0.4, 0.9)]
     low_mm_s: Annotated[float, Draw(0.3, 1.2, log=True)]
     ratio: Annotated[float, Draw(6.0, 20.0, log=True)]
 
@@ -118,7 +118,7 @@ class AdhesionRoot(Effect):
     """Tack that falls as the inverse root of one plus speed squared."""
 
     name, form, kinds = "adhesion", "inverse root", DRAG
-    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    amplitude: Annotated[float, Draw(14.0, 34.0)]
     speed_mm_s: Annotated[float, Draw(2.0, 10.0, log=True)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
@@ -131,7 +131,7 @@ class AdhesionLog(Effect):
     """Tack that falls with the logarithm of speed and ends at a highest speed."""
 
     name, form, kinds = "adhesion", "logarithm", DRAG
-    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    amplitude: Annotated[float, Draw(14.0, 34.0)]
     speed_mm_s: Annotated[float, Draw(0.5, 3.0, log=True)]
     end_mm_s: Annotated[float, Draw(40.0, 120.0)]
 
@@ -146,7 +146,7 @@ class FilmPower(Effect):
     """μ grows with a power of the distance."""
 
     name, form, kinds = "film_depletion", "power of distance", SLIDING
-    amplitude: Annotated[float, Draw(0.20, 0.50)]
+    amplitude: Annotated[float, Draw(0.35, 0.9)]
     power: Annotated[float, Draw(1.3, 2.2)]
 
     def friction(self, scene: Scene) -> Floats | float:
@@ -159,7 +159,7 @@ class FilmStep(Effect):
     """μ grows smoothly from a wet to a wiped state about one distance."""
 
     name, form, kinds = "film_depletion", "logistic in distance", SLIDING
-    amplitude: Annotated[float, Draw(0.20, 0.50)]
+    amplitude: Annotated[float, Draw(0.35, 0.9)]
     middle_mm: Annotated[float, Draw(10.0, 25.0)]
     width_mm: Annotated[float, Draw(4.0, 9.0)]
 

@@ -15,7 +15,7 @@ class FoldsHarmonics(Effect):
     """Elastic resistance modulated in position with two harmonics."""
 
     name, form, kinds = "folds", "two harmonics", DRAG
-    amplitude: Annotated[float, Draw(0.10, 0.25)]
+    amplitude: Annotated[float, Draw(0.08, 0.20)]
     period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
     phase: Phase
     second: Annotated[float, Draw(0.3, 0.7)]
@@ -33,7 +33,7 @@ class FoldsRidges(Effect):
     """Narrow ridges at equal distances, between which the wall is slack."""
 
     name, form, kinds = "folds", "ridges", DRAG
-    amplitude: Annotated[float, Draw(0.12, 0.30)]
+    amplitude: Annotated[float, Draw(0.10, 0.25)]
     period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
     phase: Phase
     sharpness: Annotated[float, Draw(1.0, 3.5)]
@@ -116,7 +116,7 @@ class AgeingRoot(Effect):
     """Stiffness drifts with the root of the session's time."""
 
     name, form, kinds = "tissue_ageing", "root of time", TISSUE
-    amplitude: Annotated[float, Draw(0.15, 0.35, signed=True)]
+    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
 
     def stiffness(self, run: RunPlan) -> float:
         """Return the factor on all stiffness."""
@@ -128,7 +128,7 @@ class AgeingLate(Effect):
     """Stiffness drifts slowly at first and faster later on."""
 
     name, form, kinds = "tissue_ageing", "late", TISSUE
-    amplitude: Annotated[float, Draw(0.15, 0.35, signed=True)]
+    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
     power: Annotated[float, Draw(1.2, 2.0)]
 
     def stiffness(self, run: RunPlan) -> float:
@@ -141,7 +141,7 @@ class PreconditioningRational(Effect):
     """The stiffness of a fresh specimen fades as a rational function of the run count."""
 
     name, form, kinds = "preconditioning", "rational", TISSUE
-    amplitude: Annotated[float, Draw(0.2, 0.45)]
+    amplitude: Annotated[float, Draw(0.35, 0.7)]
     runs: Annotated[float, Draw(1.5, 5.0)]
     power: Annotated[float, Draw(1.0, 2.0)]
 
@@ -155,7 +155,7 @@ class PreconditioningBell(Effect):
     """The stiffness of a fresh specimen fades as a Gaussian of the run count."""
 
     name, form, kinds = "preconditioning", "Gaussian of run count", TISSUE
-    amplitude: Annotated[float, Draw(0.2, 0.45)]
+    amplitude: Annotated[float, Draw(0.35, 0.7)]
     runs: Annotated[float, Draw(2.0, 9.0)]
 
     def stiffness(self, run: RunPlan) -> float:

@@ -14,7 +14,7 @@ class AmplifierSaturates(Effect):
     """Above a load the amplifier passes on only a part of what comes."""
 
     name, form, rank = "amplifier_saturates", "hard knee", 2
-    amplitude: Annotated[float, Draw(0.6, 1.0)]
+    amplitude: Annotated[float, Draw(0.7, 1.0)]
     load_mN: Annotated[float, Draw(500.0, 1000.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:

@@ -14,7 +14,7 @@ class LiftOffFade(Effect):
     """The front part of the contact carries less and less as speed grows."""
 
     name, form, kinds = "wall_lift_off", "front fades", DRAG
-    amplitude: Annotated[float, Draw(0.5, 0.95)]
+    amplitude: Annotated[float, Draw(0.7, 1.0)]
     speed_mm_s: Annotated[float, Draw(15.0, 30.0)]
     power: Annotated[float, Draw(2.0, 5.0)]
     front: Annotated[float, Draw(0.45, 0.75)]
@@ -30,7 +30,7 @@ class LiftOffPeel(Effect):
     """The contact is lost from the front up to a place that moves back with speed."""
 
     name, form, kinds = "wall_lift_off", "peeling front", DRAG
-    amplitude: Annotated[float, Draw(0.45, 0.85)]
+    amplitude: Annotated[float, Draw(0.55, 0.9)]
     speed_mm_s: Annotated[float, Draw(10.0, 20.0)]
     power: Annotated[float, Draw(0.6, 1.4)]
 
@@ -46,7 +46,7 @@ class InertiaPower(Effect):
     """A force of a power of speed near the square."""
 
     name, form, kinds = "wall_inertia", "power near two", DRAG
-    amplitude: Annotated[float, Draw(12.0, 35.0)]
+    amplitude: Annotated[float, Draw(20.0, 50.0)]
     power: Annotated[float, Draw(1.7, 2.6)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
@@ -59,7 +59,7 @@ class InertiaBending(Effect):
     """A force of the square of speed that bends over to a straight line."""
 
     name, form, kinds = "wall_inertia", "square that bends over", DRAG
-    amplitude: Annotated[float, Draw(12.0, 35.0)]
+    amplitude: Annotated[float, Draw(20.0, 50.0)]
     speed_mm_s: Annotated[float, Draw(30.0, 120.0)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
@@ -73,7 +73,7 @@ class HyperelasticLock(Effect):
     """Moduli grow with a power of strain, fast branches more than the spring."""
 
     name, form, kinds = "hyperelastic_wall", "power of strain", TISSUE
-    amplitude: Annotated[float, Draw(0.2, 0.5)]
+    amplitude: Annotated[float, Draw(0.3, 0.7)]
     power: Annotated[float, Draw(1.6, 3.5)]
     slower: Annotated[float, Draw(0.2, 0.7)]
 
@@ -88,7 +88,7 @@ class HyperelasticKink(Effect):
     """Moduli grow in a straight line beyond a strain where fibres have stretched."""
 
     name, form, kinds = "hyperelastic_wall", "straightened fibres", TISSUE
-    amplitude: Annotated[float, Draw(0.2, 0.5)]
+    amplitude: Annotated[float, Draw(0.3, 0.7)]
     strain: Annotated[float, Draw(0.3, 0.9)]
     slower: Annotated[float, Draw(0.2, 0.7)]
 
@@ -103,7 +103,7 @@ class RelaxationStretched(Effect):
     """Stress that fades as a stretched exponential of age."""
 
     name, form, kinds = "extra_relaxation", "stretched exponential", TISSUE
-    amplitude: Annotated[float, Draw(0.12, 0.35)]
+    amplitude: Annotated[float, Draw(0.2, 0.6)]
     time_s: Annotated[float, Draw(2.5, 15.0, log=True)]
     power: Annotated[float, Draw(0.45, 0.8)]
 
@@ -117,7 +117,7 @@ class RelaxationPower(Effect):
     """Stress that fades as a power of age."""
 
     name, form, kinds = "extra_relaxation", "power law", TISSUE
-    amplitude: Annotated[float, Draw(0.12, 0.35)]
+    amplitude: Annotated[float, Draw(0.2, 0.6)]
     time_s: Annotated[float, Draw(1.5, 6.0, log=True)]
     power: Annotated[float, Draw(0.5, 1.2)]
 
