@@ -33,7 +33,7 @@ class Adhesion(ForceEffect):
             8.0,
             0.5,
             60.0,
-            "speed at which half of it is left",
+            "where half of it is left",
             tried=(1.0, 2.5, 6.0, 12.0, 30.0),
         ),
     )

@@ -26,14 +26,7 @@ class Breakaway(ForceEffect):
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("ratio", "1", Role.SIZE, 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, less 1"),
         EffectParameter(
-            "slip_mm",
-            "mm",
-            Role.SHAPE,
-            0.2,
-            0.02,
-            2.0,
-            "distance over which it is lost",
-            tried=(0.05, 0.1, 0.2, 0.4, 0.8),
+            "slip_mm", "mm", Role.SHAPE, 0.2, 0.02, 2.0, "slip that loses it", tried=(0.05, 0.1, 0.2, 0.4, 0.8)
         ),
     )
 

@@ -30,14 +30,7 @@ class FilmDepletion(ForceEffect):
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("ratio", "1", Role.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
         EffectParameter(
-            "length_mm",
-            "mm",
-            Role.SHAPE,
-            20.0,
-            2.0,
-            500.0,
-            "distance over which it saturates",
-            tried=(4.0, 8.0, 16.0, 32.0, 300.0),
+            "length_mm", "mm", Role.SHAPE, 20.0, 2.0, 500.0, "where it saturates", tried=(4.0, 8.0, 16.0, 32.0, 300.0)
         ),
     )
 

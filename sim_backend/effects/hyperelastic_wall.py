@@ -37,7 +37,7 @@ class HyperelasticWall(ForceEffect):
             0.2,
             0.0,
             1.0,
-            "part of it in slow branch and spring",
+            "part in slow branch and spring",
             tried=(0.0, 0.01, 0.04, 0.2, 1.0),
         ),
     )

@@ -36,7 +36,7 @@ class WallLiftOff(ForceEffect):
             25.0,
             8.0,
             80.0,
-            "speed at which half of the contact does",
+            "where half the contact lifts",
             tried=(10.0, 15.0, 22.0, 33.0, 50.0),
         ),
         EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
