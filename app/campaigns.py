@@ -86,7 +86,8 @@ def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequen
     ended = [one.end_time or one.header.start_time for one in before.runs]
     origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
     setup = _setup_of(record, folder).with_rig(assignments)
-    terms = replace(terms, folder=folder, origin=origin, progress=_progress(before))
+    first = min((one.header.start_time for one in before.runs), default=None)
+    terms = replace(terms, folder=folder, origin=origin, first_run_at=first, progress=_progress(before))
     return Made(folder, carry_out(setup, _store_in(folder), terms, person))
 
 

@@ -28,7 +28,8 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Ch
         Folder whose free space counts; the rig's data root unless given.
     choices
         `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each, or the model itself; `backend`: a name;
-        `double`: whether its double is meant, in place of the hardware; `assignments`: changes as on the command line,
+        `double`: whether its double is meant, in place of the hardware; `effects`: what the simulated rig has beside
+        the model's, `["stribeck:ratio=0.4,speed_mm_s=2"]`; `assignments`: changes as on the command line,
         `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
 
     Raises
@@ -78,6 +79,7 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
     >>> drag, back = dragrig.simulate("drag", assignments=["speed_mm_s=10"])
     >>> drag.trace.force.shape
     (8025,)
+    >>> sticky, back = dragrig.simulate("drag", effects=["stribeck:ratio=0.4"])  # doctest: +SKIP
     """
     choices["backend"] = "simulated"
     setup = resolve(plan, **choices)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TypedDict, TypeVar, Unpack
 
 from dragrig.config.base import Settings
+from dragrig.config.effects import EffectSettings, effects_of
 from dragrig.config.errors import SettingsError
 from dragrig.config.lab import Calibration, rig_file_of
 from dragrig.config.library import table
@@ -18,6 +19,8 @@ from dragrig.rig.devices import StageLimits
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 DEFAULTS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+HARDWARE = "hardware"
+"""The backend of the real rig, whose effects are its own."""
 QUANTITIES = ("force", "encoder")
 """What is calibrated."""
 
@@ -30,6 +33,32 @@ class RigChoices(TypedDict, total=False):
     backend: str | None
     double: bool
     assignments: Sequence[str]
+
+
+def equipped(
+    model: FrictionModelSettings, effects: Sequence[str | EffectSettings], *, backend: str, double: bool
+) -> FrictionModelSettings:
+    """Return the model with further effects, checked where they will act.
+
+    Raises
+    ------
+    SettingsError
+        For effects that cannot be, and those for a rig that is not the simulated one.
+    """
+    if backend == HARDWARE and (effects or (double and model.effects)):
+        where = "its double" if double else "the rig itself"
+        raise SettingsError(
+            f"--effect: effects act in the simulated rig, and backend {backend} is {where}; leave them out, or name "
+            "--backend simulated."
+        )
+    further = effects_of(effects)
+    if further:
+        model = model.model_copy(update={"effects": (*model.effects, *further)})
+    if model.effects:
+        from dragrig.sim_backend.effects.applied import switched_on
+
+        switched_on(model)
+    return model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,6 +37,8 @@ class Terms:
         Of a simulated rig, or of a double.
     origin
         Time of day at which a simulated session begins; now unless given.
+    first_run_at
+        When the campaign's first run began, in a session that goes on with it.
     """
 
     folder: Path
@@ -44,6 +46,7 @@ class Terms:
     note: str = ""
     pace: Pace | None = None
     origin: datetime | None = None
+    first_run_at: datetime | None = None
     progress: Progress = field(default_factory=Progress)
 
 
@@ -77,7 +80,15 @@ def carry_out(
         return SessionResult(Status.COMPLETE, "", ())
     pace = pacing(terms.pace, double=setup.double)
     calibrations = setup.calibrations()
-    request = BackendRequest(setup.rig, setup.model, pace.real_time, terms.origin, calibrations, pace=pace.times_faster)
+    request = BackendRequest(
+        setup.rig,
+        setup.model,
+        pace.real_time,
+        terms.origin,
+        calibrations,
+        pace=pace.times_faster,
+        first_run_at=terms.first_run_at,
+    )
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         further = len(backend.sampler.channels) - 2
         preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source, further).require()

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Unpack
 
+from dragrig.config.effects import EffectSettings
 from dragrig.config.errors import PlanError, SettingsError
 from dragrig.config.lab import rig_file_of
 from dragrig.config.library import table
@@ -16,7 +17,7 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.programme import Programme, build
 from dragrig.rig.protocols import Protocol, kinds
 from dragrig.rig.record import record_in
-from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, contact_in, folder_of, found_settings
+from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, contact_in, equipped, folder_of, found_settings
 
 PlanLike = str | Path | Plan | Protocol
 """A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
@@ -27,6 +28,7 @@ class Choices(RigChoices, total=False):
 
     specimen: str | Path | None
     capsule: str | Path | None
+    effects: Sequence[str | EffectSettings]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +84,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
         `rig`, `specimen`, `model`: a file or a shipped name, the model settings in memory as well; the rig is the lab
         folder's unless given, and the shipped one outside of a lab. `capsule`: a file or a name, for every step.
         `backend`: the rig's own unless given. `double`: whether its double is meant.
+        `effects`: what the simulated rig has beside the model's, each as `stribeck:ratio=0.4,speed_mm_s=2`.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
         key every step that has it.
 
@@ -103,6 +106,11 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     specimen = chosen(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
     model = chosen(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     rig_changed = changes.laid_over(rig_settings, "rig")
+    backend = choices.get("backend") or (before.backend if before is not None else rig_changed.backend)
+    double = choices.get("double", False) or (
+        before is not None and before.double and choices.get("backend") in {None, before.backend}
+    )
+    changed = changes.laid_over(model, "model")
     return Setup(
         plan=_with_step_keys(changes.laid_over(base_plan, "plan"), changes.steps),
         plan_source=source,
@@ -110,11 +118,10 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
         rig=rig_changed,
         specimen=changes.laid_over(specimen, "specimen"),
         contact_mm=contact_in(rig_folder, before.contact_mm if before is not None else None),
-        model=changes.laid_over(model, "model"),
+        model=equipped(changed, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
-        backend=choices.get("backend") or (before.backend if before is not None else rig_changed.backend),
-        double=choices.get("double", False)
-        or (before is not None and before.double and choices.get("backend") in {None, before.backend}),
+        backend=backend,
+        double=double,
     )
 
 

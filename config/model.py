@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dragrig.config.base import Settings
+from dragrig.config.effects import EffectSettings
 from dragrig.config.identified import IdentifiedSettings
 
 Polynomial = Annotated[tuple[float, ...], Field(min_length=1, max_length=5)]
@@ -54,6 +55,8 @@ class FrictionModelSettings(Settings):
     """True age of the contact at the first sample over the noted one."""
     contact_angle_offset_deg: float = Field(default=0.0, gt=-30, lt=30)
     """Added to the capsule's contact angle."""
+    effects: tuple[EffectSettings, ...] = ()
+    """What the simulated rig has beside this model, in a file as groups [[effects]]; dragrig gap effects lists them."""
     identified: IdentifiedSettings | None = None
     """Where the values come from, if from runs."""
 

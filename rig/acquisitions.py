@@ -29,4 +29,4 @@ def recorded(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:
 def unrecorded(order: int, kind: str, run: PlannedRun, profile: MotionProfile) -> Acquisition:
     """Return what is made for a run beside it, with the capsule clear of the gut: a tare, the way to its start."""
     free = replace(run, profile=profile, contact=Contact.NONE, fixture=Fixture.NONE)
-    return replace(recorded(order, free, 0.0), kind=kind)
+    return replace(recorded(order, free, 0.0), kind=kind, recorded=False)

@@ -95,3 +95,5 @@ class BackendRequest:
     """Whether the devices are to be connected at once; `Backend.examine` connects those that it looks at."""
     pace: float = 1.0
     """How many times faster than the wall's clock a double of the hardware lives."""
+    first_run_at: datetime | None = None
+    """When the campaign's first run began, in a session that goes on with it."""

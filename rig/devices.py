@@ -56,6 +56,8 @@ class Acquisition:
         With `Contact.STICKING`: the strain at the first sample, relaxed for `insertion_dwell_s`.
     insertion_dwell_s
         Age of the contact at the first sample.
+    recorded
+        Whether it becomes a run file; tares and ways to a start do not.
     """
 
     run_id: str
@@ -69,6 +71,7 @@ class Acquisition:
     insertion_dwell_s: float
     shear_strain: float = 0.0
     sheared_from: float = 0.0
+    recorded: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,12 +1,13 @@
 """What the tests of the simulated rig share: a session, acquisitions, and reading to the end."""
 
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dragrig.config.capsule import Capsule
+from dragrig.config.effects import effects_of
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Fixture, Specimen
@@ -54,9 +55,12 @@ def settings(rate_hz: float = 1000.0, **groups: object) -> RigSettings:
     return RigSettings.model_validate({"sampling": {"rate_hz": rate_hz}, **groups})
 
 
-def session(rig: RigSettings | None = None, faults: Faults | None = None, real_time: bool = False) -> Backend:
+def session(
+    rig: RigSettings | None = None, faults: Faults | None = None, real_time: bool = False, effects: Sequence[str] = ()
+) -> Backend:
     """A simulated rig, switched on and homed."""
-    request = BackendRequest(rig or settings(), FrictionModelSettings(), real_time=real_time)
+    model = FrictionModelSettings(effects=effects_of(effects))
+    request = BackendRequest(rig or settings(), model, real_time=real_time)
     backend = open_backend(request, faults or Faults())
     backend.stage.enable()
     backend.stage.home()

@@ -2,10 +2,12 @@
 
 import threading
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
+from hypothesis import settings as fewer
 from hypothesis import strategies as st
 from simulated import Recorded, acquire, begin, blocks, record, rest, session, settings, stroke
 
@@ -15,11 +17,25 @@ from dragrig.sim_backend.devices.kinematics import evaluate, position_at
 FAST = 25_000.0
 """A rate [Hz] at which a run of 2.5 s spans several chunks."""
 LONG_RUN = acquire(stroke(travel_mm=80.0, rest_s=0.4, hold_s=0.5), order=3)
+EFFECTS = (
+    "stribeck",
+    "servo_lag:lag_s=0.02",
+    "velocity_ripple:pitch_mm=7",
+    "arm_compliance",
+    "force_hysteresis",
+    "mains_hum",
+    "encoder_scale",
+)
 
 
 @pytest.fixture(scope="module")
 def reference() -> Recorded:
     return record(session(settings(FAST)), LONG_RUN)
+
+
+@pytest.fixture(scope="module")
+def affected() -> Recorded:
+    return record(session(settings(FAST), effects=EFFECTS), LONG_RUN)
 
 
 @given(block_s=st.floats(0.002, 0.05), with_tare=st.booleans(), others=st.integers(0, 2))
@@ -42,6 +58,35 @@ def test_arrays_do_not_depend_on_the_pace() -> None:
     short = acquire(stroke(), order=1)
     paced = record(session(real_time=True), short)
     assert paced.same_as(record(session(), short))
+
+
+@fewer(max_examples=15)
+@given(block_s=st.floats(0.002, 0.05), with_tare=st.booleans())
+@example(block_s=0.05, with_tare=True)
+def test_effects_do_not_depend_on_blocks_or_a_tare(affected: Recorded, block_s: float, with_tare: bool) -> None:
+    backend = session(settings(sampling={"rate_hz": FAST, "block_s": block_s}), effects=EFFECTS)
+    if with_tare:
+        record(backend, replace(acquire(rest(0.1), order=3, contact=Contact.NONE), recorded=False))
+    assert record(backend, LONG_RUN).same_as(affected)
+
+
+def test_effects_do_not_depend_on_the_pace() -> None:
+    short = acquire(stroke(), order=1)
+    paced = record(session(real_time=True, effects=EFFECTS), short)
+    assert paced.same_as(record(session(effects=EFFECTS), short))
+
+
+@fewer(max_examples=20)
+@given(blocks_before=st.integers(1, 40))
+def test_a_stop_with_effects_goes_on_from_where_the_stage_is(affected: Recorded, blocks_before: int) -> None:
+    backend = session(settings(FAST), effects=EFFECTS)
+    stopped = record(backend, LONG_RUN, lambda count: backend.stage.stop() if count == blocks_before else None)
+    handed_out = stopped.blocks[min(blocks_before, len(stopped.blocks)) - 1].end_index
+    for name in ("force", "position", "motor_force"):
+        np.testing.assert_array_equal(stopped[name][:handed_out], affected[name][:handed_out])
+    # A tenth of a millisecond at 50 mm/s and what the ripple adds, and the encoder's count.
+    moved = np.abs(np.diff(stopped["position"]))
+    assert moved.max() <= 65.0 / FAST + 0.001
 
 
 @pytest.mark.parametrize("changed", ["seed", "order"])

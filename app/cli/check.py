@@ -51,7 +51,12 @@ def command(
 
 
 def _look_at_the_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
-    given = {"specimen": settings["specimen"], "capsule": settings["capsule"], "out": out}
+    given = {
+        "specimen": settings["specimen"],
+        "effect": settings["effects"],
+        "capsule": settings["capsule"],
+        "out": out,
+    }
     if spare := [name for name, value in given.items() if value]:
         raise click.UsageError(f"Without a plan the rig itself is looked at, so leave out --{' --'.join(spare)}", ctx)
     from dragrig import api

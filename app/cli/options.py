@@ -41,6 +41,13 @@ _SETTINGS = (
     *_RIG[:1],
     click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
     *_RIG[1:2],
+    click.option(
+        "--effect",
+        "effects",
+        metavar="ID[:KEY=VALUE,…]",
+        multiple=True,
+        help="What the simulated rig has beside the model, as dragrig gap effects lists it; repeatable.",
+    ),
     click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
     *_RIG[2:],
     click.option(
@@ -71,10 +78,11 @@ class SettingsOptions(RigOptions):
 
     specimen: str | None
     capsule: str | None
+    effects: tuple[str, ...]
 
 
 def settings(function: Callable[P, R]) -> Callable[P, R]:
-    """Add what says with which settings a plan runs: rig, specimen, model, capsule, backend, double and `--set`."""
+    """Add what says with which settings a plan runs: rig, specimen, model, effects, capsule, backend and `--set`."""
     for option in reversed(_SETTINGS):
         function = option(function)
     return function

@@ -46,7 +46,7 @@ def command(
 
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 the guard tripped, 5 device fault.
     """
-    fixed = {**settings, "assignments": (), "out": out}
+    fixed = {**settings, "assignments": (), "effects": (), "effect": settings["effects"], "out": out}
     _require_plan_or_campaign(plan, resume, [name for name, value in fixed.items() if value])
     from dragrig import api
     from dragrig.cli.operator import Terminal

@@ -1,6 +1,7 @@
 """The simulated rig as a whole, and the factory that opens it."""
 
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
@@ -14,6 +15,7 @@ from dragrig.sim_backend.devices.instruments import Encoder
 from dragrig.sim_backend.devices.sampler import SimulatedSampler
 from dragrig.sim_backend.devices.stage import SimulatedStage
 from dragrig.sim_backend.devices.variation import draw_specimen
+from dragrig.sim_backend.effects.applied import switched_on
 
 
 class SimulatedBackend:
@@ -23,18 +25,31 @@ class SimulatedBackend:
     ----------
     model
         The nominal model; with `variation.specimen` a specimen is drawn around it once, here.
+    first_run_at
+        When the campaign's first run began, where the session goes on with it.
+
+    Raises
+    ------
+    SettingsError
+        For effects of the model that cannot be.
     """
 
     def __init__(
-        self, rig: RigSettings, model: FrictionModelSettings, clock: Clock, faults: Faults = NO_FAULTS
+        self,
+        rig: RigSettings,
+        model: FrictionModelSettings,
+        clock: Clock,
+        faults: Faults = NO_FAULTS,
+        first_run_at: datetime | None = None,
     ) -> None:
+        switched_on(model)
         self._rig = rig
         self._model_name = model.name
         self._clock = clock
         drawn = draw_specimen(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
         axis = Axis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
         self._stage = SimulatedStage(rig.stage, axis, Encoder.of(rig.encoder), faults)
-        self._sampler = SimulatedSampler(rig, drawn, clock, axis, faults)
+        self._sampler = SimulatedSampler(rig, drawn, clock, axis, faults, first_run_at)
 
     @property
     def name(self) -> str:
@@ -87,4 +102,4 @@ def open_backend(request: BackendRequest, faults: Faults = NO_FAULTS) -> Simulat
     `faults` is for tests: whoever opens a backend by name cannot give it.
     """
     clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
-    return SimulatedBackend(request.rig, request.model, clock, faults)
+    return SimulatedBackend(request.rig, request.model, clock, faults, request.first_run_at)

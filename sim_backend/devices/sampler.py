@@ -1,5 +1,6 @@
 """The simulated sampler: force, position and motor force on one clock, in blocks."""
 
+from datetime import datetime
 from threading import Event as Signal
 
 import numpy as np
@@ -22,10 +23,21 @@ class SimulatedSampler:
     """Samples what the axis does, block after block, each when the clock says that its last sample is over.
 
     One thread arms, starts and reads; `stop` may come from any.
+
+    Parameters
+    ----------
+    first_run_at
+        When the first run on the specimen began, if that is past: the 0 of the clock that effects go by.
     """
 
     def __init__(
-        self, rig: RigSettings, model: FrictionModelSettings, clock: Clock, axis: Axis, faults: Faults = NO_FAULTS
+        self,
+        rig: RigSettings,
+        model: FrictionModelSettings,
+        clock: Clock,
+        axis: Axis,
+        faults: Faults = NO_FAULTS,
+        first_run_at: datetime | None = None,
     ) -> None:
         self._rig = rig
         self._model = model
@@ -41,6 +53,7 @@ class SimulatedSampler:
         self._silence_s = 0.0
         self._was_armed = False
         self._measured = 0
+        self._first_run_at = first_run_at
 
     @property
     def sample_rate_hz(self) -> float:
@@ -67,9 +80,10 @@ class SimulatedSampler:
         """
         if self._reading is not None:
             raise DeviceError("the sampler is still armed for the acquisition before: stop it first.")
+        session_start_s = self._session_start(acquisition)
         faults = self._faults.during(acquisition)
         reading = Reading(
-            Signals(self._rig, self._model, acquisition, faults),
+            Signals(self._rig, self._model, acquisition, faults, session_start_s),
             samples=acquisition.profile.samples(self._rate_hz),
             block_samples=self._block_samples,
             sample_rate_hz=self._rate_hz,
@@ -154,6 +168,12 @@ class SimulatedSampler:
         force_V = Converter.of(rig.force_sensor).convert(noise_mN) / wired.per_V + wired.zero_V
         counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)
         return RawReading.of(force_V, counts)
+
+    def _session_start(self, acquisition: Acquisition) -> float:
+        now = self._clock.now()
+        if acquisition.recorded and self._first_run_at is None:
+            self._first_run_at = now
+        return 0.0 if self._first_run_at is None else (now - self._first_run_at).total_seconds()
 
     def _outlast_silence(self, cancel: Signal) -> bool:
         longest_s = self._rig.guard.stale_data_s

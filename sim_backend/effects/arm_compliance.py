@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
 from dragrig.sim_backend.effects.dynamics import resonator
 from dragrig.sim_backend.effects.scene import Scene
 
@@ -23,6 +23,7 @@ class ArmCompliance(SensorEffect):
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = "The arm that carries the sensor rings after every jerk and every change of force."
     exposes: ClassVar[str] = "accelerate, decelerate and what follows"
+    link: ClassVar[Link] = Link.ARM
     source: ClassVar[str] = "damped oscillator under load and on a moving support; Thomson, Theory of Vibration"
     aliases: ClassVar[tuple[str, ...]] = ("payload_inertia", "channel_latency")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
@@ -30,7 +31,7 @@ class ArmCompliance(SensorEffect):
         EffectParameter(
             "frequency_hz", "Hz", Role.SHAPE, 20.0, 3.0, 100.0, "resonance", tried=(9.0, 12.0, 16.0, 21.0, 28.0, 38.0)
         ),
-        EffectParameter("damping", "1", Role.SHAPE, 0.2, 0.01, 0.7, "share of critical damping"),
+        EffectParameter("damping", "1", Role.SHAPE, 0.2, 0.01, 0.7, "share of critical", possible=(0.001, 0.999)),
         EffectParameter("mass_g", "g", Role.SHAPE, 20.0, 0.0, 5000.0, "mass on the arm", tried=(0.0, 1000.0)),
     )
 

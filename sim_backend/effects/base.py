@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from typing import ClassVar
 
 from dragrig.rig.arrays import FloatArray
@@ -32,6 +32,16 @@ class Role(StrEnum):
     """Where in its period something periodic begins [rad]."""
 
 
+class Link(IntEnum):
+    """Where an effect sits in the chain from capsule to file; the first acts first, ids decide among equals."""
+
+    PAYLOAD = 0
+    ARM = 1
+    CELL = 2
+    AMPLIFIER = 3
+    CLOCK = 4
+
+
 class Domain(StrEnum):
     """What an effect is above all a function of."""
 
@@ -58,10 +68,12 @@ class EffectParameter:
         Value unless one is given; a plain case of the effect that runs show clearly.
     low, high
         Prior range. A size whose sign is not known has a negative `low`.
-    tried
-        For a shape: the values that a diagnosis looks at, from its prior range; `usual` alone unless given.
     meaning
         A few words for tables.
+    tried
+        For a shape: the values that a diagnosis looks at, from its prior range; `usual` alone unless given.
+    possible
+        Least and greatest value that can be at all; unless given, what has the sign of the prior range.
     """
 
     name: str
@@ -72,6 +84,13 @@ class EffectParameter:
     high: float
     meaning: str
     tried: tuple[float, ...] = ()
+    possible: tuple[float, float] | None = None
+
+    def allows(self, value: float) -> bool:
+        """Whether a value can be at all, within the prior range or far beyond it."""
+        if self.possible is not None:
+            return self.possible[0] <= value <= self.possible[1]
+        return self.low < 0 or value > 0 or (self.low == 0 and value == 0)
 
 
 class Effect(ABC):
@@ -135,6 +154,8 @@ class ForceEffect(Effect):
 
 class SensorEffect(Effect):
     """An effect in the force sensor or its acquisition: what is shown of a force."""
+
+    link: ClassVar[Link] = Link.CELL
 
     @abstractmethod
     def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:

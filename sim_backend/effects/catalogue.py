@@ -7,6 +7,7 @@ from pkgutil import iter_modules
 from types import MappingProxyType
 
 from dragrig.config.errors import SettingsError
+from dragrig.config.loading import nearest
 from dragrig.sim_backend import effects
 from dragrig.sim_backend.effects.base import Effect
 
@@ -23,5 +24,5 @@ def find_effect(name: str) -> Effect:
     """Return an effect by id; raises `SettingsError` for one that the catalogue does not have."""
     known = catalogue()
     if name not in known:
-        raise SettingsError(f"effect {name!r} is not in the catalogue, which has {', '.join(known)}")
+        raise SettingsError(f"effect {name}: is not in the catalogue; {nearest(name, list(known))}")
     return known[name]

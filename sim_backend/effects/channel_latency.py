@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
 from dragrig.sim_backend.effects.scene import Scene
 
 
@@ -18,6 +18,7 @@ class ChannelLatency(SensorEffect):
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = "Force and position are not sampled at the same instant."
     exposes: ClassVar[str] = "fast transients: force against measured position at starts and stops"
+    link: ClassVar[Link] = Link.CLOCK
     source: ClassVar[str] = "pure delay between channels; Bendat and Piersol, Random Data, section 5.1"
     aliases: ClassVar[tuple[str, ...]] = ("arm_compliance",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (

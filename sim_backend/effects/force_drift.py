@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
 from dragrig.sim_backend.effects.scene import Scene
 
 
@@ -18,6 +18,7 @@ class ForceDrift(SensorEffect):
     domain: ClassVar[Domain] = Domain.TIME
     summary: ClassVar[str] = "The force sensor's zero creeps during a run."
     exposes: ClassVar[str] = "rest and hold of every run, blank runs included"
+    link: ClassVar[Link] = Link.AMPLIFIER
     source: ClassVar[str] = "first-order warm-up; Fraden, Handbook of Modern Sensors, chapter 2"
     aliases: ClassVar[tuple[str, ...]] = ("extra_relaxation", "film_depletion")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (

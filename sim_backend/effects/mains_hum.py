@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
 from dragrig.sim_backend.effects.scene import Scene
 
 
@@ -18,6 +18,7 @@ class MainsHum(SensorEffect):
     domain: ClassVar[Domain] = Domain.FREQUENCY
     summary: ClassVar[str] = "The force channel picks up the mains."
     exposes: ClassVar[str] = "rest and every other phase of every run"
+    link: ClassVar[Link] = Link.AMPLIFIER
     source: ClassVar[str] = "Horowitz and Hill, The Art of Electronics, chapter 8 (interference)"
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("amplitude_mN", "mN", Role.SIZE, 5.0, 0.0, 100.0, "amplitude"),

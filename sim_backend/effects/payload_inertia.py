@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
 from dragrig.sim_backend.effects.scene import Scene
 
 
@@ -18,6 +18,7 @@ class PayloadInertia(SensorEffect):
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = "The mass beyond the sensor needs a force to be accelerated."
     exposes: ClassVar[str] = "accelerate and decelerate, blank runs included"
+    link: ClassVar[Link] = Link.PAYLOAD
     source: ClassVar[str] = "Newton's second law"
     aliases: ClassVar[tuple[str, ...]] = ("arm_compliance",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (

@@ -28,7 +28,9 @@ class ServoLag(MotorEffect):
         EffectParameter(
             "frequency_hz", "Hz", Role.SHAPE, 20.0, 0.3, 100.0, "of the loop", tried=(1.0, 2.0, 4.0, 8.0, 16.0)
         ),
-        EffectParameter("damping", "1", Role.SHAPE, 0.7, 0.1, 0.95, "share of critical", tried=(0.35, 0.8)),
+        EffectParameter(
+            "damping", "1", Role.SHAPE, 0.7, 0.1, 0.95, "share of critical", tried=(0.35, 0.8), possible=(0.001, 0.999)
+        ),
     )
 
     def moved(self, time_s: FloatArray, command_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:

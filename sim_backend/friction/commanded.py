@@ -3,9 +3,9 @@
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.motion import ProfileMotion
-from dragrig.sim_backend.friction.recorded import RecordedMotion, checked, on_a_grid, with_bends
+from dragrig.sim_backend.friction.recorded import RecordedMotion, checked, on_a_grid
 
 ROUNDING = 4 * float(np.finfo(np.float32).eps)
 """Relative rounding of a position that is kept in single precision."""
@@ -33,14 +33,7 @@ def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> Recor
     tolerance = max(LEAST_MM_S, ROUNDING * float(np.abs(position).max()) / step)
     chord[np.abs(chord) < tolerance] = 0.0
     knots = _knots(chord, tolerance)
-    fine = _fine(grid, position - position[0], chord, knots, tolerance)
-    signs = fine.signs
-    edges = np.flatnonzero(np.concatenate(([True], signs[1:] != signs[:-1], [True])))
-    breaks = with_bends(fine, fine.breaks_s[edges])
-    first = np.searchsorted(fine.breaks_s, breaks[:-1])
-    coarse = signs[first]
-    uniform = np.logical_and.reduceat(fine.uniform, first) & _alone(first, len(signs))
-    return RecordedMotion(breaks, coarse, uniform, fine)
+    return RecordedMotion.of_pieces(_fine(grid, position - position[0], chord, knots, tolerance))
 
 
 def _knots(chord: FloatArray, tolerance: float) -> npt.NDArray[np.intp]:
@@ -71,8 +64,3 @@ def _fine(
         velocity_mm_s=mean - 0.5 * bend * duration,
         acceleration_mm_s2=bend,
     )
-
-
-def _alone(first: npt.NDArray[np.intp], pieces: int) -> BoolArray:
-    """Whether each coarse stretch is a single piece, so that its velocity is one value."""
-    return np.asarray(np.diff(np.append(first, pieces)) == 1)

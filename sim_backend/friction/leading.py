@@ -10,6 +10,7 @@ import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.recorded import RecordedMotion
 
 SLACK_MM = 0.5
 """A way back shorter than this does not bring the other hemisphere to the front (a tenth of the contact)."""
@@ -48,12 +49,12 @@ def _monotone(position_mm: FloatArray, turns: list[int]) -> FloatArray:
     return led
 
 
-def _following(motion: Motion, times_s: FloatArray, position_mm: FloatArray, led_mm: FloatArray) -> ProfileMotion:
+def _following(motion: Motion, times_s: FloatArray, position_mm: FloatArray, led_mm: FloatArray) -> RecordedMotion:
     pieces = motion.pieces()
     kept = (led_mm[:-1] == position_mm[:-1]) & (led_mm[1:] == position_mm[1:])
     velocity = np.diff(led_mm) / np.diff(times_s)
     acceleration = np.where(kept, pieces.acceleration_mm_s2, 0.0)
-    return ProfileMotion(
+    fine = ProfileMotion(
         breaks_s=times_s,
         signs=np.sign(velocity).astype(np.int8),
         uniform=acceleration == 0,
@@ -61,3 +62,4 @@ def _following(motion: Motion, times_s: FloatArray, position_mm: FloatArray, led
         velocity_mm_s=np.where(kept, pieces.velocity_mm_s, velocity),
         acceleration_mm_s2=acceleration,
     )
+    return RecordedMotion.of_pieces(fine)

@@ -24,6 +24,12 @@ FEWEST = 5
 JITTER_MM = 0.0015
 """How far an encoder of 1 µm counts may wander at rest: from one count to the next."""
 
+CREEP_MM_S = 1e-4
+"""A computed position that goes slower than this stands still: 0.2 % of the speed that turns Coulomb friction."""
+
+EXACT_MM = 1e-6
+"""How near its pieces come to a computed position."""
+
 BEND_MM_S = 0.05
 BEND_SHARE = 0.03
 """A bend is a change of velocity larger than either, the second as a share of the top speed."""
@@ -75,6 +81,32 @@ class RecordedMotion:
         first = np.searchsorted(fine.breaks_s, breaks[:-1])
         signs = np.sign(np.add.reduceat(fine.signs, first)).astype(np.int8)
         return cls(breaks, signs, signs == 0, fine)
+
+    @classmethod
+    def exact(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":
+        """Prepare a position that was computed, so that nothing has to be smoothed.
+
+        Parameters
+        ----------
+        time_s, position_mm
+            Rising times from 0 on, and where the stage is then, shape `(n,)` with at least two times. Between times it
+            goes straight or nearly so.
+        """
+        step = np.diff(position_mm)
+        step[np.abs(step) < CREEP_MM_S * np.diff(time_s)] = 0.0
+        position = np.append(0.0, np.cumsum(step))
+        edges = np.concatenate(([0], np.flatnonzero(np.diff(np.sign(step))) + 1, [step.size]))
+        return cls.of_pieces(_pieces(time_s, position, edges, EXACT_MM))
+
+    @classmethod
+    def of_pieces(cls, fine: ProfileMotion) -> "RecordedMotion":
+        """Join pieces between rests and turns where the velocity hardly bends."""
+        changes = fine.signs[1:] != fine.signs[:-1]
+        breaks = with_bends(fine, fine.breaks_s[np.concatenate(([True], changes, [True]))])
+        first = np.searchsorted(fine.breaks_s, breaks[:-1])
+        alone = np.diff(np.append(first, fine.signs.size)) == 1
+        uniform = np.logical_and.reduceat(fine.uniform, first) & alone
+        return cls(breaks, fine.signs[first], uniform, fine)
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Position [mm] at any times within the motion."""
