@@ -18,7 +18,10 @@ from dragrig.sim_backend.blind.specimen import Noise
 COUNT_MM = 0.001
 STEP_MN = 20_000 / 2**16
 """Sixteen bits over ±10 N."""
+JITTER_MM = 0.00015
+"""What vibration moves the scale by, from sample to sample."""
 LAST_RANK = 4
+"""Of what acts behind the noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,7 @@ def _trace(secret: Secret, index: int, *, noisy: bool) -> Trace:
     force = _through(force, effects, scene, range(LAST_RANK, LAST_RANK + 1))
     if noisy:
         force = np.clip(np.round(force / STEP_MN), -(2**15), 2**15 - 1) * STEP_MN
+        position = position + JITTER_MM * scene.random("encoder").standard_normal(time.size)
         position = np.round(position / COUNT_MM) * COUNT_MM
     nominal = commanded(run, time, secret.rough.blunt_s).p if true_time is not time else command.p
     return Trace(run, time, force, position, nominal, phases(run, time))

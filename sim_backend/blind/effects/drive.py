@@ -16,7 +16,7 @@ class LagSecondOrder(Effect):
 
     name, form, channel = "servo_lag", "second order", "position"
     amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
-    damping: Annotated[float, Draw(0.55, 1.0)]
+    damping: Annotated[float, Draw(0.9, 1.3)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
         """Return the true motion."""
@@ -44,6 +44,28 @@ class LagDeadTime(Effect):
             low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a)
         )
         return Motion(motion.t, p, v, a)
+
+
+@dataclass(frozen=True, slots=True)
+class LagTwoTimes(Effect):
+    """A stage that makes most of the way fast and creeps the rest."""
+
+    name, form, channel = "servo_lag", "fast and slow", "position"
+    amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
+    slow: Annotated[float, Draw(0.15, 0.35)]
+    ratio: Annotated[float, Draw(2.5, 5.0)]
+
+    def motion(self, motion: Motion, scene: Scene) -> Motion:
+        """Return the true motion."""
+        if not self.amplitude:
+            return motion
+        fast = self.amplitude / 2 / (1 - self.slow + self.slow * self.ratio)
+
+        def follow(values: Floats) -> Floats:
+            first, second = (low_pass(values, one, 1.0, motion.t) for one in (fast, fast * self.ratio))
+            return (1 - self.slow) * first + self.slow * second
+
+        return Motion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +104,23 @@ class RippleSaw(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class RippleTwoPeriods(Effect):
+    """Position error of two periods that do not fit each other, of the poles and of the screw."""
+
+    name, form, channel = "velocity_ripple", "two periods", "position"
+    amplitude: Annotated[float, Draw(0.02, 0.06, log=True)]
+    period_mm: Annotated[float, Draw(1.5, 4.0, log=True)]
+    phase: Phase
+    ratio: Annotated[float, Draw(1.3, 2.7)]
+    second: Annotated[float, Draw(0.3, 0.8)]
+
+    def motion(self, motion: Motion, scene: Scene) -> Motion:
+        """Return the true motion."""
+        k = 2 * np.pi / self.period_mm
+        return _rippled(motion, self.amplitude, ((k, self.phase, 1.0), (k / self.ratio, 0.0, self.second)))
+
+
+@dataclass(frozen=True, slots=True)
 class LatencySpread(Effect):
     """Force late, or early, against position, not by the same time in every run [s]."""
 
@@ -108,6 +147,20 @@ class LatencyAveraged(Effect):
         taps = np.linspace(-self.width, self.width, 9) * self.amplitude
         late = [delayed(force, self.amplitude + tap, scene.motion.t) for tap in taps.tolist()]
         return np.asarray(np.mean(late, axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyGrows(Effect):
+    """Force that falls further behind position while a run lasts, as a filling buffer makes it."""
+
+    name, form, channel, rank = "channel_latency", "growing", "either", 3
+    amplitude: Annotated[float, Draw(0.006, 0.018, log=True)]
+    time_s: Annotated[float, Draw(2.0, 10.0)]
+
+    def sensor(self, force: Floats, scene: Scene) -> Floats:
+        """Return the force recorded."""
+        t = scene.motion.t
+        return delayed(force, self.amplitude * (1.5 - np.exp(-t / self.time_s)), t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,5 +201,6 @@ def _rippled(motion: Motion, amplitude: float, terms: tuple[tuple[float, float, 
 
 
 FORMS: tuple[type[Effect], ...] = (
-    LagSecondOrder, LagDeadTime, RippleHarmonics, RippleSaw, LatencySpread, LatencyAveraged, ScaleBent, ScaleWarm,
+    LagSecondOrder, LagDeadTime, LagTwoTimes, RippleHarmonics, RippleSaw, RippleTwoPeriods, LatencySpread,
+    LatencyAveraged, LatencyGrows, ScaleBent, ScaleWarm,
 )  # fmt: skip

@@ -82,6 +82,21 @@ class BreakawayRamp(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class BreakawayPlateau(Effect):
+    """Extra friction of an aged contact that holds for a while of slip and then goes along half a cosine."""
+
+    name, form, kinds = "breakaway", "plateau and half cosine", SLIDING
+    amplitude: Annotated[float, Draw(0.4, 1.0)]
+    plateau_mm: Annotated[float, Draw(0.03, 0.15)]
+    slip_mm: Annotated[float, Draw(0.15, 0.5, log=True)]
+
+    def friction(self, scene: Scene) -> Floats | float:
+        """Return the relative change of μ."""
+        part = np.clip((scene.motion.p - self.plateau_mm) / self.slip_mm, 0.0, 1.0)
+        return np.asarray(self.amplitude * (1 + np.cos(np.pi * part)) / 2)
+
+
+@dataclass(frozen=True, slots=True)
 class PreslidingHyperbola(Effect):
     """Friction builds up as s / (s + l), to a power, and part of it stays at standstill."""
 
@@ -114,6 +129,25 @@ class PreslidingCreep(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class PreslidingRelease(Effect):
+    """Friction builds up as s / √(s² + l²); at standstill part of it springs back and the rest stays."""
+
+    name, form, kinds = "presliding", "root with release", SLIDING
+    amplitude: Annotated[float, Draw(0.45, 0.95)]
+    slip_mm: Annotated[float, Draw(0.06, 0.3, log=True)]
+    stays: Annotated[float, Draw(0.5, 0.85)]
+    release_s: Annotated[float, Draw(0.05, 0.4)]
+
+    def grip(self, direction: Floats, scene: Scene) -> Floats:
+        """Return the share of the Coulomb force that acts."""
+        slip = np.maximum(scene.motion.p, 0.0)
+        built = slip / np.hypot(slip, self.slip_mm)
+        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+        left = self.stays + (1 - self.stays) * np.exp(-held / self.release_s)
+        return (1 - self.amplitude) * direction + self.amplitude * built * left
+
+
+@dataclass(frozen=True, slots=True)
 class AdhesionRoot(Effect):
     """Tack that falls as the inverse root of one plus speed squared."""
 
@@ -139,6 +173,22 @@ class AdhesionLog(Effect):
         """Return the tack [mN]."""
         fall = np.log1p(scene.speed / self.speed_mm_s) / np.log1p(self.end_mm_s / self.speed_mm_s)
         return np.asarray(self.amplitude * scene.direction * np.maximum(1 - fall, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class AdhesionBend(Effect):
+    """Tack that holds at low speed and falls inversely with speed beyond a bend."""
+
+    name, form, kinds = "adhesion", "plateau and inverse", DRAG
+    amplitude: Annotated[float, Draw(14.0, 34.0)]
+    speed_mm_s: Annotated[float, Draw(2.0, 8.0, log=True)]
+    power: Annotated[float, Draw(0.6, 1.2)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the tack [mN]."""
+        return np.asarray(
+            self.amplitude * scene.direction * np.maximum(scene.speed / self.speed_mm_s, 1.0) ** -self.power
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +221,7 @@ class FilmStep(Effect):
 
 
 FORMS: tuple[type[Effect], ...] = (
-    StribeckRational, StribeckLogNormal, StribeckRamp, BreakawayBump, BreakawayRamp, PreslidingHyperbola,
-    PreslidingCreep, AdhesionRoot, AdhesionLog, FilmPower, FilmStep,
+    StribeckRational, StribeckLogNormal, StribeckRamp, BreakawayBump, BreakawayRamp, BreakawayPlateau,
+    PreslidingHyperbola, PreslidingCreep, PreslidingRelease, AdhesionRoot, AdhesionLog, AdhesionBend, FilmPower,
+    FilmStep,
 )  # fmt: skip

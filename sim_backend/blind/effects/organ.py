@@ -48,6 +48,23 @@ class FoldsRidges(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class FoldsWandering(Effect):
+    """Folds whose distance changes along the gut, with straight flanks."""
+
+    name, form, kinds = "folds", "wandering triangle", DRAG
+    amplitude: Annotated[float, Draw(0.10, 0.25)]
+    period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
+    phase: Phase
+    wander: Annotated[float, Draw(0.1, 0.3)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        p = scene.motion.p
+        turn = 2 * np.pi * p / self.period_mm + self.phase + 2 * np.pi * self.wander * np.sin(2 * np.pi * p / 33.0)
+        return np.asarray(self.amplitude * parts.elastic * np.arcsin(np.sin(turn)) * 2 / np.pi)
+
+
+@dataclass(frozen=True, slots=True)
 class TetherPower(Effect):
     """A pull that grows with a power of the travel beyond a place."""
 
@@ -76,6 +93,26 @@ class TetherSoft(Effect):
         w = self.width_mm
         grown, end = (np.logaddexp(0.0, (p - self.place_mm) / w) for p in (scene.motion.p, np.array(40.0)))
         return np.asarray(self.amplitude * (grown - np.logaddexp(0.0, -self.place_mm / w)) / end)
+
+
+@dataclass(frozen=True, slots=True)
+class TetherTwoStrands(Effect):
+    """Two strands that come taut one after the other, each a spring."""
+
+    name, form, kinds = "mesentery_tether", "two strands", DRAG
+    amplitude: Annotated[float, Draw(10.0, 30.0)]
+    place_mm: Annotated[float, Draw(10.0, 20.0)]
+    later_mm: Annotated[float, Draw(5.0, 12.0)]
+    ratio: Annotated[float, Draw(0.5, 2.0)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+
+        def taut(p: Floats) -> Floats:
+            first, second = np.maximum(p - self.place_mm, 0.0), np.maximum(p - self.place_mm - self.later_mm, 0.0)
+            return np.asarray(first + self.ratio * second)
+
+        return np.asarray(self.amplitude * taut(scene.motion.p) / taut(np.array(40.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +149,23 @@ class PeristalsisTwitch(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class PeristalsisUneven(Effect):
+    """Smooth contractions at equal times of the session, not all equally strong."""
+
+    name, form, kinds = "peristalsis", "uneven contractions", DRAG
+    amplitude: Annotated[float, Draw(8.0, 20.0)]
+    period_s: Annotated[float, Draw(3.5, 8.0)]
+    phase: Phase
+    uneven: Annotated[float, Draw(0.1, 0.35)]
+
+    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+        """Return the force [mN]."""
+        turn = scene.session_s / self.period_s + self.phase / (2 * np.pi)
+        strength = 1 + self.uneven * np.sin(2.4 * np.floor(turn + 0.5))
+        return np.asarray(self.amplitude * strength * ((1 + np.cos(2 * np.pi * turn)) / 2) ** 3)
+
+
+@dataclass(frozen=True, slots=True)
 class AgeingRoot(Effect):
     """Stiffness drifts with the root of the session's time."""
 
@@ -134,6 +188,21 @@ class AgeingLate(Effect):
     def stiffness(self, run: RunPlan) -> float:
         """Return the factor on all stiffness."""
         return float(1 + self.amplitude * (run.start_s / 3000.0) ** self.power)
+
+
+@dataclass(frozen=True, slots=True)
+class AgeingTurn(Effect):
+    """Stiffness changes over from one value to another about a time within the session."""
+
+    name, form, kinds = "tissue_ageing", "change-over", TISSUE
+    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
+    middle_s: Annotated[float, Draw(900.0, 2000.0)]
+    width_s: Annotated[float, Draw(250.0, 600.0)]
+
+    def stiffness(self, run: RunPlan) -> float:
+        """Return the factor on all stiffness."""
+        now, start = (1 / (1 + np.exp(-(t - self.middle_s) / self.width_s)) for t in (run.start_s, 0.0))
+        return float(1 + self.amplitude * (now - start) / (1 - start))
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +233,7 @@ class PreconditioningBell(Effect):
 
 
 FORMS: tuple[type[Effect], ...] = (
-    FoldsHarmonics, FoldsRidges, TetherPower, TetherSoft, PeristalsisPulses, PeristalsisTwitch, AgeingRoot, AgeingLate,
-    PreconditioningRational, PreconditioningBell,
+    FoldsHarmonics, FoldsRidges, FoldsWandering, TetherPower, TetherSoft, TetherTwoStrands, PeristalsisPulses,
+    PeristalsisTwitch, PeristalsisUneven, AgeingRoot, AgeingLate, AgeingTurn, PreconditioningRational,
+    PreconditioningBell,
 )  # fmt: skip

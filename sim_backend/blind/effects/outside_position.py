@@ -12,7 +12,7 @@ from dragrig.sim_backend.blind.programme import RunPlan
 
 @dataclass(frozen=True, slots=True)
 class EncoderMisses(Effect):
-    """The encoder misses counts at random moments of the motion; the amplitude is the distance lost at a time [mm]."""
+    """The encoder misses counts, or counts twice, at random places; the amplitude is the distance of one jump [mm]."""
 
     name, form, channel = "encoder_misses", "random jumps", "position"
     amplitude: Annotated[float, Draw(0.05, 0.25, log=True)]
@@ -22,7 +22,7 @@ class EncoderMisses(Effect):
         """Return the position the encoder sees."""
         random = scene.random("misses")
         at = np.cumsum(random.exponential(self.every_mm, 60))
-        lost = self.amplitude * random.exponential(1.0, at.size)
+        lost = self.amplitude * random.standard_normal(at.size)
         return np.asarray(position - np.concatenate([[0.0], np.cumsum(lost)])[np.searchsorted(at, position)])
 
 

@@ -42,6 +42,23 @@ class LiftOffPeel(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class LiftOffHollow(Effect):
+    """A hollow opens at the front beyond a speed, deepest where contact begins, and soon reaches its full size."""
+
+    name, form, kinds = "wall_lift_off", "hollow", DRAG
+    amplitude: Annotated[float, Draw(0.7, 1.0)]
+    begin_mm_s: Annotated[float, Draw(8.0, 16.0)]
+    width_mm_s: Annotated[float, Draw(10.0, 25.0)]
+    reach: Annotated[float, Draw(0.6, 0.95)]
+
+    def contact(self, where: Floats, speed: Floats) -> Floats:
+        """Return the share of the pressure left."""
+        opened = 1 - np.exp(-((np.maximum(speed - self.begin_mm_s, 0.0) / self.width_mm_s) ** 2))
+        depth = np.sqrt(np.maximum(1 - (where / self.reach) ** 2, 0.0))
+        return np.asarray(1 - self.amplitude * opened * depth)
+
+
+@dataclass(frozen=True, slots=True)
 class InertiaPower(Effect):
     """A force of a power of speed near the square."""
 
@@ -99,6 +116,23 @@ class HyperelasticKink(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class HyperelasticBent(Effect):
+    """Moduli that grow steeply about one strain and less beyond it, in the fast branches alone."""
+
+    name, form, kinds = "hyperelastic_wall", "steep about one strain", TISSUE
+    amplitude: Annotated[float, Draw(0.3, 0.6)]
+    strain: Annotated[float, Draw(1.0, 1.7)]
+    power: Annotated[float, Draw(2.5, 5.0)]
+    slower: Annotated[float, Draw(0.2, 0.7)]
+
+    def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the factors on the moduli."""
+        risen = (np.maximum(strain, 0.0) / self.strain) ** self.power
+        more = self.amplitude * risen / (1 + risen)
+        return 1 + more, 1 + more * self.slower, np.ones_like(strain)
+
+
+@dataclass(frozen=True, slots=True)
 class RelaxationStretched(Effect):
     """Stress that fades as a stretched exponential of age."""
 
@@ -126,7 +160,22 @@ class RelaxationPower(Effect):
         return np.asarray(self.amplitude * (1 + np.maximum(age_s, 0.0) / self.time_s) ** -self.power)
 
 
+@dataclass(frozen=True, slots=True)
+class RelaxationLog(Effect):
+    """Stress that fades with the logarithm of age, to nothing at a last age."""
+
+    name, form, kinds = "extra_relaxation", "logarithm", TISSUE
+    amplitude: Annotated[float, Draw(0.25, 0.6)]
+    time_s: Annotated[float, Draw(0.8, 3.0, log=True)]
+    last_s: Annotated[float, Draw(60.0, 400.0, log=True)]
+
+    def tail(self, age_s: Floats) -> Floats:
+        """Return the stress beyond the model as a part of E3."""
+        fall = np.log1p(np.maximum(age_s, 0.0) / self.time_s) / np.log1p(self.last_s / self.time_s)
+        return np.asarray(self.amplitude * np.maximum(1 - fall, 0.0))
+
+
 FORMS: tuple[type[Effect], ...] = (
-    LiftOffFade, LiftOffPeel, InertiaPower, InertiaBending, HyperelasticLock, HyperelasticKink, RelaxationStretched,
-    RelaxationPower,
+    LiftOffFade, LiftOffPeel, LiftOffHollow, InertiaPower, InertiaBending, HyperelasticLock, HyperelasticKink,
+    HyperelasticBent, RelaxationStretched, RelaxationPower, RelaxationLog,
 )  # fmt: skip
