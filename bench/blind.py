@@ -94,22 +94,23 @@ def _place(name: str) -> str:
     return CATALOGUE[name][0].__module__
 
 
-def write(out: Path, case: Case) -> dict[str, Any]:
+def write(out: Path, fresh: bool, case: Case) -> dict[str, Any]:
     """Write one campaign and return its answer."""
     secret = draw(case.seed, effects=case.effects, size=case.sizes, rough=case.rough)
-    folder = out / f"{case.number:04d}"
-    if folder.exists():
-        shutil.rmtree(folder)
-    make(secret, folder)
+    name = f"{case.number:04d}"
+    for folder, runs in ((out / name, None), (out / "fresh" / name, "fresh"))[: 2 if fresh else 1]:
+        if folder.exists():
+            shutil.rmtree(folder)
+        make(secret, folder, runs=runs)
     return {"case": case.kind, **answer(secret)}
 
 
-def make_all(cases: int, seed: int, out: Path) -> None:
+def make_all(cases: int, seed: int, out: Path, *, fresh: bool) -> None:
     """Write all campaigns of a mix and seal their answers."""
     out.mkdir(parents=True, exist_ok=True)
     planned = mix(cases, seed)
     with multiprocessing.Pool(2) as pool:
-        found = pool.map(partial(write, out), planned, chunksize=1)
+        found = pool.map(partial(write, out, fresh), planned, chunksize=1)
     text = json.dumps({f"{one.number:04d}": told for one, told in zip(planned, found, strict=True)}, indent=1)
     (out / "answers.json").write_text(text, encoding="utf-8")
     digest = hashlib.sha256(text.encode()).hexdigest()
@@ -169,6 +170,9 @@ def main() -> None:
     maker.add_argument("--cases", type=int, default=100)
     maker.add_argument("--seed", type=int, default=1)
     maker.add_argument("--out", type=Path, required=True)
+    maker.add_argument(
+        "--fresh", action="store_true", help="write DIR/fresh/0001 too: the same at other speeds and strains"
+    )
     scorer = commands.add_parser("score", help="compare diagnoses with the answers")
     scorer.add_argument("folder", type=Path)
     sizer = commands.add_parser("sizes", help="print how large the effects are")
@@ -176,7 +180,7 @@ def main() -> None:
     sizer.add_argument("effects", nargs="*")
     given = parser.parse_args()
     if given.command == "make":
-        make_all(given.cases, given.seed, given.out)
+        make_all(given.cases, given.seed, given.out, fresh=given.fresh)
     elif given.command == "score":
         print_score(given.folder)
     else:

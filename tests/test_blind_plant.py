@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from dragrig.rig.runfile.reader import read_run
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, Secret, answer, draw, make, signature, without_effects
+from dragrig.sim_backend.blind import (
+    CATALOGUE,
+    OUTSIDE,
+    Secret,
+    another_session,
+    answer,
+    draw,
+    make,
+    signature,
+    without_effects,
+)
 from dragrig.sim_backend.blind.effects.base import Effect
 from dragrig.sim_backend.blind.programme import RunPlan
 from dragrig.sim_backend.blind.record import Trace, ideal, recorded
@@ -145,6 +155,7 @@ def test_a_campaign_without_noise_has_only_its_effect_beyond_the_same_without_ef
 def test_the_fresh_campaign_has_the_same_specimen_and_effect_at_other_speeds() -> None:
     first, second = (draw(21, effects=["adhesion"], runs=name) for name in ("practice", "fresh"))
     assert (first.specimen, first.effects, first.noise) == (second.specimen, second.effects, second.noise)
+    assert another_session(first) == second
     speeds = [{run.speed_mm_s for run in one.runs if run.kind == "drag"} for one in (first, second)]
     assert not speeds[0] & speeds[1]
     assert {run.strain for run in second.runs if run.kind == "relaxation"} == {0.75, 1.25}

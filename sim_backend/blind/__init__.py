@@ -6,6 +6,17 @@ The nominal equations are written a second time here, and no formula of an effec
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
 from dragrig.sim_backend.blind.files import make
 from dragrig.sim_backend.blind.record import Signature, signature
-from dragrig.sim_backend.blind.secret import Secret, answer, draw, without_effects
+from dragrig.sim_backend.blind.secret import Secret, another_session, answer, draw, without_effects
 
-__all__ = ["CATALOGUE", "OUTSIDE", "Secret", "Signature", "answer", "draw", "make", "signature", "without_effects"]
+__all__ = [
+    "CATALOGUE",
+    "OUTSIDE",
+    "Secret",
+    "Signature",
+    "another_session",
+    "answer",
+    "draw",
+    "make",
+    "signature",
+    "without_effects",
+]

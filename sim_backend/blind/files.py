@@ -12,7 +12,7 @@ import numpy as np
 from dragrig.sim_backend.blind.gut import MASS_G, RADIUS_MM
 from dragrig.sim_backend.blind.programme import RATE_HZ, WALL_MM, RunPlan
 from dragrig.sim_backend.blind.record import Trace, recorded
-from dragrig.sim_backend.blind.secret import Secret
+from dragrig.sim_backend.blind.secret import Secret, another_session
 
 START = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
 _NAMES = UUID("6d1e2f60-2f7b-4c0e-9d0e-1f2b9a7c5e11")
@@ -22,19 +22,23 @@ _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")
 
 
-def make(secret: Secret, folder: str | Path, workers: int = 1) -> None:
+def make(secret: Secret, folder: str | Path, workers: int = 1, *, runs: str | None = None) -> None:
     """Write a campaign's run files, NNN-KIND.h5, with the required part of the run format and nothing hidden in it.
 
     Parameters
     ----------
     workers
         Processes that share the runs; more than one only pays on an idle machine.
+    runs
+        Programme to be written in place of the one that was drawn, `fresh` for one.
 
     Raises
     ------
     OSError
         When a file cannot be written.
     """
+    if runs is not None:
+        secret = another_session(secret, runs)
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     one = partial(_write_one, secret, place)

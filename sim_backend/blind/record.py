@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import prod
+from zlib import crc32
 
 import numpy as np
 import numpy.typing as npt
@@ -68,16 +69,17 @@ def signature(secret: Secret) -> tuple[Signature, ...]:
 
 def _trace(secret: Secret, index: int, *, noisy: bool) -> Trace:
     run, variation = secret.runs[index], secret.variations[index]
+    seed = crc32(f"{secret.seed} {secret.programme}".encode())
     effects = tuple(one for one in secret.effects if run.kind in one.kinds)
     time = np.arange(run.samples) / RATE_HZ
     true_time = time
     for effect in effects:
-        true_time = effect.clock(run, true_time, secret.seed)
+        true_time = effect.clock(run, true_time, seed)
     command = commanded(run, true_time, secret.rough.blunt_s)
     motion = command
     for effect in effects:
-        motion = effect.motion(motion, Scene(run, secret.seed, command, motion))
-    scene = Scene(run, secret.seed, command, motion)
+        motion = effect.motion(motion, Scene(run, seed, command, motion))
+    scene = Scene(run, seed, command, motion)
     ageing = prod(effect.stiffness(run) for effect in effects)
     gut = Gut(secret.specimen, variation, secret.rough, effects, ageing)
     force = secret.specimen.gain * _on_sensor(gut, scene)

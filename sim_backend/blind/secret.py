@@ -70,8 +70,7 @@ def draw(
     sizes = tuple(map(float, size)) if isinstance(size, Sequence) else (float(size),) * len(names)
     if len(sizes) != len(names):
         raise ValueError(f"{len(sizes)} sizes for {len(names)} effects; give one for all or one each")
-    plans = programme(runs, _random(seed, f"programme {runs}"))
-    varied = _random(seed, f"runs {runs}")
+    plans, variations = _session(seed, runs)
     return Secret(
         seed=seed,
         specimen=draw_specimen(_random(seed, "specimen")),
@@ -81,8 +80,17 @@ def draw(
         sizes=sizes,
         programme=runs,
         runs=plans,
-        variations=tuple(draw_variation(varied) for _ in plans),
+        variations=variations,
     )
+
+
+def another_session(secret: Secret, runs: str = "fresh") -> Secret:
+    """Return a session of another programme with the same specimen and effects, as `draw` has it for `runs`.
+
+    Order and session time begin anew, and so do ageing and preconditioning: it is a parallel session, not a later one.
+    """
+    plans, variations = _session(secret.seed, runs)
+    return replace(secret, programme=runs, runs=plans, variations=variations)
 
 
 def without_effects(secret: Secret) -> Secret:
@@ -128,6 +136,12 @@ def _draw_effect(seed: int, name: str, size: float) -> Effect:
         raise ValueError(f"{name!r} is no effect; take one of {', '.join([*CATALOGUE, *OUTSIDE])}")
     random = _random(seed, f"effect {name}")
     return forms[int(random.integers(len(forms)))].drawn(random, size)
+
+
+def _session(seed: int, runs: str) -> tuple[tuple[RunPlan, ...], tuple[Variation, ...]]:
+    plans = programme(runs, _random(seed, f"programme {runs}"))
+    varied = _random(seed, f"runs {runs}")
+    return plans, tuple(draw_variation(varied) for _ in plans)
 
 
 def _random(seed: int, purpose: str) -> np.random.Generator:

@@ -84,8 +84,8 @@ def draw_rough(random: np.random.Generator) -> Rough:
         blunt_s=float(random.uniform(0.010, 0.040)) if "motion" in chosen else 0.0,
         shape=sign * float(random.uniform(0.015, 0.025)) if "shape" in chosen else 0.0,
         shape_form=str(random.choice(["linear", "arched", "wave"])),
-        ramp_step_s=float(random.choice([0.002, 0.004, 0.006])) if "quadrature" in chosen and in_ramp else 0.0,
-        panels=int(random.integers(6, 13)) if "quadrature" in chosen and (at_contact or not in_ramp) else 0,
+        ramp_step_s=float(random.choice([0.002, 0.004, 0.006, 0.008])) if "quadrature" in chosen and in_ramp else 0.0,
+        panels=int(random.integers(5, 11)) if "quadrature" in chosen and (at_contact or not in_ramp) else 0,
         angle_deg=float(random.choice([-1.0, 1.0]) * random.uniform(0.7, 1.1)) if "angle" in chosen else 0.0,
     )
 
