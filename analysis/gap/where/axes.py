@@ -146,7 +146,7 @@ def _session(runs: Runs) -> Axis:
 
 def _position(runs: Runs) -> Axis:
     longest = max((float(np.abs(one.position_mm).max()) for one in runs.first if _moves(one)), default=0.0)
-    edges = np.linspace(0.0, max(longest, 1e-9), POSITION_BINS + 1)
+    edges = np.linspace(0.0, max(round(longest, 1), 0.1), POSITION_BINS + 1)
 
     def index(one: ResidualBlocks) -> IndexArray:
         found = np.clip(np.searchsorted(edges, np.abs(one.position_mm), side="right") - 1, 0, POSITION_BINS - 1)

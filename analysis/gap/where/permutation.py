@@ -47,8 +47,8 @@ def significance(axis: Axis, stratum: IndexArray, generator: np.random.Generator
     """Test all windows of an axis.
 
     Between runs, their excess is permuted among runs of one kind (of all kinds, for the protocol): it stands out where
-    it belongs to the bin. Within runs, the sign of what a window has more than the rest of its run, or more than is
-    expected, is flipped run by run.
+    it belongs to the bin. Within runs, the sign of what a window has more than the rest of its run, and more than is
+    expected, is flipped run by run. Less than expected is no excess, whatever stands out in it.
     """
     windows = _windows(axis)
     if not windows.size:
@@ -60,7 +60,8 @@ def significance(axis: Axis, stratum: IndexArray, generator: np.random.Generator
         statistic = _permuted(axis, inside, kinds, generator)
     else:
         statistic = _flipped(axis, inside, generator)
-    return Significance(windows, _familywise(statistic))
+    above = (axis.energy.sum(axis=0) @ inside) > 0
+    return Significance(windows, np.where(above, _familywise(statistic), 1.0))
 
 
 def overall(energy: FloatArray, generator: np.random.Generator) -> float:
@@ -113,7 +114,7 @@ def _flipped(axis: Axis, inside: FloatArray, generator: np.random.Generator) -> 
     rest_time, rest_energy = axis.time @ (1 - inside), axis.energy @ (1 - inside)
     both = (time > 0) & (rest_time > 0)
     safe = np.where(both, time, 1.0), np.where(both, rest_time, 1.0)
-    more = _amplitude(energy / safe[0]) - _amplitude(rest_energy / safe[1])
+    more = _amplitude(energy / safe[0]) - np.maximum(_amplitude(rest_energy / safe[1]), 0.0)
     return _signs(np.where(both, more, 0.0), generator)
 
 
