@@ -1,6 +1,6 @@
 """Two campaigns, two runs, or a campaign and the friction model, side by side; and its files for a person."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from dragrig.analysis.comparison.compare import compare_sides
@@ -8,11 +8,13 @@ from dragrig.analysis.comparison.frame import as_frame
 from dragrig.analysis.comparison.results import Comparison, Side
 from dragrig.analysis.comparison.sources import side_of, side_of_model, side_of_runs
 from dragrig.analysis.progress import Progress, silent
+from dragrig.config.effects import EffectSettings
 from dragrig.config.errors import AnalysisError, OutputError
 from dragrig.config.library import find
 from dragrig.config.model import FrictionModelSettings
 from dragrig.inputs import run_files
 from dragrig.rig.runfile.model import Run
+from dragrig.rigs import with_effects
 
 Comparable = str | Path | Run | Iterable[Run]
 """A campaign's folder, a run file, a run in memory, or several."""
@@ -24,6 +26,7 @@ def compare(
     b: Comparable | None = None,
     *,
     model: str | Path | FrictionModelSettings | None = None,
+    effects: Sequence[str | EffectSettings] = (),
     specimen: str | None = None,
     progress: Progress = silent,
 ) -> Comparison:
@@ -38,6 +41,8 @@ def compare(
         A campaign's folder, a run file, or runs in memory; all differences are B − A.
     model
         In place of `b`, a friction model: every run of `a` is simulated again on its own recorded motion, noise-free.
+    effects
+        What the model has beside its own, each as `stribeck:ratio=0.4,speed_mm_s=2`.
     specimen
         Name or id of the specimen that is meant, on each side that holds several; all of them unless given.
 
@@ -61,15 +66,18 @@ def compare(
     >>> found.groups[0].measure, found.groups[0].verdict.value
     ('steady force', 'differs')
     """
+    if model is None and effects:
+        raise AnalysisError("Effects belong to a model; name the model too.")
     if (b is None) == (model is None):
         raise AnalysisError("A comparison takes a second campaign or a model; give one of the two.")
     first = _side(a, specimen, "A")
     if b is not None:
         return compare_sides(first, _side(b, specimen, "B"), progress)
     if isinstance(model, FrictionModelSettings):
-        return compare_sides(first, side_of_model(first, model, model.name), progress)
-    settings = find(FrictionModelSettings, "model", str(model))
-    return compare_sides(first, side_of_model(first, settings, Path(str(model)).stem), progress)
+        settings, name = model, model.name
+    else:
+        settings, name = find(FrictionModelSettings, "model", str(model)), Path(str(model)).stem
+    return compare_sides(first, side_of_model(first, with_effects(settings, effects), name), progress)
 
 
 def write(

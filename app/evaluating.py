@@ -12,12 +12,14 @@ from dragrig.analysis.savgol import SavgolSettings
 from dragrig.analysis.table import as_frame, row_of
 from dragrig.analysis.table import table as table_of
 from dragrig.config.capsule import Capsule
+from dragrig.config.effects import EffectSettings
 from dragrig.config.library import find
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.specimen import Specimen
 from dragrig.rig.runfile import Campaign, read_info, read_run
 from dragrig.rig.runfile import campaign as read_campaign
 from dragrig.rig.runfile.model import Run
+from dragrig.rigs import with_effects
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -187,14 +189,21 @@ def model(
     speeds_mm_s: Sequence[float] = (0.5, 1, 2, 5, 10, 15, 20, 30, 40, 50, 60),
     *,
     model: str | Path | FrictionModelSettings = "paper",
+    effects: Sequence[str | EffectSettings] = (),
     capsule: str | Path = "drag",
     specimen: str | Path = "jejunum",
 ) -> "pd.DataFrame":
     """Tabulate what the friction model says of sliding at steady speeds.
 
+    Parameters
+    ----------
+    effects
+        What the simulated rig has beside the model's, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+
     Returns
     -------
-    Columns speed_mm_s, f_e_mN (environmental resistance), f_v_mN (viscous), f_c_mN (Coulomb), total_mN.
+    Columns speed_mm_s, f_e_mN (environmental resistance), f_v_mN (viscous), f_c_mN (Coulomb), total_mN; with effects
+    also effects_mN, what they add on the last half of a drag of 40 mm.
 
     Raises
     ------
@@ -212,8 +221,10 @@ def model(
 
     settings = model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
     body = find(Capsule, "capsule", str(capsule))
-    forces = steady_forces(speeds_mm_s, settings, body, find(Specimen, "specimen", str(specimen)).wall_thickness_mm)
-    return pd.DataFrame(
+    settings = with_effects(settings, effects)
+    thickness = find(Specimen, "specimen", str(specimen)).wall_thickness_mm
+    forces = steady_forces(speeds_mm_s, settings, body, thickness)
+    frame = pd.DataFrame(
         {
             "speed_mm_s": forces.speed_mm_s,
             "f_e_mN": forces.f_e,
@@ -222,3 +233,9 @@ def model(
             "total_mN": forces.total,
         }
     )
+    if settings.effects:
+        from dragrig.sim_backend.devices.steady import steady_effects
+
+        frame.insert(4, "effects_mN", steady_effects(forces.speed_mm_s, settings, body, thickness))
+        frame["total_mN"] += frame["effects_mN"]
+    return frame

@@ -51,6 +51,11 @@ def equipped(
             f"--effect: effects act in the simulated rig, and backend {backend} is {where}; leave them out, or name "
             "--backend simulated."
         )
+    return with_effects(model, effects)
+
+
+def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSettings]) -> FrictionModelSettings:
+    """Return the model with further effects; raises `SettingsError` for effects that cannot be."""
     further = effects_of(effects)
     if further:
         model = model.model_copy(update={"effects": (*model.effects, *further)})

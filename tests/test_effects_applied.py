@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dragrig
+from dragrig.analysis.comparison.resimulated import simulated_again
 from dragrig.cli import main
 from dragrig.config.effects import EffectSettings, effects_of
 from dragrig.config.errors import SettingsError
@@ -193,3 +194,29 @@ def test_effects_bear_a_long_hold() -> None:
         assignments=[*SILENT, *SAME, "hold_s=900", "rig.sampling.rate_hz=50", "shear_strain=1"],
     )[:1]
     assert np.isfinite(run.trace.force).all()
+
+
+def test_the_model_tells_what_effects_add_at_steady_speed(capsys: pytest.CaptureFixture[str]) -> None:
+    typed = "stribeck:ratio=0.5,speed_mm_s=2"
+    frame = dragrig.model([1.0, 30.0], effects=[typed])
+    law = 0.5 * np.exp(-frame["speed_mm_s"] / 2.0) * frame["f_c_mN"]
+    assert frame["effects_mN"].to_numpy() == pytest.approx(law.to_numpy(), abs=0.05)
+    assert frame["total_mN"].to_numpy() == pytest.approx(
+        frame[["f_e_mN", "f_v_mN", "f_c_mN", "effects_mN"]].sum(axis=1)
+    )
+    assert main(["model", "--json", "--speeds", "1,30", "--effect", typed]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["effects_mN"] for row in rows] == pytest.approx(frame["effects_mN"].tolist())
+    assert "effects_mN" not in dragrig.model([1.0])
+
+
+def test_a_run_with_effects_is_what_the_model_with_them_says() -> None:
+    effects = ["stribeck:ratio=0.8,speed_mm_s=3", "peristalsis", "velocity_ripple", "arm_compliance"]
+    steps = (*QUICK, "speed_mm_s=3", "way_back=stay", "repeats=2", "rig.stage.start_mm=20")
+    first, second = made(*effects, assignments=steps)
+    own = FrictionModelSettings(effects=effects_of(effects))
+    for model, least, most in ((own, 0.0, 2.5), (FrictionModelSettings(), 10.0, 100.0)):
+        for run in (first, second):
+            again = simulated_again(run, model, first.info.header.start_time)
+            off = (np.asarray(again.trace.force) - np.asarray(run.trace.force))[np.asarray(run.trace.phase) != 1]
+            assert least <= np.sqrt(np.mean(off**2)) <= most

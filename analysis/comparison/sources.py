@@ -1,6 +1,7 @@
 """The runs of either side of a comparison, and which are left out and why."""
 
 from collections.abc import Iterable, Mapping
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -51,7 +52,9 @@ def side_of_runs(runs: Iterable[Run], name: str) -> Side:
 
 def side_of_model(real: Side, model: FrictionModelSettings, name: str) -> Side:
     """Put the friction model on the other side: every run simulated again on its own motion."""
-    sources = [Source(one.info, partial(_read_as_model, one, model)) for one in real.runs if one.info.kind != "return"]
+    first = min((one.info.header.start_time for one in real.runs), default=None)
+    strokes = [one for one in real.runs if one.info.kind != "return"]
+    sources = [Source(one.info, partial(_read_as_model, one, model, first)) for one in strokes]
     left_out = [LeftOut(one.file, SLID_OVER) for one in real.runs if one.info.kind == "return"]
     return Side(f"model {name}", tuple(sources), tuple(left_out), real.specimens, is_model=True)
 
@@ -103,8 +106,8 @@ def _ended(info: RunInfo) -> str:
     return f"it is {info.status.value}, not complete" + (f" ({info.reason})" if info.reason else "")
 
 
-def _read_as_model(source: Source, model: FrictionModelSettings) -> Run:
-    return simulated_again(source.read(), model)
+def _read_as_model(source: Source, model: FrictionModelSettings, first_run_at: datetime | None) -> Run:
+    return simulated_again(source.read(), model, first_run_at)
 
 
 def _itself(run: Run) -> Run:

@@ -24,6 +24,7 @@ MOST_ALONE = 12
 @click.argument("a", type=click.Path(path_type=Path))
 @click.argument("b", type=click.Path(path_type=Path), required=False)
 @click.option("--model", metavar="F|NAME", help="Compare A with this friction model in place of B.")
+@options.effects("What that model has beside its own, as dragrig gap effects lists it; repeatable.")
 @click.option(
     "--specimen", metavar="NAME", help="Specimen that is meant, where a folder holds several; all unless given."
 )
@@ -35,6 +36,7 @@ def command(
     a: Path,
     b: Path | None,
     model: str | None,
+    effects: tuple[str, ...],
     specimen: str | None,
     out: Path | None,
     overwrite: bool,
@@ -54,7 +56,7 @@ def command(
     from dragrig import comparing
 
     with Meter("comparing", 1.0, quiet=is_quiet()) as meter:
-        found = comparing.compare(a, b, model=model, specimen=specimen, progress=meter.at)
+        found = comparing.compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     if as_json and out is None:
         result_json(comparison_table(found))
         return

@@ -36,6 +36,7 @@ def _speeds(context: click.Context, parameter: click.Parameter, text: str) -> tu
     "--viscous", type=click.Choice(["published", "newtonian"]), help="Reading of Eq. 10, in place of the model's own."
 )
 @click.option("--model", "name", metavar="F|NAME", default="paper", help="Friction model; paper unless given.")
+@options.effects("What the simulated rig has beside it, as dragrig gap effects lists it; repeatable.")
 @click.option("--capsule", metavar="F|NAME", default="drag", help="Capsule; the drag test's unless given.")
 @click.option("--specimen", metavar="F|NAME", default="jejunum", help="Specimen; jejunum unless given.")
 @options.out("Folder for the pictures; the working folder unless given. With --json they are drawn only if given.")
@@ -47,6 +48,7 @@ def command(
     wall: str | None,
     viscous: str | None,
     name: str,
+    effects: tuple[str, ...],
     capsule: str,
     specimen: str,
     out: Path | None,
@@ -57,21 +59,28 @@ def command(
 
     A table of the environmental resistance f_e, the viscous friction f_v, the Coulomb friction f_c and their sum;
     pictures of them against speed, of the skew resistance along the capsule, and of the wall parameters; and where
-    the paper's Eq. 14 and Table 1 disagree.
+    the paper's Eq. 14 and Table 1 disagree. What effects add on the last half of a drag of 40 mm is a column of its
+    own, which the pictures do not show.
     """
+    import numpy as np
+
     from dragrig.config.capsule import Capsule
     from dragrig.config.library import find
     from dragrig.config.specimen import Specimen
     from dragrig.sim_backend.friction import steady_forces
 
-    model = _model(name, wall, viscous)
+    model = _model(name, wall, viscous, effects)
     body = find(Capsule, "capsule", capsule)
     thickness = find(Specimen, "specimen", specimen).wall_thickness_mm
-    forces = steady_forces(speeds, model, body, thickness)
+    rows = _rows(steady_forces(speeds, model, body, thickness))
+    if model.effects:
+        from dragrig.sim_backend.devices.steady import steady_effects
+
+        rows = _with(rows, steady_effects(np.array(speeds), model, body, thickness).tolist())
     if as_json:
-        result_json(_rows(forces))
+        result_json(rows)
     else:
-        result(_table(forces))
+        result(_table(rows))
         result(f"\n{_disagreement(model)}\n")
     tell = say if as_json else result
     if out is not None or not as_json:
@@ -86,14 +95,16 @@ def command(
             tell(str(save_in(out or Path(), file_name, figure, overwrite=overwrite)))
 
 
-def _model(name: str, wall: str | None, viscous: str | None) -> "FrictionModelSettings":
+def _model(name: str, wall: str | None, viscous: str | None, effects: tuple[str, ...]) -> "FrictionModelSettings":
     from dragrig.config.library import find
     from dragrig.config.loading import parse
     from dragrig.config.model import FrictionModelSettings
+    from dragrig.rigs import with_effects
 
     model = find(FrictionModelSettings, "model", name)
     changes = {key: value for key, value in (("wall", wall), ("viscous", viscous)) if value is not None}
-    return parse(FrictionModelSettings, model.model_dump() | changes, name) if changes else model
+    changed = parse(FrictionModelSettings, model.model_dump() | changes, name) if changes else model
+    return with_effects(changed, effects)
 
 
 def _rows(forces: "SteadyForces") -> list[dict[str, float]]:
@@ -102,9 +113,16 @@ def _rows(forces: "SteadyForces") -> list[dict[str, float]]:
     return [dict(zip(names, map(float, row), strict=True)) for row in values]
 
 
-def _table(forces: "SteadyForces") -> str:
-    rows = [(f"{row['speed_mm_s']:g}", *(f"{row[key]:.2f}" for key in list(row)[1:])) for row in _rows(forces)]
-    return columns(("speed mm/s", "f_e mN", "f_v mN", "f_c mN", "total mN"), rows)
+def _with(rows: list[dict[str, float]], effects_mN: list[float]) -> list[dict[str, float]]:
+    return [
+        {**dict(list(row.items())[:-1]), "effects_mN": added, "total_mN": row["total_mN"] + added}
+        for row, added in zip(rows, effects_mN, strict=True)
+    ]
+
+
+def _table(rows: list[dict[str, float]]) -> str:
+    header = ("speed mm/s", *(key.replace("_mN", " mN") for key in list(rows[0])[1:]))
+    return columns(header, [(f"{row['speed_mm_s']:g}", *(f"{row[key]:.2f}" for key in list(row)[1:])) for row in rows])
 
 
 def _disagreement(model: "FrictionModelSettings") -> str:

@@ -31,6 +31,11 @@ def _keep_quiet(context: click.Context, parameter: click.Parameter, value: bool)
     context.meta[QUIET] = value
 
 
+def effects(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Add `--effect`, passed on as `effects`."""
+    return click.option("--effect", "effects", metavar="ID[:KEY=VALUE,…]", multiple=True, help=what)
+
+
 _RIG = (
     click.option("--rig", metavar="F|NAME", help="Rig settings; the lab folder's, or the shipped bench."),
     click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig; paper unless given."),
@@ -41,13 +46,7 @@ _SETTINGS = (
     *_RIG[:1],
     click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
     *_RIG[1:2],
-    click.option(
-        "--effect",
-        "effects",
-        metavar="ID[:KEY=VALUE,…]",
-        multiple=True,
-        help="What the simulated rig has beside the model, as dragrig gap effects lists it; repeatable.",
-    ),
+    effects("What the simulated rig has beside the model, as dragrig gap effects lists it; repeatable."),
     click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
     *_RIG[2:],
     click.option(

@@ -10,17 +10,12 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.devices.kinematics import Motion, evaluate
-from dragrig.sim_backend.effects.applied import Chain
+from dragrig.sim_backend.effects.applied import Chain, computing_rate_hz, even_times
 from dragrig.sim_backend.effects.scene import gut_scene
 from dragrig.sim_backend.friction import prepare
 from dragrig.sim_backend.friction.motion import ProfileMotion
 from dragrig.sim_backend.friction.prepared import PreparedForce
 from dragrig.sim_backend.friction.recorded import RecordedMotion
-
-FINEST_HZ = 2000.0
-"""Effects are computed at the sample rate, but not faster than this; between these times they go straight."""
-MOST_TIMES = 250_000
-"""Longer acquisitions are computed at fewer times a second, so that memory lasts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,8 +97,7 @@ class AffectedCourse:
         session_start_s: float,
     ) -> "AffectedCourse":
         """Compute what happens when a profile is commanded; the times depend on nothing but the acquisition."""
-        rate_hz = min(rate_hz, FINEST_HZ, MOST_TIMES / max(acquisition.profile.duration_s, 1.0))
-        time = _times(profile.duration_s, rate_hz)
+        time = even_times(profile.duration_s, computing_rate_hz(rate_hz, acquisition.profile.duration_s))
         path: ProfileMotion | RecordedMotion = ProfileMotion.of(profile)
         position = path.position(time)
         if chain.motor:
@@ -130,8 +124,3 @@ class AffectedCourse:
             force_mN=np.asarray(np.interp(time_s, self.time_s, self.force_mN)),
             load_mN=np.asarray(np.interp(time_s, self.time_s, self.load_mN)),
         )
-
-
-def _times(duration_s: float, rate_hz: float) -> FloatArray:
-    whole = max(int(np.ceil(duration_s * rate_hz - 1e-6)), 1)
-    return np.append(np.arange(whole) / rate_hz, max(duration_s, 1e-6))

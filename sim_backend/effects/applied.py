@@ -19,6 +19,10 @@ from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect,
 from dragrig.sim_backend.effects.catalogue import find_effect
 from dragrig.sim_backend.effects.scene import Scene
 
+FINEST_HZ = 2000.0
+"""Effects are computed at the sample rate, but not faster than this; from one time to the next they go straight."""
+MOST_TIMES = 250_000
+"""Longer runs are computed at fewer times a second, so that memory lasts."""
 NOMINAL = "capsule"
 """The nominal model that the simulated rig has."""
 
@@ -108,3 +112,14 @@ class Chain:
         for effect, values in self.encoder:
             position_mm = effect.recorded(time_s, position_mm, values)
         return position_mm
+
+
+def computing_rate_hz(rate_hz: float, duration_s: float) -> float:
+    """Return at how many times a second effects are computed for a run of this length and sample rate."""
+    return min(rate_hz, FINEST_HZ, MOST_TIMES / max(duration_s, 1.0))
+
+
+def even_times(duration_s: float, rate_hz: float) -> FloatArray:
+    """Return times from 0 on at a rate, and the end [s]."""
+    whole = max(int(np.ceil(duration_s * rate_hz - 1e-6)), 1)
+    return np.append(np.arange(whole) / rate_hz, max(duration_s, 1e-6))
