@@ -214,9 +214,9 @@ def _nominal(nominal: str | Path | NominalModel, model: str | Path | FrictionMod
     found = find_model(str(nominal))
     if not isinstance(found, CapsuleModel):
         return found
-    return CapsuleModel(
-        model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
-    )
+    settings = model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
+    # The fit knows no effects, so that what it finds must not be simulated with them.
+    return CapsuleModel(settings.model_copy(update={"effects": ()}))
 
 
 def _joint(result: Identification) -> JointFit:

@@ -1,6 +1,10 @@
 """What holds for every effect of the catalogue, whatever it is."""
 
+import re
+import subprocess
+import sys
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,3 +79,25 @@ def test_it_knows_nothing_of_what_is_to_come(effect: Effect, kind: str) -> None:
     assert broken_off == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
     longer = changed(effect, scene(kind, until_s=until + 0.5), effect.usual)[: full.size]
     assert longer == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
+
+
+def test_the_page_on_how_to_add_one_shows_what_ships() -> None:
+    root = Path(__file__).parents[1]
+    page = (root / "docs" / "effects.md").read_text("utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert code == (root / "sim_backend" / "effects" / "payload_inertia.py").read_text("utf-8")
+
+
+def test_one_new_file_is_a_new_effect(tmp_path: Path) -> None:
+    import dragrig.sim_backend.effects as package
+
+    source = (Path(package.__file__).parent / "payload_inertia.py").read_text("utf-8")
+    (tmp_path / "second_payload.py").write_text(source.replace("payload_inertia", "second_payload"), "utf-8")
+    code = (
+        f"import dragrig.sim_backend.effects as package; package.__path__.append({str(tmp_path)!r})\n"
+        "import sys; from dragrig.cli import main\n"
+        "sys.exit(main(['check', 'blank', '--effect', 'second_payload:mass_g=3']) or main(['gap', 'effects']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    assert "\nsecond_payload\n" in done.stdout
