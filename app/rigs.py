@@ -138,12 +138,14 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
         raise SettingsError("--set: without a plan, only rig.… and model.… can be changed.")
     settings, rig_folder = found_settings(RigSettings, "rig", choices.get("rig") or rig_file_of(folder or Path.cwd()))
     rig = changes.laid_over(settings, "rig")
+    model = changes.laid_over(found_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model")
+    backend, double = choices.get("backend") or rig.backend, choices.get("double", False)
     return RigSetup(
         rig=rig,
-        model=changes.laid_over(found_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model"),
+        model=equipped(model, (), backend=backend, double=double),
         rig_folder=rig_folder,
-        backend=choices.get("backend") or rig.backend,
-        double=choices.get("double", False),
+        backend=backend,
+        double=double,
     )
 
 

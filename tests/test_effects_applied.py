@@ -97,6 +97,14 @@ def test_effects_are_not_for_the_real_rig(double: tuple[str, ...], capsys: pytes
     assert told.count("\n") == 1
 
 
+def test_a_double_takes_no_model_with_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text('[[effects]]\nid = "mains_hum"\n', "utf-8")
+    for words in (["check"], ["check", "drag"]):
+        assert main([*words, "--backend", "hardware", "--double", "--model", str(path)]) == 2
+        assert "effects act in the simulated rig" in capsys.readouterr().err
+
+
 def test_beyond_the_prior_range_is_allowed_where_it_can_be() -> None:
     assert switched_on(FrictionModelSettings(effects=effects_of(["stribeck:ratio=7"])))[0].values["ratio"] == 7
 
@@ -220,3 +228,16 @@ def test_a_run_with_effects_is_what_the_model_with_them_says() -> None:
             again = simulated_again(run, model, first.info.header.start_time)
             off = (np.asarray(again.trace.force) - np.asarray(run.trace.force))[np.asarray(run.trace.phase) != 1]
             assert least <= np.sqrt(np.mean(off**2)) <= most
+
+
+def test_the_force_gain_acts_on_effects_in_the_gut_and_not_on_those_of_the_sensor_or_the_motor() -> None:
+    fast = (*QUICK, "speed_mm_s=2", "rig.simulated.motor.noise_mN=0")
+    effects = ["stribeck", "force_drift:drift_mN_min=100"]
+    plain, doubled = (made(*effects, assignments=(*fast, f"model.force_gain={gain}"))[0] for gain in (1, 2))
+    crept = made("force_drift:drift_mN_min=100", plan="blank", assignments=(*fast, "way_back=stay"))[0]
+    size = min(plain.trace.force.size, crept.trace.force.size)
+    creep = np.asarray(crept.trace.force)[:size]
+    twice = 2 * (np.asarray(plain.trace.force)[:size] - creep) + creep
+    assert np.asarray(doubled.trace.force)[:size] == pytest.approx(twice, abs=4 * STEP_MN)
+    motor = (np.asarray(one.trace.channels["motor_force"]) for one in (plain, doubled))
+    assert next(motor) == pytest.approx(next(motor), abs=1e-3)
