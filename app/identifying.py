@@ -127,7 +127,7 @@ def identify(
         A campaign's folder, or runs in memory.
     nominal
         What is fitted: `capsule` (the paper's friction model), `drive` (the stage alone, from its motor force), a
-        Python file with a model of one's own, or a model.
+        Python file with a model of one's own, a friction model as TOML, or a model.
     model
         With `capsule`: the friction model that the specimen's scales count from.
     wall
@@ -212,11 +212,11 @@ def _nominal(nominal: str | Path | NominalModel, model: str | Path | FrictionMod
     if not isinstance(nominal, str | Path):
         return nominal
     found = find_model(str(nominal))
-    if not isinstance(found, CapsuleModel):
+    if not isinstance(found, CapsuleModel) or Path(nominal).suffix == ".toml":
         return found
-    settings = model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
-    # The fit knows no effects, so that what it finds must not be simulated with them.
-    return CapsuleModel(settings.model_copy(update={"effects": ()}))
+    return CapsuleModel(
+        model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
+    )
 
 
 def _joint(result: Identification) -> JointFit:

@@ -12,6 +12,7 @@ import dragrig
 from dragrig.analysis.identification.joint.fit import fit_jointly
 from dragrig.analysis.identification.results import JointFit
 from dragrig.analysis.identification.selection import Selection, select
+from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.nominal.catalogue import find_model, names
 from dragrig.analysis.nominal.drive import MODEL
 from dragrig.analysis.nominal.experiment import Experiment
@@ -165,3 +166,23 @@ def test_models_are_found_by_name() -> None:
         find_model("drvie")
     with pytest.raises(SettingsError, match="no such file"):
         find_model("models/mine.py")
+
+
+def test_a_friction_model_as_toml_is_the_capsule_model_that_counts_from_it(tmp_path: Path) -> None:
+    file = tmp_path / "soft.toml"
+    file.write_text("name = 'soft'\nstiffness_scale = 0.8\n")
+    model = find_model("soft.toml", beside=tmp_path)
+    assert isinstance(model, CapsuleModel)
+    assert model.settings.stiffness_scale == 0.8
+    file.write_text("stifness_scale = 0.8\n")
+    with pytest.raises(SettingsError, match="did you mean stiffness_scale"):
+        find_model(str(file))
+
+
+def test_an_identification_counts_from_the_toml_it_is_given(tmp_path: Path) -> None:
+    file = tmp_path / "soft.toml"
+    file.write_text("name = 'soft'\nfriction_coefficient = 0.09\n")
+    (drag, *_) = dragrig.simulate("drag", assignments=["speed_mm_s=30", "way_back=stay"])
+    found = dragrig.identify([drag], nominal=file)
+    assert isinstance(found.nominal, CapsuleModel)
+    assert found.nominal.settings.friction_coefficient == 0.09

@@ -1,4 +1,4 @@
-"""Nominal models by name, from entry points of the group `dragrig.models`, or from a person's own Python file."""
+"""Nominal models by name, from entry points of the group `dragrig.models`, or from a person's own file."""
 
 import sys
 from collections.abc import Iterator
@@ -11,10 +11,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
+from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.nominal.guarded import GuardedModel, told
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.config.errors import DragrigError, SettingsError
-from dragrig.config.loading import nearest
+from dragrig.config.loading import load, nearest
+from dragrig.config.model import FrictionModelSettings
 
 GROUP = "dragrig.models"
 SHIPPED = "dragrig."
@@ -33,7 +35,8 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
     Parameters
     ----------
     name_or_file
-        Name of an installed model, or path of a Python file that holds a `MODEL`.
+        Name of an installed model, path of a Python file that holds a `MODEL`, or of a friction model as TOML, from
+        which the capsule model then counts.
     beside
         Folder from which a relative path counts besides the working folder.
 
@@ -48,16 +51,18 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
         For an unknown name, and for a file or entry point that cannot be loaded or holds no nominal model.
     """
     path = Path(name_or_file)
-    if path.suffix == ".py" or len(path.parts) > 1:
+    if path.suffix in {".py", ".toml"} or len(path.parts) > 1:
         found = next((one for one in (path, *([beside / path] if beside else [])) if one.is_file()), None)
         if found is None:
             raise SettingsError(f"{name_or_file}: there is no such file; check the path of the model.")
+        if found.suffix == ".toml":
+            return CapsuleModel(load(FrictionModelSettings, found))
         file = found.resolve()
         return _guarded(_from_file(file), str(found), file)
     entry = next(iter(entry_points(group=GROUP, name=name_or_file)), None)
     if entry is None:
         raise SettingsError(
-            f"{name_or_file}: no such model is installed, and it is no Python file (.py) either; "
+            f"{name_or_file}: no such model is installed, and it is no file either (.py, .toml); "
             f"{nearest(name_or_file, names())}"
         )
     model, source = _loaded(entry), f"model {entry.name} ({entry.value})"
