@@ -212,11 +212,15 @@ def _nominal(nominal: str | Path | NominalModel, model: str | Path | FrictionMod
     if not isinstance(nominal, str | Path):
         return nominal
     found = find_model(str(nominal))
-    if not isinstance(found, CapsuleModel) or Path(nominal).suffix == ".toml":
+    if not isinstance(found, CapsuleModel):
         return found
-    return CapsuleModel(
-        model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
-    )
+    settings = found.settings
+    if Path(nominal).suffix != ".toml":
+        settings = (
+            model if isinstance(model, FrictionModelSettings) else find(FrictionModelSettings, "model", str(model))
+        )
+    # The fit knows no effects, so that what it finds must not be simulated with them.
+    return CapsuleModel(settings.model_copy(update={"effects": ()}))
 
 
 def _joint(result: Identification) -> JointFit:

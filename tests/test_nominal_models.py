@@ -181,8 +181,9 @@ def test_a_friction_model_as_toml_is_the_capsule_model_that_counts_from_it(tmp_p
 
 def test_an_identification_counts_from_the_toml_it_is_given(tmp_path: Path) -> None:
     file = tmp_path / "soft.toml"
-    file.write_text("name = 'soft'\nfriction_coefficient = 0.09\n")
+    file.write_text("name = 'soft'\nfriction_coefficient = 0.09\n[[effects]]\nid = 'stribeck'\n")
     (drag, *_) = dragrig.simulate("drag", assignments=["speed_mm_s=30", "way_back=stay"])
     found = dragrig.identify([drag], nominal=file)
     assert isinstance(found.nominal, CapsuleModel)
     assert found.nominal.settings.friction_coefficient == 0.09
+    assert found.nominal.settings.effects == ()
