@@ -114,6 +114,13 @@ class Effect(ABC):
     """Effects that runs hardly tell from this one."""
     nominal: ClassVar[str] = ""
     """Nominal model that it belongs to alone; empty for any."""
+    called: ClassVar[str] = ""
+    """What a person calls it inside a sentence; unless given its id with spaces."""
+
+    @property
+    def name(self) -> str:
+        """What a person calls it."""
+        return self.called or self.id.replace("_", " ")
 
     @property
     def size(self) -> EffectParameter:

@@ -14,6 +14,7 @@ class Breakaway(ForceEffect):
     """f_c grows by `ratio · exp(−distance / slip)` over the distance since the start."""
 
     id: ClassVar[str] = "breakaway"
+    called: ClassVar[str] = "breakaway friction"
     place: ClassVar[Place] = Place.INTERFACE
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = "An aged contact needs more force to start and loses it over a short slip."

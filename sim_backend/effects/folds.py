@@ -17,6 +17,7 @@ class Folds(ForceEffect):
     """f_e and f_c are modulated by `depth · sin(2π · position / wavelength + phase)`."""
 
     id: ClassVar[str] = "folds"
+    called: ClassVar[str] = "circular folds"
     place: ClassVar[Place] = Place.WALL
     domain: ClassVar[Domain] = Domain.POSITION
     summary: ClassVar[str] = "Circular folds modulate the force periodically in position."

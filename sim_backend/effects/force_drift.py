@@ -14,6 +14,7 @@ class ForceDrift(SensorEffect):
     """The zero goes to `drift` within a minute of the first sample, straight or as something that warms up."""
 
     id: ClassVar[str] = "force_drift"
+    called: ClassVar[str] = "drift of the force sensor"
     place: ClassVar[Place] = Place.FORCE_SENSOR
     domain: ClassVar[Domain] = Domain.TIME
     summary: ClassVar[str] = "The force sensor's zero creeps during a run."

@@ -15,6 +15,7 @@ class ForceHysteresis(SensorEffect):
     """A force that rises is shown too low by `half_width`, one that falls too high; a reversal takes `reversal` mN."""
 
     id: ClassVar[str] = "force_hysteresis"
+    called: ClassVar[str] = "hysteresis of the force sensor"
     place: ClassVar[Place] = Place.FORCE_SENSOR
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = "Play or friction in the force chain holds back what is shown of a change of force."

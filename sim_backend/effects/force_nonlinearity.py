@@ -17,6 +17,7 @@ class ForceNonlinearity(SensorEffect):
     """The gain is off by `gain_error · (|f| / 500 mN)^power`."""
 
     id: ClassVar[str] = "force_nonlinearity"
+    called: ClassVar[str] = "nonlinearity of the force sensor"
     place: ClassVar[Place] = Place.FORCE_SENSOR
     domain: ClassVar[Domain] = Domain.STRAIN
     summary: ClassVar[str] = "The force sensor's gain depends on the load."

@@ -16,6 +16,7 @@ class Presliding(ForceEffect):
     """A share of f_c becomes `μ N z`, with z a bristle's deflection over its steady one."""
 
     id: ClassVar[str] = "presliding"
+    called: ClassVar[str] = "presliding friction"
     place: ClassVar[Place] = Place.INTERFACE
     domain: ClassVar[Domain] = Domain.TRANSIENT
     summary: ClassVar[str] = (

@@ -14,6 +14,7 @@ class Stribeck(ForceEffect):
     """f_c grows by `ratio · exp(−(|v| / speed)^power)`."""
 
     id: ClassVar[str] = "stribeck"
+    called: ClassVar[str] = "Stribeck friction"
     place: ClassVar[Place] = Place.INTERFACE
     domain: ClassVar[Domain] = Domain.SPEED
     summary: ClassVar[str] = "The friction coefficient falls with speed, from boundary to mixed lubrication."

@@ -18,6 +18,7 @@ class WallLiftOff(ForceEffect):
     """Over the front `v^n / (v^n + speed^n)` of the contact's length `share` of the pressure is lost."""
 
     id: ClassVar[str] = "wall_lift_off"
+    called: ClassVar[str] = "wall lift-off"
     place: ClassVar[Place] = Place.WALL
     domain: ClassVar[Domain] = Domain.SPEED
     summary: ClassVar[str] = "At speed the wall cannot follow the hemisphere, and contact is lost from the front."

@@ -60,6 +60,7 @@ def _row(parameter: "EffectParameter") -> tuple[str, ...]:
 def _plain(effect: "Effect") -> dict[str, object]:
     return {
         "id": effect.id,
+        "name": effect.name,
         "place": effect.place,
         "domain": effect.domain,
         "summary": effect.summary,
