@@ -58,6 +58,8 @@ class ResidualBlocks:
         Where the stage is, from the first sample on.
     bands
         The steady phase by frequency, from the whole trace; from the blocks where it is missing.
+    level_mN
+        The force that was measured, shape `(B,)`, where it is at hand.
     """
 
     run_id: str
@@ -74,10 +76,12 @@ class ResidualBlocks:
     phase: PhaseArray
     position_mm: FloatArray
     bands: BandPower | None = None
+    level_mN: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""
-        arrays = (self.residual, self.noise_sd, self.width_s, self.time_s, self.phase, self.position_mm)
+        level = self.residual if self.level_mN is None else self.level_mN
+        arrays = (self.residual, self.noise_sd, self.width_s, self.time_s, self.phase, self.position_mm, level)
         if len({one.shape for one in arrays}) != 1 or self.residual.ndim != 1 or not self.residual.size:
             raise ValueError(f"Blocks of run {self.run_id} differ in their number, or there are none")
         if not (np.isfinite(self.residual).all() and (self.noise_sd > 0).all() and (self.width_s > 0).all()):

@@ -19,15 +19,21 @@ PERIODS = 2.0
 
 def periodic_share(blocks: Sequence[ResidualBlocks]) -> tuple[float, float]:
     """Return which part of all squares the best sine accounts for, in position and in time."""
+    in_position, in_time = periodic_shares(blocks)
+    return float(in_position.max()), float(in_time.max())
+
+
+def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, FloatArray]:
+    """Return that part for a sine of each of `WAVENUMBERS_PER_MM` in position, and of `FREQUENCIES_HZ` in time."""
     total = sum(float((one.weight * one.deviation**2).sum()) for one in blocks)
-    if total <= 0:
-        return 0.0, 0.0
     in_position, in_time = np.zeros(WAVENUMBERS_PER_MM.size), np.zeros(FREQUENCIES_HZ.size)
+    if total <= 0:
+        return in_position, in_time
     for one in blocks:
         steady, begun = one.phase == Phase.STEADY, one.phase != Phase.REST
         in_position += _power(one, np.abs(one.position_mm), steady, WAVENUMBERS_PER_MM)
         in_time += _power(one, one.time_s, begun, FREQUENCIES_HZ)
-    return float(in_position.max() / total), float(in_time.max() / total)
+    return in_position / total, in_time / total
 
 
 def _power(one: ResidualBlocks, coordinate: FloatArray, inside: BoolArray, rates: FloatArray) -> FloatArray:

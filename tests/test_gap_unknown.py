@@ -1,0 +1,182 @@
+"""A gap that no effect explains: laws that were planted are found, chance gives none, words say where and how."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from residuals import Planted, campaign
+
+from dragrig.analysis.gap.unknown import Law, find_law, part_of, place, shape
+from dragrig.analysis.gap.unknown.law import folds
+from dragrig.analysis.gap.unknown.selecting import Products, held_out
+from dragrig.analysis.gap.unknown.terms import since_start, speed
+from dragrig.analysis.gap.where import ResidualBlocks, locate
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import Phase
+
+
+def moving(one: ResidualBlocks, *kinds: str) -> FloatArray:
+    inside = (one.phase != Phase.REST) & (one.phase != Phase.HOLD)
+    return np.asarray(inside * (one.kind in kinds), dtype=np.float64)
+
+
+def rise_and_fall(one: ResidualBlocks) -> FloatArray:
+    v = np.maximum(speed(one), 0.5)
+    return np.asarray((1.2 * v - 12.0 * np.log(v)) * moving(one, "drag"))
+
+
+def way_and_time(one: ResidualBlocks) -> FloatArray:
+    return (0.9 * one.position_mm - 0.5 * since_start(one)) * moving(one, "drag", "coulomb")
+
+
+def held_strain(one: ResidualBlocks) -> FloatArray:
+    return np.asarray(12.0 * one.strain**2 * (one.phase == Phase.HOLD))
+
+
+def late_in_the_session(one: ResidualBlocks) -> FloatArray:
+    return -10.0 * (one.session_s > 1800.0) * moving(one, "drag")
+
+
+def in_one_run(one: ResidualBlocks) -> FloatArray:
+    return 1.5 * one.position_mm * moving(one, "drag") * (one.session_s == 1500.0)
+
+
+def its_own_in_every_run(one: ResidualBlocks) -> FloatArray:
+    return np.asarray(20.0 * np.sin(one.session_s) * one.position_mm / 40.0 * moving(one, "drag"))
+
+
+def waves(one: ResidualBlocks) -> FloatArray:
+    return 0.011 * np.sin(2 * np.pi * one.position_mm / 6.0) * moving(one, "drag")
+
+
+def law_of(blocks: list[ResidualBlocks]) -> Law | None:
+    return find_law(part_of(locate(blocks, present=True), blocks))
+
+
+def words_of(blocks: list[ResidualBlocks]) -> tuple[str, str]:
+    where = locate(blocks, present=True)
+    return place(where, blocks), shape(where, part_of(where, blocks))
+
+
+@pytest.mark.parametrize(
+    ("planted", "terms"),
+    [
+        (rise_and_fall, {"v": 1.2, "ln(v)": -12.0}),
+        (way_and_time, {"x": 0.9, "t": -0.5}),
+        (held_strain, {"ε²": 12.0}),
+    ],
+)
+def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: dict[str, float]) -> None:
+    for seed in (1, 2):
+        law = law_of(campaign(seed, planted))
+        assert law is not None
+        assert set(law.terms) == set(terms)
+        assert law.held_out > 0.9
+        for name, value, sd in zip(law.terms, law.coefficients, law.sd, strict=True):
+            assert abs(value - terms[name]) < 5 * sd
+            assert sd < 0.1 * abs(terms[name])
+
+
+def test_what_follows_the_measured_force_is_told_as_such() -> None:
+    made = [replace(one, level_mN=200.0 + 30.0 * np.sqrt(speed(one)) * np.cos(one.position_mm)) for one in campaign(3)]
+    planted = [
+        replace(one, residual=one.residual + 0.1 * one.level_mN * moving(one, "drag"))
+        if one.channel == "force" and one.level_mN is not None
+        else one
+        for one in made
+    ]
+    law = law_of(planted)
+    assert law is not None
+    assert law.terms == ("F",)
+    assert law.text.endswith("·F [mN], measured force F in mN")
+
+
+def test_noise_has_no_law() -> None:
+    assert not [seed for seed in range(30) if law_of(campaign(100 + seed)) is not None]
+
+
+@pytest.mark.parametrize("planted", [in_one_run, its_own_in_every_run])
+def test_what_other_runs_do_not_have_is_no_law(planted: Planted) -> None:
+    for seed in (1, 2, 3):
+        blocks = campaign(seed, planted)
+        assert locate(blocks).rms > 1.0
+        assert law_of(blocks) is None
+
+
+def test_a_law_needs_other_conditions_to_hold_in() -> None:
+    blocks = [one for one in campaign(1, rise_and_fall) if one.kind == "drag" and one.speed_mm_s in {0.5, 60.0}]
+    assert law_of(blocks) is None
+
+
+def test_runs_of_one_condition_are_in_one_fold() -> None:
+    blocks = [one for one in campaign(1) if one.channel == "force"]
+    found = folds(blocks)
+    assert found is not None
+    by_condition: dict[tuple[str, float, float], set[int]] = {}
+    for one, fold in zip(blocks, found.tolist(), strict=True):
+        by_condition.setdefault((one.kind, one.speed_mm_s, one.strain), set()).add(fold)
+    assert all(len(one) == 1 for one in by_condition.values())
+    assert len(set(found.tolist())) == 6
+
+
+def test_squares_that_are_held_out_are_those_of_a_fit_without_them() -> None:
+    generator = np.random.default_rng(0)
+    x, y = generator.standard_normal((4, 50, 3)), generator.standard_normal((4, 50))
+    products = Products(np.einsum("fni,fnj->fij", x, x), np.einsum("fni,fn->fi", x, y), (y**2).sum(axis=1))
+    found = held_out(products, np.array([[0, 2]]))[0]
+    for fold in range(4):
+        others = np.arange(4) != fold
+        fitted = np.linalg.lstsq(x[others].reshape(-1, 3)[:, [0, 2]], y[others].ravel(), rcond=None)[0]
+        assert found[fold] == pytest.approx(np.sum((y[fold] - x[fold][:, [0, 2]] @ fitted) ** 2), rel=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e3), st.booleans())
+def test_coefficients_are_as_exact_as_they_are_known(value: float, share: float, falls: bool) -> None:
+    law = Law(("v",), (-value if falls else value,), (share * value,), "mN", 0.9)
+    number, _, rest = law.text.partition("·")
+    assert rest == "v [mN], speed v in mm/s"
+    assert number.startswith("−") is falls
+    shown = float(number.removeprefix("−"))
+    assert shown > 0
+    assert abs(shown - value) <= 0.51 * max(share * value, 0.2 * value)
+
+
+def test_signs_and_units_of_a_law_are_those_of_a_formula() -> None:
+    law = Law(("1", "v", "ln(v)"), (-5.23, 0.4234, -3.14), (0.4, 0.012, 0.13), "mN", 0.8)
+    assert law.text == "−5.2 + 0.423·v − 3.14·ln(v) [mN], speed v in mm/s"
+
+
+def test_a_law_of_speed_is_told_in_words() -> None:
+    where, how = words_of(campaign(1, lambda one: 0.012 * speed(one) ** 2 * moving(one, "drag")))
+    assert where == (
+        "It is in the force of drag runs at 45 mm/s and faster, while moving; not in relaxation, blank or Coulomb runs."
+    )
+    assert how.startswith("Above all a function of speed:")
+    assert "much the same in every run" in how
+    assert "grows with speed, from " in how
+    assert "mN at 60 mm/s" in how
+    assert "higher than the model's force" in how
+
+
+def test_waves_are_told_with_period_amplitude_and_phase() -> None:
+    where, how = words_of(campaign(1, waves, channel="position"))
+    assert where.startswith("It is in the position of drag runs")
+    assert "periodic along the stroke, 6 mm long, with an amplitude of 11 µm, at the same place in every run" in how
+    assert "both signs" in how
+
+
+def test_a_late_gap_is_told_by_the_session() -> None:
+    where, how = words_of(campaign(1, late_in_the_session))
+    assert " s of the session" in where
+    assert "function of the session's time" in how
+    assert "falls with session time" in how
+    assert "lower than the model's force" in how
+
+
+def test_one_odd_run_is_named() -> None:
+    where, how = words_of(campaign(2, in_one_run))
+    assert "Nearly all of it is in one run, 015-drag." in where
+    assert how.startswith("It differs from run to run")
