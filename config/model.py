@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dragrig.config.base import Settings
+from dragrig.config.diagnosed import DiagnosedSettings
 from dragrig.config.effects import EffectSettings
 from dragrig.config.identified import IdentifiedSettings
 
@@ -59,6 +60,8 @@ class FrictionModelSettings(Settings):
     """What the simulated rig has beside this model, in a file as groups [[effects]]; dragrig gap effects lists them."""
     identified: IdentifiedSettings | None = None
     """Where the values come from, if from runs."""
+    diagnosed: DiagnosedSettings | None = None
+    """Where the effects come from, if from a diagnosis."""
 
     @model_validator(mode="after")
     def _has_its_polynomials(self) -> Self:

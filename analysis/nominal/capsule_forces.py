@@ -25,8 +25,9 @@ STEP = 1e-3
 """Relative step of a derivative by differences."""
 ANGLE_STEP_DEG = 0.2
 """That of the angle: the force jumps where a bend of the motion comes to the equator, and when that is follows it."""
-TIMING_S = 0.005
-"""So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
+TIMING_S, OBEYED_TIMING_S = 0.005, 0.001
+"""So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show; and how well the
+start of a motion is known that follows its command."""
 MOVING_MM_S, RESTING_MM_S = 0.15, 0.05
 """So well 1 µm counts tell the velocity within some 30 ms: of a stage that moves, and of one that creeps."""
 RELAXED = 1e-9
@@ -193,7 +194,8 @@ class SlidingPredictor(Predictor):
         """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
         given = dict(zip(self.names, values.tolist(), strict=True))
         last = float(self.motion.breaks_s[-1])
-        shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-TIMING_S, 0.0, TIMING_S)])
+        timing = OBEYED_TIMING_S if self.obeyed else TIMING_S
+        shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-timing, 0.0, timing)])
         before, now, after = np.split(self._friction(given, shifted), 3)
         early_or_late = np.maximum(np.abs(before - now), np.abs(after - now))
         return early_or_late if self.obeyed else np.hypot(early_or_late, self._creeping(now, time_s))

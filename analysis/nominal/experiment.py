@@ -31,6 +31,8 @@ class Experiment:
     """A run with its measured motion. Times and positions count from the first sample; units mm, s, mN, g."""
 
     run: Run
+    trusts_command: bool = False
+    """Whether the command is the motion even where the record of the position says otherwise."""
 
     @property
     def kind(self) -> str:
@@ -62,6 +64,8 @@ class Experiment:
         position = np.asarray(self.run.trace.position, dtype=np.float64)
         command = np.asarray(self.run.trace.command, dtype=np.float64)
         off = np.abs(position - command)[np.isfinite(position)]
+        if self.trusts_command and np.isfinite(command).all():
+            return True
         return bool(np.isfinite(command).all() and 0 < off.max(initial=0.0) <= FOLLOWS_MM)
 
     @cached_property

@@ -47,7 +47,8 @@ class HyperelasticWall(ForceEffect):
         power, slow_share = values["power"], values["slow_share"]
         if scene.sheared is not None:
             fast, slow, spring = scene.sheared.stresses
-            growth = values["stiffening"] * np.abs(scene.sheared.strain) ** power
+            # As for the elements themselves, the strain that is sheared to decides for the whole run.
+            growth = values["stiffening"] * float(np.abs(scene.sheared.strain).max()) ** power
             return np.asarray(scene.sheared.area_mm2 * growth * (fast + slow_share * (slow + spring)))
         wall = scene.wall
         if wall is None:

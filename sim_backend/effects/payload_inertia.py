@@ -7,7 +7,11 @@ import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Place, Role, SensorEffect
+from dragrig.sim_backend.effects.dynamics import first_order
 from dragrig.sim_backend.effects.scene import Scene
+
+SHORTEST_S = 1e-4
+"""A shorter lag is none."""
 
 
 class PayloadInertia(SensorEffect):
@@ -23,11 +27,16 @@ class PayloadInertia(SensorEffect):
     aliases: ClassVar[tuple[str, ...]] = ("arm_compliance",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("mass_g", "g", Role.SIZE, 20.0, 0.0, 1000.0, "mass beyond the sensor"),
+        EffectParameter(
+            "lag_s", "s", Role.SHAPE, 0.0, 0.0, 0.1, "time that a soft coupling takes", tried=(0.0, 0.006, 0.02)
+        ),
     )
 
     def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the force with that of the mass; g · mm/s² is µN."""
-        return np.asarray(force_mN + 1e-3 * values["mass_g"] * scene.acceleration_mm_s2)
+        pull = 1e-3 * values["mass_g"] * scene.acceleration_mm_s2
+        lag_s = values["lag_s"]
+        return np.asarray(force_mN + (first_order(scene.time_s, pull, lag_s) if lag_s > SHORTEST_S else pull))
 
 
 EFFECT = PayloadInertia()

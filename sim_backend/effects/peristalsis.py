@@ -9,7 +9,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
 from dragrig.sim_backend.effects.scene import Scene
 
-PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 5, 40))
+PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 3, 60))
 """Evenly spaced in frequency: in a run of 90 s no period is more than a third of a turn from one of them."""
 
 
@@ -28,8 +28,8 @@ class Peristalsis(ForceEffect):
     aliases: ClassVar[tuple[str, ...]] = ()
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
-        EffectParameter("period_s", "s", Role.SHAPE, 8.0, 3.0, 40.0, "time from pulse to pulse", tried=PERIODS_S),
-        EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "0 for none, the larger the shorter the pulse"),
+        EffectParameter("period_s", "s", Role.SHAPE, 8.0, 2.5, 40.0, "time from pulse to pulse", tried=PERIODS_S),
+        EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "more for shorter pulses", tried=(1.5,)),
         EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
     )
 

@@ -24,9 +24,7 @@ class Preconditioning(ForceEffect):
     aliases: ClassVar[tuple[str, ...]] = ("tissue_ageing",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("excess", "1", Role.SIZE, 0.3, 0.0, 3.0, "relative excess of stiffness in the first run"),
-        EffectParameter(
-            "runs", "1", Role.SHAPE, 4.0, 0.5, 20.0, "runs over which it fades", tried=(1.0, 2.0, 4.0, 8.0, 16.0)
-        ),
+        EffectParameter("runs", "1", Role.SHAPE, 4.0, 0.5, 5.0, "runs over which it fades", tried=(1.0, 2.0, 4.0)),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:

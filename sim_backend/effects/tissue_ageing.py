@@ -22,27 +22,27 @@ class TissueAgeing(ForceEffect):
     summary: ClassVar[str] = "Stiffness drifts with session time, as the tissue dries or loses its tone."
     exposes: ClassVar[str] = "a trend across relaxation and drag runs with their start time"
     source: ClassVar[str] = (
-        "first-order kinetics of water and tone lost post mortem; Nicolle and Palierne, "
+        "power law in time for water and tone lost post mortem; data in Nicolle and Palierne, "
         "Journal of the Mechanical Behavior of Biomedical Materials 3 (2010) 630"
     )
     aliases: ClassVar[tuple[str, ...]] = ("preconditioning",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("change", "1", Role.SIZE, 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"),
         EffectParameter(
-            "constant_s",
-            "s",
+            "power",
+            "1",
             Role.SHAPE,
-            2000.0,
-            300.0,
-            100000.0,
-            "time constant of the change",
-            tried=(400.0, 1000.0, 2500.0, 100000.0),
+            1.0,
+            0.2,
+            8.0,
+            "power of the session's time: below 1 it slows down, above it sets in late",
+            tried=(0.35, 0.7, 1.4, 2.8),
         ),
     )
 
     def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
         """Return the force of the stiffness that is added."""
-        aged = np.expm1(-scene.session_s / values["constant_s"]) / np.expm1(-REFERENCE_S / values["constant_s"])
+        aged = (np.maximum(scene.session_s, 0.0) / REFERENCE_S) ** values["power"]
         return np.asarray(scene.stiff * values["change"] * aged)
 
 

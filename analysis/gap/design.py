@@ -1,0 +1,206 @@
+"""The campaign as a linear problem around a point: everything that may explain a residual, whitened, run by run.
+
+What follows (fits, scores on runs that took no part, forward selection) is algebra with the Gram matrices alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.analysis.gap.candidate import Candidate, added, chain_of, slopes
+from dragrig.analysis.gap.nuisances import DETAILS, details
+from dragrig.analysis.gap.signatures import Shape, signature
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.identification.joint.evidence import Whitening
+from dragrig.analysis.nominal.capsule_parameters import ANGLE
+from dragrig.rig.arrays import FloatArray
+
+IndexArray = npt.NDArray[np.intp]
+SECANT = 0.6
+"""Half its width, in prior standard deviations of the contact angle."""
+FOREIGN_SD = 0.2
+"""Prior of each modulation: how much a real effect differs from the catalogue's form, relative."""
+
+
+class Part(StrEnum):
+    """What a column of a design is."""
+
+    NOMINAL = "nominal"
+    DETAIL = "detail"
+    EFFECT = "effect"
+    FOREIGN = "foreign"
+    SHAPE = "shape"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunPart:
+    """One run of a design.
+
+    Attributes
+    ----------
+    residual
+        Measured less predicted block means [mN], shape `(B,)`.
+    columns
+        What changes it, not whitened, shape `(B, C)`.
+    added
+        What the candidates add, shape `(B,)`.
+    predicted
+        Nominal prediction, shape `(B,)`.
+    repeat_sd
+        What repeats differ by, and what the motion leaves uncertain, one standard deviation, shape `(B,)`.
+    whitening
+        What makes its blocks independent.
+    """
+
+    residual: FloatArray
+    columns: FloatArray
+    added: FloatArray
+    predicted: FloatArray
+    repeat_sd: FloatArray
+    whitening: Whitening
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """A campaign around a point.
+
+    Attributes
+    ----------
+    z, candidates
+        The point: nominal parameters in units of their priors, and effects.
+    parts
+        The runs.
+    kinds
+        What each of `C` columns is.
+    prior_mean, prior_precision
+        Of the columns' coefficients, shape `(C,)`; shapes have none, for they are tried one by one.
+    grams
+        Gram matrix of residual and columns, whitened, for each run, shape `(1 + C, 1 + C)`; the residual comes first.
+    blocks
+        Number of blocks of each run.
+    shapes
+        The dictionary, in the order of the columns of `Part.SHAPE`.
+    derivatives
+        Those by the nominal parameters, for each run.
+    """
+
+    z: FloatArray
+    candidates: tuple[Candidate, ...]
+    parts: tuple[RunPart, ...]
+    kinds: tuple[Part, ...]
+    prior_mean: FloatArray
+    prior_precision: FloatArray
+    grams: tuple[FloatArray, ...]
+    blocks: tuple[int, ...]
+    shapes: tuple[Shape, ...]
+    derivatives: tuple[FloatArray, ...]
+
+    @property
+    def log_det(self) -> float:
+        """Logarithm of the determinant of all runs' covariances, which depend on what is predicted."""
+        whitenings = [one.whitening for one in self.parts]
+        noise = sum(2 * float(np.log(np.diag(one.noise_root)).sum()) for one in whitenings)
+        return noise - sum(2 * float(np.log1p(-one.shrinkage).sum()) for one in whitenings)
+
+    def of(self, *wanted: Part) -> IndexArray:
+        """Return which columns are of these kinds."""
+        return np.array([index for index, kind in enumerate(self.kinds) if kind in wanted], dtype=np.intp)
+
+    def total(self, runs: Sequence[int] | None = None) -> FloatArray:
+        """Sum the Gram matrices of some runs, of all unless said."""
+        chosen = self.grams if runs is None else [self.grams[one] for one in runs]
+        return np.sum(chosen, axis=0)
+
+
+def lay_out(
+    study: Study,
+    z: FloatArray,
+    candidates: Sequence[Candidate] = (),
+    *,
+    derivatives: Sequence[FloatArray] | None = None,
+    foreign: bool = False,
+    dictionary: bool = False,
+) -> Design:
+    """Linearise a campaign around a point.
+
+    Parameters
+    ----------
+    derivatives
+        Those by the nominal parameters, from a point nearby; computed anew unless given.
+    foreign
+        Whether the candidates' contributions may be modulated.
+    dictionary
+        Whether every shape of every effect is a column too.
+    """
+    problem, settings = study.problem, study.settings(z)
+    predictions = problem.predictions(z)
+    uncertainties = problem.uncertainties(z)
+    whitenings = problem.whitenings(predictions, uncertainties)
+    by_nominal = _derivatives(study, z) if derivatives is None else derivatives
+    parts, grams = [], []
+    for number, sight in enumerate(study.sights):
+        scene, gain = sight.scene(settings), settings.force_gain
+        alone = [added(chain_of([one], study.chain), scene, gain) for one in candidates]
+        before = added(study.chain, scene, gain)
+        together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
+        more = sight.of_blocks(together if alone else before)
+        rows = [gain * sight.of_blocks(details(scene, sight.condition[1]))]
+        rows.append(sight.of_blocks(slopes(candidates, study.chain, scene, gain)))
+        if foreign:
+            rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
+        if dictionary:
+            rows.append(sight.of_blocks(np.array([signature(one, scene, gain) for one in study.shapes])))
+        residual = sight.evidence.blocks.mean - predictions[number].total - more
+        columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
+        varying = problem.sds[:, None] * predictions[number].varying
+        repeat = np.sqrt(np.sum(varying**2, axis=0) + uncertainties[number] ** 2)
+        parts.append(RunPart(residual, columns, more, predictions[number].total, repeat, whitenings[number]))
+        white = whitenings[number].whole(np.column_stack((residual, columns)))
+        grams.append(white.T @ white)
+    priors = _priors(z, candidates, len(study.modulations[0]) if foreign else 0)
+    shapes = study.shapes if dictionary else ()
+    kinds, mean, precision = zip(*priors, *[(Part.SHAPE, 0.0, 0.0)] * len(shapes), strict=True)
+    return Design(
+        z=z,
+        candidates=tuple(candidates),
+        parts=tuple(parts),
+        kinds=kinds,
+        prior_mean=np.array(mean),
+        prior_precision=np.array(precision),
+        grams=tuple(grams),
+        blocks=tuple(len(one.residual) for one in parts),
+        shapes=shapes,
+        derivatives=tuple(by_nominal),
+    )
+
+
+def _derivatives(study: Study, z: FloatArray) -> list[FloatArray]:
+    """Return the derivatives of block means by `z`; by a secant where they jump.
+
+    With the contact angle the moment changes at which friction jumps, when a bend of the motion comes to the equator. A
+    tangent leaves these jumps out, and a fit that follows it stops beside the minimum.
+    """
+    found = study.problem.derivatives(z)
+    if ANGLE not in study.names:
+        return found
+    column = study.names.index(ANGLE)
+    sides = []
+    for side in (1.0, -1.0):
+        turned = z.copy()
+        turned[column] += side * SECANT
+        sides.append(study.problem.predictions(turned))
+    for one, more, less in zip(found, *sides, strict=True):
+        one[:, column] = (more.total - less.total) / (2 * SECANT)
+    return found
+
+
+def _priors(z: FloatArray, candidates: Sequence[Candidate], modulations: int) -> list[tuple[Part, float, float]]:
+    priors = [(Part.NOMINAL, -value, 1.0) for value in z.tolist()]
+    priors += [(Part.DETAIL, 0.0, 1.0)] * len(DETAILS)
+    for one in candidates:
+        priors += [(Part.EFFECT, 0.0, sd**-2) for sd in one.prior_sds().tolist()]
+    priors += [(Part.FOREIGN, 0.0, FOREIGN_SD**-2)] * (modulations * len(candidates))
+    return priors

@@ -1,0 +1,263 @@
+"""A diagnosis from one end to the other: where, which, how much."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from dragrig.analysis.gap import judging
+from dragrig.analysis.gap.amended import amended_model
+from dragrig.analysis.gap.explain import Explanation, Findings, explain, in_time
+from dragrig.analysis.gap.gaps import RunGap, run_gap, shrink_of
+from dragrig.analysis.gap.held_out import improvement, leave_out
+from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Further, Judgement, Score, judge
+from dragrig.analysis.gap.lines import Lines, find_lines
+from dragrig.analysis.gap.position.finding import PositionFinding, find_position
+from dragrig.analysis.gap.position.gap import position_gap
+from dragrig.analysis.gap.residuals import force_blocks, position_blocks
+from dragrig.analysis.gap.results import Diagnosis, Ranked, Shrink, UnknownGap, Verdict
+from dragrig.analysis.gap.seen import would_have_seen
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.gap.tables import parameters_of, views_of
+from dragrig.analysis.gap.where import ResidualBlocks, Where, locate
+from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.identification.threads import one_thread
+from dragrig.analysis.nominal.capsule import CapsuleModel
+from dragrig.analysis.nominal.protocol import NominalModel
+from dragrig.analysis.progress import Progress, silent
+from dragrig.config.errors import AnalysisError
+from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+CHANNEL = "force"
+TOLERANCE_MN = 0.5
+HUM = "mains_hum"
+LOWEST_LINE_HZ = 4.9
+CALIBRATION = "calibrated on simulated campaigns"
+STEPS = 6
+BESIDE_MOTION = 0.3
+"""Where the stage strays, what its motion leaves uncertain is no effect unless one explains this share of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a diagnosis is asked for.
+
+    Attributes
+    ----------
+    without
+        Effects that are not to be considered.
+    tolerance_mN
+        What an effect must add, root mean square where it acts, to matter.
+    workers
+        Processes that may work at once.
+    """
+
+    without: tuple[str, ...] = ()
+    tolerance_mN: float = TOLERANCE_MN
+    workers: int = 1
+
+
+@one_thread()
+def diagnose(
+    selection: Selection, nominal: NominalModel, options: Options | None = None, progress: Progress = silent
+) -> Diagnosis:
+    """Diagnose the gap between the runs of a specimen and a nominal model.
+
+    Raises
+    ------
+    AnalysisError
+        Where the model predicts nothing of these runs, or a run lacks what it needs.
+    """
+    asked = options or Options()
+    if not isinstance(nominal, CapsuleModel):
+        raise AnalysisError(
+            f"the model {nominal.name} is none that effects are known for; name capsule or a friction model's file."
+        )
+    began = perf_counter()
+    progress(0, STEPS)
+    effects = [one for one in catalogue().values() if one.id not in asked.without and one.nominal in {"", nominal.name}]
+    position = find_position(selection.experiments, effects)
+    lines = _audible(find_lines(selection.experiments, CHANNEL))
+    progress(1, STEPS)
+    study = Study.of(_trusting(selection, position), nominal, [one for one in effects if _in_force(one)])
+    prepared = perf_counter()
+    found = explain(study, BESIDE_MOTION if position.present else 0.0)
+    progress(4, STEPS)
+    judged = judge(_numbers(found, position, lines, asked), asked.tolerance_mN)
+    explained = perf_counter()
+    diagnosis = _told(selection, nominal, asked, study, found, position, lines, judged)
+    progress(STEPS, STEPS)
+    timings = {
+        "reading and position": prepared - began,
+        "explaining": explained - prepared,
+        "telling": perf_counter() - explained,
+    }
+    return replace(diagnosis, timings_s=timings)
+
+
+def _in_force(effect: Effect) -> bool:
+    return isinstance(effect, ForceEffect | SensorEffect) and effect.id != HUM
+
+
+def _audible(lines: Lines) -> Lines:
+    """Leave out what is too slow to be told from slow noise."""
+    other = lines.other if lines.other.frequency_hz > LOWEST_LINE_HZ else replace(lines.other, gain=0.0)
+    return Lines(lines.mains, other)
+
+
+def _trusting(selection: Selection, position: PositionFinding) -> Selection:
+    """Let the motion be the command's where only the record of the position is wrong."""
+    if not position.recorded_wrongly:
+        return selection
+    return replace(selection, experiments=tuple(replace(one, trusts_command=True) for one in selection.experiments))
+
+
+def _numbers(found: Findings, position: PositionFinding, lines: Lines, asked: Options) -> judging.Findings:
+    return judging.Findings(
+        blocks=found.blocks,
+        squares=found.squares,
+        singles=tuple(_score(one) for one in found.singles),
+        further=tuple(
+            Further(
+                one.effect,
+                one.gain,
+                one.left,
+                one.runner_up,
+                one.runner_up_gain,
+                None if one.together is None else _score(one.together),
+            )
+            for one in found.steps
+        ),
+        mains_gain=lines.mains.gain,
+        line_gain=lines.other.gain,
+        position=tuple((one.effect, one.held_out) for one in position.families) if position.present else (),
+        strays=position.present,
+        without=asked.without,
+    )
+
+
+def _score(one: Explanation) -> Score:
+    periodic = any(in_time(each.effect) for each in one.point.candidates)
+    return Score(one.effects, one.plain, one.flexible, one.added_mN, periodic)
+
+
+def _chosen(found: Findings, judged: Judgement) -> Explanation | None:
+    """Return the explanation that has the effects of the force that were named."""
+    named = {name for name in judged.effects if name != HUM}
+    tried = [*found.singles, *(one.together for one in found.steps if one.together is not None)]
+    fitting = [one for one in tried if set(one.effects) <= named]
+    return max(fitting, key=lambda one: len(one.effects), default=None)
+
+
+def _told(
+    selection: Selection,
+    nominal: CapsuleModel,
+    asked: Options,
+    study: Study,
+    found: Findings,
+    position: PositionFinding,
+    lines: Lines,
+    judged: Judgement,
+) -> Diagnosis:
+    chosen = _chosen(found, judged)
+    hum = lines.mains if HUM in judged.effects else replace(lines.mains, amplitude=0.0)
+    blocks = [*force_blocks(study, found.nominal, asked.tolerance_mN, hum)]
+    blocks += position_blocks(position.runs)
+    where = locate(blocks, present=judged.verdict is not Verdict.NO_GAP)
+    shrink, views = _shrunk(study, found, chosen, position, judged)
+    files = tuple(one.file for one in study.sights)
+    return Diagnosis(
+        specimen=selection.specimen,
+        nominal=nominal.name,
+        runs=len(selection.experiments),
+        used_for_fit=files,
+        held_out=files if len(files) > 1 else (),
+        left_out=selection.left_out,
+        verdict=judged.verdict,
+        effects=judged.effects,
+        ranking=tuple(_ranking(found, position, lines, judged)),
+        confusable_with=judged.confusable_with,
+        residual_unknown=judged.residual_unknown,
+        would_have_seen_mN=would_have_seen(study, found.nominal),
+        tolerance_mN=asked.tolerance_mN,
+        where=where,
+        shrink=shrink,
+        unknown=_unknown(where, blocks, judged),
+        model=amended_model(study, nominal, chosen, position, lines, judged, found, shrink, selection.specimen),
+        views=views,
+        cannot_answer=tuple(_cannot_answer(study, selection)),
+        remarks=selection.remarks,
+        calibration=CALIBRATION,
+    )
+
+
+def _unknown(where: Where, blocks: Sequence[ResidualBlocks], judged: Judgement) -> UnknownGap | None:
+    if judged.verdict is Verdict.UNKNOWN or judged.residual_unknown:
+        del blocks
+        return UnknownGap(lives_in="", shape=where.domain)
+    return None
+
+
+def _shrunk(
+    study: Study, found: Findings, chosen: Explanation | None, position: PositionFinding, judged: Judgement
+) -> tuple[Shrink | None, tuple]:
+    left = leave_out(found, chosen)
+    if left is None:
+        return None, ()
+    design = found.nominal if chosen is None else chosen.design
+    gaps: list[RunGap] = []
+    for number, sight in enumerate(study.sights):
+        gaps.append(
+            run_gap(
+                sight,
+                study.problem.noises[number],
+                found.nominal.parts[number].repeat_sd,
+                (left.before[number], found.nominal.parts[number].whitening),
+                (left.after[number], design.parts[number].whitening),
+                study.problem.zero_sds[number],
+            )
+        )
+    shrink = shrink_of(gaps)
+    if position.candidate is not None and position.candidate.effect.id in judged.effects and chosen is None:
+        shrink = position_gap(position, shrink)
+    return shrink, views_of(gaps)
+
+
+def _ranking(found: Findings, position: PositionFinding, lines: Lines, judged: Judgement) -> Iterator[Ranked]:
+    explained = {"+".join(one.effects): one for one in found.singles}
+    explained |= {"+".join(one.together.effects): one.together for one in found.steps if one.together is not None}
+    known = [one.effect for one in found.ranked] + [one.effect for one in position.families] + [HUM, NO_GAP, UNKNOWN]
+    whole = {**dict.fromkeys(known, 0.0), **judged.probabilities}
+    sums = sum(whole.values())
+    for name, probability in sorted(whole.items(), key=lambda pair: -pair[1]):
+        one = explained.get(name)
+        yield Ranked(
+            name,
+            probability / sums,
+            parameters_of(name, one, position, lines),
+            None if one is None else improvement(found, one),
+        )
+
+
+def _cannot_answer(study: Study, selection: Selection) -> Iterator[str]:
+    kinds = {one.kind for one in selection.experiments}
+    speeds = {one.condition[1] for one in study.sights if one.experiment.kind == "drag"}
+    if "relaxation" not in kinds:
+        yield "Without relaxations nothing is said of a further relaxation or of stiffening with strain."
+    if "drag" not in kinds:
+        yield "Without drag runs nothing is said of what needs a closed gut: adhesion, folds, lift-off, inertia."
+    elif len(speeds) < 3:
+        yield "With fewer than three speeds of drag, effects of speed cannot be told apart."
+    if "blank" not in kinds:
+        yield "Without blank runs the rig's own effects are known through the gut alone."
+    if "coulomb" not in kinds:
+        yield "Without Coulomb runs adhesion cannot be told from friction that falls with speed."
+    repeats = len(study.sights) - len({one.condition for one in study.sights})
+    if not repeats:
+        yield "No condition was repeated, so that the specimen's repeatability is assumed and not seen."
+    if len(study.sights) < 4:
+        yield "With so few runs none can be kept back, so that no shrink is given."
+    if not np.any([one.experiment.run.trace.command is not None for one in study.sights]):
+        yield "No command was recorded, so that nothing is said of the motor."

@@ -1,0 +1,60 @@
+"""How far an amended model closes the gap on fresh runs of the same specimen."""
+
+import numpy as np
+
+from dragrig.analysis.gap.candidate import Candidate
+from dragrig.analysis.gap.design import lay_out
+from dragrig.analysis.gap.gaps import run_gap, shrink_of
+from dragrig.analysis.gap.position.errors import position_errors
+from dragrig.analysis.gap.position.finding import LEAST_MM
+from dragrig.analysis.gap.position.gap import closed_in_position
+from dragrig.analysis.gap.results import Shrink
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.identification.threads import one_thread
+from dragrig.analysis.nominal.capsule import CapsuleModel
+from dragrig.config.errors import AnalysisError
+from dragrig.config.model import FrictionModelSettings
+from dragrig.sim_backend.effects.applied import switched_on
+from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect
+
+
+@one_thread()
+def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
+    """Compare fresh runs with the specimen's model as it was without its effects, and with them.
+
+    Nothing is fitted to the runs but each one's own zero.
+
+    Raises
+    ------
+    AnalysisError
+        Where the model has no effects, or predicts nothing of these runs.
+    """
+    if not model.effects:
+        raise AnalysisError(f"model {model.name} has no effects, so that there is nothing to evaluate.")
+    bare = model.model_copy(update={"effects": (), "diagnosed": None})
+    before = bare.model_copy(update=dict(model.diagnosed.nominal)) if model.diagnosed else bare
+    first, second = (_study(selection, one) for one in (before, model))
+    start = np.zeros(len(first.names))
+    one, other = lay_out(first, start), lay_out(second, start)
+    gaps = [
+        run_gap(
+            sight,
+            first.problem.noises[number],
+            other.parts[number].repeat_sd,
+            (one.parts[number].residual, one.parts[number].whitening),
+            (other.parts[number].residual, other.parts[number].whitening),
+            first.problem.zero_sds[number],
+        )
+        for number, sight in enumerate(first.sights)
+    ]
+    shrink = shrink_of(gaps)
+    moved = [one for one in switched_on(model) if isinstance(one.effect, MotorEffect | EncoderEffect)]
+    errors = position_errors(selection.experiments)
+    if len(moved) == 1 and len(model.effects) == 1 and errors and max(one.rms_mm for one in errors) >= LEAST_MM:
+        return closed_in_position(Candidate(moved[0].effect, moved[0].values), errors, shrink)
+    return shrink
+
+
+def _study(selection: Selection, settings: FrictionModelSettings) -> Study:
+    return Study.of(selection, CapsuleModel(settings), ())

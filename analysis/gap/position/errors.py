@@ -1,0 +1,100 @@
+"""By how much the recorded position differs from the command: means over blocks of each run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.rig.arrays import FloatArray
+
+MOST_BLOCKS = 400
+BEFORE_S, AFTER_S = 0.05, 1.5
+"""What is looked at of the rest before a motion and of the hold after it."""
+COUNT_MM = 0.001
+"""An encoder count; differences smaller than this do not matter."""
+QUANTISATION_MM = COUNT_MM / np.sqrt(12)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionErrors:
+    """One run, in `B` blocks.
+
+    Attributes
+    ----------
+    experiment
+        The run.
+    time_s, command_mm, velocity_mm_s
+        Middles of the blocks, where the stage was told to be, and how fast; shape `(B,)`.
+    error_mm
+        Recorded less commanded position, its mean over the rest before the motion taken off.
+    force_mN
+        The force, its first value taken off; zeros where none was recorded.
+    session_s
+        The first sample on the session's clock.
+    """
+
+    experiment: Experiment
+    time_s: FloatArray
+    command_mm: FloatArray
+    velocity_mm_s: FloatArray
+    error_mm: FloatArray
+    force_mN: FloatArray
+    session_s: float
+
+    @property
+    def rms_mm(self) -> float:
+        """Its size beyond the encoder's quantisation."""
+        return float(np.sqrt(max(float(np.mean(self.error_mm**2)) - QUANTISATION_MM**2 / 2, 0.0)))
+
+    def delayed(self, delay_s: float) -> FloatArray:
+        """Return the command at the blocks' middles, so much later, shape `(B,)`."""
+        trace = self.experiment.run.trace
+        return np.interp(self.time_s - delay_s, self.experiment.time_s, np.asarray(trace.command, dtype=np.float64))
+
+
+def position_errors(experiments: Sequence[Experiment]) -> tuple[PositionErrors, ...]:
+    """Return the position errors of all runs that move and recorded a position and a command."""
+    starts = [one.run.info.header.start_time for one in experiments]
+    found = []
+    for experiment, start in zip(experiments, starts, strict=True):
+        one = _errors(experiment, (start - min(starts)).total_seconds())
+        if one is not None:
+            found.append(one)
+    return tuple(found)
+
+
+def _errors(experiment: Experiment, session_s: float) -> PositionErrors | None:
+    trace = experiment.run.trace
+    if "position" not in trace.channels:
+        return None
+    position = np.asarray(trace.position, dtype=np.float64)
+    command = np.asarray(trace.command, dtype=np.float64)
+    time = experiment.time_s
+    moves = np.flatnonzero(np.abs(np.diff(command)) > 0)
+    if not moves.size or not np.isfinite(command).all():
+        return None
+    begin = np.searchsorted(time, time[moves[0]] - BEFORE_S)
+    end = np.searchsorted(time, time[moves[-1]] + AFTER_S)
+    inside = np.arange(begin, end)[np.isfinite(position[begin:end])]
+    if inside.size < 8:
+        return None
+    rest = np.isfinite(position[: moves[0] + 1])
+    zero = float(np.mean((position - command)[: moves[0] + 1][rest])) if rest.any() else 0.0
+    force = np.nan_to_num(np.asarray(trace.force, dtype=np.float64)) if "force" in trace.channels else 0.0 * time
+    edges = np.unique(np.linspace(0, inside.size, min(MOST_BLOCKS, inside.size) + 1).astype(int))[:-1]
+    count = np.diff(np.append(edges, inside.size))
+
+    def means(values: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(values[inside], edges) / count)
+
+    velocity = np.gradient(command, time)
+    return PositionErrors(
+        experiment,
+        means(time),
+        means(command - command[0]),
+        means(velocity),
+        means(position - command) - zero,
+        means(force - force[:20].mean()),
+        session_s,
+    )

@@ -1,0 +1,152 @@
+"""What a position error is a function of: free forms of every effect that acts on the position, judged held out.
+
+A free form asks whether the error can be such an effect at all, whatever its law: a linear response to the command
+(a servo that lags), a function of the distance (an encoder's scale), a periodic one (a ripple), the command itself at
+another time (a latency).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.gap.position.errors import COUNT_MM, PositionErrors
+from dragrig.rig.arrays import FloatArray
+
+DELAYS_S = (0.002, 0.004, 0.008, 0.016, 0.03, 0.05, 0.08, 0.12, 0.2, 0.35, 0.6)
+"""Delays of the command that a linear response is made of."""
+LATENCIES_S = np.concatenate((-np.geomspace(0.1, 0.0005, 24), np.geomspace(0.0005, 0.1, 24)))
+WAVES_PER_MM = np.arange(1 / 30, 1 / 0.6, 0.25 / 45)
+"""Wave numbers of a ripple; over 45 mm neighbours differ by a quarter of a period."""
+HARMONICS = 3
+FOLDS = 4
+RIDGE = 1e-6
+
+Columns = Callable[[PositionErrors], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """How well one free form explains the errors.
+
+    Attributes
+    ----------
+    effect
+        Effect that it stands for.
+    held_out
+        Share of the weighted squares that it explains in runs that took no part.
+    shape
+        Wave number per mm, or latency in s; 0 for what has none.
+    """
+
+    effect: str
+    held_out: float
+    shape: float = 0.0
+
+
+def families(runs: Sequence[PositionErrors]) -> tuple[Family, ...]:
+    """Return all families, the best first."""
+    last_s = max(one.session_s for one in runs) + 1.0
+
+    def stretched(one: PositionErrors) -> FloatArray:
+        return np.column_stack((one.command_mm, one.command_mm**2 / 40.0, one.command_mm * one.session_s / last_s))
+
+    found = [
+        Family("encoder_scale", _held_out(runs, stretched)),
+        Family("servo_lag", _held_out(runs, _response)),
+        _latency(runs),
+        _ripple(runs),
+    ]
+    return tuple(sorted(found, key=lambda one: -one.held_out))
+
+
+def _response(one: PositionErrors) -> FloatArray:
+    now = one.delayed(0.0)
+    return np.column_stack([one.delayed(delay) - now for delay in DELAYS_S])
+
+
+def _latency(runs: Sequence[PositionErrors]) -> Family:
+    def late(latency_s: float) -> Columns:
+        return lambda one: (one.delayed(latency_s) - one.delayed(0.0))[:, None]
+
+    tried = [(_explained(runs, late(float(one))), float(one)) for one in LATENCIES_S]
+    best = max(tried)[1]
+    return Family("channel_latency", _held_out(runs, late(best)), best)
+
+
+def _ripple(runs: Sequence[PositionErrors]) -> Family:
+    """Try one ripple with its harmonics, and another beside it."""
+    first = _wave(runs, ())
+    second = _wave(runs, (first,))
+    held_out = max(_held_out(runs, _waves((first,))), _held_out(runs, _waves((first, second))))
+    return Family("velocity_ripple", held_out, first)
+
+
+def _wave(runs: Sequence[PositionErrors], before: tuple[float, ...]) -> float:
+    """Return the wave number per mm that explains most of what is left beside others."""
+    place = np.concatenate([one.command_mm for one in runs])
+    weight = np.concatenate([_weight(one) for one in runs])
+    error = np.concatenate([one.error_mm for one in runs]) * weight
+    if before:
+        basis = np.concatenate([_waves(before)(one) for one in runs]) * weight[:, None]
+        error = error - basis @ _fitted(basis.T @ basis, basis.T @ error)[0]
+    power = np.array([_power(place, error, weight, float(wave)) for wave in WAVES_PER_MM])
+    near = float(WAVES_PER_MM[int(power.argmax())])
+    step = float(WAVES_PER_MM[1] - WAVES_PER_MM[0])
+    tried = np.linspace(near - step, near + step, 9).tolist()
+    return max(tried, key=lambda wave: _explained(runs, _waves((*before, wave))))
+
+
+def _power(place_mm: FloatArray, error: FloatArray, weight: FloatArray, wave: float) -> float:
+    turned = 2 * np.pi * wave * place_mm
+    basis = np.column_stack((np.cos(turned) - 1.0, np.sin(turned))) * weight[:, None]
+    return _fitted(basis.T @ basis, basis.T @ error)[1]
+
+
+def _waves(waves_per_mm: tuple[float, ...]) -> Columns:
+    def columns(one: PositionErrors) -> FloatArray:
+        numbers = np.outer(waves_per_mm, np.arange(1, HARMONICS + 1)).ravel()
+        turned = 2 * np.pi * one.command_mm[:, None] * numbers
+        return np.hstack((np.cos(turned) - 1.0, np.sin(turned)))
+
+    return columns
+
+
+def _weight(one: PositionErrors) -> FloatArray:
+    """Let runs count alike, whatever their speed, but those without an error for little."""
+    rms = float(np.sqrt(np.mean(one.error_mm**2)))
+    return np.full_like(one.error_mm, 1.0 / ((rms + COUNT_MM) * np.sqrt(one.error_mm.size)))
+
+
+def _grams(runs: Sequence[PositionErrors], columns: Columns) -> Iterator[tuple[FloatArray, FloatArray, float]]:
+    for one in runs:
+        weight = _weight(one)
+        basis, error = columns(one) * weight[:, None], one.error_mm * weight
+        yield basis.T @ basis, basis.T @ error, float(error @ error)
+
+
+def _fitted(gram: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
+    scale = np.sqrt(np.diag(gram)) + 1e-300
+    scaled = gram / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+    found = np.linalg.solve(scaled, along / scale) / scale
+    return found, float(found @ along)
+
+
+def _explained(runs: Sequence[PositionErrors], columns: Columns) -> float:
+    grams, along, squares = zip(*_grams(runs, columns), strict=True)
+    return _fitted(np.sum(grams, axis=0), np.sum(along, axis=0))[1] / max(sum(squares), 1e-300)
+
+
+def _held_out(runs: Sequence[PositionErrors], columns: Columns) -> float:
+    parts = list(_grams(runs, columns))
+    folds = min(FOLDS, len(parts))
+    if folds < 2:
+        return _explained(runs, columns)
+    left = whole = 0.0
+    for fold in range(folds):
+        fitted = [part for number, part in enumerate(parts) if number % folds != fold]
+        found, _ = _fitted(np.sum([one[0] for one in fitted], axis=0), np.sum([one[1] for one in fitted], axis=0))
+        for gram, along, squares in parts[fold::folds]:
+            left += squares - 2 * float(found @ along) + float(found @ gram @ found)
+            whole += squares
+    return 1.0 - left / max(whole, 1e-300)

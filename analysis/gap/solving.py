@@ -1,0 +1,97 @@
+"""Fits within a design: least squares with priors, by its Gram matrices."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.gap.design import Design, IndexArray, Part
+from dragrig.rig.arrays import FloatArray
+
+TINY = 1e-10
+"""Relative ridge against columns that say the same."""
+NUISANCES = (Part.NOMINAL, Part.DETAIL, Part.EFFECT, Part.FOREIGN)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The most probable coefficients of some columns.
+
+    Attributes
+    ----------
+    columns
+        Which.
+    found, covariance
+        Coefficients and their covariance, shapes `(c,)` and `(c, c)`.
+    squares
+        Whitened squares that remain, those of the priors included.
+    """
+
+    columns: IndexArray
+    found: FloatArray
+    covariance: FloatArray
+    squares: float
+
+    def of(self, columns: IndexArray) -> FloatArray:
+        """Return the coefficients of some of the columns."""
+        return self.found[np.searchsorted(self.columns, columns)]
+
+
+def fit(design: Design, total: FloatArray, *parts: Part) -> Fit:
+    """Fit the columns of these kinds to runs whose Gram matrices sum to `total`."""
+    columns = design.of(*parts)
+    mean, precision = design.prior_mean[columns], design.prior_precision[columns]
+    rows = 1 + columns
+    gram = total[np.ix_(rows, rows)]
+    whole = gram + np.diag(precision + TINY * np.diag(gram))
+    along = total[rows, 0] + precision * mean
+    inverse = np.linalg.inv(whole)
+    found = inverse @ along
+    squares = float(total[0, 0] + np.sum(precision * mean**2) - along @ found)
+    return Fit(columns, found, inverse, squares)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projected:
+    """The dictionary once nuisances have taken what they can.
+
+    Attributes
+    ----------
+    squares
+        What remains of the residual.
+    along, gram
+        Products of the shapes with it and with each other, shapes `(S,)` and `(S, S)`.
+    """
+
+    squares: float
+    along: FloatArray
+    gram: FloatArray
+
+    def without(self, shapes: Sequence[int]) -> "Projected":
+        """Take some of the shapes out too."""
+        index = list(shapes)
+        own = self.gram[np.ix_(index, index)]
+        ridge = 1e-9 * (np.trace(own) + 1e-300) * np.eye(len(index))
+        solved = np.linalg.solve(own + ridge, np.column_stack((self.along[index], self.gram[index])))
+        return Projected(
+            self.squares - float(self.along[index] @ solved[:, 0]),
+            self.along - self.gram[:, index] @ solved[:, 0],
+            self.gram - self.gram[:, index] @ solved[:, 1:],
+        )
+
+
+def project(design: Design, total: FloatArray, *parts: Part) -> Projected:
+    """Take the columns of these kinds out of residual and dictionary."""
+    columns, shapes = design.of(*parts), 1 + design.of(Part.SHAPE)
+    mean, precision = design.prior_mean[columns], design.prior_precision[columns]
+    rows = 1 + columns
+    gram = total[np.ix_(rows, rows)]
+    along = total[rows, 0] + precision * mean
+    whole = gram + np.diag(precision + TINY * np.diag(gram))
+    solved = np.linalg.solve(whole, np.column_stack((along, total[np.ix_(rows, shapes)])))
+    squares = float(total[0, 0] + np.sum(precision * mean**2) - along @ solved[:, 0])
+    return Projected(
+        squares,
+        total[0, shapes] - along @ solved[:, 1:],
+        total[np.ix_(shapes, shapes)] - total[np.ix_(shapes, rows)] @ solved[:, 1:],
+    )
