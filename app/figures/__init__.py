@@ -7,6 +7,8 @@ if TYPE_CHECKING:
     from dragrig.figures.campaign import campaign_figure
     from dragrig.figures.comparison import comparison_figure
     from dragrig.figures.coulomb import coulomb_figure
+    from dragrig.figures.gap_before_after import gap_before_after_figure
+    from dragrig.figures.gap_ranking import gap_ranking_figure
     from dragrig.figures.joint_fit import joint_figure
     from dragrig.figures.model import forces_figure, skew_figure
     from dragrig.figures.overview import comparison_overview
@@ -23,6 +25,8 @@ __all__ = [
     "coulomb_figure",
     "drag_figure",
     "forces_figure",
+    "gap_before_after_figure",
+    "gap_ranking_figure",
     "joint_figure",
     "relaxation_fit_figure",
     "run_figure",
@@ -39,6 +43,8 @@ _HOME = {
     "coulomb_figure": "coulomb",
     "drag_figure": "steady",
     "forces_figure": "model",
+    "gap_before_after_figure": "gap_before_after",
+    "gap_ranking_figure": "gap_ranking",
     "relaxation_fit_figure": "relaxation_fit",
     "joint_figure": "joint_fit",
     "run_figure": "run",

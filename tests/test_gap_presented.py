@@ -1,0 +1,319 @@
+"""A diagnosis as text, as JSON and as a page, for each verdict."""
+
+import io
+import json
+import re
+from contextlib import redirect_stdout
+from dataclasses import replace
+from html.parser import HTMLParser
+from math import inf, nan
+
+import pytest
+from diagnoses import ALL, NO_GAP, STRIBECK, TOGETHER, UNKNOWN, shrink
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from dragrig.analysis.gap.results import BeforeAfter, Diagnosis, Ranked
+from dragrig.cli.gap.printing import show
+from dragrig.cli.gap.telling import diagnosis_parts, shrink_parts
+from dragrig.figures.gap_before_after import gap_before_after_figure, representative
+from dragrig.figures.gap_ranking import gap_ranking_figure
+from dragrig.gap_json import gap_document, rounded, shrink_document
+from dragrig.gap_scoring import score
+from dragrig.report.gap.page import page
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+CASES = pytest.mark.parametrize("diagnosis", ALL.values(), ids=ALL)
+
+
+def text(diagnosis: Diagnosis) -> str:
+    out = io.StringIO()
+    with redirect_stdout(out):
+        show(diagnosis_parts(diagnosis))
+    return out.getvalue()
+
+
+def words(html: str) -> str:
+    found: list[str] = []
+
+    class Reader(HTMLParser):
+        hidden = False
+
+        def handle_starttag(self, tag: str, attrs: object) -> None:
+            self.hidden = tag == "style"
+
+        def handle_data(self, data: str) -> None:
+            if not self.hidden:
+                found.append(data)
+
+    Reader().feed(html)
+    return " ".join(" ".join(found).replace("\u00a0", " ").split())
+
+
+FIRST = {
+    "effect": "Stribeck friction (0.93).",
+    "no_gap": "No gap (0.97): an effect above 2.1 mN would have been seen.",
+    "unknown": "A gap that no effect of the catalogue explains (0.88).",
+    "several": "Stribeck friction and velocity ripple act together (above 0.99).",
+}
+
+
+@pytest.mark.parametrize("verdict", ALL)
+def test_the_verdict_comes_first_in_plain_words(verdict: str) -> None:
+    assert text(ALL[verdict]).splitlines()[0] == FIRST[verdict]
+    html = page(ALL[verdict])
+    heading = re.search(r"<h1>(.*?)</h1>", html)
+    assert heading is not None
+    assert heading[1].replace("\u00a0", " ") == FIRST[verdict]
+
+
+def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
+    for said in (text(STRIBECK), words(page(STRIBECK))):
+        assert "Adhesion and film depletion cannot be told from it with these runs." in said
+        assert "No relaxation is held long enough" in said
+        assert "018-drag.h5" in said
+        assert "the gut slipped off the foam" in said
+        assert "Calibrated on 400 simulated campaigns" in said
+        assert "An effect above 2.1 mN would have been seen." in said
+    assert "cannot be told" not in text(NO_GAP)
+    assert "Something is left beside them that no effect" in text(TOGETHER)
+    assert "4.1 mN · x / 40 mm" in text(UNKNOWN)
+    assert "4.1 mN · x / 40 mm" in words(page(UNKNOWN))
+
+
+def test_probabilities_that_nothing_calibrated_are_not_passed_off_as_chances() -> None:
+    bare = replace(STRIBECK, calibration="")
+    for said in (text(bare), words(page(bare))):
+        assert "not calibrated" in said
+        assert "nine were right" not in said
+
+
+def test_a_verdict_is_never_certain() -> None:
+    sure = replace(STRIBECK, ranking=(Ranked("stribeck", 1.0), Ranked("no_gap", 0.0)))
+    assert text(sure).startswith("Stribeck friction (above 0.99).")
+    assert re.search(r"no_gap +below 0\.01", text(sure))
+
+
+def test_how_much_stands_beside_what_the_paper_prints() -> None:
+    said = text(STRIBECK)
+    assert "99.3 % of the gap closes (95 %: 98.5 % to 99.8 %)." in said
+    assert re.search(r"ratio +0\.410 +0\.312 to 0\.508", said)
+    assert re.search(r"Eq\. 15 +before +0\.7000 +0\.4000\n +after +0\.9800 +0\.9700", said)
+    assert re.search(r"correlation² +before +0\.8000 +-", said)
+    assert re.search(r"the paper.* 0\.8769 +0\.1666", said)
+    html = words(page(STRIBECK))
+    assert "0.8769 0.1666" in html
+    assert "quoted" in html
+
+
+def test_no_share_closes_where_there_is_no_gap() -> None:
+    assert "no share of a gap can be said to close" in text(NO_GAP)
+    assert "% of the gap closes" not in text(NO_GAP)
+    assert " after " not in text(NO_GAP)
+    assert not re.search(r"\bwith it\b", words(page(NO_GAP)))
+    assert re.search(r"\bwith it\b", words(page(STRIBECK)))
+    worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
+    out = io.StringIO()
+    with redirect_stdout(out):
+        show(shrink_parts(worse))
+    assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in out.getvalue()
+
+
+def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
+    for said in (text(STRIBECK), words(page(STRIBECK))):
+        assert re.search(r"protocol +drag 90 %, coulomb 10 % ", said)
+        assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", said)
+        assert re.search(r"session +nothing stands out ", said)
+        assert "strain" not in text(STRIBECK).split("Which")[0]
+        assert "above all a function of speed, which accounts for 71 %" in said
+    assert "No place stands out" in text(NO_GAP)
+    one = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
+    here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(one,)))
+    assert "at 2 mm/s: 79 %" in text(here)
+
+
+def test_nothing_is_cut_off_in_a_pipe() -> None:
+    told = text(STRIBECK)
+    assert "…" not in told
+    assert max(map(len, told.splitlines())) > 100
+
+
+@CASES
+def test_a_page_stands_alone(diagnosis: Diagnosis) -> None:
+    html = page(diagnosis, "runs/first", "amended.toml")
+    assert not re.search(r'(src|href)="(?!data:|#)', html)
+    assert "<script" not in html
+    assert html.count("data:image/svg+xml") == 3
+    assert "nan" not in words(html).lower().split()
+
+
+def test_a_page_escapes_what_comes_from_files() -> None:
+    odd = replace(STRIBECK, specimen="<b>gut</b>", remarks=("<script>1</script>",))
+    html = page(odd, "<i>runs</i>")
+    assert "<b>gut" not in html
+    assert "<script" not in html
+    assert "<i>runs" not in html
+
+
+def test_a_page_without_views_or_model_says_so_by_silence() -> None:
+    html = page(replace(STRIBECK, views=(), model=None))
+    assert html.count("data:image/svg+xml") == 2
+    assert "dragrig gap evaluate" not in html
+    assert "dragrig gap evaluate mine.toml" in page(STRIBECK, model="mine.toml")
+
+
+class Strict(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True)
+
+
+class CampaignPart(Strict):
+    runs: int
+    used_for_fit: list[str]
+    held_out: list[str]
+
+
+class ParameterPart(Strict):
+    value: float
+    sd: float
+    unit: str
+
+
+class RankedPart(Strict):
+    hypothesis: str
+    probability: float = Field(ge=0, le=1)
+    parameters: dict[str, ParameterPart]
+    held_out_improvement: float | None
+
+
+class RangePart(Strict):
+    low: float | None
+    high: float | None
+    share: float
+
+
+class WherePart(Strict):
+    channel: dict[str, float]
+    protocol: dict[str, float]
+    phase: dict[str, float]
+    speed_mm_s: RangePart
+    position: RangePart
+    session: RangePart
+    strain: RangePart
+    band_hz: RangePart
+    domain: str
+
+
+class SidesPart(Strict):
+    below: float | None
+    above: float | None
+
+
+class ModelsPart(Strict):
+    before: SidesPart
+    after: SidesPart
+
+
+class ShrinkPart(Strict):
+    gap_before_mN: float
+    gap_after_mN: float
+    noise_floor_mN: float
+    closed: float | None
+    closed_95ci: list[float] | None
+    boundary_mm_s: float | None
+    r2_eq15: ModelsPart
+    r2_corr: ModelsPart
+
+
+class Report(Strict):
+    format: str = Field(pattern="^dragrig-gap$")
+    version: int
+    campaign: CampaignPart
+    verdict: str = Field(pattern="^(effect|several|no_gap|unknown)$")
+    effects: list[str]
+    ranking: list[RankedPart]
+    confusable_with: list[str]
+    residual_unknown: bool
+    would_have_seen_mN: float | None
+    where: WherePart
+    shrink: ShrinkPart | None
+    model: str | None
+    next_experiment: None
+
+
+@CASES
+def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
+    said = json.dumps(gap_document(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False)
+    read = Report.model_validate_json(said)
+    assert read.model == "amended.toml"
+    assert read.campaign.used_for_fit[:2] == ["id-0", "001-drag.h5"]
+    assert sum(one.probability for one in read.ranking) == pytest.approx(1.0, abs=1e-6)
+    assert read.effects == list(diagnosis.effects)
+    assert set(read.effects) <= set(catalogue())
+    truth = {"verdict": diagnosis.verdict.value, "effects": list(diagnosis.effects)}
+    assert not score([("made up", truth, json.loads(said))]).missed
+
+
+def test_json_tells_parameters_with_their_unit() -> None:
+    said = gap_document(STRIBECK)
+    ranking = TypeAdapter(list[RankedPart]).validate_python(said["ranking"])
+    assert ranking[0].parameters["ratio"].sd == pytest.approx(0.05)
+    assert ranking[0].parameters["speed_mm_s"].unit == "mm/s"
+    assert said["unknown"] is None
+    assert gap_document(UNKNOWN)["shrink"] is None
+
+
+def test_json_knows_no_nan_and_no_infinity() -> None:
+    ill = replace(
+        STRIBECK,
+        would_have_seen_mN=inf,
+        ranking=(Ranked("stribeck", nan, (replace(STRIBECK.ranking[0].parameters[0], standard_error=nan),), nan),),
+        where=replace(STRIBECK.where, p=nan, domain_scores={"speed": nan}),
+        shrink=replace(shrink(), closed=nan, r2_eq15=BeforeAfter(nan, inf, -inf, None)),
+        timings_s={"fit": nan},
+    )
+    said = json.loads(json.dumps(gap_document(ill), allow_nan=False))
+    assert said["would_have_seen_mN"] is None
+    assert said["shrink"]["closed"] is None
+    assert said["where"]["p"] is None
+    assert said["shrink"] == json.loads(json.dumps(shrink_document(ill.shrink or shrink())))["shrink"]
+    assert "nan" not in text(ill).lower().split()
+    assert "how small an effect these runs would have shown is not known" in text(ill).lower()
+    page(ill)
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=40).filter(lambda given: sum(given) > 1e-9))
+def test_rounded_probabilities_still_sum_to_one(given: list[float]) -> None:
+    told = rounded(given)
+    assert sum(told) == pytest.approx(1.0, abs=1e-9)
+    assert all(abs(a - b / sum(given)) <= 2e-6 for a, b in zip(told, given, strict=True))
+    assert all(0 <= one <= 1 for one in told)
+
+
+def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind() -> None:
+    chosen = representative(STRIBECK.views)
+    assert [one.label for one in chosen] == [
+        "drag at 0.5 mm/s", "drag at 10 mm/s", "drag at 60 mm/s",
+        "relaxation at 200 %", "blank run at 40 mm/s", "Coulomb friction at 0.5 mm/s",
+    ]  # fmt: skip
+    figure = gap_before_after_figure(chosen, 1.4)
+    assert len(figure.axes) == 2 * len(chosen)
+    assert len(figure.axes[0].lines) == len(gap_before_after_figure(chosen, 1.4, named=False).axes[0].lines) + 2
+    fast = figure.axes[4].get_xlim()
+    assert fast[0] > 0.5
+    assert fast[1] < 3.0
+
+
+def test_the_ranking_marks_the_verdict_and_what_cannot_be_told_from_it() -> None:
+    axes = gap_ranking_figure(TOGETHER).axes[0]
+    assert next(one.get_text() for one in axes.get_yticklabels()) == "Velocity ripple and Stribeck friction"
+    colours = [patch.get_facecolor() for patch in gap_ranking_figure(STRIBECK).axes[0].patches]
+    assert colours[0] != colours[1] == colours[2] != colours[3]
+
+
+@pytest.mark.parametrize("effect", sorted(catalogue()))
+def test_every_effect_has_a_name_for_a_sentence(effect: str) -> None:
+    name = catalogue()[effect].name
+    assert name
+    assert "_" not in name
+    assert text(replace(STRIBECK, effects=(effect,), confusable_with=()))
