@@ -3,6 +3,7 @@
 from dragrig.calibrating import calibrate_encoder, calibrate_force
 from dragrig.campaigns import Made
 from dragrig.comparing import compare
+from dragrig.diagnosing import diagnose, gap_evaluate
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
 from dragrig.handling import home, jog, touch_off
@@ -23,9 +24,11 @@ __all__ = [
     "campaign",
     "check",
     "compare",
+    "diagnose",
     "examine",
     "export",
     "filter",
+    "gap_evaluate",
     "home",
     "identify",
     "import_run",

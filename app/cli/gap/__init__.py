@@ -13,6 +13,8 @@ class GapGroup(LazyGroup):
 
     sections: ClassVar[Mapping[str, Mapping[str, str]]] = {
         "Commands": {
+            "diagnose": "Say where a campaign differs from the model, which effect that is, and how large.",
+            "evaluate": "Say how far an amended model closes the gap on fresh runs.",
             "effects": "List the catalogue: where each effect acts, its parameters, what shows it.",
         },
     }
@@ -22,6 +24,6 @@ class GapGroup(LazyGroup):
 @click.group("gap", cls=GapGroup, invoke_without_command=True)
 @click.pass_context
 def command(ctx: click.Context) -> None:
-    """Say what the friction model leaves out: the catalogue of candidate effects."""
+    """Say what the friction model leaves out: the catalogue of candidate effects, and which of them runs show."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

@@ -1,0 +1,102 @@
+"""`dragrig gap diagnose` and `dragrig gap evaluate`: what cannot be done is told in words, before any work."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.diagnose import Options
+from dragrig.cli import main
+from dragrig.config.errors import SettingsError
+from dragrig.config.loading import load
+from dragrig.config.model import FrictionModelSettings
+from dragrig.diagnosing import options_of, save_model, save_report
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(CAMPAIGN, tmp_path / "campaign"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--without", "stribek"], "did you mean stribeck?"),
+        (["--tolerance", "-1"], "--tolerance -1: a tolerance is a force in mN from 0 on"),
+        (["--tolerance", "nan"], "from 0 on"),
+        (["--workers", "0"], "one worker at least"),
+        (["--nominal", "capsul"], "did you mean capsule?"),
+        (["--nominal", "gone.toml"], "gone.toml: there is no such file"),
+        (["--report", "gone/report.html"], "there is no folder gone; make it"),
+        (["--save-model", "gone/model.toml"], "there is no folder gone; make it"),
+    ],
+)
+def test_what_cannot_be_asked_for_is_told_in_one_sentence(
+    arguments: list[str], told: str, campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["gap", "diagnose", str(campaign), "--quiet", *arguments]) == 2
+    said = capsys.readouterr()
+    assert told in said.err
+    assert len(said.err.strip().splitlines()) == 1
+    assert said.out == ""
+
+
+def test_a_file_that_is_there_is_not_replaced_unasked(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = campaign / "mine.html"
+    mine.write_text("precious")
+    assert main(["gap", "diagnose", str(campaign), "--quiet", "--report", str(mine)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert mine.read_text() == "precious"
+
+
+@pytest.mark.parametrize("command", [["diagnose"], ["evaluate", "paper"]])
+def test_folders_without_runs_are_told(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gap", *command, str(tmp_path), "--quiet"]) == 2
+    assert "no run file" in capsys.readouterr().err
+    assert main(["gap", *command, str(tmp_path / "gone"), "--quiet"]) == 2
+    assert "there is no such folder" in capsys.readouterr().err
+
+
+def test_what_is_no_model_cannot_be_evaluated(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text("[[steps]]\nkind = 'drag'\n")
+    assert main(["gap", "evaluate", str(plan), str(campaign)]) == 2
+    assert "steps is not a known key" in capsys.readouterr().err
+    run = tmp_path / "run.toml"
+    shutil.copy(campaign / "010-drag.h5", run)
+    assert main(["gap", "evaluate", str(run), str(campaign)]) == 2
+    assert "dragrig: " in capsys.readouterr().err
+
+
+def test_options_have_the_engines_defaults() -> None:
+    assert options_of((), None, 1).tolerance_mN == Options().tolerance_mN
+    assert options_of(("folds", "folds"), 0.0, 3) == Options(without=("folds",), tolerance_mN=0.0, workers=3)
+    assert options_of((), None, None).workers in {1, 2}
+    with pytest.raises(SettingsError):
+        options_of(("",), None, 1)
+
+
+def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from diagnoses import NO_GAP, STRIBECK
+
+    amended = FrictionModelSettings.model_validate(
+        {"name": "amended", "effects": [{"id": "stribeck", "ratio": 0.4, "speed_mm_s": 2.0}]}
+    )
+    path = save_model(replace(STRIBECK, model=amended), tmp_path / "amended.toml")
+    assert path is not None
+    assert load(FrictionModelSettings, path) == amended
+    slow = ["speed_mm_s=0.5", "travel_mm=2", "way_back=stay"]
+    with_it, without = (dragrig.simulate("drag", model=one, assignments=slow)[0] for one in (path, "paper"))
+    steady = with_it.trace.phase == 2
+    assert with_it.trace.force[steady].mean() > without.trace.force[steady].mean() + 5
+    assert save_model(NO_GAP, tmp_path / "none.toml") is None
+    assert not (tmp_path / "none.toml").exists()
+    report = save_report(STRIBECK, tmp_path / "report.html", model=path)
+    assert "gap evaluate" in report.read_text("utf-8")
