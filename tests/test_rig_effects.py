@@ -67,7 +67,7 @@ def test_a_stiff_arm_with_a_mass_is_a_payload() -> None:
     seen = scene("blank")
     stiff = {"share": 1.0, "frequency_hz": 100.0, "damping": 0.7, "mass_g": 30.0}
     arm = changed(find_effect("arm_compliance"), seen, stiff)
-    payload = changed(find_effect("payload_inertia"), seen, {"mass_g": 30.0})
+    payload = changed(find_effect("payload_inertia"), seen, {"mass_g": 30.0, "lag_s": 0.0})
     assert payload.max() == pytest.approx(30e-3 * 400.0)
     late = np.diff(seen.acceleration_mm_s2, prepend=0.0) == 0
     assert arm[late].max() == pytest.approx(payload.max(), rel=0.1)

@@ -112,7 +112,7 @@ class Design:
     def total(self, runs: Sequence[int] | None = None) -> FloatArray:
         """Sum the Gram matrices of some runs, of all unless said."""
         chosen = self.grams if runs is None else [self.grams[one] for one in runs]
-        return np.sum(chosen, axis=0)
+        return np.asarray(np.sum(chosen, axis=0))
 
 
 def lay_out(

@@ -16,10 +16,11 @@ from dragrig.analysis.gap.lines import Lines, find_lines
 from dragrig.analysis.gap.position.finding import PositionFinding, find_position
 from dragrig.analysis.gap.position.gap import position_gap
 from dragrig.analysis.gap.residuals import force_blocks, position_blocks
-from dragrig.analysis.gap.results import Diagnosis, Ranked, Shrink, UnknownGap, Verdict
+from dragrig.analysis.gap.results import Diagnosis, Ranked, RunView, Shrink, UnknownGap, Verdict
 from dragrig.analysis.gap.seen import would_have_seen
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.tables import parameters_of, views_of
+from dragrig.analysis.gap.unknown import find_law, part_of, place, shape
 from dragrig.analysis.gap.where import ResidualBlocks, Where, locate
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
@@ -194,15 +195,21 @@ def _told(
 
 
 def _unknown(where: Where, blocks: Sequence[ResidualBlocks], judged: Judgement) -> UnknownGap | None:
-    if judged.verdict is Verdict.UNKNOWN or judged.residual_unknown:
-        del blocks
-        return UnknownGap(lives_in="", shape=where.domain)
-    return None
+    if judged.verdict is not Verdict.UNKNOWN and not judged.residual_unknown:
+        return None
+    part = part_of(where, blocks)
+    law = find_law(part)
+    return UnknownGap(
+        lives_in=place(where, blocks),
+        shape=shape(where, part),
+        expression="" if law is None else law.text,
+        held_out=None if law is None else law.held_out,
+    )
 
 
 def _shrunk(
     study: Study, found: Findings, chosen: Explanation | None, position: PositionFinding, judged: Judgement
-) -> tuple[Shrink | None, tuple]:
+) -> tuple[Shrink | None, tuple[RunView, ...]]:
     left = leave_out(found, chosen)
     if left is None:
         return None, ()

@@ -207,7 +207,8 @@ def _explanation(
 def _with_own_shapes(design: Design, total: FloatArray, own: set[str]) -> tuple[float, tuple[int, ...]]:
     """Add further shapes of the same effects one by one; return the squares that remain and the shapes."""
     projected = project(design, total, *NUISANCES)
-    squares, taken = projected.squares, ()
+    squares = projected.squares
+    taken: tuple[int, ...] = ()
     for _ in range(MOST_OWN):
         ranked = [one for one in rank(projected, design.shapes) if one.effect in own]
         if not ranked or ranked[0].gain < LEAST_OWN:

@@ -106,8 +106,7 @@ def shrink_of(gaps: Sequence[RunGap], seed: int = 0) -> Shrink:
 
 
 def _closed(sums: FloatArray, least: float = LEAST_GAP) -> float | None:
-    duration, before, after, floor = (sums / sums[0]).tolist()
-    del duration
+    before, after, floor = (float(one / sums[0]) for one in sums[1:])
     if before <= least**2 * floor:
         return None
     return 1.0 - (after - floor) / (before - floor)

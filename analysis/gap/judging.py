@@ -127,7 +127,7 @@ def _of_force(found: Findings, tolerance_mN: float) -> _Force:
     excess = found.squares - found.blocks
     unexplained = excess / found.blocks > LEAST_LEFT
     left_alone = _logistic((excess / found.blocks - LEAST_LEFT) / LEFT_WIDTH)
-    scores = [one for one in found.singles if one.added_mN >= tolerance_mN or one.periodic]
+    scores = [one for one in found.singles if one.added_mN >= tolerance_mN]
     if not scores:
         return _Force(left_alone, 0.0, (), {}, False, unexplained)
     shares = {one.effects[0]: _share(one, found, chance) for one in scores}
@@ -137,7 +137,7 @@ def _of_force(found: Findings, tolerance_mN: float) -> _Force:
     effects, last = best.effects, best
     for one in found.further:
         left = max(one.left - found.blocks - chance, 0.0)
-        earns = one.gain > FURTHER_GAIN and 2 * one.gain > FURTHER_SHARE * max(left, 2 * one.gain * FURTHER_SHARE)
+        earns = one.gain > FURTHER_GAIN and 2 * one.gain > FURTHER_SHARE * left and one.left > found.blocks
         if one.together is None or not earns or 2 * one.gain < 0.012 * max(excess, 1.0):
             break
         effects, last = (*effects, one.effect), one.together

@@ -69,7 +69,7 @@ def _tried(projected: Projected, dictionary: Sequence[Shape]) -> Iterator[Ranked
         strength = float(np.trace(gram)) / len(index)
         if strength <= 1e-9:
             continue
-        amplitude = np.linalg.solve(gram + 1e-9 * strength * np.eye(len(index)), along)
+        amplitude = np.asarray(np.linalg.solve(gram + 1e-9 * strength * np.eye(len(index)), along), dtype=np.float64)
         gain = 0.5 * float(along @ amplitude)
         if shape.signed and amplitude[0] < 0:
             gain, amplitude = 0.0, 0.0 * amplitude

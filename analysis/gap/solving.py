@@ -45,7 +45,7 @@ def fit(design: Design, total: FloatArray, *parts: Part) -> Fit:
     gram = total[np.ix_(rows, rows)]
     whole = gram + np.diag(precision + TINY * np.diag(gram))
     along = total[rows, 0] + precision * mean
-    inverse = np.linalg.inv(whole)
+    inverse = np.asarray(np.linalg.inv(whole), dtype=np.float64)
     found = inverse @ along
     squares = float(total[0, 0] + np.sum(precision * mean**2) - along @ found)
     return Fit(columns, found, inverse, squares)

@@ -27,9 +27,9 @@ def parameters_of(name: str, one: Explanation | None, position: PositionFinding,
         for candidate in one.point.candidates:
             mine, own = own[: len(candidate.fitted)], own[len(candidate.fitted) :]
             found += _quantities(candidate, mine, several)
-    candidate = position.candidate
-    if candidate is not None and candidate.effect.id in name.split("+"):
-        found += _quantities(candidate, position.standard_errors, "+" in name)
+    moved = position.candidate
+    if moved is not None and moved.effect.id in name.split("+"):
+        found += _quantities(moved, position.standard_errors, "+" in name)
     if name == "mains_hum":
         found.append(_quantity("amplitude_mN", "mN", lines.mains.amplitude, 0.5 * lines.mains.amplitude**0.5))
         found.append(_quantity("frequency_hz", "Hz", lines.mains.frequency_hz, 0.5))

@@ -93,7 +93,7 @@ def _wave(runs: Sequence[PositionErrors], before: tuple[float, ...]) -> float:
     power = np.array([_power(place, error, weight, float(wave)) for wave in WAVES_PER_MM])
     near = float(WAVES_PER_MM[int(power.argmax())])
     step = float(WAVES_PER_MM[1] - WAVES_PER_MM[0])
-    tried = np.linspace(near - step, near + step, 9).tolist()
+    tried: list[float] = np.linspace(near - step, near + step, 9).tolist()
     return max(tried, key=lambda wave: _explained(runs, _waves((*before, wave))))
 
 
@@ -134,7 +134,8 @@ def _fitted(gram: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
 
 def _explained(runs: Sequence[PositionErrors], columns: Columns) -> float:
     grams, along, squares = zip(*_grams(runs, columns), strict=True)
-    return _fitted(np.sum(grams, axis=0), np.sum(along, axis=0))[1] / max(sum(squares), 1e-300)
+    taken = _fitted(np.sum(grams, axis=0), np.sum(along, axis=0))[1]
+    return taken / max(float(sum(squares)), 1e-300)
 
 
 def _held_out(runs: Sequence[PositionErrors], columns: Columns) -> float:

@@ -91,14 +91,14 @@ def _fitted(runs: Sequence[PositionErrors], effect: Effect, family: Family) -> t
         }
         return Candidate(effect, {**start.values, **limited})
 
-    found = least_squares(
-        lambda scaled: _misfit(at(scaled), runs),
-        np.array([start.values[one.name] for one in free]) / scale,
-        max_nfev=STEPS,
-        diff_step=1e-3,
-    )
-    squares = 2 * found.cost / max(len(found.fun) - len(free), 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * squares
+    def misfit(scaled: FloatArray) -> FloatArray:
+        return _misfit(at(scaled), runs)
+
+    first = np.array([start.values[one.name] for one in free]) / scale
+    found = least_squares(misfit, first, max_nfev=STEPS, diff_step=[1e-3] * len(free))
+    squares = 2 * float(found.cost) / max(len(found.fun) - len(free), 1)
+    slopes = np.asarray(found.jac, dtype=np.float64)
+    covariance = np.asarray(np.linalg.pinv(slopes.T @ slopes), dtype=np.float64) * squares
     errors = (np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale).tolist()
     return at(found.x), tuple(errors)
 
