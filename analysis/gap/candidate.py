@@ -16,6 +16,7 @@ STEP = 0.02
 SHAPE_SD = 0.5
 """Prior standard deviation of a shape's values, relative."""
 PHASE_SD = 2.0
+LEAST_FACTOR = 0.2
 LONGEST_STEP = 0.35
 """So far a shape may move in one step of a fit, relative; a phase, in rad, twice as far."""
 
@@ -52,6 +53,9 @@ class Candidate:
             elif one.role is Role.PHASE:
                 most = 2 * LONGEST_STEP
             limits = (-np.inf, np.inf) if one.role is Role.PHASE else (one.low, one.high)
+            if one.role is Role.SIZE and one.low >= 0:
+                # A step that overshoots must not end at nothing, where no shape matters any more.
+                limits = (max(one.low, LEAST_FACTOR * before), one.high)
             values[one.name] = float(np.clip(before + np.clip(step, -most, most), *limits))
         return replace(self, values=values)
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.candidate import Candidate, added, chain_of, slopes
-from dragrig.analysis.gap.nuisances import DETAILS, details
+from dragrig.analysis.gap.nuisances import DETAILS
 from dragrig.analysis.gap.signatures import Shape, signature
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.joint.evidence import Whitening
@@ -49,7 +49,7 @@ class RunPart:
         What the candidates add, shape `(B,)`.
     predicted
         Nominal prediction, shape `(B,)`.
-    repeat_sd
+    repeat_sd, motion_sd
         What repeats differ by, and what the motion leaves uncertain, one standard deviation, shape `(B,)`.
     whitening
         What makes its blocks independent.
@@ -60,6 +60,7 @@ class RunPart:
     added: FloatArray
     predicted: FloatArray
     repeat_sd: FloatArray
+    motion_sd: FloatArray
     whitening: Whitening
 
 
@@ -135,19 +136,19 @@ def lay_out(
     dictionary
         Whether every shape of every effect is a column too.
     """
-    problem, settings = study.problem, study.settings(z)
+    problem = study.problem
     predictions = problem.predictions(z)
     uncertainties = problem.uncertainties(z)
     whitenings = problem.whitenings(predictions, uncertainties)
     by_nominal = _derivatives(study, z) if derivatives is None else derivatives
     parts, grams = [], []
     for number, sight in enumerate(study.sights):
-        scene, gain = sight.scene(settings), settings.force_gain
+        scene, gain = study.scene(number, z)
         alone = [added(chain_of([one], study.chain), scene, gain) for one in candidates]
         before = added(study.chain, scene, gain)
         together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
         more = sight.of_blocks(together if alone else before)
-        rows = [gain * sight.of_blocks(details(scene, sight.condition[1]))]
+        rows = [gain * sight.of_blocks(study.details(number, scene))]
         rows.append(sight.of_blocks(slopes(candidates, study.chain, scene, gain)))
         if foreign:
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
@@ -156,8 +157,8 @@ def lay_out(
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
-        repeat = np.sqrt(np.sum(varying**2, axis=0) + uncertainties[number] ** 2)
-        parts.append(RunPart(residual, columns, more, predictions[number].total, repeat, whitenings[number]))
+        spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
+        parts.append(RunPart(residual, columns, more, predictions[number].total, *spread, whitenings[number]))
         white = whitenings[number].whole(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
     priors = _priors(z, candidates, len(study.modulations[0]) if foreign else 0)

@@ -220,7 +220,7 @@ def _shrunk(
             run_gap(
                 sight,
                 study.problem.noises[number],
-                found.nominal.parts[number].repeat_sd,
+                found.nominal.parts[number].motion_sd,
                 (left.before[number], found.nominal.parts[number].whitening),
                 (left.after[number], design.parts[number].whitening),
                 study.problem.zero_sds[number],

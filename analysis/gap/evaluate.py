@@ -41,7 +41,7 @@ def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
         run_gap(
             sight,
             first.problem.noises[number],
-            other.parts[number].repeat_sd,
+            other.parts[number].motion_sd,
             (one.parts[number].residual, one.parts[number].whitening),
             (other.parts[number].residual, other.parts[number].whitening),
             first.problem.zero_sds[number],

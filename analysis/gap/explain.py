@@ -261,7 +261,8 @@ def _further(found: Findings) -> list[Step]:
         for number in range(len(taken)):
             projected = projected.without((taken[number],))
         own = {one.effect.id for one in point.candidates}
-        ranked = [one for one in rank(projected, design.shapes) if one.effect not in own]
+        everything = _with_free_phases(design, rank(projected, design.shapes))
+        ranked = [one for one in everything if one.effect not in own]
         if len(ranked) < 2:
             break
         first, second = ranked[:2]

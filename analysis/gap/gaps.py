@@ -32,7 +32,7 @@ class RunGap:
     steady
         The one that was measured.
     floor
-        Mean square of noise and repeatability.
+        Mean square of noise, and of what the motion leaves uncertain.
     """
 
     sight: Sight
@@ -54,18 +54,33 @@ class RunGap:
 def run_gap(
     sight: Sight,
     noise: Noise,
-    repeat_sd: FloatArray,
+    motion_sd: FloatArray,
     before: tuple[FloatArray, Whitening],
     after: tuple[FloatArray, Whitening],
     zero_sd: float,
 ) -> RunGap:
-    """Compare residuals of a run, each with what whitens it, shapes `(B,)`."""
+    """Compare residuals of a run, each with what whitens it, shapes `(B,)`.
+
+    What the run differs by from its repeats is no gap: its own factors, as the model with the effect has them and no
+    further than repeats scatter, are taken off both, and its zero as each model has it.
+    """
     width = sight.coordinates.width_s
     share = width / width.sum()
-    floor = noise.white**2 + noise.slow**2 + float(share @ repeat_sd**2)
-    cleared = [residual - own_zero(residual, white, zero_sd) for residual, white in (before, after)]
+    floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
+    scatter = _own_factors(*after, zero_sd)
+    cleared = [residual - scatter - own_zero(residual - scatter, white, zero_sd) for residual, white in (before, after)]
     within = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / sight.evidence.blocks.samples)), 0.0)))
     return RunGap(sight, cleared[0], cleared[1], floor, within, _steady(sight, cleared[0], cleared[1]))
+
+
+def _own_factors(residual: FloatArray, whitening: Whitening, zero_sd: float) -> FloatArray:
+    """Return what the run's own factors make of it [mN], shape `(B,)`."""
+    own = whitening.own
+    precision = np.eye(own.shape[1]) + own.T @ own
+    found = np.linalg.solve(precision, own.T @ whitening.of_noise(residual))
+    if zero_sd > 0:
+        found[0] = 0.0
+    return np.asarray(whitening.noise_root @ (own @ found))
 
 
 def own_zero(residual: FloatArray, whitening: Whitening, zero_sd: float) -> float:

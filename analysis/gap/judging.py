@@ -4,7 +4,7 @@ The constants below are learnt on simulated campaigns with hidden effects (`benc
 accuracy uses); probabilities are to be read as calibrated on these.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import exp, sqrt
 
@@ -127,15 +127,17 @@ def _of_force(found: Findings, tolerance_mN: float) -> _Force:
     excess = found.squares - found.blocks
     unexplained = excess / found.blocks > LEAST_LEFT
     left_alone = _logistic((excess / found.blocks - LEAST_LEFT) / LEFT_WIDTH)
+    shares = {one.effects[0]: _share(one, found, chance) for one in found.singles}
     scores = [one for one in found.singles if one.added_mN >= tolerance_mN]
+    small = [shares[one.effects[0]] for one in found.singles if one.added_mN < tolerance_mN]
     if not scores:
-        return _Force(left_alone, 0.0, (), {}, False, unexplained)
-    shares = {one.effects[0]: _share(one, found, chance) for one in scores}
+        # What explains the gap is too small to matter, and so is the gap.
+        return _Force(left_alone * (1.0 - max(small, default=0.0)), 0.0, (), {}, False, unexplained)
     best = max(scores, key=lambda one: shares[one.effects[0]])
     gain = _gain(best, found)
     seen = _logistic((gain - LEAST_GAIN) / GAIN_WIDTH)
     effects, last = best.effects, best
-    for one in found.further:
+    for one in found.further if best is found.singles[0] else ():
         left = max(one.left - found.blocks - chance, 0.0)
         earns = one.gain > FURTHER_GAIN and 2 * one.gain > FURTHER_SHARE * left and one.left > found.blocks
         if one.together is None or not earns or 2 * one.gain < 0.012 * max(excess, 1.0):
@@ -145,7 +147,9 @@ def _of_force(found: Findings, tolerance_mN: float) -> _Force:
     needed = STRICT.get(effects[0], LEAST_SHARE) if len(effects) == 1 else LEAST_TOGETHER
     named = _logistic((share - needed) / SHARE_WIDTH)
     top = shares[best.effects[0]]
-    rivals = {name: exp(-RIVAL * (top - each)) * _closeness(scores, name, best, found) for name, each in shares.items()}
+    rivals = {
+        one.effects[0]: exp(-RIVAL * (top - shares[one.effects[0]])) * _closeness(one, best, found) for one in scores
+    }
     left_over = (last.flexible - found.blocks) / found.blocks > 2 * LEAST_LEFT and share < 0.9
     return _Force(max(seen, left_alone), named * seen, effects, rivals, left_over, unexplained)
 
@@ -165,9 +169,8 @@ def _gain(one: Score, found: Findings) -> float:
     return 0.5 * (found.squares - (one.flexible if one.periodic else one.plain))
 
 
-def _closeness(scores: Sequence[Score], name: str, best: Score, found: Findings) -> float:
+def _closeness(rival: Score, best: Score, found: Findings) -> float:
     """Return how likely noise and a foreign form alone make a rival the worse one."""
-    rival = next(one for one in scores if one.effects[0] == name)
     behind = max(_gain(best, found) - _gain(rival, found), 0.0)
     inflation = 1.0 + FORM * max(_gain(best, found), 0.0)
     return exp(-behind / inflation) if rival is not best else 1.0

@@ -77,10 +77,9 @@ def tied(study: Study, design: Design, shape: Shape) -> Tied:
     gains = _gain(grams, along)
     best = int(gains.argmax())
     forms = _forms(shape, float(periods[best]))
-    settings = study.settings(design.z)
     gram, product = np.zeros(len(forms)), np.zeros(len(forms))
     for one in residuals:
-        rows = [signature(form, one.scene, settings.force_gain) for form in forms]
+        rows = [signature(form, one.scene, one.gain) for form in forms]
         white = one.part.whitening.whole(one.sight.of_blocks(np.array(rows)).T)
         gram += np.sum(white**2, axis=0)
         product += one.white @ white
@@ -98,19 +97,19 @@ class _Residual:
     sight: Sight
     part: RunPart
     scene: Scene
+    gain: float
     white: FloatArray
 
 
 def _residuals(study: Study, design: Design) -> list[_Residual]:
     """Return what nuisances leave of the runs in a closed gut, whitened."""
     nuisances = fit(design, design.total(), *NUISANCES)
-    settings = study.settings(design.z)
     found = []
-    for sight, part in zip(study.sights, design.parts, strict=True):
-        scene = sight.scene(settings)
+    for number, (sight, part) in enumerate(zip(study.sights, design.parts, strict=True)):
+        scene, gain = study.scene(number, design.z)
         if scene.closed:
             left = part.residual - part.columns[:, nuisances.columns] @ nuisances.found
-            found.append(_Residual(sight, part, scene, part.whitening.whole(left)))
+            found.append(_Residual(sight, part, scene, gain, part.whitening.whole(left)))
     return found
 
 

@@ -28,7 +28,7 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
         part, noise = design.parts[number], study.problem.noises[number]
         blocks, at = sight.evidence.blocks, sight.coordinates
         white = np.sqrt(max(noise.white**2 - hum.amplitude**2 / 2, (0.3 * noise.white) ** 2))
-        spread = white**2 / blocks.samples + noise.slow**2 + part.repeat_sd**2 + tolerance_mN**2
+        spread = white**2 / blocks.samples + noise.slow**2 + part.repeat_sd**2 + part.motion_sd**2 + tolerance_mN**2
         residual = left - own_zero(left, part.whitening, study.problem.zero_sds[number])
         found.append(
             ResidualBlocks(

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from dragrig.analysis.gap.modulations import modulations
+from dragrig.analysis.gap.nuisances import details
 from dragrig.analysis.gap.sights import LONGEST_MM, Sight, sights_of
 from dragrig.analysis.gap.signatures import Shape, shapes_of
 from dragrig.analysis.identification.joint.problem import Problem
@@ -16,6 +17,7 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.applied import Chain
 from dragrig.sim_backend.effects.base import Effect
+from dragrig.sim_backend.effects.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,15 @@ class Study:
     def settings(self, z: FloatArray) -> FrictionModelSettings:
         """Return the friction model of this specimen."""
         return self.nominal.settings_of(self.values(z))
+
+    def scene(self, number: int, z: FloatArray) -> tuple[Scene, float]:
+        """Return what effects see of a run, and the gain of the channel that shows it."""
+        settings = self.settings(z)
+        return self.sights[number].scene(settings), settings.force_gain
+
+    def details(self, number: int, scene: Scene) -> FloatArray:
+        """Return what each of `DETAILS` changes of the true force, shape `(D, n)`."""
+        return details(scene, self.sights[number].condition[1])
 
     @property
     def start(self) -> FloatArray:
