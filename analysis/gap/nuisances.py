@@ -79,8 +79,7 @@ def _bent(scene: Scene, element: int, power: int) -> FloatArray:
         friction = scene.friction_coefficient * scene.turning * wall.pressing(pressed)
         return np.asarray(np.sign(scene.f_e) * wall.resistance(stress) + friction)
     if sheared is not None:
-        strain = float(np.abs(sheared.strain).max())
-        return np.asarray((strain - MIDDLE_STRAIN) ** power * _by_element(scene, element))
+        return np.asarray((sheared.target_strain - MIDDLE_STRAIN) ** power * _by_element(scene, element))
     return np.zeros_like(scene.time_s)
 
 

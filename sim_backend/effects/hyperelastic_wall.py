@@ -48,7 +48,7 @@ class HyperelasticWall(ForceEffect):
         if scene.sheared is not None:
             fast, slow, spring = scene.sheared.stresses
             # As for the elements themselves, the strain that is sheared to decides for the whole run.
-            growth = values["stiffening"] * float(np.abs(scene.sheared.strain).max()) ** power
+            growth = values["stiffening"] * scene.sheared.target_strain**power
             return np.asarray(scene.sheared.area_mm2 * growth * (fast + slow_share * (slow + spring)))
         wall = scene.wall
         if wall is None:

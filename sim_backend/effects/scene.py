@@ -220,9 +220,13 @@ def gut_scene(
         friction_coefficient=settings.friction_coefficient,
         shear=friction.total(time_s) if isinstance(friction, StickingForce) else nothing,
         wall=_wall_of(friction, time_s) if isinstance(friction, SlidingForce) else None,
-        sheared=ShearView(friction, time_s) if isinstance(friction, StickingForce) else None,
+        sheared=_sheared(friction, acquisition, time_s) if isinstance(friction, StickingForce) else None,
     )
 
 
 def _wall_of(friction: SlidingForce, time_s: FloatArray) -> WallView | None:
     return None if friction.side is None else WallView(friction.contact, friction.history, time_s)
+
+
+def _sheared(friction: StickingForce, acquisition: Acquisition, time_s: FloatArray) -> ShearView:
+    return ShearView(friction, time_s, abs(acquisition.shear_strain))

@@ -109,6 +109,8 @@ class ShearView:
 
     force: StickingForce
     time_s: FloatArray
+    target_strain: float
+    """Strain that the run goes to, whose elements the wall has from the beginning."""
 
     @property
     def area_mm2(self) -> float:
