@@ -1,5 +1,6 @@
 """A gap that no effect explains: laws that were planted are found, chance gives none, words say where and how."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -174,6 +175,11 @@ def test_a_late_gap_is_told_by_the_session() -> None:
     assert "function of the session's time" in how
     assert "falls with session time" in how
     assert "lower than the model's force" in how
+
+
+def test_large_forces_are_told_in_whole_numbers() -> None:
+    _, how = words_of(campaign(1, lambda one: -4.0 * speed(one) * moving(one, "drag")))
+    assert re.search(r"falls with speed, from −\S+ mN at 0\.5 mm/s to −(19|20)\d mN at 60 mm/s\.", how)
 
 
 def test_one_odd_run_is_named() -> None:
