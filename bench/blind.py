@@ -1,6 +1,7 @@
 """Campaigns with hidden effects, and how a diagnosis did on them.
 
-`python bench/blind.py make --cases 100 --seed 1 --out DIR` writes DIR/0001/*.h5 and so on, and DIR/answers.json.
+`python bench/blind.py make --cases 100 --seed 1 --out DIR` writes DIR/0001/*.h5 and so on, and DIR/answers.json;
+`python bench/blind.py diagnose DIR` diagnoses them, `python bench/blind.py score DIR` opens the answers.
 `python bench/blind.py score DIR` reads DIR/0001/diagnosis.json and so on and prints how often they are right.
 `python bench/blind.py sizes --draws 4` prints how large the effects are, form by form.
 """
@@ -19,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -162,6 +164,39 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
             print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")
 
 
+def diagnose_all(folder: Path, without: bool) -> None:
+    """Diagnose every campaign that has no diagnosis yet, two at a time, each without knowledge of the answers."""
+    cases = [one for one in sorted(folder.iterdir()) if one.is_dir() and one.name != "fresh"]
+    answers = json.loads((folder / "answers.json").read_text(encoding="utf-8")) if without else {}
+    waiting = [(one, tuple(answers.get(one.name, {}).get("effects", ())) if without else ()) for one in cases]
+    waiting = [one for one in waiting if not (one[0] / _name(without)).is_file()]
+    began = perf_counter()
+    with multiprocessing.Pool(2, maxtasksperchild=8) as pool:
+        seconds = list(pool.imap_unordered(partial(_diagnose_one, without), waiting))
+    if seconds:
+        print(f"{len(seconds)} campaigns in {perf_counter() - began:.0f} s, each {np.median(seconds):.1f} s (median)")
+
+
+def _name(without: bool) -> str:
+    return "diagnosis-without.json" if without else "diagnosis.json"
+
+
+def _diagnose_one(without: bool, case: tuple[Path, tuple[str, ...]]) -> float:
+    from dragrig.diagnosing import diagnosed, gap_evaluate
+    from dragrig.gap_json import gap_document, shrink_document
+
+    folder, left_out = case
+    began = perf_counter()
+    found = diagnosed(folder, without=left_out, workers=1).result
+    seconds = perf_counter() - began
+    fresh = folder.parent / "fresh" / folder.name
+    if not without and fresh.is_dir() and found.model is not None:
+        told = json.dumps(shrink_document(gap_evaluate(found.model, fresh)))
+        (folder / "fresh.json").write_text(told, encoding="utf-8")
+    (folder / _name(without)).write_text(json.dumps(gap_document(found)), encoding="utf-8")
+    return seconds
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -173,6 +208,9 @@ def main() -> None:
     maker.add_argument(
         "--fresh", action="store_true", help="write DIR/fresh/0001 too: the same at other speeds and strains"
     )
+    doctor = commands.add_parser("diagnose", help="diagnose the campaigns that have no diagnosis yet")
+    doctor.add_argument("folder", type=Path)
+    doctor.add_argument("--without", action="store_true", help="with the true effects taken out of the catalogue")
     scorer = commands.add_parser("score", help="compare diagnoses with the answers")
     scorer.add_argument("folder", type=Path)
     sizer = commands.add_parser("sizes", help="print how large the effects are")
@@ -181,6 +219,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.command == "make":
         make_all(given.cases, given.seed, given.out, fresh=given.fresh)
+    elif given.command == "diagnose":
+        diagnose_all(given.folder, given.without)
     elif given.command == "score":
         print_score(given.folder)
     else:
