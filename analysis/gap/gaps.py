@@ -67,17 +67,18 @@ def run_gap(
     width = sight.coordinates.width_s
     share = width / width.sum()
     floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
-    scatter = _own_factors(*after, zero_sd)
+    scatter = own_factors(*after, zero_sd)
     cleared = [residual - scatter - own_zero(residual - scatter, white, zero_sd) for residual, white in (before, after)]
     within = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / sight.evidence.blocks.samples)), 0.0)))
     return RunGap(sight, cleared[0], cleared[1], floor, within, _steady(sight, cleared[0], cleared[1]))
 
 
-def _own_factors(residual: FloatArray, whitening: Whitening, zero_sd: float) -> FloatArray:
-    """Return what the run's own factors make of it [mN], shape `(B,)`."""
+def own_factors(residual: FloatArray, whitening: Whitening, zero_sd: float, furthest: float = np.inf) -> FloatArray:
+    """Return what the run's own factors make of it [mN], shape `(B,)`, none beyond so many standard deviations."""
     own = whitening.own
     precision = np.eye(own.shape[1]) + own.T @ own
     found = np.linalg.solve(precision, own.T @ whitening.of_noise(residual))
+    found = np.clip(found, -furthest, furthest)
     if zero_sd > 0:
         found[0] = 0.0
     return np.asarray(whitening.noise_root @ (own @ found))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dragrig.analysis.gap.design import Design, Part
-from dragrig.analysis.gap.gaps import own_zero
+from dragrig.analysis.gap.gaps import own_factors, own_zero
 from dragrig.analysis.gap.lines import Line
 from dragrig.analysis.gap.phases import commanded_phase
 from dragrig.analysis.gap.position.errors import COUNT_MM, QUANTISATION_MM, PositionErrors
@@ -13,6 +13,9 @@ from dragrig.analysis.gap.solving import fit
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.where import ResidualBlocks
 from dragrig.rig.arrays import FloatArray
+
+USUAL_SCATTER = 6.0
+"""A run that differs from the others by more standard deviations than this does so for a reason."""
 
 
 def nominal_residuals(design: Design) -> list[FloatArray]:
@@ -28,8 +31,10 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
         part, noise = design.parts[number], study.problem.noises[number]
         blocks, at = sight.evidence.blocks, sight.coordinates
         white = np.sqrt(max(noise.white**2 - hum.amplitude**2 / 2, (0.3 * noise.white) ** 2))
-        spread = white**2 / blocks.samples + noise.slow**2 + part.repeat_sd**2 + part.motion_sd**2 + tolerance_mN**2
-        residual = left - own_zero(left, part.whitening, study.problem.zero_sds[number])
+        spread = white**2 / blocks.samples + noise.slow**2 + part.motion_sd**2 + tolerance_mN**2
+        zero_sd = study.problem.zero_sds[number]
+        rest = left - own_factors(left, part.whitening, zero_sd, USUAL_SCATTER)
+        residual = rest - own_zero(rest, part.whitening, zero_sd)
         found.append(
             ResidualBlocks(
                 run_id=sight.experiment.run.info.header.run_id,
@@ -45,6 +50,7 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
                 time_s=at.time_s,
                 phase=at.phase.astype(np.uint8),
                 position_mm=at.position_mm,
+                level_mN=part.predicted,
             )
         )
     return found
