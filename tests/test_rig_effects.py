@@ -53,7 +53,7 @@ def test_a_ripple_is_a_function_of_position_alone() -> None:
 
 def test_an_arm_rings_at_its_frequency_when_the_force_steps_and_shows_the_force_in_the_end() -> None:
     seen = scene("coulomb")
-    values = {"share": 1.0, "frequency_hz": 10.0, "damping": 0.05, "mass_g": 0.0}
+    values = {"share": 1.0, "frequency_hz": 10.0, "damping": 0.05, "by_force": 1.0}
     shown = sensor("arm_compliance").shown(seen, seen.nominal, values)
     after = seen.stance.since_stop_s
     ringing = (after > 0.01) & (after < 0.5)
@@ -65,7 +65,7 @@ def test_an_arm_rings_at_its_frequency_when_the_force_steps_and_shows_the_force_
 
 def test_a_stiff_arm_with_a_mass_is_a_payload() -> None:
     seen = scene("blank")
-    stiff = {"share": 1.0, "frequency_hz": 100.0, "damping": 0.7, "mass_g": 30.0}
+    stiff = {"share": 0.03, "frequency_hz": 100.0, "damping": 0.7, "by_force": 0.0}
     arm = changed(find_effect("arm_compliance"), seen, stiff)
     payload = changed(find_effect("payload_inertia"), seen, {"mass_g": 30.0, "lag_s": 0.0})
     assert payload.max() == pytest.approx(30e-3 * 400.0)

@@ -178,6 +178,9 @@ def _closeness(rival: Score, best: Score, found: Findings) -> float:
 
 def _with_lines(found: Findings, force: _Force) -> Judgement:
     hum = 0.0 if "mains_hum" in found.without else _logistic((found.mains_gain - LEAST_LINE) / 1.5)
+    if found.line_gain > 0.5 * found.mains_gain:
+        # Where all frequencies are loud, those of the mains are no finding.
+        hum = min(hum, 0.2)
     foreign = _logistic((max(found.line_gain - 0.02 * found.mains_gain, 0.0) - LEAST_OTHER_LINE) / 8.0)
     if "mains_hum" in found.without:
         foreign = max(foreign, _logistic((found.mains_gain - LEAST_LINE) / 1.5))

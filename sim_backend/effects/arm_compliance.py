@@ -10,12 +10,14 @@ from dragrig.sim_backend.effects.base import Domain, EffectParameter, Link, Plac
 from dragrig.sim_backend.effects.dynamics import resonator
 from dragrig.sim_backend.effects.scene import Scene
 
+MASS_G = 1000.0
+"""Mass on an arm that is rung by jerks alone, at a share of 1."""
+
 
 class ArmCompliance(SensorEffect):
-    """The force, with that of a mass on the arm, goes through the arm's resonance.
+    """An oscillator between force and sensor, rung by changes of the force, by the stage's jerks, or by both.
 
-    `share` of the force does, the rest at once. A small share with a large mass is an arm that rings with the
-    stage's jerks alone, a mass of nothing one that rings with the force alone.
+    A share of the force rings; rung by jerks, a mass of that share of `MASS_G` does.
     """
 
     id: ClassVar[str] = "arm_compliance"
@@ -32,14 +34,17 @@ class ArmCompliance(SensorEffect):
             "frequency_hz", "Hz", Role.SHAPE, 20.0, 3.0, 100.0, "resonance", tried=(9.0, 12.0, 16.0, 21.0, 28.0, 38.0)
         ),
         EffectParameter("damping", "1", Role.SHAPE, 0.2, 0.01, 0.7, "share of critical", possible=(0.001, 0.999)),
-        EffectParameter("mass_g", "g", Role.SHAPE, 20.0, 0.0, 5000.0, "mass on the arm", tried=(0.0, 1000.0)),
+        EffectParameter(
+            "by_force", "1", Role.SHAPE, 1.0, 0.0, 1.0, "1 rung by the force alone, 0 by jerks", tried=(0.0, 1.0)
+        ),
     )
 
     def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the force as the arm passes it on; g · mm/s² is µN."""
-        driving = force_mN + 1e-3 * values["mass_g"] * scene.acceleration_mm_s2
-        rung = resonator(scene.time_s, driving, values["frequency_hz"], values["damping"])
-        return np.asarray(force_mN + values["share"] * (rung - force_mN))
+        by_force = values["by_force"]
+        pull = 1e-3 * MASS_G * (1.0 - by_force) * scene.acceleration_mm_s2
+        rung = resonator(scene.time_s, pull + by_force * force_mN, values["frequency_hz"], values["damping"])
+        return np.asarray(force_mN + values["share"] * (rung - by_force * force_mN))
 
 
 EFFECT = ArmCompliance()
