@@ -29,6 +29,8 @@ MOST_OWN, LEAST_OWN = 3, 8.0
 MOST_EFFECTS = 3
 ACTING = 0.1
 """An effect acts where it adds this share of the most that it adds."""
+CLEAR_GAIN = 500.0
+"""A further effect that takes away more than this is tried even where the first one is far larger."""
 SEARCHED = 26.0
 """Half squares that the best of some hundred periods, in any form, takes away by chance."""
 
@@ -266,7 +268,8 @@ def _further(found: Findings) -> list[Step]:
         if len(ranked) < 2:
             break
         first, second = ranked[:2]
-        worth = first.gain > LEAST_GAIN * 2 and 2 * first.gain > 0.01 * found.excess
+        least = 0.01 if first.gain < CLEAR_GAIN else 0.004
+        worth = first.gain > LEAST_GAIN * 2 and 2 * first.gain > least * found.excess
         together = _refitted(found.study, design, first, found.nominal.log_det) if worth else None
         left = projected.squares + design.log_det - found.nominal.log_det
         steps.append(Step(first.effect, first.gain, second.effect, second.gain, left, together))

@@ -26,7 +26,9 @@ STRICT: Mapping[str, float] = {"force_nonlinearity": 0.95, "force_drift": 0.95, 
 """Effects that resemble many that the catalogue does not have need a greater one."""
 RIVAL = 14.0
 """Weight of a rival: e to the minus this times by how much less of the excess it explains."""
-FURTHER_GAIN, FURTHER_SHARE = 14.0, 0.3
+LEAST_BESIDE, LEAST_CLEAR, CLEAR_GAIN = 0.012, 0.005, 500.0
+"""Share of the whole excess that a further effect must take away, and the smaller one where that is a clear gain."""
+FURTHER_GAIN, FURTHER_SHARE = 14.0, 0.25
 """What a further effect must take away, and its share of what those before leave."""
 LEAST_LINE, LEAST_OTHER_LINE = 14.0, 60.0
 LEAST_POSITION = 0.9
@@ -140,7 +142,8 @@ def _of_force(found: Findings, tolerance_mN: float) -> _Force:
     for one in found.further if best is found.singles[0] else ():
         left = max(one.left - found.blocks - chance, 0.0)
         earns = one.gain > FURTHER_GAIN and 2 * one.gain > FURTHER_SHARE * left and one.left > found.blocks
-        if one.together is None or not earns or 2 * one.gain < 0.012 * max(excess, 1.0):
+        least = LEAST_BESIDE if one.gain < CLEAR_GAIN else LEAST_CLEAR
+        if one.together is None or not earns or 2 * one.gain < least * max(excess, 1.0):
             break
         effects, last = (*effects, one.effect), one.together
     share = _share(last, found, chance)
