@@ -211,3 +211,19 @@ def test_all_24_effects_of_the_vocabulary_and_ten_others_are_there() -> None:
     assert len(OUTSIDE) >= 10
     assert not set(CATALOGUE) & set(OUTSIDE)
     assert all(len(group) >= 2 for group in CATALOGUE.values())
+
+
+def test_a_wall_that_comes_back_late_is_still_off_after_the_stop() -> None:
+    run = stroke("drag", 60.0)
+    late = next(form for form in CATALOGUE["wall_lift_off"] if form.form == "front fades, comes back late")
+    effect = late.drawn(np.random.default_rng(1), 1.0)
+    quiet, same = Noise(1.0, 0.3, 0.2), Variation(1.0, 1.0, 0.0)
+    secret = Secret(1, PUBLISHED, quiet, Rough(), (effect,), (1.0,), "practice", (run,), (same,))
+    (found,) = signature(secret)
+    stop = run.bounds_s[3]
+    moving, after, later = (
+        found.force[np.searchsorted(found.time, at)] for at in (run.bounds_s[2] - 0.05, stop + 0.02, stop + 2.5)
+    )
+    assert moving < 0
+    assert 0.2 * moving > after > moving
+    assert abs(later) < 0.05 * abs(after)

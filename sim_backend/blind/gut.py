@@ -73,15 +73,17 @@ class Gut:
             first, second, third = first * one, second * two, third * three
         return E1 * first, E2 * second, E3 * third, eta1 / E1, eta2 / E2
 
-    def tail(self, age: Floats) -> Floats:
-        """Return what effects add to the stress at an age, as a part of E3."""
-        return np.sum([effect.tail(age) for effect in self.effects], axis=0) if self.effects else np.zeros_like(age)
+    def tail(self, age: Floats, strain: Floats) -> Floats:
+        """Return what effects add to the stress at an age and a strain, as a part of E3."""
+        if not self.effects:
+            return np.zeros_like(age)
+        return np.asarray(np.sum([effect.tail(age, strain) for effect in self.effects], axis=0))
 
     def pressure(self, x: Floats, age: Floats) -> Floats:
         """Return the wall's pressure [kPa] at `x`, first touched `age` seconds ago."""
         strain = self.strain(x)
         E1, E2, E3, tau1, tau2 = self.moduli(strain)
-        stress = E1 * np.exp(-age / tau1) + E2 * np.exp(-age / tau2) + E3 * (1 + self.tail(age))
+        stress = E1 * np.exp(-age / tau1) + E2 * np.exp(-age / tau2) + E3 * (1 + self.tail(age, strain))
         return 2 * WALL_MM * strain * stress / self.diameter_mm(x)
 
     def _bend(self, strain: Floats) -> Floats:

@@ -51,7 +51,7 @@ def _coarse(strain: Floats, fine: Floats, tau: float, step_s: float) -> Floats:
 
 def _slow(gut: Gut, t: Floats, strain: Floats) -> Floats:
     """Return what effects add, as a part of E3: their answer to a step, summed over the steps of the ramp."""
-    tail = gut.tail(t - t[0])
+    tail = gut.tail(t - t[0], np.full_like(t, strain[-1]))
     if not tail.any():
         return np.zeros_like(t)
     steps = np.diff(strain, prepend=0.0)

@@ -71,7 +71,7 @@ def _contact(gut: Gut, scene: Scene, knots: np.ndarray[tuple[int], np.dtype[np.i
         return np.where(back >= 0, now - np.interp(back, far, times), gut.specimen.dwell_s + now)
 
     now, here = motion.t[knots][:, None], reached[knots][:, None]
-    speed = np.abs(motion.v[knots])[:, None]
+    speeds = [effect.passing(scene)[knots][:, None] for effect in gut.effects]
     length = gut.length_mm
     total = np.zeros(knots.size)
     jump = np.minimum(here, length)
@@ -85,7 +85,7 @@ def _contact(gut: Gut, scene: Scene, knots: np.ndarray[tuple[int], np.dtype[np.i
         old = now[wide] - np.interp(np.maximum(here[wide] - x, 0.0), far, times)
         ages = old if fresh else np.broadcast_to(gut.specimen.dwell_s + now[wide], x.shape)
         held = np.ones_like(x)
-        for effect in gut.effects:
+        for effect, speed in zip(gut.effects, speeds, strict=True):
             held = held * effect.contact(x / length, speed[wide])
         slant = (length - x) / RADIUS_MM * 2 * np.pi * RADIUS_MM
         total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * held).sum(axis=1)

@@ -3,7 +3,17 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from dragrig.sim_backend.blind.effects import drive, interface, organ, outside, outside_position, sensor, wall
+from dragrig.sim_backend.blind.effects import (
+    drive,
+    interface,
+    organ,
+    outside,
+    outside_position,
+    sensor,
+    session,
+    slip,
+    wall,
+)
 from dragrig.sim_backend.blind.effects.base import Effect
 
 
@@ -14,7 +24,7 @@ def _by_name(*groups: tuple[type[Effect], ...]) -> Mapping[str, tuple[type[Effec
     return MappingProxyType(names)
 
 
-CATALOGUE = _by_name(wall.FORMS, interface.FORMS, organ.FORMS, sensor.FORMS, drive.FORMS)
+CATALOGUE = _by_name(wall.FORMS, interface.FORMS, slip.FORMS, organ.FORMS, session.FORMS, sensor.FORMS, drive.FORMS)
 """Forms of every effect of the vocabulary."""
 OUTSIDE = _by_name(outside.FORMS, outside_position.FORMS)
 """Forms of the effects that the vocabulary does not have."""

@@ -110,9 +110,13 @@ class Effect:
         one = np.ones_like(strain)
         return one, one, one
 
-    def tail(self, age_s: Floats) -> Floats:
-        """Return what the stress has beyond the model at a contact age, as a part of E3."""
+    def tail(self, age_s: Floats, strain: Floats) -> Floats:
+        """Return what the stress has beyond the model at a contact age and a strain, as a part of E3."""
         return np.zeros_like(age_s)
+
+    def passing(self, scene: Scene) -> Floats:
+        """Return the speed that decides where the wall is in contact [mm/s], shape `(N,)`."""
+        return scene.speed
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
         """Return the share of the pressure left at x / L = `where` at a speed [mm/s]; the two broadcast."""

@@ -6,40 +6,48 @@ from typing import Annotated
 import numpy as np
 
 from dragrig.sim_backend.blind.effects.base import Draw, Effect, Phase, Scene
-from dragrig.sim_backend.blind.effects.linear import delayed, low_pass
+from dragrig.sim_backend.blind.effects.linear import delayed, first_order, low_pass
 from dragrig.sim_backend.blind.motion import Floats, Motion
 
 
 @dataclass(frozen=True, slots=True)
 class LagSecondOrder(Effect):
-    """A stage that follows as a damped second-order system; the amplitude is the time it lags at constant speed [s]."""
+    """A stage that follows as a damped second-order system, of whose lag [s] an integrator takes a share away."""
 
-    name, form, channel = "servo_lag", "second order", "position"
+    name, form, channel = "servo_lag", "second order, integrated away", "position"
     amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
     damping: Annotated[float, Draw(0.9, 1.3)]
+    integral_s: Annotated[float, Draw(0.5, 1.5, log=True)]
+    share: Annotated[float, Draw(0.45, 0.7)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
         """Return the true motion."""
         if not self.amplitude:
             return motion
         time_s = self.amplitude / (2 * self.damping)
-        p, v, a = (low_pass(one, time_s, self.damping, motion.t) for one in (motion.p, motion.v, motion.a))
-        return Motion(motion.t, p, v, a)
+
+        def follow(values: Floats) -> Floats:
+            behind = values - low_pass(values, time_s, self.damping, motion.t)
+            return values - behind + self.share * first_order(behind, self.integral_s, motion.t)
+
+        return Motion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
 @dataclass(frozen=True, slots=True)
 class LagDeadTime(Effect):
-    """A stage that starts late and then follows through two poles."""
+    """A stage that starts late and follows through two poles, later at speed as its voltage runs out."""
 
-    name, form, channel = "servo_lag", "dead time and low-pass", "position"
+    name, form, channel = "servo_lag", "dead time, grows with speed", "position"
     amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
     dead: Annotated[float, Draw(0.2, 0.5)]
+    grows: Annotated[float, Draw(0.6, 1.0)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
         """Return the true motion."""
         if not self.amplitude:
             return motion
-        late, time_s = self.dead * self.amplitude, (1 - self.dead) * self.amplitude / 2
+        lag = self.amplitude * (scene.run.peak_mm_s / 40.0) ** self.grows
+        late, time_s = self.dead * lag, (1 - self.dead) * lag / 2
         p, v, a = (
             low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a)
         )
@@ -48,22 +56,25 @@ class LagDeadTime(Effect):
 
 @dataclass(frozen=True, slots=True)
 class LagTwoTimes(Effect):
-    """A stage that makes most of the way fast and creeps the rest."""
+    """A stage that makes most of the way fast and creeps the rest within seconds; the fast lag is the amplitude [s].
 
-    name, form, channel = "servo_lag", "fast and slow", "position"
+    `share_1_s` is the share that creeps over the fast lag.
+    """
+
+    name, form, channel = "servo_lag", "fast, with a creeping rest", "position"
     amplitude: Annotated[float, Draw(0.030, 0.110, log=True)]
-    slow: Annotated[float, Draw(0.15, 0.35)]
-    ratio: Annotated[float, Draw(2.5, 5.0)]
+    share_1_s: Annotated[float, Draw(0.15, 0.3)]
+    creep_s: Annotated[float, Draw(1.5, 3.0)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
         """Return the true motion."""
         if not self.amplitude:
             return motion
-        fast = self.amplitude / 2 / (1 - self.slow + self.slow * self.ratio)
+        slow = self.share_1_s * self.amplitude
 
         def follow(values: Floats) -> Floats:
-            first, second = (low_pass(values, one, 1.0, motion.t) for one in (fast, fast * self.ratio))
-            return (1 - self.slow) * first + self.slow * second
+            fast = low_pass(values, self.amplitude / 2, 1.0, motion.t)
+            return (1 - slow) * fast + slow * first_order(values, self.creep_s, motion.t)
 
         return Motion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
@@ -112,7 +123,7 @@ class RippleTwoPeriods(Effect):
     period_mm: Annotated[float, Draw(1.5, 4.0, log=True)]
     phase: Phase
     ratio: Annotated[float, Draw(1.3, 2.7)]
-    second: Annotated[float, Draw(0.3, 0.8)]
+    second: Annotated[float, Draw(0.2, 0.35)]
 
     def motion(self, motion: Motion, scene: Scene) -> Motion:
         """Return the true motion."""
@@ -126,7 +137,7 @@ class LatencySpread(Effect):
 
     name, form, channel, rank = "channel_latency", "another in every run", "either", 3
     amplitude: Annotated[float, Draw(0.006, 0.020, log=True, signed=True)]
-    spread: Annotated[float, Draw(0.05, 0.25)]
+    spread: Annotated[float, Draw(0.3, 0.55)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
@@ -165,24 +176,27 @@ class LatencyGrows(Effect):
 
 @dataclass(frozen=True, slots=True)
 class ScaleBent(Effect):
-    """Counts that are off by a part which changes a little along the scale."""
+    """Counts that are off by a part which swings along the scale, as a band that is not stuck down evenly has it."""
 
-    name, form, channel = "encoder_scale", "bent", "position"
+    name, form, channel = "encoder_scale", "uneven band", "position"
     amplitude: Annotated[float, Draw(0.002, 0.012, log=True, signed=True)]
-    bend: Annotated[float, Draw(-0.4, 0.4)]
+    swing: Annotated[float, Draw(0.3, 0.5)]
+    period_mm: Annotated[float, Draw(9.0, 25.0)]
+    phase: Phase
 
     def position(self, position: Floats, force: Floats, scene: Scene) -> Floats:
         """Return the position the encoder sees."""
-        return position * (1 + self.amplitude * (1 + self.bend * (position / 40.0 - 0.5)))
+        swung = np.sin(2 * np.pi * position / self.period_mm + self.phase)
+        return np.asarray(position * (1 + self.amplitude * (1 + self.swing * swung)))
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleWarm(Effect):
-    """Counts that are off by a part which grows a little as the scale warms up during the session."""
+    """Counts that are off by a part which grows as the scale warms up during the session."""
 
     name, form, channel = "encoder_scale", "warming", "position"
     amplitude: Annotated[float, Draw(0.002, 0.012, log=True, signed=True)]
-    warming: Annotated[float, Draw(0.05, 0.35)]
+    warming: Annotated[float, Draw(0.7, 0.95)]
 
     def position(self, position: Floats, force: Floats, scene: Scene) -> Floats:
         """Return the position the encoder sees."""

@@ -27,3 +27,11 @@ def resonance(values: Floats, hertz: float, damping: float, t: Floats) -> Floats
 def delayed(values: Floats, seconds: Floats | float, t: Floats) -> Floats:
     """Return the values as they were `seconds` ago; the ends are held."""
     return np.interp(t - seconds, t, values)
+
+
+def first_order(values: Floats, time_s: float, t: Floats) -> Floats:
+    """Return the values through one pole at `1 / time_s`, at rest before the first sample."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-(t[1] - t[0]) / time_s))
+    return np.asarray(lfilter([1 - kept], [1.0, -kept], values))

@@ -1,13 +1,12 @@
-"""Hidden effects of gut as an organ, and of its change through a session."""
+"""Hidden effects of gut as an organ."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import DRAG, TISSUE, Draw, Effect, Parts, Phase, Scene
+from dragrig.sim_backend.blind.effects.base import DRAG, Draw, Effect, Parts, Phase, Scene
 from dragrig.sim_backend.blind.motion import Floats
-from dragrig.sim_backend.blind.programme import RunPlan
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +17,7 @@ class FoldsHarmonics(Effect):
     amplitude: Annotated[float, Draw(0.08, 0.20)]
     period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
     phase: Phase
-    second: Annotated[float, Draw(0.3, 0.7)]
+    second: Annotated[float, Draw(0.10, 0.2)]
     second_phase: Phase
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
@@ -36,7 +35,7 @@ class FoldsRidges(Effect):
     amplitude: Annotated[float, Draw(0.10, 0.25)]
     period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
     phase: Phase
-    sharpness: Annotated[float, Draw(1.0, 3.5)]
+    sharpness: Annotated[float, Draw(0.5, 1.5)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
@@ -55,7 +54,7 @@ class FoldsWandering(Effect):
     amplitude: Annotated[float, Draw(0.10, 0.25)]
     period_mm: Annotated[float, Draw(3.0, 8.0, log=True)]
     phase: Phase
-    wander: Annotated[float, Draw(0.1, 0.3)]
+    wander: Annotated[float, Draw(0.02, 0.05)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
@@ -66,70 +65,79 @@ class FoldsWandering(Effect):
 
 @dataclass(frozen=True, slots=True)
 class TetherPower(Effect):
-    """A pull that grows with a power of the travel beyond a place."""
+    """A pull that grows with a power of the travel beyond a place, and relaxes while the capsule is held."""
 
-    name, form, kinds = "mesentery_tether", "power beyond a place", DRAG
-    amplitude: Annotated[float, Draw(10.0, 30.0)]
+    name, form, kinds = "mesentery_tether", "power, relaxes in the hold", DRAG
+    amplitude: Annotated[float, Draw(12.0, 34.0)]
     place_mm: Annotated[float, Draw(12.0, 26.0)]
     power: Annotated[float, Draw(1.3, 2.8)]
+    relaxes: Annotated[float, Draw(0.4, 0.7)]
+    time_s: Annotated[float, Draw(0.4, 1.5)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
         beyond = np.maximum(scene.motion.p - self.place_mm, 0.0) / (40.0 - self.place_mm)
-        return np.asarray(self.amplitude * beyond**self.power)
+        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+        return np.asarray(self.amplitude * beyond**self.power * (1 + self.relaxes * np.expm1(-held / self.time_s)))
 
 
 @dataclass(frozen=True, slots=True)
 class TetherSoft(Effect):
-    """A pull that stiffens gradually, as tissue that unfolds does."""
+    """A pull that stiffens gradually, as tissue that unfolds does, and gives way again and again."""
 
-    name, form, kinds = "mesentery_tether", "soft onset", DRAG
-    amplitude: Annotated[float, Draw(10.0, 30.0)]
+    name, form, kinds = "mesentery_tether", "soft onset, slips", DRAG
+    amplitude: Annotated[float, Draw(12.0, 34.0)]
     place_mm: Annotated[float, Draw(15.0, 28.0)]
     width_mm: Annotated[float, Draw(2.0, 5.0)]
+    step_mm: Annotated[float, Draw(6.0, 11.0)]
+    slips: Annotated[float, Draw(0.4, 0.65)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
-        w = self.width_mm
-        grown, end = (np.logaddexp(0.0, (p - self.place_mm) / w) for p in (scene.motion.p, np.array(40.0)))
-        return np.asarray(self.amplitude * (grown - np.logaddexp(0.0, -self.place_mm / w)) / end)
+        w, p = self.width_mm, scene.motion.p
+        grown, end = (np.logaddexp(0.0, (at - self.place_mm) / w) for at in (p, np.array(40.0)))
+        taut = (grown - np.logaddexp(0.0, -self.place_mm / w)) / end
+        turn = np.pi * (p - self.place_mm) / self.step_mm
+        return np.asarray(self.amplitude * taut * (1 - self.slips * np.sin(turn) ** 4))
 
 
 @dataclass(frozen=True, slots=True)
 class TetherTwoStrands(Effect):
-    """Two strands that come taut one after the other, each a spring."""
+    """Two strands that come taut one after the other; the first gives way where the second comes taut."""
 
-    name, form, kinds = "mesentery_tether", "two strands", DRAG
-    amplitude: Annotated[float, Draw(10.0, 30.0)]
-    place_mm: Annotated[float, Draw(10.0, 20.0)]
-    later_mm: Annotated[float, Draw(5.0, 12.0)]
-    ratio: Annotated[float, Draw(0.5, 2.0)]
+    name, form, kinds = "mesentery_tether", "two strands, one gives way", DRAG
+    amplitude: Annotated[float, Draw(12.0, 34.0)]
+    place_mm: Annotated[float, Draw(12.0, 19.0)]
+    later_mm: Annotated[float, Draw(6.0, 10.0)]
+    ratio: Annotated[float, Draw(0.5, 0.9)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
 
         def taut(p: Floats) -> Floats:
-            first, second = np.maximum(p - self.place_mm, 0.0), np.maximum(p - self.place_mm - self.later_mm, 0.0)
-            return np.asarray(first + self.ratio * second)
+            beyond = p - self.place_mm - self.later_mm
+            first = np.clip(p - self.place_mm, 0.0, self.later_mm) / (1 + np.exp(np.clip((beyond - 1) / 0.3, -50, 50)))
+            return np.asarray(first + self.ratio * np.maximum(beyond, 0.0))
 
         return np.asarray(self.amplitude * taut(scene.motion.p) / taut(np.array(40.0)))
 
 
 @dataclass(frozen=True, slots=True)
 class PeristalsisPulses(Effect):
-    """Pulses of a Gaussian shape at equal times of the session."""
+    """Pulses of a Gaussian shape at times of the session that are not quite equally far apart."""
 
-    name, form, kinds = "peristalsis", "Gaussian pulses", DRAG
+    name, form, kinds = "peristalsis", "Gaussian pulses, early and late", DRAG
     amplitude: Annotated[float, Draw(7.0, 18.0)]
     period_s: Annotated[float, Draw(3.5, 8.0)]
     phase: Phase
-    width: Annotated[float, Draw(0.08, 0.16)]
+    width: Annotated[float, Draw(0.10, 0.18)]
+    wander: Annotated[float, Draw(0.03, 0.06)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the force [mN]."""
         turn = scene.session_s / self.period_s + self.phase / (2 * np.pi)
-        off = turn - np.round(turn)
-        return np.asarray(self.amplitude * np.exp(-((off / self.width) ** 2)))
+        late = turn + self.wander * np.sin(1.9 * turn)
+        return np.asarray(self.amplitude * np.exp(-(((late - np.round(late)) / self.width) ** 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,75 +173,6 @@ class PeristalsisUneven(Effect):
         return np.asarray(self.amplitude * strength * ((1 + np.cos(2 * np.pi * turn)) / 2) ** 3)
 
 
-@dataclass(frozen=True, slots=True)
-class AgeingRoot(Effect):
-    """Stiffness drifts with the root of the session's time."""
-
-    name, form, kinds = "tissue_ageing", "root of time", TISSUE
-    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
-
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        return float(1 + self.amplitude * (run.start_s / 3000.0) ** 0.5)
-
-
-@dataclass(frozen=True, slots=True)
-class AgeingLate(Effect):
-    """Stiffness drifts slowly at first and faster later on."""
-
-    name, form, kinds = "tissue_ageing", "late", TISSUE
-    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
-    power: Annotated[float, Draw(1.2, 2.0)]
-
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        return float(1 + self.amplitude * (run.start_s / 3000.0) ** self.power)
-
-
-@dataclass(frozen=True, slots=True)
-class AgeingTurn(Effect):
-    """Stiffness changes over from one value to another about a time within the session."""
-
-    name, form, kinds = "tissue_ageing", "change-over", TISSUE
-    amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
-    middle_s: Annotated[float, Draw(900.0, 2000.0)]
-    width_s: Annotated[float, Draw(250.0, 600.0)]
-
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        now, start = (1 / (1 + np.exp(-(t - self.middle_s) / self.width_s)) for t in (run.start_s, 0.0))
-        return float(1 + self.amplitude * (now - start) / (1 - start))
-
-
-@dataclass(frozen=True, slots=True)
-class PreconditioningRational(Effect):
-    """The stiffness of a fresh specimen fades as a rational function of the run count."""
-
-    name, form, kinds = "preconditioning", "rational", TISSUE
-    amplitude: Annotated[float, Draw(0.35, 0.7)]
-    runs: Annotated[float, Draw(1.5, 5.0)]
-    power: Annotated[float, Draw(1.0, 2.0)]
-
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        return float(1 + self.amplitude / (1 + (run.order / self.runs) ** self.power))
-
-
-@dataclass(frozen=True, slots=True)
-class PreconditioningBell(Effect):
-    """The stiffness of a fresh specimen fades as a Gaussian of the run count."""
-
-    name, form, kinds = "preconditioning", "Gaussian of run count", TISSUE
-    amplitude: Annotated[float, Draw(0.35, 0.7)]
-    runs: Annotated[float, Draw(2.0, 9.0)]
-
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        return float(1 + self.amplitude * np.exp(-((run.order / self.runs) ** 2)))
-
-
 FORMS: tuple[type[Effect], ...] = (
     FoldsHarmonics, FoldsRidges, FoldsWandering, TetherPower, TetherSoft, TetherTwoStrands, PeristalsisPulses,
-    PeristalsisTwitch, PeristalsisUneven, AgeingRoot, AgeingLate, AgeingTurn, PreconditioningRational,
-    PreconditioningBell,
-)  # fmt: skip
+    PeristalsisTwitch, PeristalsisUneven,     )  # fmt: skip

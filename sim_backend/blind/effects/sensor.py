@@ -24,75 +24,82 @@ class DriftRoot(Effect):
 
 @dataclass(frozen=True, slots=True)
 class DriftBent(Effect):
-    """Zero that creeps at a rate which falls by half over some tens of seconds."""
+    """Zero that creeps at a rate which falls by half over some seconds."""
 
     name, form, rank = "force_drift", "bent line", 2
     amplitude: Annotated[float, Draw(5.0, 14.0, signed=True)]
-    time_s: Annotated[float, Draw(10.0, 60.0, log=True)]
+    time_s: Annotated[float, Draw(3.0, 15.0, log=True)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
-        own = 1 + 0.2 * scene.random("drift").standard_normal()
+        own = 1 + 0.3 * scene.random("drift").standard_normal()
         grown = np.log1p(scene.motion.t / self.time_s) / np.log1p(20.0 / self.time_s)
         return np.asarray(force + self.amplitude * own * grown)
 
 
 @dataclass(frozen=True, slots=True)
 class NonlinearCubic(Effect):
-    """Gain that changes with the square of the load."""
+    """Gain that is another beyond a load, as where an overload stop begins to touch."""
 
-    name, form, rank = "force_nonlinearity", "cubic", 2
-    amplitude: Annotated[float, Draw(0.05, 0.14, signed=True)]
+    name, form, rank = "force_nonlinearity", "kink", 2
+    amplitude: Annotated[float, Draw(0.1, 0.2, signed=True)]
+    load_mN: Annotated[float, Draw(220.0, 450.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
-        return np.asarray(force * (1 + self.amplitude * (force / 1500.0) ** 2))
+        beyond = np.maximum(np.abs(force) - self.load_mN, 0.0)
+        return np.asarray(force + self.amplitude * np.sign(force) * beyond)
 
 
 @dataclass(frozen=True, slots=True)
 class NonlinearSoft(Effect):
-    """Gain that falls as the load grows, as a hyperbolic tangent has it."""
+    """Gain that is right at no load and again at a full one, with the largest error between."""
 
-    name, form, rank = "force_nonlinearity", "softening", 2
-    amplitude: Annotated[float, Draw(0.06, 0.16)]
+    name, form, rank = "force_nonlinearity", "bow between two true loads", 2
+    amplitude: Annotated[float, Draw(0.03, 0.08, signed=True)]
+    full_mN: Annotated[float, Draw(950.0, 1350.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
-        if not self.amplitude:
-            return force
-        full = 1500.0 / np.sqrt(3 * self.amplitude)
-        return np.asarray(full * np.tanh(force / full))
+        return np.asarray(force * (1 + self.amplitude * np.sin(np.pi * force / self.full_mN)))
 
 
 @dataclass(frozen=True, slots=True)
 class HysteresisDahl(Effect):
-    """Hysteresis whose branches approach a band exponentially in the load."""
+    """Hysteresis whose branches approach a band exponentially in the load, and which creeps off in part."""
 
-    name, form, rank = "force_hysteresis", "Dahl", 1
-    amplitude: Annotated[float, Draw(4.0, 10.0)]
+    name, form, rank = "force_hysteresis", "Dahl with creep", 1
+    amplitude: Annotated[float, Draw(5.0, 12.0)]
     width_mN: Annotated[float, Draw(6.0, 30.0, log=True)]
+    creeps: Annotated[float, Draw(0.4, 0.6)]
+    time_s: Annotated[float, Draw(2.0, 6.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
         from dragrig.sim_backend.blind.effects.hysterons import dahl
+        from dragrig.sim_backend.blind.effects.linear import first_order
 
-        return force - self.amplitude * dahl(force, self.width_mN)
+        state = dahl(force, self.width_mN)
+        return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, scene.motion.t))
 
 
 @dataclass(frozen=True, slots=True)
 class HysteresisStack(Effect):
-    """A stack of four plays of different widths."""
+    """A stack of four plays of different widths, wider under load."""
 
-    name, form, rank = "force_hysteresis", "Prandtl stack", 1
-    amplitude: Annotated[float, Draw(5.0, 12.0)]
+    name, form, rank = "force_hysteresis", "Prandtl stack, widens", 1
+    amplitude: Annotated[float, Draw(4.0, 10.0)]
     spread: Annotated[float, Draw(0.2, 0.7)]
+    load_mN: Annotated[float, Draw(250.0, 500.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
         from dragrig.sim_backend.blind.effects.hysterons import play
 
-        halves = self.amplitude * (1 + self.spread * np.array([-1.0, -0.4, 0.4, 1.0]))
-        return np.asarray(np.mean([play(force, half) for half in halves.tolist()], axis=0))
+        load = np.arcsinh(force / self.load_mN)
+        halves = self.amplitude / self.load_mN * (1 + self.spread * np.array([-1.0, -0.4, 0.4, 1.0]))
+        held = np.mean([play(load, half) for half in halves.tolist()], axis=0)
+        return np.asarray(self.load_mN * np.sinh(held))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,17 +139,19 @@ class HumBeating(Effect):
 
 @dataclass(frozen=True, slots=True)
 class InertiaSoft(Effect):
-    """Mass times acceleration [g], through a coupling that gives way for some milliseconds."""
+    """Mass times acceleration [g], through a coupling that is stiff when pushed and soft when pulled."""
 
-    name, form = "payload_inertia", "soft coupling"
+    name, form = "payload_inertia", "coupling soft one way"
     amplitude: Annotated[float, Draw(15.0, 40.0)]
-    time_s: Annotated[float, Draw(0.002, 0.008)]
+    time_s: Annotated[float, Draw(0.003, 0.006)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
         from dragrig.sim_backend.blind.effects.linear import low_pass
 
-        return force + self.amplitude / 1000 * low_pass(scene.motion.a, self.time_s, 1.0, scene.motion.t)
+        a, t = scene.motion.a, scene.motion.t
+        slow = low_pass(np.minimum(a, 0.0), self.time_s, 1.0, t)
+        return force + self.amplitude / 1000 * (np.maximum(a, 0.0) + slow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,18 +170,22 @@ class InertiaUneven(Effect):
 
 @dataclass(frozen=True, slots=True)
 class ComplianceMode(Effect):
-    """An arm that rings after every change of acceleration; the amplitude is its moving mass [g]."""
+    """An arm that rings after every change of acceleration, longer when speeding up; the amplitude is its mass [g]."""
 
-    name, form = "arm_compliance", "one mode"
+    name, form = "arm_compliance", "one mode, unequally damped"
     amplitude: Annotated[float, Draw(15.0, 45.0)]
     hertz: Annotated[float, Draw(12.0, 40.0, log=True)]
-    damping: Annotated[float, Draw(0.03, 0.10)]
+    damping: Annotated[float, Draw(0.03, 0.07)]
+    ratio: Annotated[float, Draw(1.6, 2.4)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
         from dragrig.sim_backend.blind.effects.linear import resonance
 
-        return force + self.amplitude / 1000 * resonance(scene.motion.a, self.hertz, self.damping, scene.motion.t)
+        a, t = scene.motion.a, scene.motion.t
+        faster = resonance(np.maximum(a, 0.0), self.hertz, self.damping, t)
+        slower = resonance(np.minimum(a, 0.0), self.hertz, self.damping * self.ratio, t)
+        return force + self.amplitude / 1000 * (faster + slower)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +197,7 @@ class ComplianceTwoModes(Effect):
     hertz: Annotated[float, Draw(10.0, 25.0, log=True)]
     damping: Annotated[float, Draw(0.03, 0.10)]
     ratio: Annotated[float, Draw(1.6, 2.8)]
-    second: Annotated[float, Draw(0.2, 0.5)]
+    second: Annotated[float, Draw(0.15, 0.3)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""
