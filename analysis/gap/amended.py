@@ -8,7 +8,6 @@ from dragrig.analysis.gap.lines import Lines
 from dragrig.analysis.gap.position.finding import PositionFinding
 from dragrig.analysis.gap.results import Shrink
 from dragrig.analysis.gap.study import Study
-from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.config.diagnosed import DiagnosedSettings
 from dragrig.config.effects import EffectSettings
 from dragrig.config.model import FrictionModelSettings
@@ -20,7 +19,6 @@ DIGITS = 6
 
 def amended_model(
     study: Study,
-    nominal: CapsuleModel,
     chosen: Explanation | None,
     position: PositionFinding,
     lines: Lines,
@@ -29,11 +27,14 @@ def amended_model(
     shrink: Shrink | None,
     specimen: str,
 ) -> FrictionModelSettings | None:
-    """Return this specimen's friction model with the effects that were named; None where none was."""
+    """Return this specimen's friction model with the effects that were named; None where none was or can be."""
     if not judged.effects:
         return None
     z = found.nominal.z if chosen is None else chosen.point.z
-    effects = list(nominal.settings.effects)
+    settings = study.simulator(z)
+    if settings is None:
+        return None
+    effects = list(settings.effects)
     if chosen is not None:
         effects += [one.settings for one in chosen.point.candidates]
     if position.candidate is not None and position.candidate.effect.id in judged.effects:
@@ -54,9 +55,14 @@ def amended_model(
         promised=None if shrink is None or shrink.closed is None else _rounded(shrink.closed),
         nominal=_values(study, found.nominal.z),
     )
-    settings = nominal.settings_of(_values(study, z))
     return settings.model_copy(
-        update={"name": "amended", "effects": tuple(rounded), "diagnosed": diagnosed, "identified": None}
+        update={
+            **_values(study, z),
+            "name": "amended",
+            "effects": tuple(rounded),
+            "diagnosed": diagnosed,
+            "identified": None,
+        }
     )
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.candidate import Candidate, added, chain_of, slopes
-from dragrig.analysis.gap.nuisances import DETAILS
 from dragrig.analysis.gap.signatures import Shape, signature
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.joint.evidence import Whitening
@@ -148,12 +147,14 @@ def lay_out(
         before = added(study.chain, scene, gain)
         together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
         more = sight.of_blocks(together if alone else before)
-        rows = [gain * sight.of_blocks(study.details(number, scene))]
+        details = study.details(number, scene)
+        rows = [gain * sight.of_blocks(details)]
         rows.append(sight.of_blocks(slopes(candidates, study.chain, scene, gain)))
         if foreign:
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
         if dictionary:
-            rows.append(sight.of_blocks(np.array([signature(one, scene, gain) for one in study.shapes])))
+            shown = np.array([signature(one, scene, gain) for one in study.shapes])
+            rows.append(sight.of_blocks(shown.reshape(len(study.shapes), scene.time_s.size)))
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
@@ -161,7 +162,7 @@ def lay_out(
         parts.append(RunPart(residual, columns, more, predictions[number].total, *spread, whitenings[number]))
         white = whitenings[number].whole(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
-    priors = _priors(z, candidates, len(study.modulations[0]) if foreign else 0)
+    priors = _priors(z, len(details), candidates, len(study.modulations[0]) if foreign else 0)
     shapes = study.shapes if dictionary else ()
     kinds, mean, precision = zip(*priors, *[(Part.SHAPE, 0.0, 0.0)] * len(shapes), strict=True)
     return Design(
@@ -198,9 +199,11 @@ def _derivatives(study: Study, z: FloatArray) -> list[FloatArray]:
     return found
 
 
-def _priors(z: FloatArray, candidates: Sequence[Candidate], modulations: int) -> list[tuple[Part, float, float]]:
+def _priors(
+    z: FloatArray, details: int, candidates: Sequence[Candidate], modulations: int
+) -> list[tuple[Part, float, float]]:
     priors = [(Part.NOMINAL, -value, 1.0) for value in z.tolist()]
-    priors += [(Part.DETAIL, 0.0, 1.0)] * len(DETAILS)
+    priors += [(Part.DETAIL, 0.0, 1.0)] * details
     for one in candidates:
         priors += [(Part.EFFECT, 0.0, sd**-2) for sd in one.prior_sds().tolist()]
     priors += [(Part.FOREIGN, 0.0, FOREIGN_SD**-2)] * (modulations * len(candidates))

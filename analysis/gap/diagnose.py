@@ -4,8 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
-import numpy as np
-
 from dragrig.analysis.gap import judging
 from dragrig.analysis.gap.amended import amended_model
 from dragrig.analysis.gap.explain import Explanation, Findings, explain, in_time
@@ -18,20 +16,18 @@ from dragrig.analysis.gap.position.gap import position_gap
 from dragrig.analysis.gap.residuals import force_blocks, position_blocks
 from dragrig.analysis.gap.results import Diagnosis, Ranked, RunView, Shrink, UnknownGap, Verdict
 from dragrig.analysis.gap.seen import would_have_seen
+from dragrig.analysis.gap.studies import study_of
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.tables import parameters_of, views_of
 from dragrig.analysis.gap.unknown import find_law, part_of, place, shape
 from dragrig.analysis.gap.where import ResidualBlocks, Where, locate
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
-from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.analysis.progress import Progress, silent
-from dragrig.config.errors import AnalysisError
 from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
 from dragrig.sim_backend.effects.catalogue import catalogue
 
-CHANNEL = "force"
 TOLERANCE_MN = 0.5
 HUM = "mains_hum"
 LOWEST_LINE_HZ = 4.9
@@ -72,17 +68,13 @@ def diagnose(
         Where the model predicts nothing of these runs, or a run lacks what it needs.
     """
     asked = options or Options()
-    if not isinstance(nominal, CapsuleModel):
-        raise AnalysisError(
-            f"the model {nominal.name} is none that effects are known for; name capsule or a friction model's file."
-        )
     began = perf_counter()
     progress(0, STEPS)
-    effects = [one for one in catalogue().values() if one.id not in asked.without and one.nominal in {"", nominal.name}]
+    effects = [one for one in catalogue().values() if one.id not in asked.without]
     position = find_position(selection.experiments, effects)
-    lines = _audible(find_lines(selection.experiments, CHANNEL))
     progress(1, STEPS)
-    study = Study.of(_trusting(selection, position), nominal, [one for one in effects if _in_force(one)])
+    study = study_of(_trusting(selection, position), nominal, [one for one in effects if _in_force(one)])
+    lines = _audible(find_lines(selection.experiments, study.channel))
     prepared = perf_counter()
     found = explain(study, BESIDE_MOTION if position.present else 0.0)
     progress(4, STEPS)
@@ -154,7 +146,7 @@ def _chosen(found: Findings, judged: Judgement) -> Explanation | None:
 
 def _told(
     selection: Selection,
-    nominal: CapsuleModel,
+    nominal: NominalModel,
     asked: Options,
     study: Study,
     found: Findings,
@@ -186,9 +178,9 @@ def _told(
         where=where,
         shrink=shrink,
         unknown=_unknown(where, blocks, judged),
-        model=amended_model(study, nominal, chosen, position, lines, judged, found, shrink, selection.specimen),
+        model=amended_model(study, chosen, position, lines, judged, found, shrink, selection.specimen),
         views=views,
-        cannot_answer=tuple(_cannot_answer(study, selection)),
+        cannot_answer=tuple(study.open_questions()),
         remarks=selection.remarks,
         calibration=CALIBRATION,
     )
@@ -224,6 +216,7 @@ def _shrunk(
                 (left.before[number], found.nominal.parts[number].whitening),
                 (left.after[number], design.parts[number].whitening),
                 study.problem.zero_sds[number],
+                study.counted(number, found.nominal.parts[number].motion_sd),
             )
         )
     shrink = shrink_of(gaps)
@@ -246,25 +239,3 @@ def _ranking(found: Findings, position: PositionFinding, lines: Lines, judged: J
             parameters_of(name, one, position, lines),
             None if one is None else improvement(found, one),
         )
-
-
-def _cannot_answer(study: Study, selection: Selection) -> Iterator[str]:
-    kinds = {one.kind for one in selection.experiments}
-    speeds = {one.condition[1] for one in study.sights if one.experiment.kind == "drag"}
-    if "relaxation" not in kinds:
-        yield "Without relaxations nothing is said of a further relaxation or of stiffening with strain."
-    if "drag" not in kinds:
-        yield "Without drag runs nothing is said of what needs a closed gut: adhesion, folds, lift-off, inertia."
-    elif len(speeds) < 3:
-        yield "With fewer than three speeds of drag, effects of speed cannot be told apart."
-    if "blank" not in kinds:
-        yield "Without blank runs the rig's own effects are known through the gut alone."
-    if "coulomb" not in kinds:
-        yield "Without Coulomb runs adhesion cannot be told from friction that falls with speed."
-    repeats = len(study.sights) - len({one.condition for one in study.sights})
-    if not repeats:
-        yield "No condition was repeated, so that the specimen's repeatability is assumed and not seen."
-    if len(study.sights) < 4:
-        yield "With so few runs none can be kept back, so that no shrink is given."
-    if not np.any([one.experiment.run.trace.command is not None for one in study.sights]):
-        yield "No command was recorded, so that nothing is said of the motor."

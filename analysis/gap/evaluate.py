@@ -3,13 +3,13 @@
 import numpy as np
 
 from dragrig.analysis.gap.candidate import Candidate
+from dragrig.analysis.gap.capsule_study import CapsuleStudy
 from dragrig.analysis.gap.design import lay_out
 from dragrig.analysis.gap.gaps import run_gap, shrink_of
 from dragrig.analysis.gap.position.errors import position_errors
 from dragrig.analysis.gap.position.finding import LEAST_MM
 from dragrig.analysis.gap.position.gap import closed_in_position
 from dragrig.analysis.gap.results import Shrink
-from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.capsule import CapsuleModel
@@ -56,5 +56,5 @@ def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
     return shrink
 
 
-def _study(selection: Selection, settings: FrictionModelSettings) -> Study:
-    return Study.of(selection, CapsuleModel(settings), ())
+def _study(selection: Selection, settings: FrictionModelSettings) -> CapsuleStudy:
+    return CapsuleStudy.of(selection, CapsuleModel(settings), ())

@@ -244,10 +244,10 @@ def _with_free_phases(design: Design, ranked: tuple[Ranked, ...]) -> tuple[Ranke
     tried = [(*free_gain(design, nuisances, pair), pair) for pair in pairs]
     gain, runs, pair = max(tried, key=lambda one: one[0] - one[1])
     effect = design.shapes[pair[0]].effect.id
-    tied = next(one for one in ranked if one.effect == effect)
+    tied = next((one for one in ranked if one.effect == effect), None)
     # The largest of so many periods is above what one of them has by chance.
     beyond = gain - runs - 2 * np.sqrt(2 * runs * np.log(len(pairs)))
-    if beyond <= tied.gain:
+    if tied is None or beyond <= tied.gain:
         return ranked
     free = Ranked(effect, beyond, tied.per_unit, pair, np.array([0.5, 0.5]))
     return tuple(sorted((free if one.effect == effect else one for one in ranked), key=lambda one: -one.gain))

@@ -10,7 +10,7 @@ from dragrig.analysis.gap.sights import Sight
 from dragrig.analysis.identification.determination import PAPERS_BOUNDARY_MM_S, TOLERANCE, eq15, squared_correlation
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.identification.noise import Noise
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.profile import Phase
 
 RESAMPLED = 1000
@@ -31,6 +31,8 @@ class RunGap:
         Steady force of a drag that was predicted; None for other runs.
     steady
         The one that was measured.
+    width_s
+        Duration of each block as far as it counts, shape `(B,)`.
     floor
         Mean square of noise, and of what the motion leaves uncertain.
     """
@@ -41,11 +43,12 @@ class RunGap:
     floor: float
     white: float
     steady: tuple[float, float, float] | None
+    width_s: FloatArray
 
     @property
     def squares(self) -> FloatArray:
         """Duration, and mean squares before, after and of the floor times duration, shape `(4,)`."""
-        width = self.sight.coordinates.width_s
+        width = self.width_s
         duration = float(width.sum())
         before, after = (float(width @ one**2) + duration * self.white**2 for one in (self.before, self.after))
         return np.array([duration, before, after, self.floor * duration])
@@ -58,19 +61,23 @@ def run_gap(
     before: tuple[FloatArray, Whitening],
     after: tuple[FloatArray, Whitening],
     zero_sd: float,
+    counted: BoolArray | None = None,
 ) -> RunGap:
     """Compare residuals of a run, each with what whitens it, shapes `(B,)`.
 
     What the run differs by from its repeats is no gap: its own factors, as the model with the effect has them and no
-    further than repeats scatter, are taken off both, and its zero as each model has it.
+    further than repeats scatter, are taken off both, and its zero as each model has it. Of the blocks those count that
+    are `counted`, all unless said.
     """
     width = sight.coordinates.width_s
+    if counted is not None and counted.any():
+        width = np.where(counted, width, 0.0)
     share = width / width.sum()
     floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
     scatter = own_factors(*after, zero_sd)
     cleared = [residual - scatter - own_zero(residual - scatter, white, zero_sd) for residual, white in (before, after)]
     within = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / sight.evidence.blocks.samples)), 0.0)))
-    return RunGap(sight, cleared[0], cleared[1], floor, within, _steady(sight, cleared[0], cleared[1]))
+    return RunGap(sight, cleared[0], cleared[1], floor, within, _steady(sight, cleared[0], cleared[1]), width)
 
 
 def own_factors(residual: FloatArray, whitening: Whitening, zero_sd: float, furthest: float = np.inf) -> FloatArray:

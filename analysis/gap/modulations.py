@@ -29,7 +29,7 @@ def modulations(sights: Sequence[Sight]) -> tuple[FloatArray, ...]:
 def _of(sight: Sight, last_s: float) -> FloatArray:
     at = sight.coordinates
     ones = np.ones_like(at.time_s)
-    sticks = sight.acquisition.contact is Contact.STICKING
+    sticks = sight.experiment.contact is Contact.STICKING
     slides = 0.0 * ones if sticks else ones
     top = slides * _log_speed(at.top_speed_mm_s)
     place = slides * np.clip(at.position_mm / HALF_TRAVEL_MM - 1.0, -1.2, 1.2)
@@ -46,7 +46,7 @@ def _of(sight: Sight, last_s: float) -> FloatArray:
         slides * _log_speed(at.speed_mm_s),
         ones * (sight.experiment.kind == "coulomb"),
         ones - slides,
-        ones * (sight.acquisition.contact is Contact.NONE),
+        ones * (sight.experiment.contact is Contact.NONE),
         (at.phase == Phase.HOLD) * ones,
         ((at.phase == Phase.ACCELERATE) | (at.phase == Phase.DECELERATE)) * ones,
     )

@@ -38,11 +38,11 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
         found.append(
             ResidualBlocks(
                 run_id=sight.experiment.run.info.header.run_id,
-                channel="force",
+                channel=study.channel,
                 kind=sight.experiment.kind,
-                contact=sight.acquisition.contact,
+                contact=sight.experiment.contact,
                 speed_mm_s=float(at.top_speed_mm_s[0]),
-                strain=sight.acquisition.shear_strain,
+                strain=sight.experiment.shear_strain,
                 session_s=sight.session_start_s,
                 residual=residual,
                 noise_sd=np.sqrt(spread),

@@ -27,14 +27,11 @@ class Sight:
     ----------
     evidence
         Block means and what predicts them.
-    acquisition
-        What the run is.
     session_start_s
         Its first sample on the specimen's clock.
     """
 
     evidence: Evidence
-    acquisition: Acquisition
     session_start_s: float
 
     @property
@@ -47,6 +44,11 @@ class Sight:
         """Its file."""
         return self.experiment.file
 
+    @cached_property
+    def acquisition(self) -> Acquisition:
+        """What the run is to capsule and gut; raises `AnalysisError` where it does not say enough of its capsule."""
+        return acquisition_of(self.experiment)
+
     def scene(self, settings: FrictionModelSettings) -> Scene:
         """Return what effects see of the run at the nodes of its blocks, with a nominal model of these settings."""
         experiment = self.experiment
@@ -54,6 +56,12 @@ class Sight:
         return gut_scene(
             self.acquisition, settings, experiment.motion, self.evidence.blocks.nodes_s, self.session_start_s, still
         )
+
+    @cached_property
+    def heading(self) -> int:
+        """Which way it ends up: 1 towards positive positions, -1 the other way, 0 where it began."""
+        moved = self.experiment.position(self.experiment.time_s[-1:]) - self.experiment.position(np.zeros(1))
+        return int(np.sign(np.round(moved[0], 1)))
 
     def of_blocks(self, at_nodes: FloatArray) -> FloatArray:
         """Average what is known at nodes over blocks, shape `(…, 2 B)` to `(…, B)`."""
@@ -66,13 +74,18 @@ class Sight:
 
     @cached_property
     def condition(self) -> tuple[str, float]:
-        """Kind and commanded speed, or strain: runs that agree in both are repeats."""
+        """Kind and commanded speed, or strain: runs that agree in both are repeats.
+
+        Where a run does not say its speed, the highest measured is taken, to two digits.
+        """
         header = self.experiment.run.info.header
         for key in ("speed_mm_s", "shear_strain"):
             value = header.protocol.get(key)
             if isinstance(value, int | float) and not isinstance(value, bool):
                 return self.experiment.kind, float(value)
-        return self.experiment.kind, 0.0
+        if self.experiment.contact is Contact.STICKING:
+            return self.experiment.kind, 0.0
+        return self.experiment.kind, float(f"{self.coordinates.top_speed_mm_s[0]:.2g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +126,4 @@ def sights_of(evidence: Mapping[str, Evidence] | tuple[Evidence, ...]) -> tuple[
     pieces = tuple(evidence.values()) if isinstance(evidence, Mapping) else evidence
     starts = [one.experiment.run.info.header.start_time for one in pieces]
     first = min(starts)
-    return tuple(
-        Sight(one, acquisition_of(one.experiment), (start - first).total_seconds())
-        for one, start in zip(pieces, starts, strict=True)
-    )
+    return tuple(Sight(one, (start - first).total_seconds()) for one, start in zip(pieces, starts, strict=True))

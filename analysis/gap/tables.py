@@ -61,7 +61,7 @@ def _view(one: RunGap) -> RunView:
         file=sight.file,
         kind=kind,
         label=label,
-        channel="force",
+        channel=sight.evidence.channel,
         unit="mN",
         time_s=at.time_s,
         position_mm=at.position_mm,

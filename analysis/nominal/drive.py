@@ -95,6 +95,11 @@ class DrivePredictor(Predictor):
         del values
         return np.vstack((self._moving(time_s), np.ones_like(time_s), self.load.force(time_s)))
 
+    def friction(self, values: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return viscous and Coulomb friction [mN], shapes `(n,)`."""
+        _, viscous, coulomb = values[:3, None] * self._moving(time_s)
+        return viscous, coulomb
+
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return what the moments at which the motion changes, and the load, leave uncertain."""
         doubt = self.motion.doubt(lambda times: values[:3] @ self._moving(times), time_s)

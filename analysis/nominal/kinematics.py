@@ -94,5 +94,14 @@ def kinematics(experiment: Experiment) -> Kinematics:
     """Fit the measured position of a run; raises `AnalysisError` where its motion cannot be used."""
     position = np.asarray(experiment.run.trace.position, dtype=np.float64)
     seen = np.isfinite(position)
-    joints, velocity = fit_velocity(experiment.motion, experiment.time_s[seen], position[seen])
+    joints, velocity = with_turns(*fit_velocity(experiment.motion, experiment.time_s[seen], position[seen]))
     return Kinematics(joints, velocity, 1.0 / experiment.run.trace.sample_rate_hz)
+
+
+def with_turns(joints_s: FloatArray, velocity_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Add a joint wherever a straight line of velocity goes through 0, for there friction turns."""
+    before, after = velocity_mm_s[:-1], velocity_mm_s[1:]
+    turning = np.flatnonzero(before * after < 0)
+    share = before[turning] / (before[turning] - after[turning])
+    turns_s = joints_s[turning] + share * np.diff(joints_s)[turning]
+    return np.insert(joints_s, turning + 1, turns_s), np.insert(velocity_mm_s, turning + 1, 0.0)

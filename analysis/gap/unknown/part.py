@@ -53,12 +53,12 @@ class Part:
     @property
     def unit(self) -> str:
         """Unit that residuals are told in."""
-        return "mN" if self.channel == "force" else "µm"
+        return "µm" if self.channel == "position" else "mN"
 
     @property
     def scale(self) -> float:
         """That unit over the channel's own."""
-        return 1.0 if self.channel == "force" else 1000.0
+        return 1000.0 if self.channel == "position" else 1.0
 
 
 def part_of(where: Where, blocks: Sequence[ResidualBlocks]) -> Part:

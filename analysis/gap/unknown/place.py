@@ -39,6 +39,7 @@ def _share(where: Where, axis: str, name: str) -> float:
 def _channels(where: Where) -> str:
     shares = where.location("channel").shares
     named = sorted((one for one in shares if shares[one] >= SOME), key=lambda one: -shares[one])
+    named = [one.replace("_", " ") for one in named]
     return "the " + " and the ".join(named) if named else "all channels"
 
 

@@ -57,14 +57,23 @@ class Problem:
         )
 
     def predictions(self, z: FloatArray) -> list[Prediction]:
-        """Return the predicted block means, one for each piece of evidence."""
+        """Return the predicted block means, one for each piece of evidence.
+
+        Raises `AnalysisError`, as `uncertainties` and `derivatives` do, where the model gives no finite number.
+        """
         values = self.scales.values(z)
-        return [one.predict(values) for one in self.evidence]
+        found = [one.predict(values) for one in self.evidence]
+        for one, predicted in zip(self.evidence, found, strict=True):
+            self._require_numbers(one, predicted.total, predicted.varying)
+        return found
 
     def uncertainties(self, z: FloatArray) -> list[FloatArray]:
         """Return how well block means can be predicted, one standard deviation."""
         values = self.scales.values(z)
-        return [one.uncertainty(values) for one in self.evidence]
+        found = [one.uncertainty(values) for one in self.evidence]
+        for one, uncertainty in zip(self.evidence, found, strict=True):
+            self._require_numbers(one, uncertainty)
+        return found
 
     def whitenings(
         self, predictions: Sequence[Prediction], uncertainties: Sequence[FloatArray]
@@ -79,7 +88,17 @@ class Problem:
         """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence."""
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
-        return [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]
+        found = [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]
+        for one, derivatives in zip(self.evidence, found, strict=True):
+            self._require_numbers(one, derivatives)
+        return found
+
+    def _require_numbers(self, one: Evidence, *predicted: FloatArray) -> None:
+        if not all(np.isfinite(values).all() for values in predicted):
+            raise AnalysisError(
+                f"the model {self.nominal.name} gives NaN or infinity for {one.channel} of {one.experiment.file} at "
+                "values that the fit came to; give its parameters narrower priors, or mend the model."
+            )
 
 
 def _covariance(one: Evidence, noise: Noise) -> FloatArray:

@@ -1,0 +1,198 @@
+"""`dragrig gap diagnose --nominal drive`, the stage alone, and what a model of one's own can be told."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.results import Diagnosis, Verdict
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.cli import main
+from dragrig.config.errors import AnalysisError
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.runfile.model import Run
+from dragrig.rig.runfile.schema import SIGNALS
+
+COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
+RATE = "rig.sampling.rate_hz=500"
+NOT_OF_A_STAGE = {"adhesion", "folds", "peristalsis", "wall_lift_off", "tissue_ageing", "preconditioning"}
+OWN = """
+from dragrig.analysis.nominal.own import ChannelModel, Parameter
+
+class Sledge(ChannelModel):
+    name = "sledge"
+    channel = "motor_force"
+    zero_sd_mN = 30.0
+    parameters = (
+        Parameter("mass_g", "g", 1000.0, 1.0),
+        Parameter("coulomb_mN", "mN", 200.0, 1.0),
+        Parameter("viscous_mN_s_mm", "mN·s/mm", 3.0, 1.0),
+    )
+
+    def predict(self, values, at):
+        moving = 1e-3 * values["mass_g"] * at.acceleration_mm_s2 + values["viscous_mN_s_mm"] * at.velocity_mm_s
+        return moving + values["coulomb_mN"] * at.direction
+
+MODEL = Sledge()
+"""
+
+
+def there_and_back(folder: Path, out: Path | None = None) -> list[Run]:
+    plan = folder / "stage.toml"
+    steps = [f'[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 15, 30, 60]\ntravel_mm = {travel}\n' for travel in (25, -25)]
+    plan.write_text('name = "stage"\n' + "".join(steps))
+    return dragrig.simulate(str(plan), out=out, assignments=["rig.simulated.seed=11", RATE])
+
+
+def with_force(runs: list[Run], more: Callable[[FloatArray, FloatArray], FloatArray]) -> list[Run]:
+    """Add to the recorded motor force what depends on velocity and time."""
+    changed = []
+    for run in runs:
+        one = Experiment(run)
+        force = np.asarray(run.trace.channels["motor_force"]) + more(one.velocity(one.time_s), one.time_s)
+        channels = {**run.trace.channels, "motor_force": force.astype(np.float32)}
+        changed.append(replace(run, trace=replace(run.trace, channels=channels)))
+    return changed
+
+
+def asymmetric(runs: list[Run], asymmetry: float) -> list[Run]:
+    def more(velocity: FloatArray, time_s: FloatArray) -> FloatArray:
+        del time_s
+        return asymmetry * np.abs(COULOMB_MN * np.tanh(velocity / 0.05) + VISCOUS_MN_S_MM * velocity)
+
+    return with_force(runs, more)
+
+
+def drifting(runs: list[Run]) -> list[Run]:
+    return with_force(runs, lambda velocity, time_s: 0.0 * velocity + 3.0 * time_s)
+
+
+def hypotheses(found: Diagnosis) -> set[str]:
+    return {one.hypothesis for one in found.ranking}
+
+
+@pytest.fixture(scope="module")
+def blanks(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    return there_and_back(tmp_path_factory.mktemp("stage"))
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    file = tmp_path / "sledge.py"
+    file.write_text(OWN, "utf-8")
+    return file
+
+
+def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
+    found = dragrig.diagnose(blanks, nominal="drive")
+    assert found.verdict is Verdict.NO_GAP
+    assert {"direction_asymmetry", "stribeck", "channel_latency"} <= hypotheses(found)
+    assert not hypotheses(found) & NOT_OF_A_STAGE
+    assert found.would_have_seen_mN < 10.0
+    told = " ".join(found.cannot_answer)
+    assert "no amended model" in told
+    assert "one way" not in told
+    assert "gut" not in told
+
+
+@pytest.mark.parametrize("asymmetry", [-0.1, 0.05, 0.2])
+def test_friction_that_differs_with_direction_is_named_with_its_size(asymmetry: float, blanks: list[Run]) -> None:
+    found = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive")
+    assert found.verdict is Verdict.EFFECT
+    assert found.effects == ("direction_asymmetry",)
+    assert found.confusable_with == ()
+    (size,) = found.ranking[0].parameters
+    assert size.interval is not None
+    assert size.interval[0] < asymmetry < size.interval[1]
+    assert size.standard_error < 0.002
+    assert found.where.location("channel").shares["motor_force"] > 0.95
+    assert found.model is None
+    assert found.shrink is not None
+    assert found.shrink.closed is not None
+    assert found.shrink.closed > 0.95
+    assert {one.channel for one in found.views} == {"motor_force"}
+
+
+def test_runs_of_one_direction_say_that_they_cannot_tell(blanks: list[Run]) -> None:
+    forwards = [run for run in asymmetric(blanks, 0.1) if run.trace.position[-1] > run.trace.position[0]]
+    found = dragrig.diagnose(forwards, nominal="drive")
+    assert "direction_asymmetry" not in found.effects
+    assert any("one way" in one for one in found.cannot_answer)
+
+
+def test_turning_round_within_a_run_is_no_effect(tmp_path: Path) -> None:
+    plan = tmp_path / "turns.toml"
+    strokes = (
+        f"{{travel_mm = {way * 15}, speed_mm_s = {speed}}}"
+        for speed in (5, 40)
+        for way in (1, -1)
+    )  # fmt: skip
+    step = f'[[steps]]\nkind = "motion"\nfixture = "none"\nrepeats = 3\nstrokes = [{", ".join(strokes)}]\n'
+    plan.write_text(f'name = "turns"\n{step}')
+    runs = dragrig.simulate(str(plan), assignments=["rig.simulated.seed=3", "rig.sampling.rate_hz=1000"])
+    assert dragrig.diagnose(runs, nominal="drive").verdict is Verdict.NO_GAP
+    found = dragrig.diagnose(asymmetric(runs, 0.08), nominal="drive")
+    assert found.effects == ("direction_asymmetry",)
+
+
+def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, model, page = tmp_path / "runs", tmp_path / "model.toml", tmp_path / "page.html"
+    there_and_back(tmp_path, folder)
+    asked = ["gap", "diagnose", str(folder), "--nominal", "drive", "--save-model", str(model), "--report", str(page)]
+    assert main([*asked, "--json"]) == 0
+    told = capsys.readouterr()
+    document = json.loads(told.out)
+    assert document["verdict"] == "no_gap"
+    assert document["model"] is None
+    assert sum(one["probability"] for one in document["ranking"]) == pytest.approx(1.0)
+    assert "is not written" in told.err
+    assert not model.exists()
+    assert page.is_file()
+
+
+def test_runs_without_motor_force_are_told_in_one_sentence(blanks: list[Run]) -> None:
+    bare = []
+    for run in blanks:
+        channels = {name: values for name, values in run.trace.channels.items() if name != SIGNALS[1]}
+        bare.append(replace(run, trace=replace(run.trace, channels=channels)))
+    with pytest.raises(AnalysisError, match=r"drive predicts nothing of these runs \(blank\), which recorded force"):
+        dragrig.diagnose(bare, nominal="drive")
+
+
+def test_a_model_of_ones_own_is_tried_with_effects_of_the_sensor(own: Path, blanks: list[Run]) -> None:
+    assert dragrig.diagnose(blanks, nominal=own).verdict is Verdict.NO_GAP
+    drift = dragrig.diagnose(drifting(blanks), nominal=own)
+    assert drift.effects == ("force_drift",)
+    foreign = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own)
+    assert foreign.verdict is Verdict.UNKNOWN
+    assert foreign.unknown is not None
+    assert "motor force of blank runs" in foreign.unknown.lives_in
+    assert foreign.model is None
+    assert not hypotheses(foreign) & {"direction_asymmetry", "stribeck"}
+    assert any("only effects of sensor and acquisition" in one for one in foreign.cannot_answer)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        ('"motor_force"', '"position"', "sledge predicts position and no force in mN"),
+        ('1e-3 * values["mass_g"]', 'heavy(values["mass_g"])', "NaN or infinity for motor_force"),
+    ],
+)
+def test_a_model_that_is_no_use_is_told_in_one_sentence(
+    before: str, after: str, told: str, own: Path, blanks: list[Run]
+) -> None:
+    heavy = "heavy = lambda mass_g: float('nan') if mass_g > 1100 else 1e-3 * mass_g\n"
+    own.write_text(heavy + OWN.replace(before, after), "utf-8")
+    with pytest.raises(AnalysisError, match=told):
+        dragrig.diagnose(blanks, nominal=own)
+
+
+def test_a_capsules_campaign_may_be_of_blank_runs_alone(blanks: list[Run]) -> None:
+    found = dragrig.diagnose(blanks)
+    assert found.verdict is Verdict.NO_GAP
+    assert "peristalsis" not in hypotheses(found)
