@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from dragrig.analysis.gap.known import with_known_hum, without_hum
 from dragrig.analysis.gap.nuisances import details
 from dragrig.analysis.gap.open_questions import of_any, of_capsule
 from dragrig.analysis.gap.sights import LONGEST_MM, sights_of
@@ -27,14 +28,14 @@ class CapsuleStudy(Study):
     @classmethod
     def of(cls, selection: Selection, nominal: CapsuleModel, effects: Sequence[Effect]) -> "CapsuleStudy":
         """Prepare all runs; raises `AnalysisError` where the model predicts nothing of any of them."""
-        problem = Problem.of(selection, nominal, LONGEST_MM)
+        problem = with_known_hum(Problem.of(selection, nominal, LONGEST_MM), Chain.of(nominal.settings))
         own = tuple(one for one in effects if one.nominal in {"", NOMINAL})
         return cls(problem, sights_of(problem.evidence), own, nominal)
 
     @cached_property
     def chain(self) -> Chain:
-        """Effects that the nominal model has already."""
-        return Chain.of(self.nominal.settings)
+        """Effects that the nominal model has already, but for the hum of the mains."""
+        return without_hum(Chain.of(self.nominal.settings))
 
     def simulator(self, z: FloatArray) -> FrictionModelSettings:
         """Return the friction model of this specimen."""

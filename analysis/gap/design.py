@@ -45,7 +45,7 @@ class RunPart:
     columns
         What changes it, not whitened, shape `(B, C)`.
     added
-        What the candidates add, shape `(B,)`.
+        What the candidates add beside effects of the nominal model, shape `(B,)`.
     predicted
         Nominal prediction, shape `(B,)`.
     repeat_sd, motion_sd
@@ -147,6 +147,7 @@ def lay_out(
         before = added(study.chain, scene, gain)
         together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
         more = sight.of_blocks(together if alone else before)
+        beside = sight.of_blocks(together - before) if alone else 0.0 * more
         details = study.details(number, scene)
         rows = [gain * sight.of_blocks(details)]
         rows.append(sight.of_blocks(slopes(candidates, study.chain, scene, gain)))
@@ -159,7 +160,7 @@ def lay_out(
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
         spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
-        parts.append(RunPart(residual, columns, more, predictions[number].total, *spread, whitenings[number]))
+        parts.append(RunPart(residual, columns, beside, predictions[number].total, *spread, whitenings[number]))
         white = whitenings[number].whole(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
     priors = _priors(z, len(details), candidates, len(study.modulations[0]) if foreign else 0)

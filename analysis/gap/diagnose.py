@@ -10,6 +10,7 @@ from dragrig.analysis.gap.explain import Explanation, Findings, explain, in_time
 from dragrig.analysis.gap.gaps import RunGap, run_gap, shrink_of
 from dragrig.analysis.gap.held_out import improvement, leave_out
 from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Further, Judgement, Score, judge
+from dragrig.analysis.gap.known import HUM, beyond_known, known_effects, with_known_motion
 from dragrig.analysis.gap.lines import Lines, find_lines
 from dragrig.analysis.gap.position.finding import PositionFinding, find_position
 from dragrig.analysis.gap.position.gap import position_gap
@@ -29,7 +30,6 @@ from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
 from dragrig.sim_backend.effects.catalogue import catalogue
 
 TOLERANCE_MN = 0.5
-HUM = "mains_hum"
 LOWEST_LINE_HZ = 4.9
 CALIBRATION = "calibrated on simulated campaigns"
 STEPS = 6
@@ -71,10 +71,12 @@ def diagnose(
     began = perf_counter()
     progress(0, STEPS)
     effects = [one for one in catalogue().values() if one.id not in asked.without]
+    known = known_effects(nominal)
+    selection = with_known_motion(selection, known)
     position = find_position(selection.experiments, effects)
     progress(1, STEPS)
     study = study_of(_trusting(selection, position), nominal, [one for one in effects if _in_force(one)])
-    lines = _audible(find_lines(selection.experiments, study.channel))
+    lines = beyond_known(_audible(find_lines(selection.experiments, study.channel)), known)
     prepared = perf_counter()
     found = explain(study, BESIDE_MOTION if position.present else 0.0)
     progress(4, STEPS)

@@ -91,7 +91,10 @@ def leave_out(found: Findings, chosen: Explanation | None) -> Left | None:
 
 
 def improvement(found: Findings, one: Explanation) -> float | None:
-    """Return the share of the excess that an explanation takes away on runs that took no part in its fit."""
+    """Return the share of the excess that an explanation takes away on runs that took no part in its fit.
+
+    None where there are too few runs, or no excess beyond chance.
+    """
     folds = folds_of(found.study)
     if len(found.study.sights) < FEWEST_RUNS or len(folds) < 2:
         return None
@@ -100,7 +103,8 @@ def improvement(found: Findings, one: Explanation) -> float | None:
         others = [number for number in range(len(found.study.sights)) if number not in fold]
         without += _predicted(found.nominal, fold, *_fitted(found.nominal, others, (Part.NOMINAL, Part.DETAIL)))
         with_it += _predicted(one.design, fold, *_fitted(one.design, others, (Part.NOMINAL, Part.DETAIL, Part.EFFECT)))
-    return 1.0 - (with_it - found.blocks) / max(without - found.blocks, 1.0)
+    excess = without - found.blocks
+    return 1.0 - (with_it - found.blocks) / excess if excess > np.sqrt(2 * found.blocks) else None
 
 
 def _fitted(design: Design, runs: Sequence[int], parts: tuple[Part, ...]) -> tuple[IndexArray, FloatArray]:

@@ -215,13 +215,13 @@ def _judged(
 ) -> Judgement:
     """Share the probability out: no gap, unknown, and the effects by their weights."""
     gap, named = min(max(gap, 0.003), 0.997), min(max(named, 0.003), 0.985)
-    named = min(named, gap)
+    whole = sum(rivals.values())
+    named = min(named, gap) if whole > 0 else 0.0
     probabilities = {NO_GAP: 1.0 - gap, UNKNOWN: gap - named}
-    whole = sum(rivals.values()) or 1.0
     joint = "+".join(effects)
     for name, weight in rivals.items():
         label = joint if effects and name == effects[0] else name
-        probabilities[label] = named * weight / whole
+        probabilities[label] = named * weight / whole if whole > 0 else 0.0
     best = max(probabilities, key=lambda name: probabilities[name])
     named_best = joint if effects and named >= probabilities[UNKNOWN] and named >= probabilities[NO_GAP] else best
     if named_best in {NO_GAP, UNKNOWN} or not effects:

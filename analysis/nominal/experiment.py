@@ -33,6 +33,8 @@ class Experiment:
     run: Run
     trusts_command: bool = False
     """Whether the command is the motion even where the record of the position says otherwise."""
+    computes_command: bool = False
+    """Whether the command is where a model of the motor takes the stage, so that nothing of it was rounded."""
 
     @property
     def kind(self) -> str:
@@ -74,6 +76,9 @@ class Experiment:
 
         Raises `AnalysisError` where the record cannot be used.
         """
+        if self.obeyed and self.computes_command:
+            command = np.asarray(self.run.trace.command, dtype=np.float64)
+            return RecordedMotion.exact(self.time_s, command - command[0])
         if self.obeyed:
             return commanded_motion(self.time_s, self.run.trace.command)
         position = np.asarray(self.run.trace.position, dtype=np.float64)

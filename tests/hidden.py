@@ -1,0 +1,45 @@
+"""Campaigns with hidden effects, as run files, for what diagnoses them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import dragrig
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.identification.selection import Selection
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.sim_backend.blind import draw, make
+
+PLAN = {
+    "name": "short",
+    "seed": 3,
+    "steps": [
+        {"kind": "relaxation", "shear_strain": [0.5, 1.5], "hold_s": 10.0, "wait_s": 30.0},
+        {"kind": "blank", "speed_mm_s": 20.0, "travel_mm": 40.0},
+        {"kind": "coulomb", "speed_mm_s": [1.0, 20.0], "travel_mm": 40.0},
+        {"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 40.0, "repeats": 2},
+    ],
+}
+
+
+def hidden(folder: Path, seed: int, *effects: str) -> Selection:
+    """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
+    make(draw(seed, effects=effects), folder)
+    return thinned(choose(folder))
+
+
+def thinned(whole: Selection) -> Selection:
+    seen: dict[tuple[str, object], int] = {}
+    kept = []
+    for one in whole.experiments:
+        protocol = one.run.info.header.protocol
+        condition = one.kind, protocol.get("shear_strain", protocol.get("speed_mm_s"))
+        seen[condition] = seen.get(condition, 0) + 1
+        if seen[condition] <= (2 if condition[1] in {2.0, 20.0} else 1):
+            kept.append(one)
+    return replace(whole, experiments=tuple(kept))
+
+
+def simulated(model: FrictionModelSettings) -> Selection:
+    """Return the runs of a short plan on the simulated rig, with its noise and with specimens that vary."""
+    return choose(dragrig.simulate(Plan.model_validate(PLAN), model=model))
