@@ -1,5 +1,6 @@
 """A trace as means over blocks of time: short where the prediction changes fast, long where it does not."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,11 @@ GROWTH = 0.1
 LONGEST_S = 0.25
 LONGEST_SHARE = 0.01
 """In records of minutes a block may be longer, by this share of the time since the last event."""
+
+MOST = 800
+"""Work grows with the cube of the number of blocks. A motion of so many bends that there would be more has coarser ones
+behind those at which the stage does not start, stop or turn."""
+COARSER = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +73,7 @@ def divide(
     step = 1.0 / experiment.run.trace.sample_rate_hz
     end_s = float(experiment.time_s[-1])
     begins = _begins(events_s, end_s, step)
-    longest = _longest(experiment, begins, longest_mm)
-    pieces = zip(begins[:-1], begins[1:], longest, strict=True)
-    edges = np.unique(np.concatenate([_graded(*piece, step) for piece in pieces])) - 0.5 * step
+    edges = _edges(experiment, begins, _longest(experiment, begins, longest_mm), step) - 0.5 * step
     starts = np.unique(np.searchsorted(time, edges))
     starts = starts[starts < time.size]
     samples = np.diff(np.append(starts, time.size))
@@ -106,10 +110,32 @@ def _longest(experiment: Experiment, begins_s: list[float], longest_mm: float) -
     return longest
 
 
-def _graded(begin_s: float, end_s: float, longest_s: float, step_s: float) -> FloatArray:
+def _edges(experiment: Experiment, begins_s: Sequence[float], longest_s: Sequence[float], step_s: float) -> FloatArray:
+    """Return where blocks begin, coarser behind mere bends if need be."""
+    sharp = _sharp(experiment, begins_s, step_s)
+    edges = np.zeros(0)
+    for coarser in COARSER:
+        factors = [1.0 if one else coarser for one in sharp]
+        pieces = zip(begins_s[:-1], begins_s[1:], longest_s, factors, strict=True)
+        edges = np.unique(np.concatenate([_graded(*piece, step_s) for piece in pieces]))
+        if len(edges) <= MOST:
+            break
+    return edges
+
+
+def _sharp(experiment: Experiment, begins_s: Sequence[float], step_s: float) -> list[bool]:
+    """Tell which stretches begin where the record does, or where the stage starts, stops or turns."""
+    motion = experiment.motion
+    turns = np.append(motion.breaks_s[1:-1][np.diff(motion.signs) != 0], begins_s[0])
+    near = np.abs(np.asarray(begins_s[:-1])[:, None] - turns).min(axis=1) <= 1.5 * step_s
+    found: list[bool] = near.tolist()
+    return found
+
+
+def _graded(begin_s: float, end_s: float, longest_s: float, coarser: float, step_s: float) -> FloatArray:
     edges = [begin_s]
     while edges[-1] < end_s:
         since = edges[-1] - begin_s
-        usual = min(max(GROWTH * since, step_s), max(LONGEST_S, LONGEST_SHARE * since))
+        usual = min(coarser * max(GROWTH * since, step_s), max(LONGEST_S, LONGEST_SHARE * since))
         edges.append(edges[-1] + max(min(usual, longest_s), step_s))
     return np.array(edges[:-1])
