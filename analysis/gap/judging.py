@@ -22,7 +22,7 @@ LEAST_LEFT = 0.075
 LEFT_WIDTH = 0.012
 LEAST_SHARE, SHARE_WIDTH = 0.62, 0.07
 """Share of the excess that an effect of the catalogue explains, a foreign form allowed."""
-STRICT: Mapping[str, float] = {"force_nonlinearity": 0.95, "force_drift": 0.95, "tissue_ageing": 0.8}
+STRICT: Mapping[str, float] = {"force_nonlinearity": 0.95, "force_drift": 0.95, "tissue_ageing": 0.7}
 """Effects that resemble many that the catalogue does not have need a greater one."""
 RIVAL = 14.0
 """Weight of a rival: e to the minus this times by how much less of the excess it explains."""
@@ -35,6 +35,8 @@ LEAST_POSITION = 0.9
 """Share of the position's errors that an effect explains on runs that took no part."""
 FORM = 0.12
 """How much less, relative, the right effect may take away than a wrong one because its form is another."""
+LEAST_SEVERAL = 0.5
+"""Several effects are named only if they are more probable than not."""
 LEAST_TOGETHER = 0.75
 """Share of the excess that several effects must explain together."""
 CONFUSABLE = 0.1
@@ -224,7 +226,8 @@ def _judged(
         probabilities[label] = named * weight / whole if whole > 0 else 0.0
     best = max(probabilities, key=lambda name: probabilities[name])
     named_best = joint if effects and named >= probabilities[UNKNOWN] and named >= probabilities[NO_GAP] else best
-    if named_best in {NO_GAP, UNKNOWN} or not effects:
+    unsure = len(effects) > 1 and probabilities.get(joint, 0.0) < LEAST_SEVERAL
+    if named_best in {NO_GAP, UNKNOWN} or not effects or unsure:
         verdict = Verdict.NO_GAP if probabilities[NO_GAP] >= probabilities[UNKNOWN] else Verdict.UNKNOWN
         return Judgement(verdict, (), probabilities, (), residual_unknown=False)
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
