@@ -83,8 +83,6 @@ class Design:
         Number of blocks of each run.
     shapes
         The dictionary, in the order of the columns of `Part.SHAPE`.
-    derivatives
-        Those by the nominal parameters, for each run.
     """
 
     z: FloatArray
@@ -96,7 +94,6 @@ class Design:
     grams: tuple[FloatArray, ...]
     blocks: tuple[int, ...]
     shapes: tuple[Shape, ...]
-    derivatives: tuple[FloatArray, ...]
 
     @property
     def log_det(self) -> float:
@@ -109,6 +106,11 @@ class Design:
         """Return which columns are of these kinds."""
         return np.array([index for index, kind in enumerate(self.kinds) if kind in wanted], dtype=np.intp)
 
+    def columns(self, part: Part) -> list[FloatArray]:
+        """Return the columns of a kind for each run, shape `(B, c)`."""
+        wanted = self.of(part)
+        return [one.columns[:, wanted] for one in self.parts]
+
     def total(self, runs: Sequence[int] | None = None) -> FloatArray:
         """Sum the Gram matrices of some runs, of all unless said."""
         chosen = self.grams if runs is None else [self.grams[one] for one in runs]
@@ -120,7 +122,7 @@ def lay_out(
     z: FloatArray,
     candidates: Sequence[Candidate] = (),
     *,
-    derivatives: Sequence[FloatArray] | None = None,
+    near: Design | None = None,
     foreign: bool = False,
     dictionary: bool = False,
 ) -> Design:
@@ -128,8 +130,9 @@ def lay_out(
 
     Parameters
     ----------
-    derivatives
-        Those by the nominal parameters, from a point nearby; computed anew unless given.
+    near
+        The campaign around a point nearby, whose derivatives by nuisances and whose doubts about the motion are taken
+        over; computed anew unless given.
     foreign
         Whether the candidates' contributions may be modulated.
     dictionary
@@ -137,9 +140,10 @@ def lay_out(
     """
     problem = study.problem
     predictions = problem.predictions(z)
-    uncertainties = problem.uncertainties(z)
+    uncertainties = problem.uncertainties(z) if near is None else [one.motion_sd for one in near.parts]
     whitenings = problem.whitenings(predictions, uncertainties)
-    by_nominal = _derivatives(study, z) if derivatives is None else derivatives
+    by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
+    kept_details = None if near is None else near.columns(Part.DETAIL)
     parts, grams = [], []
     for number, sight in enumerate(study.sights):
         scene, gain = study.scene(number, z)
@@ -148,8 +152,11 @@ def lay_out(
         together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
         more = sight.of_blocks(together if alone else before)
         beside = sight.of_blocks(together - before) if alone else 0.0 * more
-        details = study.details(number, scene)
-        rows = [gain * sight.of_blocks(details)]
+        if kept_details is None:
+            details = gain * sight.of_blocks(study.details(number, scene))
+        else:
+            details = kept_details[number].T
+        rows = [details]
         rows.append(sight.of_blocks(slopes(candidates, study.chain, scene, gain)))
         if foreign:
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
@@ -176,7 +183,6 @@ def lay_out(
         grams=tuple(grams),
         blocks=tuple(len(one.residual) for one in parts),
         shapes=shapes,
-        derivatives=tuple(by_nominal),
     )
 
 

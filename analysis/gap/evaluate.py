@@ -1,5 +1,7 @@
 """How far an amended model closes the gap on fresh runs of the same specimen."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dragrig.analysis.gap.candidate import Candidate
@@ -10,6 +12,7 @@ from dragrig.analysis.gap.position.errors import position_errors
 from dragrig.analysis.gap.position.finding import LEAST_MM
 from dragrig.analysis.gap.position.gap import closed_in_position
 from dragrig.analysis.gap.results import Shrink
+from dragrig.analysis.gap.sights import sights_of
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.capsule import CapsuleModel
@@ -34,7 +37,8 @@ def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
         raise AnalysisError(f"model {model.name} has no effects, so that there is nothing to evaluate.")
     bare = model.model_copy(update={"effects": (), "diagnosed": None})
     before = bare.model_copy(update=dict(model.diagnosed.nominal)) if model.diagnosed else bare
-    first, second = (_study(selection, one) for one in (before, model))
+    first = _study(selection, before)
+    second = _beside(_study(selection, model), first)
     start = np.zeros(len(first.names))
     one, other = lay_out(first, start), lay_out(second, start)
     gaps = [
@@ -58,3 +62,17 @@ def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
 
 def _study(selection: Selection, settings: FrictionModelSettings) -> CapsuleStudy:
     return CapsuleStudy.of(selection, CapsuleModel(settings), ())
+
+
+def _beside(study: CapsuleStudy, other: CapsuleStudy) -> CapsuleStudy:
+    """Let a study look at the same blocks as another one, whose model bends at other moments."""
+    pairs = zip(study.problem.evidence, other.problem.evidence, strict=True)
+    evidence = tuple(replace(mine, blocks=theirs.blocks) for mine, theirs in pairs)
+    problem = replace(
+        study.problem,
+        evidence=evidence,
+        noises=other.problem.noises,
+        noise_covariances=other.problem.noise_covariances,
+        zero_sds=other.problem.zero_sds,
+    )
+    return replace(study, problem=problem, sights=sights_of(evidence))

@@ -22,7 +22,7 @@ MORE_STEPS = 2
 SHORTLIST = 3
 NEAR_BEST = 0.2
 """A candidate is refitted if it takes away this share of what the best one does."""
-LEAST_GAIN = 5.0
+LEAST_GAIN = 7.0
 """Half squares below this are noise for any candidate."""
 MOST_OWN, LEAST_OWN = 3, 8.0
 """So many further shapes of its own effect a candidate may have, each of which must take away so much."""
@@ -152,8 +152,8 @@ def explain(study: Study, least_share: float = 0.0) -> Findings:
     """
     first = stepped(lay_out(study, study.start))
     second = lay_out(study, first.z)
-    start = settle(study, stepped(second), MORE_STEPS, second.derivatives)
-    nominal = lay_out(study, start.z, dictionary=True, derivatives=second.derivatives)
+    start = settle(study, stepped(second), MORE_STEPS, second)
+    nominal = lay_out(study, start.z, dictionary=True, near=second)
     projected = project(nominal, nominal.total(), *NUISANCES)
     ranked = _with_free_phases(nominal, rank(projected, nominal.shapes))
     found = Findings(study, nominal, projected.squares, ranked, (), ())
@@ -161,8 +161,17 @@ def explain(study: Study, least_share: float = 0.0) -> Findings:
     likely = [one for one in ranked[:SHORTLIST] if one.gain > least]
     singles = [_refitted(study, nominal, one, nominal.log_det) for one in likely]
     singles.sort(key=found.merit, reverse=True)
+    singles[:1] = [_polished(study, one, nominal.log_det) for one in singles[:1]]
     found = replace(found, singles=tuple(singles))
     return replace(found, steps=tuple(_further(found))) if singles else found
+
+
+def _polished(study: Study, one: Explanation, log_det: float) -> Explanation:
+    """Refit once more with derivatives taken where the fit came to, which may be far from where they were taken."""
+    fresh = lay_out(study, one.point.z, one.point.candidates)
+    tried = [_explanation(study, point, log_det, fresh)[0] for point in (stepped(fresh), one.point)]
+    again = min(tried, key=lambda each: each.plain)
+    return replace(again, flexible=min(again.flexible, one.flexible)) if in_time_alone(one) else again
 
 
 def _refitted(study: Study, design: Design, ranked: Ranked, log_det: float) -> Explanation:
@@ -170,12 +179,12 @@ def _refitted(study: Study, design: Design, ranked: Ranked, log_det: float) -> E
     shape = design.shapes[ranked.shapes[0]]
     if not in_time(shape.effect):
         candidate = ranked.candidate(design.shapes, amplitude)
-        point = settle(study, Point(z, (*design.candidates, candidate)), CANDIDATE_STEPS, design.derivatives)
-        return _explanation(study, point, log_det, design.derivatives)[0]
+        point = settle(study, Point(z, (*design.candidates, candidate)), CANDIDATE_STEPS, design)
+        return _explanation(study, point, log_det, design)[0]
     together = tied(study, design, shape)
     start = Point(design.z, (*design.candidates, together.candidate))
-    tried = [start, settle(study, start, CANDIDATE_STEPS, design.derivatives)]
-    found = min((_explanation(study, one, log_det, design.derivatives)[0] for one in tried), key=lambda one: one.plain)
+    tried = [start, settle(study, start, CANDIDATE_STEPS, design)]
+    found = min((_explanation(study, one, log_det, design)[0] for one in tried), key=lambda one: one.plain)
     before = project(design, design.total(), *NUISANCES).squares + design.log_det - log_det
     return replace(found, flexible=min(found.flexible, before - 2 * max(together.gain - SEARCHED, ranked.gain)))
 
@@ -184,14 +193,14 @@ def _explanation(
     study: Study,
     point: Point,
     log_det: float,
-    derivatives: Sequence[FloatArray] | None = None,
+    near: Design | None = None,
     *,
     everything: bool = False,
 ) -> tuple[Explanation, Design, tuple[int, ...]]:
     """Return what a point explains, its design, and the further shapes of its own effects that were taken."""
     own = {one.effect.id for one in point.candidates}
     shown = study if everything else replace(study, effects=tuple(one for one in study.effects if one.id in own))
-    design = lay_out(shown, point.z, point.candidates, derivatives=derivatives, foreign=True, dictionary=True)
+    design = lay_out(shown, point.z, point.candidates, near=near, foreign=True, dictionary=True)
     total = design.total()
     plain = fit(design, total, Part.NOMINAL, Part.DETAIL, Part.EFFECT)
     flexible, taken = _with_own_shapes(design, total, own)
@@ -228,6 +237,11 @@ def _pairs(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
         for number, one in enumerate(shapes)
         if in_time(one.effect) and not one.quarter and one.effect.phase is not None
     ]
+
+
+def in_time_alone(one: Explanation) -> bool:
+    """Whether all effects of an explanation are periodic on the session's clock."""
+    return all(in_time(each.effect) for each in one.point.candidates)
 
 
 def in_time(effect: Effect) -> bool:

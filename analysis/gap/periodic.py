@@ -15,6 +15,8 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.scene import Scene
 
 HARMONICS = 4
+KEPT = 12
+"""Periods about one that are looked at with all harmonics."""
 SHARPNESSES = (0.0, 1.5, 4.0, 10.0)
 PHASES = 24
 
@@ -70,11 +72,9 @@ def tied(study: Study, design: Design, shape: Shape) -> Tied:
     near = shape.values[_period(shape)]
     # The strongest may be the first overtone of what repeats.
     longest = next(one for one in shape.effect.shapes if one.name == _period(shape)).high
-    periods = np.concatenate([_periods(one, last_s) for one in (near, 2 * near) if one <= longest])
     residuals = _residuals(study, design)
-    harmonics = [_gains(_harmonics(one, periods), one) for one in residuals]
-    grams, along = (np.sum([one[part] for one in harmonics], axis=0) for part in (0, 1))
-    gains = _gain(grams, along)
+    periods = np.concatenate([_loudest(residuals, _periods(one, last_s)) for one in (near, 2 * near) if one <= longest])
+    gains = _summed(residuals, periods, HARMONICS)
     best = int(gains.argmax())
     forms = _forms(shape, float(periods[best]))
     gram, product = np.zeros(len(forms)), np.zeros(len(forms))
@@ -113,15 +113,28 @@ def _residuals(study: Study, design: Design) -> list[_Residual]:
     return found
 
 
-def _harmonics(one: _Residual, periods_s: FloatArray) -> FloatArray:
+def _loudest(residuals: Sequence[_Residual], periods_s: FloatArray) -> FloatArray:
+    """Return the periods whose fundamental and first overtone take away most."""
+    gains = _summed(residuals, periods_s, 1) + _summed(residuals, periods_s / 2, 1)
+    return periods_s[np.argsort(gains)[-KEPT:]]
+
+
+def _summed(residuals: Sequence[_Residual], periods_s: FloatArray, harmonics: int) -> FloatArray:
+    """Return half the squares that each period takes away with so many harmonics, over all runs."""
+    found = [_gains(_harmonics(one, periods_s, harmonics), one, harmonics) for one in residuals]
+    grams, along = (np.sum([one[part] for one in found], axis=0) for part in (0, 1))
+    return _gain(grams, along)
+
+
+def _harmonics(one: _Residual, periods_s: FloatArray, harmonics: int) -> FloatArray:
     """Return cosines and sines of the session's time, shape `(periods · 2 H, B)`."""
     angle = 2 * np.pi * one.scene.session_s / periods_s[:, None]
-    waves = [turn(number * angle) for number in range(1, HARMONICS + 1) for turn in (np.cos, np.sin)]
+    waves = [turn(number * angle) for number in range(1, harmonics + 1) for turn in (np.cos, np.sin)]
     return one.sight.of_blocks(np.stack(waves, axis=1).reshape(-1, angle.shape[1]))
 
 
-def _gains(rows: FloatArray, one: _Residual) -> tuple[FloatArray, FloatArray]:
-    white = one.part.whitening.whole(rows.T).T.reshape(-1, 2 * HARMONICS, rows.shape[1])
+def _gains(rows: FloatArray, one: _Residual, harmonics: int) -> tuple[FloatArray, FloatArray]:
+    white = one.part.whitening.whole(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
     return white @ white.transpose(0, 2, 1), white @ one.white
 
 

@@ -27,19 +27,19 @@ class Point:
     candidates: tuple[Candidate, ...] = ()
 
 
-def settle(study: Study, start: Point, steps: int, derivatives: Sequence[FloatArray] | None = None) -> Point:
+def settle(study: Study, start: Point, steps: int, near: Design | None = None) -> Point:
     """Return where Gauss–Newton steps lead from a point.
 
     Parameters
     ----------
     steps
         At most so many.
-    derivatives
-        Those by the nominal parameters, kept for all steps; taken anew in each unless given.
+    near
+        The campaign around a point nearby, whose derivatives are kept for all steps; taken anew in each unless given.
     """
     point = start
     for _ in range(steps):
-        design = lay_out(study, point.z, point.candidates, derivatives=derivatives)
+        design = lay_out(study, point.z, point.candidates, near=near)
         after = stepped(design)
         moved = float(np.abs(after.z - point.z).max())
         point = after
