@@ -15,12 +15,12 @@ NO_GAP, UNKNOWN = "no_gap", "unknown"
 LEAST_GAIN = 11.0
 """Half the squares that an effect must take away; the best of all shapes reaches 8 without any."""
 GAIN_WIDTH = 1.6
-CHANCE = 2.5
-"""Squares above noise that are chance, in standard deviations of χ²: noise itself is only estimated."""
+CHANCE, NOISE_SHARE = 2.5, 0.06
+"""Squares above noise that are chance: standard deviations of χ², and the share to which noise is known at all."""
 LEAST_LEFT = 0.075
 """Squares over blocks, less 1, from which on something is left that no effect explains."""
 LEFT_WIDTH = 0.012
-LEAST_SHARE, SHARE_WIDTH = 0.62, 0.07
+LEAST_SHARE, SHARE_WIDTH = 0.55, 0.07
 """Share of the excess that an effect of the catalogue explains, a foreign form allowed."""
 STRICT: Mapping[str, float] = {"force_nonlinearity": 0.95, "force_drift": 0.95, "tissue_ageing": 0.7}
 """Effects that resemble many that the catalogue does not have need a greater one."""
@@ -127,7 +127,7 @@ class _Force:
 
 
 def _of_force(found: Findings, tolerance_mN: float) -> _Force:
-    chance = CHANCE * sqrt(2.0 * found.blocks)
+    chance = max(CHANCE * sqrt(2.0 * found.blocks), NOISE_SHARE * found.blocks)
     excess = found.squares - found.blocks
     unexplained = excess / found.blocks > LEAST_LEFT
     left_alone = _logistic((excess / found.blocks - LEAST_LEFT) / LEFT_WIDTH)
