@@ -4,7 +4,7 @@ What follows (fits, scores on runs that took no part, forward selection) is alge
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -111,6 +111,25 @@ class Design:
         wanted = self.of(part)
         return [one.columns[:, wanted] for one in self.parts]
 
+    @property
+    def whitenings(self) -> tuple[Whitening, ...]:
+        """What makes each run's blocks independent."""
+        return tuple(one.whitening for one in self.parts)
+
+    def kept(self, *wanted: Part) -> "Design":
+        """Return the design with the columns of these kinds alone, so that little of it stays in memory."""
+        columns = self.of(*wanted)
+        rows = np.concatenate(([0], 1 + columns))
+        return replace(
+            self,
+            parts=tuple(replace(one, columns=one.columns[:, columns]) for one in self.parts),
+            kinds=tuple(self.kinds[one] for one in columns.tolist()),
+            prior_mean=self.prior_mean[columns],
+            prior_precision=self.prior_precision[columns],
+            grams=tuple(one[np.ix_(rows, rows)] for one in self.grams),
+            shapes=self.shapes if Part.SHAPE in wanted else (),
+        )
+
     def total(self, runs: Sequence[int] | None = None) -> FloatArray:
         """Sum the Gram matrices of some runs, of all unless said."""
         chosen = self.grams if runs is None else [self.grams[one] for one in runs]
@@ -141,7 +160,7 @@ def lay_out(
     problem = study.problem
     predictions = problem.predictions(z)
     uncertainties = problem.uncertainties(z) if near is None else [one.motion_sd for one in near.parts]
-    whitenings = problem.whitenings(predictions, uncertainties)
+    whitenings = problem.whitenings(predictions, uncertainties, None if near is None else near.whitenings)
     by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
     kept_details = None if near is None else near.columns(Part.DETAIL)
     parts, grams = [], []

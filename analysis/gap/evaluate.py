@@ -72,7 +72,6 @@ def _beside(study: CapsuleStudy, other: CapsuleStudy) -> CapsuleStudy:
         study.problem,
         evidence=evidence,
         noises=other.problem.noises,
-        noise_covariances=other.problem.noise_covariances,
         zero_sds=other.problem.zero_sds,
     )
     return replace(study, problem=problem, sights=sights_of(evidence))

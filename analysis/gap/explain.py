@@ -52,7 +52,7 @@ class Explanation:
     amount
         d′: norm of what they add, whitened, once run-to-run differences are taken out.
     design
-        The campaign around the point, modulations and further shapes of its effects included.
+        The campaign around the point, without modulations and further shapes.
     """
 
     point: Point
@@ -211,7 +211,8 @@ def _explanation(
     added = float(np.sqrt(weights @ more**2 / max(float(weights.sum()), 1e-12)))
     amount = float(np.sqrt(squares))
     more_det = design.log_det - log_det
-    found = Explanation(point, plain.squares + more_det, flexible + more_det, added, amount, design)
+    kept = design.kept(Part.NOMINAL, Part.DETAIL, Part.EFFECT)
+    found = Explanation(point, plain.squares + more_det, flexible + more_det, added, amount, kept)
     return found, design, taken
 
 
@@ -271,23 +272,31 @@ def _further(found: Findings) -> list[Step]:
     steps: list[Step] = []
     point = found.singles[0].point
     while len(point.candidates) < MOST_EFFECTS:
-        _, design, taken = _explanation(found.study, point, found.nominal.log_det, everything=True)
-        total = design.total()
-        projected = project(design, total, *NUISANCES)
-        for number in range(len(taken)):
-            projected = projected.without((taken[number],))
-        own = {one.effect.id for one in point.candidates}
-        everything = _with_free_phases(design, rank(projected, design.shapes))
-        ranked = [one for one in everything if one.effect not in own]
-        if len(ranked) < 2:
+        step = _step(found, point)
+        if step is None:
             break
-        first, second = ranked[:2]
-        least = 0.01 if first.gain < CLEAR_GAIN else 0.004
-        worth = first.gain > LEAST_GAIN * 2 and 2 * first.gain > least * found.excess
-        together = _refitted(found.study, design, first, found.nominal.log_det) if worth else None
-        left = projected.squares + design.log_det - found.nominal.log_det
-        steps.append(Step(first.effect, first.gain, second.effect, second.gain, left, together))
-        if together is None:
+        steps.append(step)
+        if step.together is None:
             break
-        point = together.point
+        point = step.together.point
     return steps
+
+
+def _step(found: Findings, point: Point) -> Step | None:
+    """Try the best further effect beside those of a point; None where there is none to try."""
+    _, design, taken = _explanation(found.study, point, found.nominal.log_det, everything=True)
+    total = design.total()
+    projected = project(design, total, *NUISANCES)
+    for number in range(len(taken)):
+        projected = projected.without((taken[number],))
+    own = {one.effect.id for one in point.candidates}
+    everything = _with_free_phases(design, rank(projected, design.shapes))
+    ranked = [one for one in everything if one.effect not in own]
+    if len(ranked) < 2:
+        return None
+    first, second = ranked[:2]
+    least = 0.01 if first.gain < CLEAR_GAIN else 0.004
+    worth = first.gain > LEAST_GAIN * 2 and 2 * first.gain > least * found.excess
+    together = _refitted(found.study, design, first, found.nominal.log_det) if worth else None
+    left = projected.squares + design.log_det - found.nominal.log_det
+    return Step(first.effect, first.gain, second.effect, second.gain, left, together)

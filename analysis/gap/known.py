@@ -1,18 +1,15 @@
 """What the nominal model's own effects make of positions and of the noise: it is expected, and no gap."""
 
 from dataclasses import replace
-from math import pi
 
 import numpy as np
 
 from dragrig.analysis.gap.lines import WITHIN_HZ, Lines
-from dragrig.analysis.identification.blocks import Blocks
 from dragrig.analysis.identification.joint.problem import Problem
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.nominal.protocol import NominalModel
-from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.applied import Chain
 
 HUM = "mains_hum"
@@ -20,8 +17,6 @@ LOUDER = 1.5
 """A line is a gap beside the known one if it is so many times as large."""
 LEAKED = 0.02
 """Share of a line's gain that may show at other frequencies."""
-IN_STEP_S = 1.0
-"""So long the mains are taken to keep the frequency that is known of them."""
 
 
 def known_effects(nominal: NominalModel) -> Chain:
@@ -52,13 +47,11 @@ def beyond_known(lines: Lines, chain: Chain) -> Lines:
 
 def with_known_hum(problem: Problem, chain: Chain) -> Problem:
     """Count hum that the nominal model has as noise: no run starts in step with the mains."""
-    covariances = problem.noise_covariances
+    noises = problem.noises
     for effect, values in chain.sensor:
         if effect.id == HUM:
-            size, frequency = values["amplitude_mN"], values["frequency_hz"]
-            pairs = zip(covariances, problem.evidence, strict=True)
-            covariances = tuple(before + _hum(one.blocks, size, frequency) for before, one in pairs)
-    return replace(problem, noise_covariances=covariances)
+            noises = tuple(replace(one, hum=values["amplitude_mN"], hum_hz=values["frequency_hz"]) for one in noises)
+    return replace(problem, noises=noises)
 
 
 def without_hum(chain: Chain) -> Chain:
@@ -79,12 +72,3 @@ def _known(experiment: Experiment, chain: Chain) -> Experiment:
         array.setflags(write=False)
     known = replace(trace, command=there, channels={**trace.channels, "position": position})
     return replace(experiment, run=replace(experiment.run, trace=known), computes_command=bool(chain.motor))
-
-
-def _hum(blocks: Blocks, amplitude_mN: float, frequency_hz: float) -> FloatArray:
-    """Return the covariance of block means of a sine whose phase is not known, shape `(B, B)`."""
-    middle, width = blocks.middle_s, blocks.end_s - blocks.start_s
-    apart = np.abs(middle[:, None] - middle[None, :])
-    kept = np.sinc(frequency_hz * width)
-    found = np.cos(2 * pi * frequency_hz * apart) * np.exp(-apart / IN_STEP_S)
-    return np.asarray(0.5 * amplitude_mN**2 * found * kept[:, None] * kept[None, :])

@@ -11,6 +11,7 @@ import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.wall_view import ShearView
 from dragrig.sim_backend.friction.contact import by_element
 
 LAW_SD = 0.02
@@ -61,40 +62,37 @@ def details(scene: Scene, speed_mm_s: float) -> FloatArray:
 
 
 def _laws(scene: Scene) -> Iterator[FloatArray]:
-    bent = {power: [_bent(scene, element, power) for element in range(ELEMENTS)] for power in LAW_POWERS}
+    bent = {power: _bent(scene, power) for power in LAW_POWERS}
     for power in LAW_POWERS:
         yield LAW_SD * np.sum(bent[power], axis=0)
     for one in bent[1]:
         yield ELEMENT_SD * one
 
 
-def _bent(scene: Scene, element: int, power: int) -> FloatArray:
-    """Return what changes if an element grows by a power of the strain beyond its middle."""
+def _bent(scene: Scene, power: int) -> list[FloatArray]:
+    """Return what changes if each element in turn grows by a power of the strain beyond its middle."""
     wall, sheared = scene.wall, scene.sheared
     if wall is not None:
         bend = (wall.strain - MIDDLE_STRAIN) ** power * wall.strain
-        stress = by_element(wall.parameters, wall.age_s)[element] * bend
         at_equator = (wall.strain_at_equator - MIDDLE_STRAIN) ** power * wall.strain_at_equator
-        pressed = by_element(wall.equator_parameters, wall.equator_age_s)[element] * at_equator
-        friction = scene.friction_coefficient * scene.turning * wall.pressing(pressed)
-        return np.asarray(np.sign(scene.f_e) * wall.resistance(stress) + friction)
+        stresses = by_element(wall.parameters, wall.age_s) * bend
+        pressed = by_element(wall.equator_parameters, wall.equator_age_s) * at_equator
+        rubbing, sides = scene.friction_coefficient * scene.turning, np.sign(scene.f_e)
+        pairs = zip(stresses, pressed, strict=True)
+        return [np.asarray(sides * wall.resistance(one) + rubbing * wall.pressing(other)) for one, other in pairs]
     if sheared is not None:
-        return np.asarray((sheared.target_strain - MIDDLE_STRAIN) ** power * _by_element(scene, element))
-    return np.zeros_like(scene.time_s)
+        factor = (sheared.target_strain - MIDDLE_STRAIN) ** power
+        return [np.asarray(factor * one) for one in _by_element(sheared)]
+    return [np.zeros_like(scene.time_s)] * ELEMENTS
 
 
-def _by_element(scene: Scene, element: int) -> FloatArray:
-    sheared = scene.sheared
-    if sheared is None:
-        return np.zeros_like(scene.time_s)
-    fast, slow, spring = sheared.stresses
-    if element < 3:
-        return (fast, slow, spring)[element] * sheared.area_mm2
-    rate = sheared.rates[element - 3]
+def _by_element(sheared: ShearView) -> list[FloatArray]:
+    found = [np.asarray(one * sheared.area_mm2) for one in sheared.stresses]
     step = 1e-3
-    modulus = sheared.moduli[element - 3]
-    changed = sheared.branch(rate * (1 - step)) - sheared.branch(rate * (1 + step))
-    return np.asarray(sheared.area_mm2 * modulus * changed / (2 * step))
+    for rate, modulus in zip(sheared.rates, sheared.moduli[:2], strict=True):
+        changed = sheared.branch(rate * (1 - step)) - sheared.branch(rate * (1 + step))
+        found.append(np.asarray(sheared.area_mm2 * modulus * changed / (2 * step)))
+    return found
 
 
 def _fast_peak(scene: Scene) -> FloatArray:

@@ -111,6 +111,5 @@ def part_of(problem: Problem, kept: Sequence[int]) -> Problem:
         problem,
         evidence=tuple(problem.evidence[one] for one in kept),
         noises=tuple(problem.noises[one] for one in kept),
-        noise_covariances=tuple(problem.noise_covariances[one] for one in kept),
         zero_sds=tuple(problem.zero_sds[one] for one in kept),
     )

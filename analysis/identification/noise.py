@@ -32,6 +32,8 @@ SLOW_SHARE = 1.0 / 3.0
 """Slow noise over white noise where no stretch is long enough to tell."""
 USUAL_WHITE = 2.0
 """White noise where no run shows any [mN], at the upper end of what such sensors have."""
+IN_STEP_S = 1.0
+"""So long a line is taken to keep the frequency that is known of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,16 @@ class Noise:
         Standard deviation and correlation time of the slow noise.
     degrees
         Independent numbers that it was estimated from; 0 where it was assumed.
+    hum, hum_hz
+        Amplitude and frequency of a line that is known beforehand, 0 for none; its phase is not known.
     """
 
     white: float
     slow: float
     correlation_s: float
     degrees: int
+    hum: float = 0.0
+    hum_hz: float = 0.0
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
@@ -63,7 +69,15 @@ class Noise:
         np.fill_diagonal(slow, 2 * (tau / width) * (1 - share))
         covariance = self.slow**2 * slow
         covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
+        if self.hum > 0:
+            covariance += self._hum(0.5 * (start_s + end_s), end_s - start_s)
         return np.asarray(covariance)
+
+    def _hum(self, middle_s: FloatArray, width_s: FloatArray) -> FloatArray:
+        apart = np.abs(middle_s[:, None] - middle_s[None, :])
+        kept = np.sinc(self.hum_hz * width_s)
+        wave = np.cos(2 * np.pi * self.hum_hz * apart) * np.exp(-apart / IN_STEP_S)
+        return np.asarray(0.5 * self.hum**2 * wave * kept[:, None] * kept[None, :])
 
 
 USUAL = Noise(USUAL_WHITE, SLOW_SHARE * USUAL_WHITE, USUAL_CORRELATION_S, 0)

@@ -1,6 +1,6 @@
 """What each run contributes to a joint fit: block means, their covariance, and what differs from run to run."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,33 +101,41 @@ def gather(experiments: Sequence[Experiment], nominal: NominalModel, longest_mm:
 
 
 def whitening(
-    noise: FloatArray,
+    noise: Callable[[], FloatArray],
     prediction: Prediction,
     uncertainty: FloatArray,
     zero_sd: float,
     sds: FloatArray,
+    near: Whitening | None = None,
 ) -> Whitening:
     """Lay out the covariance of a run around a prediction.
 
     Parameters
     ----------
     noise
-        Covariance of the noise of the block means, shape `(B, B)`.
+        Gives the covariance of the noise of the block means, shape `(B, B)`, where it is needed.
     prediction, uncertainty
         What the run's blocks should be, and how well that can be said of each, one standard deviation, shape `(B,)`.
     zero_sd
         Standard deviation of the run's zero; 0 for a channel that has none.
     sds
         Standard deviations of the model's variations, shape `(V,)`.
+    near
+        One with the same noise and uncertainty, whose factor is taken over.
     """
-    from scipy.linalg import cholesky, solve_triangular
+    from scipy.linalg import solve_triangular
 
-    covariance = noise.copy()
-    covariance[np.diag_indices_from(covariance)] += uncertainty**2
-    root = cholesky(covariance, lower=True)
+    root = _factor(noise(), uncertainty) if near is None else near.noise_root
     columns = prediction.varying * sds[:, None]
     if zero_sd > 0:
-        columns = np.vstack((np.full((1, len(noise)), zero_sd), columns))
+        columns = np.vstack((np.full((1, len(root)), zero_sd), columns))
     own = np.asarray(solve_triangular(root, columns.T, lower=True))
     left, sizes, _ = np.linalg.svd(own, full_matrices=False)
     return Whitening(root, own, np.asarray(left), 1 - 1 / np.sqrt(1 + sizes**2))
+
+
+def _factor(covariance: FloatArray, uncertainty: FloatArray) -> FloatArray:
+    from scipy.linalg import cholesky
+
+    covariance[np.diag_indices_from(covariance)] += uncertainty**2
+    return np.asarray(cholesky(covariance, lower=True, overwrite_a=True))

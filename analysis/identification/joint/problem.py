@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -25,7 +26,6 @@ class Problem:
     scales: Scales
     evidence: tuple[Evidence, ...]
     noises: tuple[Noise, ...]
-    noise_covariances: tuple[FloatArray, ...]
     zero_sds: tuple[float, ...]
     sds: FloatArray
 
@@ -51,7 +51,6 @@ class Problem:
             Scales.of(nominal.parameters),
             evidence,
             tuple(noises[one.channel] for one in evidence),
-            tuple(_covariance(one, noises[one.channel]) for one in evidence),
             tuple(zeros[one.channel] for one in evidence),
             np.array([one.sd for one in nominal.variations], dtype=np.float64),
         )
@@ -76,12 +75,21 @@ class Problem:
         return found
 
     def whitenings(
-        self, predictions: Sequence[Prediction], uncertainties: Sequence[FloatArray]
+        self,
+        predictions: Sequence[Prediction],
+        uncertainties: Sequence[FloatArray],
+        near: Sequence[Whitening] | None = None,
     ) -> tuple[Whitening, ...]:
-        """Lay out every run's covariance around what is predicted."""
-        parts = zip(self.noise_covariances, predictions, uncertainties, self.zero_sds, strict=True)
+        """Lay out every run's covariance around what is predicted.
+
+        `near` are those of the same uncertainties around another prediction, where there are any.
+        """
+        known = [None] * len(self.evidence) if near is None else near
+        noisy = zip(self.evidence, self.noises, strict=True)
+        parts = zip(noisy, predictions, uncertainties, self.zero_sds, known, strict=True)
         return tuple(
-            whitening(noise, predicted, uncertainty, zero, self.sds) for noise, predicted, uncertainty, zero in parts
+            whitening(partial(_covariance, *noise), predicted, uncertainty, zero, self.sds, before)
+            for noise, predicted, uncertainty, zero, before in parts
         )
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
