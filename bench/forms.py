@@ -18,11 +18,11 @@ from itertools import product
 from zlib import crc32
 
 import numpy as np
-from blind_sizes import Directions, directions, left_over, whiten
 from form_fits import Floats, Seen, bounds, changed, hidden_change, left, left_run_by_run, nominal, seen_of
 
 from dragrig.sim_backend.blind import CATALOGUE, Secret
 from dragrig.sim_backend.blind.effects.base import Effect as Hidden
+from dragrig.sim_backend.blind.size import Directions, directions, left_over, whiten
 from dragrig.sim_backend.effects.base import Domain, Effect
 from dragrig.sim_backend.effects.catalogue import find_effect
 

@@ -5,12 +5,14 @@ The nominal equations are written a second time here, and no formula of an effec
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
 from dragrig.sim_backend.blind.files import make
+from dragrig.sim_backend.blind.programme import Listed
 from dragrig.sim_backend.blind.record import Signature, signature
 from dragrig.sim_backend.blind.secret import Secret, another_session, answer, draw, without_effects
 
 __all__ = [
     "CATALOGUE",
     "OUTSIDE",
+    "Listed",
     "Secret",
     "Signature",
     "another_session",

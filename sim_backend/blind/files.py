@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from dragrig.sim_backend.blind.gut import MASS_G, RADIUS_MM
-from dragrig.sim_backend.blind.programme import RATE_HZ, WALL_MM, RunPlan
+from dragrig.sim_backend.blind.programme import RATE_HZ, WALL_MM, Listed, RunPlan
 from dragrig.sim_backend.blind.record import Trace, recorded
 from dragrig.sim_backend.blind.secret import Secret, another_session
 
@@ -22,7 +22,7 @@ _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")
 
 
-def make(secret: Secret, folder: str | Path, workers: int = 1, *, runs: str | None = None) -> None:
+def make(secret: Secret, folder: str | Path, workers: int = 1, *, runs: str | Listed | None = None) -> None:
     """Write a campaign's run files, NNN-KIND.h5, with the required part of the run format and nothing hidden in it.
 
     Parameters
@@ -30,7 +30,7 @@ def make(secret: Secret, folder: str | Path, workers: int = 1, *, runs: str | No
     workers
         Processes that share the runs; more than one only pays on an idle machine.
     runs
-        Programme to be written in place of the one that was drawn, `fresh` for one.
+        Programme to be written in place of the one that was drawn, `fresh` for one, or a list of runs.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def _describe(file: h5py.File, secret: Secret, run: RunPlan) -> None:
             "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
             "order": run.order,
             "status": "complete",
-            "insertion_dwell_s": 60.0,
+            "insertion_dwell_s": run.dwell_s,
         }
     )
     entry.create_group("protocol").attrs.update(_protocol(run))

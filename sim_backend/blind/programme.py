@@ -1,6 +1,6 @@
 """What is run on a specimen, in which order and when: the programme of a campaign."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -13,6 +13,8 @@ WALL_MM = 2.5
 SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 FRESH_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
 PROGRAMMES = ("practice", "fresh")
+USUAL_DWELL_S = 60.0
+"""Age of the contact at the first sample as it is noted, unless a list of runs says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +30,7 @@ class RunPlan:
     rest_s: float
     hold_s: float
     strain: float | None = None
+    dwell_s: float = USUAL_DWELL_S
 
     @property
     def bounds_s(self) -> tuple[float, float, float, float]:
@@ -74,6 +77,55 @@ def programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
     drags = random.permutation(np.array(speeds)).tolist()
     moves = [("blank", v) for v in blanks] + [("coulomb", v) for v in coulomb] + [("drag", v) for v in drags]
     return _timed([_relaxation(strain) for strain in strains] + [_stroke(kind, speed) for kind, speed in moves])
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A programme of one's own: its name, and its runs as they are commanded."""
+
+    name: str
+    runs: tuple[RunPlan, ...]
+
+    @classmethod
+    def of(cls, name: str, runs: Sequence[Mapping[str, str | float]]) -> "Listed":
+        """Read a list of runs.
+
+        Parameters
+        ----------
+        runs
+            One table each, in their order: `kind`, `start_s` of its first sample on the session's clock, `rest_s`,
+            `hold_s`, `dwell_s`; of a relaxation `shear_strain`, `ramp_speed_mm_s` and `ramp_accel_mm_s2`, of any other
+            run `speed_mm_s`, `travel_mm` and `accel_mm_s2`.
+
+        Raises
+        ------
+        ValueError
+            For a kind that the plant does not have, or a way back.
+        """
+        return cls(name, tuple(_read(order, one) for order, one in enumerate(runs)))
+
+
+def _read(order: int, run: Mapping[str, str | float]) -> RunPlan:
+    kind = str(run["kind"])
+    if kind not in {"relaxation", "drag", "coulomb", "blank"}:
+        raise ValueError(f"the plant has no runs of kind {kind}; leave them out of the list")
+    strain = float(run["shear_strain"]) if kind == "relaxation" else None
+    ramp = "ramp_" if strain is not None else ""
+    travel = float(run["travel_mm"]) if strain is None else strain * WALL_MM
+    if travel <= 0:
+        raise ValueError(f"run {order} goes {travel:g} mm; the plant's strokes go forward")
+    return RunPlan(
+        kind=kind,
+        order=order,
+        start_s=float(run["start_s"]),
+        speed_mm_s=float(run[f"{ramp}speed_mm_s"]),
+        travel_mm=travel,
+        accel_mm_s2=float(run[f"{ramp}accel_mm_s2"]),
+        rest_s=float(run["rest_s"]),
+        hold_s=float(run["hold_s"]),
+        strain=strain,
+        dwell_s=float(run["dwell_s"]),
+    )
 
 
 def _relaxation(strain: float) -> RunPlan:

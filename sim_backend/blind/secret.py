@@ -8,7 +8,7 @@ import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
 from dragrig.sim_backend.blind.effects.base import Effect
-from dragrig.sim_backend.blind.programme import RunPlan, programme
+from dragrig.sim_backend.blind.programme import Listed, RunPlan, programme
 from dragrig.sim_backend.blind.specimen import (
     Noise,
     Rough,
@@ -84,13 +84,14 @@ def draw(
     )
 
 
-def another_session(secret: Secret, runs: str = "fresh") -> Secret:
+def another_session(secret: Secret, runs: str | Listed = "fresh") -> Secret:
     """Return a session of another programme with the same specimen and effects, as `draw` has it for `runs`.
 
     Order and session time begin anew, and so do ageing and preconditioning: it is a parallel session, not a later one.
     """
     plans, variations = _session(secret.seed, runs)
-    return replace(secret, programme=runs, runs=plans, variations=variations)
+    name = runs if isinstance(runs, str) else runs.name
+    return replace(secret, programme=name, runs=plans, variations=variations)
 
 
 def without_effects(secret: Secret) -> Secret:
@@ -138,9 +139,10 @@ def _draw_effect(seed: int, name: str, size: float) -> Effect:
     return forms[int(random.integers(len(forms)))].drawn(random, size)
 
 
-def _session(seed: int, runs: str) -> tuple[tuple[RunPlan, ...], tuple[Variation, ...]]:
-    plans = programme(runs, _random(seed, f"programme {runs}"))
-    varied = _random(seed, f"runs {runs}")
+def _session(seed: int, runs: str | Listed) -> tuple[tuple[RunPlan, ...], tuple[Variation, ...]]:
+    name = runs if isinstance(runs, str) else runs.name
+    plans = programme(runs, _random(seed, f"programme {runs}")) if isinstance(runs, str) else runs.runs
+    varied = _random(seed, f"runs {name}")
     return plans, tuple(draw_variation(varied) for _ in plans)
 
 

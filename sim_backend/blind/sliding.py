@@ -5,6 +5,7 @@ import numpy as np
 from dragrig.sim_backend.blind.effects.base import Parts, Scene
 from dragrig.sim_backend.blind.gut import GRAVITY_M_S2, MASS_G, RADIUS_MM, Gut
 from dragrig.sim_backend.blind.motion import Floats
+from dragrig.sim_backend.blind.programme import USUAL_DWELL_S
 
 _INTERVALS = 48
 """Of Simpson's rule, on each side of the place where the pressure jumps."""
@@ -66,9 +67,12 @@ def _contact(gut: Gut, scene: Scene, knots: np.ndarray[tuple[int], np.dtype[np.i
     times = motion.t[np.maximum(first, 0)].copy()
     times[0] = motion.t[max(int(np.argmax(reached > 0)) - 1, 0)]
 
+    # What a specimen's contact really ages by is another number than what is noted.
+    dwell = gut.specimen.dwell_s * (scene.run.dwell_s / USUAL_DWELL_S)
+
     def age(x: Floats, now: Floats, here: Floats) -> Floats:
         back = here - x
-        return np.where(back >= 0, now - np.interp(back, far, times), gut.specimen.dwell_s + now)
+        return np.where(back >= 0, now - np.interp(back, far, times), dwell + now)
 
     now, here = motion.t[knots][:, None], reached[knots][:, None]
     speeds = [effect.passing(scene)[knots][:, None] for effect in gut.effects]
@@ -83,7 +87,7 @@ def _contact(gut: Gut, scene: Scene, knots: np.ndarray[tuple[int], np.dtype[np.i
         where, weights = _rule(gut.rough.panels)
         x = a + (b - a) * where
         old = now[wide] - np.interp(np.maximum(here[wide] - x, 0.0), far, times)
-        ages = old if fresh else np.broadcast_to(gut.specimen.dwell_s + now[wide], x.shape)
+        ages = old if fresh else np.broadcast_to(dwell + now[wide], x.shape)
         held = np.ones_like(x)
         for effect, speed in zip(gut.effects, speeds, strict=True):
             held = held * effect.contact(x / length, speed[wide])

@@ -20,7 +20,7 @@ class StribeckRational(Effect):
     amplitude: Annotated[float, Draw(0.4, 0.9)]
     speed_mm_s: Annotated[float, Draw(1.5, 6.0, log=True)]
     power: Annotated[float, Draw(1.0, 2.2)]
-    distance_mm: Annotated[float, Draw(3.0, 7.0)]
+    distance_mm: Annotated[float, Draw(1.1, 2.6)]
 
     def friction(self, scene: Scene) -> Floats | float:
         """Return the relative change of μ."""
@@ -71,7 +71,7 @@ class AdhesionRoot(Effect):
     name, form, kinds = "adhesion", "inverse root, aged at rest", DRAG
     amplitude: Annotated[float, Draw(11.0, 27.0)]
     speed_mm_s: Annotated[float, Draw(2.0, 10.0, log=True)]
-    aged: Annotated[float, Draw(0.7, 1.3)]
+    aged: Annotated[float, Draw(0.36, 0.62)]
     slip_mm: Annotated[float, Draw(4.0, 10.0)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
@@ -88,7 +88,7 @@ class AdhesionLog(Effect):
     amplitude: Annotated[float, Draw(16.0, 38.0)]
     speed_mm_s: Annotated[float, Draw(0.5, 3.0, log=True)]
     end_mm_s: Annotated[float, Draw(40.0, 120.0)]
-    length_mm: Annotated[float, Draw(55.0, 100.0)]
+    length_mm: Annotated[float, Draw(110.0, 200.0)]
 
     def pull(self, parts: Parts, scene: Scene) -> Floats | float:
         """Return the tack [mN]."""

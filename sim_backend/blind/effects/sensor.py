@@ -57,7 +57,7 @@ class NonlinearSoft(Effect):
 
     name, form, rank = "force_nonlinearity", "bow between two true loads", 2
     amplitude: Annotated[float, Draw(0.03, 0.08, signed=True)]
-    full_mN: Annotated[float, Draw(950.0, 1350.0)]
+    full_mN: Annotated[float, Draw(1400.0, 2000.0)]
 
     def sensor(self, force: Floats, scene: Scene) -> Floats:
         """Return the force recorded."""

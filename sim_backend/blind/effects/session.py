@@ -16,7 +16,7 @@ class AgeingRoot(Effect):
     name, form, kinds = "tissue_ageing", "root of time, wetted", TISSUE
     amplitude: Annotated[float, Draw(0.3, 0.6, signed=True)]
     every_s: Annotated[float, Draw(600.0, 1000.0)]
-    share: Annotated[float, Draw(0.4, 0.6)]
+    share: Annotated[float, Draw(0.15, 0.3)]
 
     def stiffness(self, run: RunPlan) -> float:
         """Return the factor on all stiffness."""
@@ -31,7 +31,7 @@ class AgeingLate(Effect):
     name, form, kinds = "tissue_ageing", "late, swings", TISSUE
     amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
     power: Annotated[float, Draw(1.2, 2.0)]
-    swing: Annotated[float, Draw(0.25, 0.45)]
+    swing: Annotated[float, Draw(0.1, 0.2)]
     period_s: Annotated[float, Draw(500.0, 1000.0)]
 
     def stiffness(self, run: RunPlan) -> float:
@@ -47,7 +47,7 @@ class AgeingTurn(Effect):
     name, form, kinds = "tissue_ageing", "change-over", TISSUE
     amplitude: Annotated[float, Draw(0.25, 0.5, signed=True)]
     middle_s: Annotated[float, Draw(900.0, 2000.0)]
-    width_s: Annotated[float, Draw(250.0, 600.0)]
+    width_s: Annotated[float, Draw(400.0, 750.0)]
 
     def stiffness(self, run: RunPlan) -> float:
         """Return the factor on all stiffness."""

@@ -19,7 +19,7 @@ class LiftOffFade(Effect):
     speed_mm_s: Annotated[float, Draw(15.0, 30.0)]
     power: Annotated[float, Draw(2.0, 4.0)]
     front: Annotated[float, Draw(0.45, 0.75)]
-    back_s: Annotated[float, Draw(0.15, 0.5, log=True)]
+    back_s: Annotated[float, Draw(0.08, 0.2, log=True)]
 
     def passing(self, scene: Scene) -> Floats:
         """Return the highest speed so far, faded by the time since."""
@@ -41,7 +41,7 @@ class LiftOffPeel(Effect):
     amplitude: Annotated[float, Draw(0.55, 0.9)]
     speed_mm_s: Annotated[float, Draw(8.0, 14.0)]
     power: Annotated[float, Draw(0.6, 1.2)]
-    distance_mm: Annotated[float, Draw(8.0, 20.0)]
+    distance_mm: Annotated[float, Draw(1.5, 4.0)]
 
     def passing(self, scene: Scene) -> Floats:
         """Return the speed as far as the wall has peeled by now."""
@@ -63,7 +63,7 @@ class LiftOffHollow(Effect):
     begin_mm_s: Annotated[float, Draw(6.0, 12.0)]
     width_mm_s: Annotated[float, Draw(10.0, 20.0)]
     reach: Annotated[float, Draw(0.6, 0.95)]
-    time_s: Annotated[float, Draw(0.08, 0.25, log=True)]
+    time_s: Annotated[float, Draw(0.03, 0.07, log=True)]
 
     def passing(self, scene: Scene) -> Floats:
         """Return the speed as the wall follows it."""
