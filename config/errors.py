@@ -36,6 +36,10 @@ class AnalysisError(DragrigError):
     """A request that the data at hand cannot answer."""
 
 
+class WorkerError(DragrigError):
+    """Processes that share a work end before it is done."""
+
+
 class RecordingError(DragrigError):
     """The disk refused data while a run was being recorded."""
 

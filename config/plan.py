@@ -47,11 +47,15 @@ class Step(Settings):
     fixture: Fixture | None = None
     """What holds the gut; the protocol's usual one unless given."""
     repeats: int = Field(default=1, ge=1, le=1000)
+    """How often each run of the step is made."""
     order: Order = Order.LISTED
+    """In which order the runs of the step are made."""
     wait_s: float = Field(default=60.0, ge=0, le=86_400)
     """Rest before each run, from the last standstill on; with a capsule in the gut, the age of the contact."""
     way_back: WayBack = WayBack.DRIVEN
+    """How the capsule gets back to where the step's runs begin."""
     way_back_speed_mm_s: float = Field(default=20.0, gt=0)
+    """Speed of a driven way back."""
     start_mm: float | None = None
     """Where the runs begin, absolute or from the contact (stage.start_from of the rig); the rig's own unless given."""
     tare_s: float = Field(default=0.0, ge=0, le=60)
@@ -61,6 +65,7 @@ class Step(Settings):
     prompt_each: bool = False
     """Ask before every run of the step."""
     note: str = ""
+    """Kept in the run files of the step."""
 
     @model_validator(mode="wrap")
     @classmethod

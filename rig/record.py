@@ -7,7 +7,7 @@ from pathlib import Path
 from pydantic import AwareDatetime
 
 from dragrig.config.base import Settings
-from dragrig.config.errors import RunFileError
+from dragrig.config.errors import RunFileError, SettingsError, plain
 from dragrig.config.loading import load, parse, to_toml
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -69,6 +69,18 @@ def record_in(run_file: Path) -> SessionRecord:
         return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
     except tomllib.TOMLDecodeError as error:
         raise RunFileError(f"{run_file}: its settings are damaged ({error}).") from error
+
+
+def records_in(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple[str, ...]]:
+    """Read every record of a campaign, the earliest first, and say what is wrong with those that are damaged."""
+    found: list[SessionRecord] = []
+    damaged: list[str] = []
+    for path in sorted(folder.glob(_PATTERN)):
+        try:
+            found.append(load(SessionRecord, path))
+        except SettingsError as error:
+            damaged.append(plain(error))
+    return tuple(found), tuple(damaged)
 
 
 def latest_record(folder: Path) -> SessionRecord:

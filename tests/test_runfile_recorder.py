@@ -155,10 +155,13 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
             [sys.executable, "-c", viewer, str(recorder.path)], stdout=subprocess.PIPE, text=True
         ) as process:
             assert process.stdout is not None
-            recorder.offer(1000, arrays(1000, 2000))
-            assert float(process.stdout.readline()) == 2999
+            try:
+                recorder.offer(1000, arrays(1000, 2000))
+                assert float(process.stdout.readline()) == 2999
+                assert process.wait(30) == 0
+            finally:
+                process.kill()
         recorder.close(Status.COMPLETE, "as planned")
-    assert process.returncode == 0
 
 
 @pytest.mark.parametrize(

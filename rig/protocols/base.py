@@ -63,8 +63,11 @@ class StrokeProtocol(Protocol):
     """One stroke at constant speed; a negative travel goes the other way."""
 
     speed_mm_s: float = Field(gt=0, le=5000)
+    """Constant speed of the stroke."""
     travel_mm: float = Field(default=40.0, ge=-5000, le=5000)
+    """Length of the stroke, run-up and run-down included; negative goes the other way."""
     accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    """Acceleration of run-up and run-down."""
 
     @model_validator(mode="after")
     def _reaches_its_speed(self) -> Self:

@@ -36,6 +36,7 @@ class Motion(Protocol):
     capsule: ClassVar[str] = "drag"
 
     strokes: tuple[Move, ...] = Field(min_length=1, max_length=1000)
+    """Strokes one after the other, each with travel_mm and speed_mm_s; accel_mm_s2 and pause_s where wanted."""
 
     def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
         """Trapezoids and pauses one after the other."""

@@ -19,9 +19,13 @@ class Relaxation(Protocol):
     capsule: ClassVar[str] = "rough"
 
     shear_strain: float = Field(gt=0, le=5)
+    """Strain that is held: the ramp's way over the wall's thickness; 1 is 100 %."""
     ramp_speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
+    """Speed of the ramp, where it is long enough to reach it."""
     ramp_accel_mm_s2: float = Field(default=2000.0, gt=0, le=100_000)
+    """Acceleration of the ramp's ends."""
     hold_s: float = Field(default=20.0, ge=0, le=7200)
+    """Standing still after the ramp, while the wall relaxes."""
 
     @model_validator(mode="after")
     def _ramp_is_a_ramp(self) -> Self:

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from dragrig.rig.runfile.finisher import Finished, Finisher
     from dragrig.rig.runfile.marks import Mark, mark_bad, read_mark, unmark
     from dragrig.rig.runfile.naming import run_file_name
-    from dragrig.rig.runfile.reader import read_info, read_run
+    from dragrig.rig.runfile.reader import read_info, read_run, read_tail
     from dragrig.rig.runfile.recorder import Recorder
     from dragrig.rig.runfile.recovery import Outcome, Recovered, left_recordings, recover
     from dragrig.rig.runfile.repack import finish
@@ -33,6 +33,7 @@ __all__ = [
     "read_info",
     "read_mark",
     "read_run",
+    "read_tail",
     "recover",
     "rewrite",
     "run_file_name",
@@ -49,7 +50,7 @@ _HOME = {
     "marks": ("Mark", "mark_bad", "read_mark", "unmark"),
     "naming": ("run_file_name",),
     "repack": ("finish",),
-    "reader": ("read_info", "read_run"),
+    "reader": ("read_info", "read_run", "read_tail"),
     "recorder": ("Recorder",),
     "recovery": ("Outcome", "Recovered", "left_recordings", "recover"),
     "rewriting": ("VerifyResult", "rewrite", "store_filtered", "verify"),

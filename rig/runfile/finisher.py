@@ -11,6 +11,7 @@ import queue
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +38,15 @@ class Finisher:
     When this process dies, the worker ends the recording at hand and exits. When the worker dies, `wait`
     finishes what it left in this process. An interrupt from the terminal does not reach the worker.
     As a context it waits at its end and raises the first error that no `wait` has returned.
+
+    Parameters
+    ----------
+    told
+        Called with each finished run file, on the finisher's thread or on that which waits; it must be quick.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, told: Callable[[Path], None] | None = None) -> None:
+        self._told = told
         self._jobs: queue.SimpleQueue[Path | None] = queue.SimpleQueue()
         self._change = Condition()
         self._done: list[Finished] = []
@@ -93,6 +100,8 @@ class Finisher:
             self._change.wait_for(lambda: self._asked == self._answered, timeout_s)
             left, self._left = self._left, []
         here = [finished(recording) for recording in left]
+        for one in here:
+            self._tell(one)
         with self._change:
             done, self._done = self._done, []
         return (*done, *here)
@@ -106,6 +115,7 @@ class Finisher:
     def _hand_out(self) -> None:
         while (recording := self._jobs.get()) is not None:
             answer = self._ask(recording)
+            self._tell(answer)
             with self._change:
                 if answer is None:
                     self._left.append(recording)
@@ -115,6 +125,10 @@ class Finisher:
                 self._change.notify_all()
         if self._worker is not None:
             self._worker.communicate()
+
+    def _tell(self, done: Finished | None) -> None:
+        if self._told is not None and done is not None and done.path is not None:
+            self._told(done.path)
 
     def _ask(self, recording: Path) -> Finished | None:
         """Have the worker finish a recording; None when there is no worker any more."""

@@ -64,16 +64,17 @@ def read_info(file: h5py.File, path: Path) -> RunInfo:
     )
 
 
-def read_trace(file: h5py.File, info: RunInfo) -> Trace:
-    """Read all samples; arrays are read-only."""
-    time = np.asarray(_column(file, schema.TIME, info.samples), dtype=np.float64)
+def read_trace(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
+    """Read all samples, or the last so many; arrays are read-only."""
+    rows = slice(0 if last is None else max(0, info.samples - last), info.samples)
+    time = np.asarray(_column(file, schema.TIME, rows), dtype=np.float64)
     if not np.isfinite(time).all():
         raise LayoutError("/entry/trace/time holds NaN or infinity")
     if not (np.diff(time) > 0).all():
         raise LayoutError("/entry/trace/time does not rise from sample to sample")
-    phase = _phase(file, info.samples)
-    command = _column(file, schema.COMMAND, info.samples)
-    channels = {channel.name: _column(file, channel.name, info.samples) for channel in info.header.channels}
+    phase = _phase(file, rows)
+    command = _column(file, schema.COMMAND, rows)
+    channels = {channel.name: _column(file, channel.name, rows) for channel in info.header.channels}
     for array in (time, phase):
         read_only(array)
     return Trace(
@@ -178,16 +179,16 @@ def _units(dataset: h5py.Dataset, where: str, wanted: str | None) -> str:
     return str(found["units"])
 
 
-def _column(file: h5py.File, name: str, samples: int) -> AnyFloatArray:
+def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
     dataset = file[schema.TRACE][name]
     _believable(dataset)
     native = np.float32 if dataset.dtype.itemsize == 4 else np.float64
-    array: AnyFloatArray = dataset[:samples].astype(native, copy=False)
+    array: AnyFloatArray = dataset[rows].astype(native, copy=False)
     read_only(array)
     return array
 
 
-def _phase(file: h5py.File, samples: int) -> PhaseArray:
+def _phase(file: h5py.File, rows: slice) -> PhaseArray:
     dataset = file[schema.TRACE][schema.PHASE]
     if dataset.dtype != np.uint8:
         raise LayoutError(f"/entry/trace/phase holds {dataset.dtype} instead of uint8")
@@ -197,7 +198,7 @@ def _phase(file: h5py.File, samples: int) -> PhaseArray:
     if at.attributes_of(dataset)["names"] != names:
         raise LayoutError(f"the attribute names of /entry/trace/phase is not {names}")
     _believable(dataset)
-    phase: PhaseArray = dataset[:samples]
+    phase: PhaseArray = dataset[rows]
     if phase.size and phase.max() >= len(PHASE_NAMES):
         raise LayoutError(f"/entry/trace/phase holds {phase.max()}, above {len(PHASE_NAMES) - 1}")
     return phase

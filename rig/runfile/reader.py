@@ -25,7 +25,7 @@ class Layout:
     """How one version of the format is read."""
 
     info: Callable[[h5py.File, Path], RunInfo]
-    trace: Callable[[h5py.File, RunInfo], Trace]
+    trace: Callable[[h5py.File, RunInfo, int | None], Trace]
     events: Callable[[h5py.File], tuple[Event, ...]]
     filtered: Callable[[h5py.File], FilteredTrace | None]
 
@@ -70,7 +70,26 @@ def read_run(path: Path, known: RunInfo | None = None) -> Run:
         with opened(path) as file, refused(path):
             version = layout_of(file)
             info = version.info(file, path) if known is None else known
-            return Run(info, version.trace(file, info), version.events(file), version.filtered(file))
+            return Run(info, version.trace(file, info, None), version.events(file), version.filtered(file))
+
+    return _steadily(read, path)
+
+
+def read_tail(path: Path, seconds: float) -> Run:
+    """Read the last samples of a run file, finished or still being recorded; its `info` counts all of them.
+
+    Raises
+    ------
+    RunFileError
+        As `read_run` does.
+    """
+
+    def read() -> Run:
+        with opened(path) as file, refused(path):
+            version = layout_of(file)
+            info = version.info(file, path)
+            last = max(1, round(seconds * info.header.sample_rate_hz))
+            return Run(info, version.trace(file, info, last), version.events(file))
 
     return _steadily(read, path)
 

@@ -1,6 +1,6 @@
 """A session's runs as a folder of run files."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +28,8 @@ class FolderStore:
         Wall time between flushes of a recording.
     reserve_mb
         Free space [MB] that a run must leave besides twice its own size.
+    told
+        Called with each run file once it is in its place, on another thread; it must be quick.
 
     Raises
     ------
@@ -35,11 +37,19 @@ class FolderStore:
         When the folder cannot be made.
     """
 
-    def __init__(self, folder: Path, *, flush_s: float = FLUSH_S, reserve_mb: float = RESERVE_BYTES / 2**20) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        flush_s: float = FLUSH_S,
+        reserve_mb: float = RESERVE_BYTES / 2**20,
+        told: Callable[[Path], None] | None = None,
+    ) -> None:
         self._folder = folder
         self._flush_s = flush_s
         self._reserve_bytes = round(reserve_mb * 2**20)
-        self._finisher = Finisher()
+        self._told = told
+        self._finisher = Finisher(told)
         self._paths: dict[int, Path] = {}
         self.finished: list[Finished] = []
         """What became of the recordings, so far as `settle` has waited for them."""
@@ -81,7 +91,7 @@ class FolderStore:
         RecordingError
             When one cannot be put there; it stays a recording that `dragrig recover` finishes.
         """
-        finisher, self._finisher = self._finisher, Finisher()
+        finisher, self._finisher = self._finisher, Finisher(self._told)
         done = finisher.wait()
         finisher.close()
         self.finished.extend(done)

@@ -31,6 +31,10 @@ class Pieces:
 class Motion(Protocol):
     """A motion made of `K` smooth stretches, none of which turns round."""
 
+    def __hash__(self) -> int:
+        """Motions are values, and what was prepared for one is looked up by it."""
+        ...
+
     @property
     def breaks_s(self) -> FloatArray:
         """Ends of the stretches, shape `(K + 1,)`, from 0 to the motion's duration."""

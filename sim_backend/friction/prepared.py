@@ -1,6 +1,8 @@
 """The friction of one acquisition, from settings to force."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -15,6 +17,11 @@ from dragrig.sim_backend.friction.leading import leading_motion
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
 from dragrig.sim_backend.friction.sliding import Components, SlidingForce
 from dragrig.sim_backend.friction.sticking import StickingForce
+
+BARE = MappingProxyType({"effects": (), "identified": None, "diagnosed": None})
+"""What of a model has no part in the nominal force, and would make it no key."""
+LATELY = 128
+"""What a prediction prepared for each run of a campaign, the effects' scenes of the same parameters ask for again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +97,11 @@ def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Moti
     SettingsError
         Where the published wall parameters do not reach the strain of the contact or of the shear.
     """
+    return _prepared(acquisition, model.model_copy(update=BARE), motion)
+
+
+@lru_cache(maxsize=LATELY)
+def _prepared(acquisition: Acquisition, model: FrictionModelSettings, motion: Motion | None) -> PreparedForce:
     if acquisition.contact is Contact.NONE or acquisition.fixture is Fixture.NONE:
         return PreparedForce(NoFriction(), model.force_gain)
     if motion is None:
