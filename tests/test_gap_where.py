@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from residuals import SD, Planted, blocks, campaign
 
-from dragrig.analysis.gap.where import BANDS_HZ, BandPower, ResidualBlocks, Where, band_powers, locate
+from dragrig.analysis.gap.where import (
+    BANDS_HZ,
+    BandPower,
+    ResidualBlocks,
+    Where,
+    attributed,
+    band_powers,
+    locate,
+)
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
@@ -183,3 +191,21 @@ def test_blocks_that_do_not_fit_together_are_refused() -> None:
         replace(good, noise_sd=np.zeros_like(good.noise_sd))
     with pytest.raises(ValueError, match="no residuals"):
         locate([])
+
+
+def test_a_named_effect_says_where_it_acts_when_no_block_stands_out() -> None:
+    noise = campaign(1, lambda one: 0.0 * one.time_s)
+    quiet = [replace(one, residual=0.5 * one.residual) for one in noise]
+    found = locate(quiet, present=True)
+    assert not any(found.location("channel").shares.values())
+    added = [np.full_like(one.residual, 2.0 * (one.kind == "relaxation") * (one.channel == "force")) for one in quiet]
+    shown = attributed(found, quiet, added)
+    assert shown.location("channel").shares["force"] == pytest.approx(1.0)
+    assert shown.location("protocol").shares["relaxation"] == pytest.approx(1.0)
+    assert shown.p == found.p
+
+
+def test_what_stands_out_is_not_asked_of_the_effect() -> None:
+    loud = campaign(1, tether)
+    found = locate(loud, present=True)
+    assert attributed(found, loud, [np.zeros_like(one.residual) for one in loud]) is found

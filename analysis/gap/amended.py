@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from dragrig.analysis.gap.explain import Explanation, Findings
+from dragrig.analysis.gap.explanation import Explanation
+from dragrig.analysis.gap.findings import Findings
 from dragrig.analysis.gap.judging import Judgement
 from dragrig.analysis.gap.lines import Lines
 from dragrig.analysis.gap.position.finding import PositionFinding

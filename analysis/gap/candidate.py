@@ -17,6 +17,7 @@ SHAPE_SD = 0.5
 """Prior standard deviation of a shape's values, relative."""
 PHASE_SD = 2.0
 LEAST_FACTOR = 0.2
+NEAR_END = 0.99
 LONGEST_STEP = 0.35
 """So far a shape may move in one step of a fit, relative; a phase, in rad, twice as far."""
 
@@ -38,26 +39,38 @@ class Candidate:
         """Parameters that runs are to determine: the size, a phase, and shapes of which several are tried."""
         return tuple(one for one in self.effect.parameters if one.role is not Role.SHAPE or len(one.tried) > 1)
 
+    @property
+    def at_limit(self) -> bool:
+        """Whether its size is at an end of what can be; a share of all of something may well be all of it."""
+        size = self.effect.size
+        value = self.values[size.name]
+        return size.high != 1.0 and (value >= NEAR_END * size.high or (size.low < 0 and value <= NEAR_END * size.low))
+
     def prior_sds(self) -> FloatArray:
         """Return prior standard deviations of the fitted parameters, wide ones for the size."""
         return np.array([self._prior_sd(one) for one in self.fitted])
 
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the largest steps that its fitted parameters may make at once, shape `(p,)` each."""
+        low, high = zip(*(self._reach(one) for one in self.fitted), strict=True)
+        return np.array(low), np.array(high)
+
     def moved(self, steps: FloatArray) -> "Candidate":
-        """Return the candidate after a step of its fitted parameters, kept within what can be."""
-        values = dict(self.values)
-        for one, step in zip(self.fitted, steps.tolist(), strict=True):
-            before = values[one.name]
-            most = np.inf
-            if one.role is Role.SHAPE:
-                most = LONGEST_STEP * max(abs(before), 1e-3 * abs(one.high))
-            elif one.role is Role.PHASE:
-                most = 2 * LONGEST_STEP
-            limits = (-np.inf, np.inf) if one.role is Role.PHASE else (one.low, one.high)
-            if one.role is Role.SIZE and one.low >= 0:
-                # A step that overshoots must not end at nothing, where no shape matters any more.
-                limits = (max(one.low, LEAST_FACTOR * before), one.high)
-            values[one.name] = float(np.clip(before + np.clip(step, -most, most), *limits))
-        return replace(self, values=values)
+        """Return the candidate after a step of its fitted parameters, kept within its reach."""
+        within = np.clip(steps, *self.reach())
+        moved = {one.name: self.values[one.name] + step for one, step in zip(self.fitted, within.tolist(), strict=True)}
+        return replace(self, values={**self.values, **moved})
+
+    def _reach(self, one: EffectParameter) -> tuple[float, float]:
+        now = self.values[one.name]
+        if one.role is Role.PHASE:
+            return -2 * LONGEST_STEP, 2 * LONGEST_STEP
+        if one.role is Role.SIZE:
+            # A step that overshoots must not end at nothing, where no shape matters any more.
+            low = one.low if one.low < 0 else max(one.low, LEAST_FACTOR * now)
+            return low - now, one.high - now
+        most = LONGEST_STEP * max(abs(now), 1e-3 * abs(one.high))
+        return max(one.low - now, -most), min(one.high - now, most)
 
     def step(self, one: EffectParameter) -> float:
         """Return the step that a derivative by a parameter is taken with."""

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from dragrig.analysis.gap.spreading import MOST_RUNS, spread
 from dragrig.analysis.identification.results import LeftOut
 from dragrig.analysis.identification.selection import Selection, select, select_from
 from dragrig.analysis.nominal.experiment import USUAL_DWELL_S, Experiment
@@ -17,7 +18,7 @@ def choose(campaign: Path | Iterable[Run], specimen: str | None = None, progress
     """Read the runs that a diagnosis can use.
 
     Where the specimen or the force sensor changes, the one with the most runs is kept: what differs between two
-    specimens or two sensors would pass for an effect.
+    specimens or two sensors would pass for an effect. Of very many runs some are taken, as a remark then says.
 
     Parameters
     ----------
@@ -38,13 +39,32 @@ def choose(campaign: Path | Iterable[Run], specimen: str | None = None, progress
 
         there = look(campaign)
         meant, others = _specimen(there.runs, there.good, specimen)
-        found = select(campaign, meant, progress)
+        usable = list[RunInfo]()
+
+        def choice(runs: Sequence[RunInfo]) -> list[RunInfo]:
+            usable.extend(runs)
+            return spread(runs)
+
+        found = _remarked(select(campaign, meant, progress, choice), len(usable))
     else:
         runs = tuple(campaign)
         infos = [run.info for run in runs]
         meant, others = _specimen(infos, infos, specimen)
         found = select_from(runs, meant)
+        kept = {info.path for info in spread([one.run.info for one in found.experiments])}
+        fewer = tuple(one for one in found.experiments if one.run.info.path in kept)
+        found = _remarked(replace(found, experiments=fewer), len(found.experiments))
     return _of_one_sensor(replace(found, left_out=(*found.left_out, *others)))
+
+
+def _remarked(found: Selection, usable: int) -> Selection:
+    if usable <= MOST_RUNS:
+        return found
+    remark = (
+        f"of {usable} runs {len(found.experiments)} are diagnosed, every condition among them, spread over the "
+        "session; a diagnosis of all would take much memory and say little more"
+    )
+    return replace(found, remarks=(*found.remarks, remark))
 
 
 def _specimen(

@@ -1,35 +1,45 @@
 """A diagnosis from one end to the other: where, which, how much."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
-from dragrig.analysis.gap import judging
+import numpy as np
+
 from dragrig.analysis.gap.amended import amended_model
-from dragrig.analysis.gap.explain import Explanation, Findings, explain, in_time
+from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
+from dragrig.analysis.gap.capsule_study import CapsuleStudy
+from dragrig.analysis.gap.evidence import Evidence
+from dragrig.analysis.gap.explain import explain
+from dragrig.analysis.gap.explanation import Explanation
+from dragrig.analysis.gap.findings import Findings
 from dragrig.analysis.gap.gaps import RunGap, run_gap, shrink_of
+from dragrig.analysis.gap.gathering import evidence_of
 from dragrig.analysis.gap.held_out import improvement, leave_out
-from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Further, Judgement, Score, judge
+from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Judgement, judge
 from dragrig.analysis.gap.known import HUM, beyond_known, known_effects, with_known_motion
-from dragrig.analysis.gap.lines import Lines, find_lines
+from dragrig.analysis.gap.lines import Line, Lines, find_lines
+from dragrig.analysis.gap.planning.recommend import recommend
+from dragrig.analysis.gap.planning.results import NextExperiment
+from dragrig.analysis.gap.planning.search import Budget
 from dragrig.analysis.gap.position.finding import PositionFinding, find_position
 from dragrig.analysis.gap.position.gap import position_gap
 from dragrig.analysis.gap.residuals import force_blocks, position_blocks
 from dragrig.analysis.gap.results import Diagnosis, Ranked, RunView, Shrink, UnknownGap, Verdict
-from dragrig.analysis.gap.seen import would_have_seen
+from dragrig.analysis.gap.seen import TOLERANCE_MN, would_have_seen
 from dragrig.analysis.gap.studies import study_of
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.tables import parameters_of, views_of
 from dragrig.analysis.gap.unknown import find_law, part_of, place, shape
-from dragrig.analysis.gap.where import ResidualBlocks, Where, locate
+from dragrig.analysis.gap.where import ResidualBlocks, Where, attributed, locate
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.analysis.progress import Progress, silent
+from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
 from dragrig.sim_backend.effects.catalogue import catalogue
 
-TOLERANCE_MN = 0.5
 LOWEST_LINE_HZ = 4.9
 CALIBRATION = "calibrated on simulated campaigns"
 STEPS = 6
@@ -47,13 +57,16 @@ class Options:
         Effects that are not to be considered.
     tolerance_mN
         What an effect must add, root mean square where it acts, to matter.
-    workers
-        Processes that may work at once.
+    next_runs
+        What the next runs that are recommended may take; one run of a dozen unless given.
+    calibration
+        Thresholds and weights of the verdict; the shipped ones unless given.
     """
 
     without: tuple[str, ...] = ()
     tolerance_mN: float = TOLERANCE_MN
-    workers: int = 1
+    next_runs: Budget = field(default_factory=Budget)
+    calibration: Calibration | None = None
 
 
 @one_thread()
@@ -80,9 +93,10 @@ def diagnose(
     prepared = perf_counter()
     found = explain(study, BESIDE_MOTION if position.present else 0.0)
     progress(4, STEPS)
-    judged = judge(_numbers(found, position, lines, asked), asked.tolerance_mN)
+    evidence = evidence_of(found, position, lines, asked.without)
+    judged = judge(evidence, asked.tolerance_mN, _calibration(study, asked))
     explained = perf_counter()
-    diagnosis = _told(selection, nominal, asked, study, found, position, lines, judged)
+    diagnosis = _told(selection, nominal, asked, study, found, position, lines, judged, evidence)
     progress(STEPS, STEPS)
     timings = {
         "reading and position": prepared - began,
@@ -109,33 +123,9 @@ def _trusting(selection: Selection, position: PositionFinding) -> Selection:
     return replace(selection, experiments=tuple(replace(one, trusts_command=True) for one in selection.experiments))
 
 
-def _numbers(found: Findings, position: PositionFinding, lines: Lines, asked: Options) -> judging.Findings:
-    return judging.Findings(
-        blocks=found.blocks,
-        squares=found.squares,
-        singles=tuple(_score(one) for one in found.singles),
-        further=tuple(
-            Further(
-                one.effect,
-                one.gain,
-                one.left,
-                one.runner_up,
-                one.runner_up_gain,
-                None if one.together is None else _score(one.together),
-            )
-            for one in found.steps
-        ),
-        mains_gain=lines.mains.gain,
-        line_gain=lines.other.gain,
-        position=tuple((one.effect, one.held_out) for one in position.families) if position.present else (),
-        strays=position.present,
-        without=asked.without,
-    )
-
-
-def _score(one: Explanation) -> Score:
-    periodic = any(in_time(each.effect) for each in one.point.candidates)
-    return Score(one.effects, one.plain, one.flexible, one.added_mN, periodic)
+def _calibration(study: Study, asked: Options) -> Calibration:
+    weights = asked.calibration or shipped_calibration()
+    return weights if isinstance(study, CapsuleStudy) else weights.of_any_rig
 
 
 def _chosen(found: Findings, judged: Judgement) -> Explanation | None:
@@ -155,12 +145,14 @@ def _told(
     position: PositionFinding,
     lines: Lines,
     judged: Judgement,
+    evidence: Evidence,
 ) -> Diagnosis:
     chosen = _chosen(found, judged)
     hum = lines.mains if HUM in judged.effects else replace(lines.mains, amplitude=0.0)
     blocks = [*force_blocks(study, found.nominal, asked.tolerance_mN, hum)]
     blocks += position_blocks(position.runs)
     where = locate(blocks, present=judged.verdict is not Verdict.NO_GAP)
+    where = attributed(where, blocks, _added(study, chosen, hum))
     shrink, views = _shrunk(study, found, chosen, position, judged)
     files = tuple(one.file for one in study.sights)
     return Diagnosis(
@@ -185,7 +177,25 @@ def _told(
         cannot_answer=tuple(study.open_questions()),
         remarks=selection.remarks,
         calibration=CALIBRATION,
+        evidence=evidence,
+        next_experiment=_next(study, found, position, judged, asked),
     )
+
+
+def _next(
+    study: Study, found: Findings, position: PositionFinding, judged: Judgement, asked: Options
+) -> NextExperiment | None:
+    if position.present:
+        return None
+    present = judged.verdict is not Verdict.NO_GAP
+    return recommend(study, found.nominal, found.ranked, judged.probabilities, asked.next_runs, gap=present)
+
+
+def _added(study: Study, chosen: Explanation | None, hum: Line) -> list[FloatArray]:
+    """Return what the named effects add to the force, block by block, of hum its root mean square."""
+    if chosen is not None:
+        return [part.added for part in chosen.design.parts]
+    return [np.full(one.coordinates.width_s.size, hum.amplitude / np.sqrt(2.0)) for one in study.sights]
 
 
 def _unknown(where: Where, blocks: Sequence[ResidualBlocks], judged: Judgement) -> UnknownGap | None:

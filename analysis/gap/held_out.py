@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.analysis.gap.design import Design, IndexArray, Part
-from dragrig.analysis.gap.explain import Explanation, Findings
+from dragrig.analysis.gap.explanation import Explanation
+from dragrig.analysis.gap.findings import Findings
 from dragrig.analysis.gap.ranking import Ranked, rank
 from dragrig.analysis.gap.solving import NUISANCES, fit, project
 from dragrig.analysis.gap.study import Study

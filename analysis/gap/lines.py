@@ -62,25 +62,56 @@ class Lines:
 
 def find_lines(experiments: Sequence[Experiment], channel: str) -> Lines:
     """Look for lines in all stretches of a channel at which nothing should change, or merely relaxes."""
-    stretches = [one for experiment in experiments for one in _quiet(experiment, channel)]
-    if len(stretches) < 2:
+    seen = _spectrum(experiments, channel)
+    if seen is None:
         return Lines(NO_LINE, NO_LINE)
-    rate = min(one.rate_hz for one in stretches)
-    frequency = np.arange(LOWEST_HZ, 0.48 * rate, STEP_HZ)
-    if frequency.size < 10:
-        return Lines(NO_LINE, NO_LINE)
-    power = np.array([_periodogram(one, frequency) for one in stretches])
-    weights = np.array([len(one.values) for one in stretches], dtype=np.float64)
-    mean = np.average(power, axis=0, weights=weights)
-    ratio = mean / _background(frequency, mean)
-    degrees = float(weights.sum() ** 2 / np.sum(weights**2))
-    gain = np.where(ratio > 1, degrees * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
-    samples = float(np.average(weights, weights=weights))
-    amplitude = 2 * np.sqrt(np.maximum(mean - _background(frequency, mean), 0.0) / samples)
+    frequency, mean, background = seen.frequency_hz, seen.power, seen.background
+    ratio = mean / background
+    gain = np.where(ratio > 1, seen.degrees * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
+    amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / seen.samples)
     found = [Line(float(f), float(a), float(g)) for f, a, g in zip(frequency, amplitude, gain, strict=True)]
     mains = max((one for one in found if one.mains), key=lambda one: one.gain, default=NO_LINE)
     other = max((one for one in found if not one.mains), key=lambda one: one.gain, default=NO_LINE)
     return Lines(mains, other)
+
+
+def least_line(experiments: Sequence[Experiment], channel: str, gain: float) -> float | None:
+    """Return the smallest amplitude of a line of the mains that would have this gain; None without still stretches."""
+    from scipy.optimize import brentq
+
+    seen = _spectrum(experiments, channel)
+    if seen is None:
+        return None
+    at = min(range(seen.frequency_hz.size), key=lambda one: abs(float(seen.frequency_hz[one]) - MAINS_HZ[0]))
+    beyond = float(brentq(lambda more: seen.degrees * (more - np.log1p(more)) - gain, 1e-9, 1e9))
+    return float(2 * np.sqrt(beyond * seen.background[at] / seen.samples))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spectrum:
+    """Power over all stretches and about each frequency, shapes `(F,)`, from so many independent stretches."""
+
+    frequency_hz: FloatArray
+    power: FloatArray
+    background: FloatArray
+    degrees: float
+    samples: float
+
+
+def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | None:
+    stretches = [one for experiment in experiments for one in _quiet(experiment, channel)]
+    if len(stretches) < 2:
+        return None
+    rate = min(one.rate_hz for one in stretches)
+    frequency = np.arange(LOWEST_HZ, 0.48 * rate, STEP_HZ)
+    if frequency.size < 10:
+        return None
+    power = np.array([_periodogram(one, frequency) for one in stretches])
+    weights = np.array([len(one.values) for one in stretches], dtype=np.float64)
+    mean = np.average(power, axis=0, weights=weights)
+    degrees = float(weights.sum() ** 2 / np.sum(weights**2))
+    samples = float(np.average(weights, weights=weights))
+    return _Spectrum(frequency, mean, _background(frequency, mean), degrees, samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dragrig.analysis.gap.candidate import Candidate
 from dragrig.analysis.gap.design import Design, Part, lay_out
-from dragrig.analysis.gap.solving import NUISANCES, fit
+from dragrig.analysis.gap.solving import NUISANCES, fit_within
 from dragrig.analysis.gap.study import Study
 from dragrig.rig.arrays import FloatArray
 
@@ -49,11 +49,15 @@ def settle(study: Study, start: Point, steps: int, near: Design | None = None) -
 
 
 def stepped(design: Design) -> Point:
-    """Return the point that a design leads to."""
-    solution = fit(design, design.total(), Part.NOMINAL, Part.DETAIL, Part.EFFECT)
-    step = solution.of(design.of(Part.NOMINAL))
-    z = np.clip(design.z + np.clip(step, -LONGEST_STEP, LONGEST_STEP), -FURTHEST, FURTHEST)
-    steps = solution.of(design.of(Part.EFFECT))
+    """Return the point that a design leads to, nothing in it moved further than may be."""
+    parts = (Part.NOMINAL, Part.DETAIL, Part.EFFECT)
+    nominal = np.maximum(-LONGEST_STEP, -FURTHEST - design.z), np.minimum(LONGEST_STEP, FURTHEST - design.z)
+    free = np.full(len(design.of(Part.DETAIL)), np.inf)
+    reaches = [nominal, (-free, free), *(one.reach() for one in design.candidates)]
+    low, high = (np.concatenate(side) for side in zip(*reaches, strict=True))
+    found = fit_within(design, design.total(), (low, high), *parts)
+    z = np.clip(design.z + found[: len(design.z)], -FURTHEST, FURTHEST)
+    steps = found[len(design.z) + len(free) :]
     candidates = []
     for one in design.candidates:
         own, steps = steps[: len(one.fitted)], steps[len(one.fitted) :]

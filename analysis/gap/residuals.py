@@ -68,7 +68,7 @@ def position_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlocks]:
                 channel="position",
                 kind=experiment.kind,
                 contact=experiment.contact,
-                speed_mm_s=float(np.abs(one.velocity_mm_s).max()),
+                speed_mm_s=one.top_speed_mm_s,
                 strain=experiment.shear_strain,
                 session_s=one.session_s,
                 residual=one.error_mm,

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from dragrig.analysis.gap.evidence import Evidence
+from dragrig.analysis.gap.planning.results import NextExperiment
 from dragrig.analysis.gap.where.results import Where
 from dragrig.analysis.identification.results import LeftOut, Quantity
 from dragrig.config.model import FrictionModelSettings
@@ -139,8 +141,12 @@ class Diagnosis:
         Smallest effect that these runs would have shown.
     cannot_answer
         Questions that these runs say nothing about, a sentence each.
+    next_experiment
+        The run that would separate the leading hypotheses best per minute; None where none is recommended.
     model
         The amended model; None where nothing was named or the nominal model is not the friction model.
+    evidence
+        What the verdict was made of, to learn from.
     """
 
     specimen: str
@@ -164,4 +170,6 @@ class Diagnosis:
     cannot_answer: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     calibration: str = ""
+    evidence: Evidence | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
+    next_experiment: NextExperiment | None = None

@@ -51,6 +51,22 @@ def fit(design: Design, total: FloatArray, *parts: Part) -> Fit:
     return Fit(columns, found, inverse, squares)
 
 
+def fit_within(design: Design, total: FloatArray, reach: tuple[FloatArray, FloatArray], *parts: Part) -> FloatArray:
+    """Return the most probable coefficients of the columns of these kinds that lie within bounds, shape `(c,)`."""
+    from scipy.optimize import lsq_linear
+
+    columns = design.of(*parts)
+    mean, precision = design.prior_mean[columns], design.prior_precision[columns]
+    gram = total[np.ix_(1 + columns, 1 + columns)]
+    scale = 1.0 / np.sqrt(np.diag(gram) + precision + 1e-300)
+    along = scale * (total[1 + columns, 0] + precision * mean)
+    whole = scale[:, None] * (gram + np.diag(precision)) * scale + TINY * np.eye(len(columns))
+    root = np.linalg.cholesky(whole)
+    low, high = (np.minimum(reach[0], -1e-9) / scale, np.maximum(reach[1], 1e-9) / scale)
+    found = lsq_linear(root.T, np.linalg.solve(root, along), (low, high), method="bvls")
+    return np.asarray(found.x * scale, dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Projected:
     """The dictionary once nuisances have taken what they can.

@@ -7,7 +7,7 @@ import numpy as np
 from dragrig.analysis.estimates import NORMAL_95
 from dragrig.analysis.gap.candidate import Candidate
 from dragrig.analysis.gap.design import Part
-from dragrig.analysis.gap.explain import Explanation
+from dragrig.analysis.gap.explanation import Explanation
 from dragrig.analysis.gap.gaps import RunGap
 from dragrig.analysis.gap.lines import Lines
 from dragrig.analysis.gap.position.finding import PositionFinding

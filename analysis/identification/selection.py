@@ -1,7 +1,7 @@
 """Which runs of a campaign an identification may use, and why the others are left out."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,7 +30,12 @@ class Selection:
         return tuple(one for one in self.experiments if one.kind in kinds)
 
 
-def select(folder: Path, specimen: str | None = None, progress: Progress = silent) -> Selection:
+Choice = Callable[[Sequence[RunInfo]], Sequence[RunInfo]]
+
+
+def select(
+    folder: Path, specimen: str | None = None, progress: Progress = silent, choice: Choice | None = None
+) -> Selection:
     """Read the runs of a campaign that can be used.
 
     Parameters
@@ -39,6 +44,8 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
         The campaign.
     specimen
         Name or id of the specimen that is meant; needed where the folder holds several.
+    choice
+        Which of the usable runs are read; all unless given.
 
     Raises
     ------
@@ -57,17 +64,17 @@ def select(folder: Path, specimen: str | None = None, progress: Progress = silen
         raise AnalysisError(f"{folder}: holds no run that can be read ({counted(left_out)}).")
     chosen = _of_one_specimen(found.runs, specimen, folder)
     runs: list[Run] = []
-    for done, info in enumerate(chosen):
-        progress(done, len(chosen))
-        reason = _not_usable(info, marks)
-        if reason is None:
-            try:
-                runs.append(read_run(info.path, info))
-                continue
-            except RunFileError as fault:
-                reason = str(fault).removeprefix(f"{info.path}: ")
-        left_out.append(LeftOut(info.path.name, reason))
-    progress(len(chosen), len(chosen))
+    reasons = {info.path: _not_usable(info, marks) for info in chosen}
+    left_out += [LeftOut(path.name, reason) for path, reason in reasons.items() if reason]
+    usable: Sequence[RunInfo] = [info for info in chosen if reasons[info.path] is None]
+    usable = usable if choice is None else choice(usable)
+    for done, info in enumerate(usable):
+        progress(done, len(usable))
+        try:
+            runs.append(read_run(info.path, info))
+        except RunFileError as fault:
+            left_out.append(LeftOut(info.path.name, str(fault).removeprefix(f"{info.path}: ")))
+    progress(len(usable), len(usable))
     return _selection(specimen_key(chosen[0]), runs, left_out, str(folder))
 
 

@@ -4,11 +4,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
+from importlib.machinery import SourceFileLoader
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from inspect import getattr_static
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import TypeGuard
 
 from dragrig.analysis.nominal.capsule import CapsuleModel
@@ -108,10 +109,17 @@ def _from_file(path: Path) -> object:
     return vars(module)[ATTRIBUTE]
 
 
+class _Fresh(SourceFileLoader):
+    """Loads a file as it is now: compiled code is looked up by the second, and models are changed faster than that."""
+
+    def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002  # as the loader calls it
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _module(path: Path) -> ModuleType:
     # Two files of one name must not be one module, and none may pass for an installed one.
     name = f"_dragrig_model_{sha256(str(path).encode()).hexdigest()[:16]}"
-    spec = spec_from_file_location(name, path)
+    spec = spec_from_file_location(name, path, loader=_Fresh(name, str(path)))
     if spec is None or spec.loader is None:
         raise SettingsError(f"{path}: is not a Python file; name a file that ends in .py.")
     module = module_from_spec(spec)

@@ -47,6 +47,11 @@ class PositionErrors:
         """Its size beyond the encoder's quantisation."""
         return float(np.sqrt(max(float(np.mean(self.error_mm**2)) - QUANTISATION_MM**2 / 2, 0.0)))
 
+    @property
+    def top_speed_mm_s(self) -> float:
+        """The fastest that the stage was told to go."""
+        return float(np.abs(self.velocity_mm_s).max())
+
     def delayed(self, delay_s: float) -> FloatArray:
         """Return the command at the blocks' middles, so much later, shape `(B,)`."""
         trace = self.experiment.run.trace

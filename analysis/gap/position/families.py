@@ -6,7 +6,7 @@ another time (a latency).
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,9 +15,14 @@ from dragrig.rig.arrays import FloatArray
 
 DELAYS_S = (0.002, 0.004, 0.008, 0.016, 0.03, 0.05, 0.08, 0.12, 0.2, 0.35, 0.6)
 """Delays of the command that a linear response is made of."""
+LAG_POWERS = (0.0, 0.4, 0.8)
+"""Powers of the top speed that a lag may grow with: motors run out of voltage."""
+SPEED_MM_S, LEAST_SPEED_MM_S = 20.0, 0.1
 LATENCIES_S = np.concatenate((-np.geomspace(0.1, 0.0005, 24), np.geomspace(0.0005, 0.1, 24)))
 WAVES_PER_MM = np.arange(1 / 30, 1 / 0.6, 0.25 / 45)
 """Wave numbers of a ripple; over 45 mm neighbours differ by a quarter of a period."""
+BENT, LONG_WAVE_PER_MM, BEHIND = 0.9, 1 / 15, 0.02
+"""Where a scale explains so much, a ripple of longer waves than this stands so far behind it."""
 HARMONICS = 3
 FOLDS = 4
 RIDGE = 1e-6
@@ -51,18 +56,25 @@ def families(runs: Sequence[PositionErrors]) -> tuple[Family, ...]:
     def stretched(one: PositionErrors) -> FloatArray:
         return np.column_stack((one.command_mm, one.command_mm**2 / 40.0, one.command_mm * one.session_s / last_s))
 
-    found = [
-        Family("encoder_scale", _held_out(runs, stretched)),
-        Family("servo_lag", _held_out(runs, _response)),
-        _latency(runs),
-        _ripple(runs),
-    ]
-    return tuple(sorted(found, key=lambda one: -one.held_out))
+    scale, ripple = Family("encoder_scale", _held_out(runs, stretched)), _ripple(runs)
+    if scale.held_out > BENT and ripple.shape < LONG_WAVE_PER_MM:
+        # Waves as long as half a stroke follow any bend of a scale.
+        ripple = replace(ripple, held_out=min(ripple.held_out, scale.held_out - BEHIND))
+    return tuple(sorted((scale, _lag(runs), _latency(runs), ripple), key=lambda one: -one.held_out))
 
 
-def _response(one: PositionErrors) -> FloatArray:
-    now = one.delayed(0.0)
-    return np.column_stack([one.delayed(delay) - now for delay in DELAYS_S])
+def _lag(runs: Sequence[PositionErrors]) -> Family:
+    """Try linear responses whose times are the same in all runs, or grow with a power of their top speed."""
+
+    def response(power: float) -> Columns:
+        def columns(one: PositionErrors) -> FloatArray:
+            slower = (max(one.top_speed_mm_s, LEAST_SPEED_MM_S) / SPEED_MM_S) ** power
+            now = one.delayed(0.0)
+            return np.column_stack([one.delayed(delay * slower) - now for delay in DELAYS_S])
+
+        return columns
+
+    return Family("servo_lag", max(_held_out(runs, response(power)) for power in LAG_POWERS))
 
 
 def _latency(runs: Sequence[PositionErrors]) -> Family:
@@ -126,7 +138,7 @@ def _grams(runs: Sequence[PositionErrors], columns: Columns) -> Iterator[tuple[F
 
 
 def _fitted(gram: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
-    scale = np.sqrt(np.diag(gram)) + 1e-300
+    scale = np.sqrt(np.diag(gram)) + 1e-150
     scaled = gram / np.outer(scale, scale) + RIDGE * np.eye(len(scale))
     found = np.linalg.solve(scaled, along / scale) / scale
     return found, float(found @ along)

@@ -60,6 +60,9 @@ class ResidualBlocks:
         The steady phase by frequency, from the whole trace; from the blocks where it is missing.
     level_mN
         The force that was measured, shape `(B,)`, where it is at hand.
+    explained
+        What an effect that is known to be there adds to the residual [the channel's unit], shape `(B,)`: it is looked
+        at instead of the residual, and all of it is excess.
     """
 
     run_id: str
@@ -77,6 +80,7 @@ class ResidualBlocks:
     position_mm: FloatArray
     bands: BandPower | None = None
     level_mN: FloatArray | None = None
+    explained: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""
@@ -89,8 +93,9 @@ class ResidualBlocks:
 
     @property
     def deviation(self) -> FloatArray:
-        """The residual over what is expected of it, shape `(B,)`."""
-        return np.asarray(self.residual / self.noise_sd)
+        """The residual, or what is explained of it, over what is expected of it, shape `(B,)`."""
+        looked_at = self.residual if self.explained is None else self.explained
+        return np.asarray(looked_at / self.noise_sd)
 
     @property
     def weight(self) -> FloatArray:
@@ -100,4 +105,4 @@ class ResidualBlocks:
     @property
     def excess(self) -> FloatArray:
         """Each block's part of the run's mean square above the expected one, in units of it, shape `(B,)`."""
-        return np.asarray(self.weight * (self.deviation**2 - 1))
+        return np.asarray(self.weight * (self.deviation**2 - (self.explained is None)))

@@ -1,0 +1,50 @@
+"""The numbers that a verdict is made of, gathered from all that was tried."""
+
+from dataclasses import replace
+
+from dragrig.analysis.gap.evidence import Evidence, Tried
+from dragrig.analysis.gap.explanation import Explanation, in_time
+from dragrig.analysis.gap.findings import Findings, Step
+from dragrig.analysis.gap.lines import Lines
+from dragrig.analysis.gap.position.finding import PositionFinding
+
+
+def evidence_of(found: Findings, position: PositionFinding, lines: Lines, without: tuple[str, ...]) -> Evidence:
+    """Return what a verdict is made of; `without` are the effects that were not to be considered."""
+    tried = [_single(one, found.squares) for one in found.singles]
+    tried += [_joint(one, one.together) for one in found.steps if one.together is not None]
+    return Evidence(
+        blocks=found.blocks,
+        squares=found.squares,
+        tried=tuple(tried),
+        mains_gain=lines.mains.gain,
+        line_gain=lines.other.gain,
+        position=tuple((one.effect, one.held_out) for one in position.families) if position.present else (),
+        strays=position.present,
+        without=without,
+    )
+
+
+def _single(one: Explanation, squares: float) -> Tried:
+    gain = 0.5 * (squares - (one.flexible if _periodic(one) else one.plain))
+    return replace(_tried(one), gain=gain, left=squares)
+
+
+def _joint(step: Step, one: Explanation) -> Tried:
+    return replace(_tried(one), gain=step.gain, left=step.left, rival_gain=step.rival_gain)
+
+
+def _tried(one: Explanation) -> Tried:
+    return Tried(
+        effects=one.effects,
+        plain=one.plain,
+        flexible=one.flexible,
+        changed_mN=one.changed_mN,
+        periodic=_periodic(one),
+        elsewhere=one.elsewhere,
+        at_limit=any(each.at_limit for each in one.point.candidates),
+    )
+
+
+def _periodic(one: Explanation) -> bool:
+    return any(in_time(each.effect) for each in one.point.candidates)

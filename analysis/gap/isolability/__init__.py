@@ -1,0 +1,1 @@
+"""Which effects runs can tell apart, and how small a one they would show."""

@@ -1,0 +1,103 @@
+"""The features by which explanations of a force are weighed against each other and against the unknown."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import log, sqrt
+
+from dragrig.analysis.gap.calibration import OF_EFFECT
+from dragrig.analysis.gap.evidence import Evidence, Tried
+
+KIN = (
+    frozenset({"stribeck", "adhesion", "breakaway", "wall_lift_off", "wall_inertia"}),
+    frozenset({"film_depletion", "folds", "mesentery_tether", "force_drift", "peristalsis"}),
+    frozenset({"presliding", "breakaway", "channel_latency", "arm_compliance", "payload_inertia"}),
+    frozenset({"force_hysteresis", "force_nonlinearity", "presliding"}),
+    frozenset({"extra_relaxation", "hyperelastic_wall", "tissue_ageing", "preconditioning"}),
+)
+"""Effects that act on the same: what a foreign form of one leaves, another of its kin may pass for."""
+CHANCE, NOISE_SHARE = 2.5, 0.06
+"""Squares above noise that are chance: standard deviations of χ², and the share to which noise is known at all."""
+FORM = 0.12
+"""How much less, relative, the right effect may take away than a wrong one because its form is another."""
+CLEAR = 0.37, 55.0
+"""Between these the excess over what may be chance says more, the larger it is."""
+SOFT = 0.02
+"""Shares within this of 0 and 1 are not told from them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Effects that may be the ones, with what speaks for and against them."""
+
+    effects: tuple[str, ...]
+    features: Mapping[str, float]
+    share: float
+
+
+def hypotheses(found: Evidence, tolerance_mN: float) -> tuple[Hypothesis, ...]:
+    """Return the explanations that change the force by more than what does not matter, and are no larger than can be.
+
+    What would have to be larger than it can be is something else that resembles it.
+    """
+    tried = [one for one in found.tried if one.changed_mN >= tolerance_mN and not one.at_limit]
+    best = max((one.gain for one in tried if len(one.effects) == 1), default=0.0)
+    return tuple(_weighed(one, found, best) for one in tried)
+
+
+def chance(found: Evidence) -> float:
+    """Return squares above the number of blocks that may be chance."""
+    return max(CHANCE * sqrt(2.0 * found.blocks), NOISE_SHARE * found.blocks)
+
+
+def share(squares: float, found: Evidence) -> float:
+    """Return the share of the excess that is explained when so many squares remain, chance not counted as left."""
+    gained = max(found.squares - squares, 0.0)
+    left = max(squares - found.blocks - chance(found), 0.0)
+    return gained / max(gained + left, 1.0)
+
+
+def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
+    flexible = share(one.flexible, found)
+    plain = flexible if one.periodic else share(one.plain, found)
+    by_form, clear = _log_odds(flexible), _log(found.excess / chance(found), *CLEAR)
+    features = {
+        "known": 1.0,
+        "known, in a clear gap": clear,
+        "plain": _log_odds(plain),
+        "plain, below half": min(_log_odds(plain), 0.0),
+        "plain, in a clear gap": clear * _log_odds(plain),
+        "flexible": by_form,
+        "flexible, below half": min(by_form, 0.0),
+        "flexible, in a clear gap": clear * by_form,
+        "left elsewhere": log(1.0 + max(one.elsewhere, 0.0)),
+    }
+    features |= {f"{OF_EFFECT}{name}": 1.0 for name in one.effects}
+    if len(one.effects) == 1:
+        features["behind"] = (best - one.gain) / (1.0 + FORM * best)
+    else:
+        features |= _further(one, found)
+    return Hypothesis(one.effects, features, 0.5 * (plain + flexible))
+
+
+def _further(one: Tried, found: Evidence) -> dict[str, float]:
+    """Return what tells a further effect from what a foreign form of those before leaves."""
+    *before, last = one.effects
+    akin = any({name, last} <= group for name in before for group in KIN)
+    return {
+        "further": 1.0,
+        "third": float(len(one.effects) > 2),
+        "further: share of excess": _log(2 * one.gain / max(found.excess, 1.0), 1e-3, 1.0),
+        "further: share of what is left": _log(2 * one.gain / max(one.left - found.blocks, 1.0), 0.02, 3.0),
+        "further: over its rival": _log(one.gain / max(one.rival_gain, 1.0), 0.3, 20.0),
+        "further: gain": _log(one.gain, 5.0, 3000.0),
+        "further: akin": float(akin),
+    }
+
+
+def _log(value: float, low: float, high: float) -> float:
+    return log(min(max(value, low), high))
+
+
+def _log_odds(value: float) -> float:
+    within = min(max(value, 0.0), 1.0)
+    return log((within + SOFT) / (1.0 - within + SOFT))
