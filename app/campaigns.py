@@ -3,15 +3,19 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from itertools import count
 from pathlib import Path
 
-from dragrig.config.errors import OutputError
+from dragrig.config.errors import DragrigError, OutputError, plain
 from dragrig.config.lab import rig_file_of
+from dragrig.rig.people import Nobody
 from dragrig.rig.record import SessionRecord, latest_record, write_record
 from dragrig.rig.runfile import Campaign, FolderStore, Outcome, campaign, recover
+from dragrig.rig.runfile.mirror import Mirror, Mirrored
 from dragrig.rig.runfile.model import Status
 from dragrig.rig.session import Progress, SessionResult
 from dragrig.rigs import contact_in
+from dragrig.session_state import Announced
 from dragrig.sessions import Person, Terms, carry_out
 from dragrig.setup import Setup
 
@@ -22,6 +26,8 @@ class Made:
 
     folder: Path
     session: SessionResult
+    mirrored: Mirrored | None = None
+    """What is in the mirror; None without one."""
 
     def summary(self) -> str:
         """One line for a person."""
@@ -51,11 +57,16 @@ def begin(setup: Setup, out: Path | None, terms: Terms, person: Person | None) -
         What `carry_out` raises.
     """
     now = terms.origin or datetime.now().astimezone()
-    folder = out or setup.data_root / f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}"
+    folder = out or _unused(setup.data_root, f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}")
     if folder.is_dir() and any(folder.glob("*.h5")):
         raise OutputError(f"{folder}: holds runs already; name another folder, or go on with --resume {folder}.")
-    terms = replace(terms, folder=folder)
-    return Made(folder, carry_out(setup, _store_in(folder), terms, person))
+    return _made(setup, replace(terms, folder=folder), person)
+
+
+def _unused(root: Path, name: str) -> Path:
+    """Return a folder that is not there yet: two short dry runs of a queue may begin within one second."""
+    names = (name if nth == 1 else f"{name}-{nth}" for nth in count(1))
+    return next(folder for folder in (root / one for one in names) if not folder.exists())
 
 
 def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequence[str] = ()) -> Made:
@@ -88,10 +99,42 @@ def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequen
     setup = _setup_of(record, folder).with_rig(assignments)
     first = min((one.header.start_time for one in before.runs), default=None)
     terms = replace(terms, folder=folder, origin=origin, first_run_at=first, progress=_progress(before))
-    return Made(folder, carry_out(setup, _store_in(folder), terms, person))
+    return _made(setup, terms, person, before)
 
 
-def _store_in(folder: Path) -> Callable[[SessionRecord], FolderStore]:
+def _made(setup: Setup, terms: Terms, person: Person | None, before: Campaign | None = None) -> Made:
+    """Carry out a session whose state others can see, with its files mirrored where that is wanted."""
+    someone = person or Nobody()
+    announced = Announced(someone, someone, terms.folder, setup.plan.name, setup.backend, setup.double)
+    mirror = None
+    if terms.mirror is not None:
+        mirror = Mirror(terms.mirror, terms.folder.resolve().name, terms.tell)
+        for run in before.runs if before is not None else ():
+            mirror.submit(run.path)
+    status, reason = Status.FAILED.value, "the program ended it"
+    mirrored = None
+    try:
+        told = mirror.submit if mirror is not None else None
+        session = carry_out(setup, _store_in(terms.folder, told), terms, announced)
+        status, reason = session.status.value, session.reason
+    except DragrigError as error:
+        reason = plain(error)
+        raise
+    finally:
+        announced.ends(status, reason)
+        if mirror is not None:
+            mirrored = _close(mirror, terms.folder)
+    return Made(terms.folder, session, mirrored)
+
+
+def _close(mirror: Mirror, folder: Path) -> Mirrored:
+    """Copy the sessions' records too, and wait for the last copy."""
+    for file in sorted(folder.glob("session-*.toml")):
+        mirror.submit(file)
+    return mirror.close()
+
+
+def _store_in(folder: Path, told: Callable[[Path], None] | None = None) -> Callable[[SessionRecord], FolderStore]:
     def opened(record: SessionRecord) -> FolderStore:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -100,7 +143,9 @@ def _store_in(folder: Path) -> Callable[[SessionRecord], FolderStore]:
             raise OutputError(
                 f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
             ) from error
-        return FolderStore(folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb)
+        return FolderStore(
+            folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb, told=told
+        )
 
     return opened
 

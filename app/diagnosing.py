@@ -1,6 +1,5 @@
 """From a campaign to what its gap is, and to the files that tell it: amended model, report."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -13,17 +12,16 @@ from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.nominal.catalogue import find_model
 from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.analysis.progress import Progress, silent
-from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.errors import SettingsError
 from dragrig.config.library import find
 from dragrig.config.loading import nearest, to_toml
 from dragrig.config.model import FrictionModelSettings
+from dragrig.reports.files import write_text
 from dragrig.rig.runfile.model import Run
 
 if TYPE_CHECKING:
+    from dragrig.analysis.gap.calibration import Calibration
     from dragrig.analysis.gap.diagnose import Options
-
-MOST_WORKERS = 2
-"""So many processes share the work unless another number is asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +44,8 @@ def diagnose(
     nominal: str | Path | NominalModel = "capsule",
     without: Sequence[str] = (),
     tolerance_mN: float | None = None,
-    workers: int | None = None,
     specimen: str | None = None,
+    calibration: str | Path | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
     """Say where a campaign differs from the nominal model, which effect that is, and how far it closes the gap.
@@ -64,10 +62,10 @@ def diagnose(
         Effects of the catalogue that are not to be considered.
     tolerance_mN
         Root mean square below which a gap does not matter; the engine's own unless given.
-    workers
-        Processes that share the work; as many as there are cores, two at most, unless given.
     specimen
         Name or id, where the campaign holds several; the one with the most runs unless given.
+    calibration
+        What `dragrig gap calibrate --save` wrote; the shipped calibration unless given.
 
     Raises
     ------
@@ -88,8 +86,8 @@ def diagnose(
         nominal=nominal,
         without=without,
         tolerance_mN=tolerance_mN,
-        workers=workers,
         specimen=specimen,
+        calibration=calibration,
         progress=progress,
     ).result
 
@@ -100,14 +98,14 @@ def diagnosed(
     nominal: str | Path | NominalModel = "capsule",
     without: Sequence[str] = (),
     tolerance_mN: float | None = None,
-    workers: int | None = None,
     specimen: str | None = None,
+    calibration: str | Path | None = None,
     progress: Progress = silent,
 ) -> DiagnosedCampaign:
     """Do the same, and keep the runs that the diagnosis was made of."""
     from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
-    options = options_of(without, tolerance_mN, workers)
+    options = options_of(without, tolerance_mN, calibration)
     model = find_model(str(nominal)) if isinstance(nominal, str | Path) else nominal
     source = str(campaign) if isinstance(campaign, str | Path) else "these runs"
     selection = choose(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
@@ -139,8 +137,8 @@ def gap_evaluate(
     return evaluate(choose(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen), given)
 
 
-def options_of(without: Sequence[str], tolerance_mN: float | None, workers: int | None) -> "Options":
-    """Check what was asked for; raises `SettingsError` for an effect, a tolerance or workers that cannot be."""
+def options_of(without: Sequence[str], tolerance_mN: float | None, calibration: str | Path | None = None) -> "Options":
+    """Check what was asked for; raises `SettingsError` for an effect, a tolerance or a calibration that cannot be."""
     from dragrig.analysis.gap.diagnose import Options
     from dragrig.sim_backend.effects.catalogue import catalogue
 
@@ -151,10 +149,23 @@ def options_of(without: Sequence[str], tolerance_mN: float | None, workers: int 
     tolerance = Options().tolerance_mN if tolerance_mN is None else tolerance_mN
     if not (isfinite(tolerance) and tolerance >= 0):
         raise SettingsError(f"--tolerance {tolerance:g}: a tolerance is a force in mN from 0 on.")
-    processes = min(MOST_WORKERS, os.cpu_count() or 1) if workers is None else workers
-    if processes < 1:
-        raise SettingsError(f"--workers {processes}: it takes one worker at least.")
-    return Options(without=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, workers=processes)
+    learnt = None if calibration is None else _calibration(Path(calibration))
+    return Options(without=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, calibration=learnt)
+
+
+def _calibration(path: Path) -> "Calibration":
+    from pydantic import ValidationError
+
+    from dragrig.analysis.gap.calibration import Calibration
+
+    try:
+        return Calibration.model_validate_json(path.read_text("utf-8"))
+    except OSError as error:
+        raise SettingsError(f"--calibration {path}: cannot be read ({error.strerror}); name another file.") from error
+    except (UnicodeDecodeError, ValidationError) as error:
+        raise SettingsError(
+            f"--calibration {path}: is not what dragrig gap calibrate --save writes; name such a file."
+        ) from error
 
 
 def save_model(diagnosis: Diagnosis, path: Path, *, overwrite: bool = False) -> Path | None:
@@ -167,32 +178,13 @@ def save_model(diagnosis: Diagnosis, path: Path, *, overwrite: bool = False) -> 
     """
     if diagnosis.model is None:
         return None
-    return _write(to_toml(diagnosis.model), path, overwrite=overwrite)
+    return write_text(to_toml(diagnosis.model), path, overwrite=overwrite)
 
 
 def save_report(
     diagnosis: Diagnosis, path: Path, *, source: str = "", model: Path | None = None, overwrite: bool = False
 ) -> Path:
     """Write the report, one HTML file with its pictures inside; raises as `save_model`."""
-    from dragrig.report.gap.page import page
+    from dragrig.reports.gap.page import page
 
-    return _write(page(diagnosis, source, None if model is None else str(model)), path, overwrite=overwrite)
-
-
-def require_room(path: Path, *, overwrite: bool) -> None:
-    """Ask before the work whether a file can be written; raises `OutputError` where it cannot."""
-    if path.is_dir():
-        raise OutputError(f"{path}: is a folder; name a file.")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: is there already; name another file, or say --overwrite.")
-    if not path.absolute().parent.is_dir():
-        raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another.")
-
-
-def _write(text: str, path: Path, *, overwrite: bool) -> Path:
-    require_room(path, overwrite=overwrite)
-    try:
-        path.write_text(text, "utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
-    return path
+    return write_text(page(diagnosis, source, None if model is None else str(model)), path, overwrite=overwrite)

@@ -1,10 +1,12 @@
 """A diagnosis as the JSON of a gap report, for programs."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from math import floor, isfinite
 
+from dragrig.analysis.gap.planning.results import NextExperiment, NextRun
 from dragrig.analysis.gap.results import BeforeAfter, Diagnosis, Ranked, Shrink, UnknownGap
-from dragrig.analysis.gap.sentences import verdict_sentences
+from dragrig.analysis.gap.sentences import NO_GAP, verdict_sentences
 from dragrig.analysis.identification.results import Quantity
 from dragrig.identification_json import Table, finite, left_out_table
 
@@ -49,10 +51,11 @@ def gap_document(
         "where": _told(one.where.document()),
         "shrink": None if one.shrink is None else shrink_table(one.shrink),
         "model": model,
-        "next_experiment": None,
+        "next_experiment": _next(one.next_experiment),
         "cannot_answer": list(one.cannot_answer),
         "remarks": list(one.remarks),
         "calibration": one.calibration,
+        "evidence": None if one.evidence is None else asdict(one.evidence),
         "timings_s": _told(one.timings_s),
     }
 
@@ -60,6 +63,36 @@ def gap_document(
 def shrink_document(shrink: Shrink) -> Mapping[str, object]:
     """Return how far the gap shrinks as JSON of its own."""
     return {"format": FORMAT, "version": VERSION, "shrink": shrink_table(shrink)}
+
+
+def next_document(found: NextExperiment | None) -> Mapping[str, object]:
+    """Return the runs to make next as JSON of their own."""
+    runs = () if found is None else found.runs
+    return {
+        "format": "dragrig-next",
+        "version": VERSION,
+        "why": None if found is None else found.why,
+        "minutes": None if found is None else finite(found.minutes),
+        "tried": 0 if found is None else found.tried,
+        "runs": [_run(one) for one in runs],
+    }
+
+
+def _next(found: NextExperiment | None) -> Table | None:
+    return None if found is None else {**_run(found.runs[0]), "tried": found.tried, "why": found.why}
+
+
+def _run(one: NextRun) -> Table:
+    return {
+        "protocol": one.step.kind,
+        **{name: _told(value) for name, value in one.settings.items()},
+        "wait_s": finite(one.step.wait_s),
+        "repeats": one.step.repeats,
+        "minutes": finite(one.minutes),
+        "between": [one.after.truth, one.after.rival or NO_GAP],
+        "d_prime": {"before": finite(one.before.d_prime), "after": finite(one.after.d_prime)},
+        "left": {"before": finite(one.before.left), "after": finite(one.after.left)},
+    }
 
 
 def shrink_table(shrink: Shrink) -> Table:

@@ -1,6 +1,6 @@
 """What a plan would do, and doing it: in memory, or into run files."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Unpack
@@ -13,7 +13,7 @@ from dragrig.rig.memory import MemoryStore
 from dragrig.rig.preflight import Preflight, preflight
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
-from dragrig.sessions import Person, Terms, carry_out
+from dragrig.sessions import Person, Terms, carry_out, unheard
 from dragrig.setup import Choices, PlanLike, resolve
 
 
@@ -100,6 +100,8 @@ def run(
     note: str = "",
     pace: Pace | None = None,
     person: Person | None = None,
+    mirror: str | Path | None = None,
+    tell: Callable[[str], None] = unheard,
     **choices: Unpack[Choices],
 ) -> Made:
     """Carry out a plan on the rig, one run file per run.
@@ -119,6 +121,11 @@ def run(
         unless given, or so many times faster.
     person
         Who answers prompts and watches; without one, every prompt counts as done.
+    mirror
+        Folder, on another disk, that gets a second copy of each finished file, compared after reading it back. It never
+        holds a run up; `made.mirrored` says what is in it and what is not.
+    tell
+        Called with a sentence, from any thread, when a file cannot be mirrored.
     choices
         As of `check`.
 
@@ -141,7 +148,7 @@ def run(
     """
     setup = resolve(plan, **choices)
     folder = Path(out) if out is not None else None
-    return campaigns.begin(setup, folder, _terms(operator, note, pace), person)
+    return campaigns.begin(setup, folder, _terms(operator, note, pace, mirror, tell), person)
 
 
 def resume(
@@ -152,6 +159,8 @@ def resume(
     pace: Pace | None = None,
     person: Person | None = None,
     assignments: Sequence[str] = (),
+    mirror: str | Path | None = None,
+    tell: Callable[[str], None] = unheard,
 ) -> Made:
     """Go on with a campaign that ended early, with the settings it was begun with.
 
@@ -162,6 +171,8 @@ def resume(
     ----------
     assignments
         Changes to the rig, as `["rig.guard.force_limit_mN=9000"]`; nothing else can be changed.
+    mirror, tell
+        As of `run`; the runs that were there before are copied too.
 
     Raises
     ------
@@ -173,8 +184,11 @@ def resume(
     folder = Path(campaign)
     if not folder.is_dir():
         raise OutputError(f"{folder}: there is no such campaign; name the folder that run printed.")
-    return campaigns.go_on(folder, _terms(operator, note, pace), person, assignments)
+    return campaigns.go_on(folder, _terms(operator, note, pace, mirror, tell), person, assignments)
 
 
-def _terms(operator: str, note: str, pace: Pace | None) -> Terms:
-    return Terms(Path(), operator=operator, note=note, pace=pace)
+def _terms(
+    operator: str, note: str, pace: Pace | None, mirror: str | Path | None, tell: Callable[[str], None]
+) -> Terms:
+    to = None if mirror is None else Path(mirror)
+    return Terms(Path(), operator=operator, note=note, pace=pace, mirror=to, tell=tell)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Literal
 from dragrig import campaigns
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
-from dragrig.report.files import taken, write_texts
-from dragrig.report.paper.names import MODEL_FILE, REPORT, TABLES
+from dragrig.reports.files import taken, write_texts
+from dragrig.reports.paper.names import MODEL_FILE, REPORT, TABLES
 from dragrig.rig.acquiring import Outcome as RunOutcome
 from dragrig.rig.people import Nobody
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.record import record_in
 from dragrig.rig.runfile import campaign, files, naming
+from dragrig.session_state import STATE_FILE
 from dragrig.sessions import Terms
 from dragrig.setup import Setup, resolve
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from dragrig.analysis.paper.finding import Finding
     from dragrig.campaigns import Made
     from dragrig.identifying import IdentifiedCampaign
-    from dragrig.report.paper.results import PaperResults
+    from dragrig.reports.paper.results import PaperResults
 
 PLAN = "paper"
 SEED = 20120509
@@ -137,9 +138,9 @@ def identified(folder: Path, setup: Setup, progress: Progress = silent) -> "Iden
 
 def _written(made: "Made", found: "IdentifiedCampaign", results: "PaperResults", progress: Progress) -> PaperReport:
     """Write model, tables and report beside the runs."""
-    from dragrig.report.paper.page import page
-    from dragrig.report.paper.pictures import pictures
-    from dragrig.report.paper.tables import tables
+    from dragrig.reports.paper.page import page
+    from dragrig.reports.paper.pictures import pictures
+    from dragrig.reports.paper.tables import tables
 
     runs = tuple(one.path for one in made.session.runs if one.path is not None)
     model = _model_written(found, made.folder)
@@ -169,7 +170,7 @@ def _results(made: "Made", setup: Setup, found: "IdentifiedCampaign") -> "PaperR
     from dragrig.analysis.paper.findings import findings
     from dragrig.config.capsule import Capsule
     from dragrig.config.library import find
-    from dragrig.report.paper.results import PaperResults
+    from dragrig.reports.paper.results import PaperResults
     from dragrig.sim_backend.devices.variation import draw_run
 
     simulated, result = setup.rig.simulated, found.result
@@ -229,6 +230,7 @@ def make_room(folder: Path, *, overwrite: bool) -> None:
     one_each = {one.header.settings_toml: one.path for one in here.runs if one.path in own}
     beside = {folder / record_in(path).file_name() for path in one_each.values()}
     beside |= {naming.mark_path(path) for path in own}
+    beside |= {folder / STATE_FILE} if own else set()
     try:
         for path in (*sorted(own), *sorted(beside)):
             files.remove(path)

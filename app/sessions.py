@@ -25,6 +25,16 @@ class Person(Operator, Watcher, Protocol):
     """Somebody who answers prompts and follows the session."""
 
 
+def unheard(sentence: str) -> None:
+    """Tell nobody."""
+    del sentence
+
+
+def _nobody_else(abort: Callable[[str], None]) -> None:
+    """Leave the end of a session to its host."""
+    del abort
+
+
 @dataclass(frozen=True, slots=True)
 class Terms:
     """How a session is carried out.
@@ -39,6 +49,12 @@ class Terms:
         Time of day at which a simulated session begins; now unless given.
     first_run_at
         When the campaign's first run began, in a session that goes on with it.
+    begun
+        Told, before anything moves, what ends the session in good order from any thread, for a reason.
+    mirror
+        Folder that is to hold a second copy of each finished file.
+    tell
+        Called, from any thread, with what a person has to know at once and that stops nothing.
     """
 
     folder: Path
@@ -48,6 +64,9 @@ class Terms:
     origin: datetime | None = None
     first_run_at: datetime | None = None
     progress: Progress = field(default_factory=Progress)
+    begun: Callable[[Callable[[str], None]], None] = _nobody_else
+    mirror: Path | None = None
+    tell: Callable[[str], None] = unheard
 
 
 def carry_out(
@@ -97,6 +116,7 @@ def carry_out(
         with open_store(record) as store:
             timed = pace.real_time or backend.needs_hands
             session = Session(backend, programme, record, store, operator, someone, terms.progress, real_time=timed)
+            terms.begun(session.abort)
             return host(session.run, session.abort, operator)
 
 

@@ -24,7 +24,7 @@ def command(
 ) -> None:
     """Say what PLAN, a file or a shipped name, would do; without PLAN, look at the rig. Nothing moves.
 
-    Shipped plans: blank, coulomb, demo, drag, drag-sweep, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
 
     With PLAN: every run with the range, speed and time that it takes, and what forbids it, if anything does.
 

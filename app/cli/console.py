@@ -11,8 +11,8 @@ from pathlib import Path
 
 import click
 
-from dragrig.cli.plain import to_plain
 from dragrig.config.errors import AbortedError, DragrigError
+from dragrig.plain import to_plain
 
 QUIET = "dragrig.quiet"
 """Key in a click context's `meta`: whether only results and errors are wanted."""

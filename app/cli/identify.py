@@ -1,8 +1,7 @@
 """`dragrig identify`."""
 
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import click
 
@@ -11,12 +10,9 @@ from dragrig.cli.console import is_quiet, result, result_json, shown_path
 from dragrig.cli.progress import Meter
 from dragrig.config.errors import AnalysisError
 
-if TYPE_CHECKING:
-    from dragrig.identifying import IdentifiedCampaign
-
 
 @click.command("identify")
-@click.argument("campaign", type=click.Path(path_type=Path))
+@click.argument("campaigns", metavar="CAMPAIGN…", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option(
     "--nominal",
     metavar="NAME|FILE",
@@ -37,17 +33,20 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, dir_okay=False),
     help="Where to write the model that the simulator loads, in place of the folder of --out.",
 )
+@options.workers("campaigns")
 @options.out("Folder for model and pictures; identified beside the runs unless given. With --json only if given.")
 @options.overwrite
 @options.as_json
 @options.quiet
 def command(
-    campaign: Path,
+    campaigns: tuple[Path, ...],
     nominal: str,
     model: str,
     wall: Literal["scaled", "fitted"],
     specimen: str | None,
     save_model: Path | None,
+    workers: int | None,
+    scheduler: str | None,
     out: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -58,11 +57,35 @@ def command(
     dragrig run loads with --model, and pictures. Runs marked bad, ways back and runs that did not end as planned are
     left out. The exit code is 0 even where runs are lacking, and 2 where the fit did not converge; no model is written
     then, nor where the runs determine nothing of it.
+
+    Several campaigns are identified side by side and told in a table, or with --json in a line each; each has its own
+    folder in that of --out.
     """
     from dragrig import identifying
     from dragrig.cli.identification import identification_text
+    from dragrig.cli.identified_several import identify_several, require_several
     from dragrig.identification_json import identification_table
+    from dragrig.identifying_many import beside, write_files
+    from dragrig.spreading import require_workers
 
+    require_workers(workers, scheduler)
+    if len(campaigns) > 1:
+        options.require_one(len(campaigns), save_model=save_model)
+        identify_several(
+            campaigns,
+            nominal=nominal,
+            model=model,
+            wall=wall,
+            specimen=specimen,
+            workers=workers,
+            scheduler=scheduler,
+            out=out,
+            overwrite=overwrite,
+            as_json=as_json,
+        )
+        return
+    require_several(scheduler)
+    [campaign] = campaigns
     with Meter("identifying", 1.0, quiet=is_quiet()) as meter:
         found = identifying.identify(
             campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at
@@ -74,7 +97,7 @@ def command(
         written.append(identifying.save_model(found, save_model, overwrite=overwrite))
     if out is not None or not as_json:
         with_model = save_model is None and found.why_no_model is None
-        written += _write(found, out or _beside(campaign), with_model=with_model, overwrite=overwrite)
+        written += write_files(found, out or beside(campaign), with_model=with_model, overwrite=overwrite)
     if as_json:
         result_json({**identification_table(found.result), "files": written})
     else:
@@ -82,25 +105,3 @@ def command(
             result(shown_path(path))
     if found.result.joint is not None and not found.result.joint.converged:
         raise AnalysisError(f"{campaign}: {found.why_no_model}.")
-
-
-def _write(found: "IdentifiedCampaign", folder: Path, *, with_model: bool, overwrite: bool) -> list[Path]:
-    from dragrig import identifying
-
-    written = []
-    if with_model:
-        name = "model.toml" if found.nominal.name == "capsule" else f"{found.nominal.name}.toml"
-        path = options.made_folder(folder) / name
-        written.append(identifying.save_model(found, path, overwrite=overwrite))
-    written += identifying.pictures(found, folder, overwrite=overwrite)
-    return written
-
-
-def _beside(campaign: Path) -> Path:
-    """Return a new folder for what was identified; measured data often lie where nothing may be added."""
-    first = campaign / "identified" if os.access(campaign, os.W_OK) else Path(f"{campaign.resolve().name}-identified")
-    folder, number = first, 1
-    while folder.exists():
-        number += 1
-        folder = first.with_name(f"{first.name}-{number}")
-    return folder

@@ -120,6 +120,30 @@ def inputs(function: Callable[P, R]) -> Callable[P, R]:
     return click.argument("inputs", metavar="RUN…", nargs=-1, required=True)(function)
 
 
+def workers(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Add `--workers` and `--scheduler`, which share out pieces of work of this name."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        cluster = f"Address of a Dask cluster's scheduler, whose workers share the {what}."
+        function = click.option("--scheduler", metavar="ADDRESS", help=cluster)(function)
+        here = f"Processes that share the {what}, each of which has one; the cores unless given."
+        return click.option("--workers", metavar="N", type=int, help=here)(function)
+
+    return decorate
+
+
+def require_one(count: int, **files: Path | None) -> None:
+    """Raise `SettingsError` where a file for one campaign is asked for and several were given."""
+    from dragrig.config.errors import SettingsError
+
+    for name, path in files.items():
+        if path is not None:
+            option = "--" + name.replace("_", "-")
+            raise SettingsError(
+                f"{option} {path}: is made of one campaign, and {count} were given; diagnose that one by itself."
+            )
+
+
 def out(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--out DIR`, passed on as `out`."""
     return click.option("--out", "-o", metavar="DIR", type=click.Path(path_type=Path), help=what)

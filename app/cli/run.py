@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import result, result_json, say, shown_path
+from dragrig.cli.console import complain, result, result_json, say, shown_path
 
 if TYPE_CHECKING:
     from dragrig.campaigns import Made
@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 @click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Go on where this campaign ended.")
 @click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept in the run files.")
 @click.option("--note", metavar="TEXT", default="", help="Kept in the run files.")
+@click.option(
+    "--mirror",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Keep a second copy of each finished file here, compared after reading it back.",
+)
 @options.pace
 @click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done that asks for nobody's hands.")
 @options.as_json
@@ -30,6 +36,7 @@ def command(
     resume: Path | None,
     operator: str,
     note: str,
+    mirror: Path | None,
     pace: options.Pace | None,
     yes: bool,
     as_json: bool,
@@ -39,7 +46,7 @@ def command(
 
     A run file in place of a plan makes its whole session again, with the settings it carries.
 
-    Shipped plans: blank, coulomb, demo, drag, drag-sweep, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
 
     Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded. The
     campaign's folder is printed at the end.
@@ -60,14 +67,27 @@ def command(
                 pace=pace,
                 person=person,
                 assignments=settings["assignments"],
+                mirror=mirror,
+                tell=_tell_aloud,
             )
             if resume is not None
-            else api.run(plan or "", out=out, operator=operator, note=note, pace=pace, person=person, **settings)
+            else api.run(
+                plan or "",
+                out=out,
+                operator=operator,
+                note=note,
+                pace=pace,
+                person=person,
+                mirror=mirror,
+                tell=_tell_aloud,
+                **settings,
+            )
         )
     if as_json:
         result_json(_plain(made))
     else:
         say(made.summary())
+        _say_mirrored(made)
         result(shown_path(made.folder))
     made.session.require()
 
@@ -88,7 +108,21 @@ def _plain(made: "Made") -> dict[str, object]:
         "status": made.session.status,
         "reason": made.session.reason,
         "runs": [_plain_run(one) for one in made.session.runs],
+        **({} if made.mirrored is None else {"mirror": made.mirrored}),
     }
+
+
+def _say_mirrored(made: "Made") -> None:
+    found = made.mirrored
+    if found is None:
+        return
+    if found.copied:
+        say(f"mirror: {len(found.copied)} files in {found.folder}, each read back and compared")
+    if found.missing:
+        complain(
+            f"NOT MIRRORED, {len(found.missing)} of {len(found.missing) + len(found.copied)} files: "
+            + "; ".join(f"{name}: {why}" for name, why in found.missing.items())
+        )
 
 
 def _plain_run(one: "RunResult") -> dict[str, object]:
@@ -103,3 +137,8 @@ def _plain_run(one: "RunResult") -> dict[str, object]:
         "checks": one.outcome.checks.values,
         "warnings": one.outcome.checks.warnings,
     }
+
+
+def _tell_aloud(sentence: str) -> None:
+    # From the mirror's thread, and whatever --quiet says: a copy that is not there must be known of.
+    click.echo(f"\n{sentence}", err=True)

@@ -15,20 +15,34 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, fontManager
 from matplotlib.textpath import TextPath
 
-# Okabe and Ito's colours, told apart with any kind of colour vision.
-BLACK: Final = "#1A1A1A"
-BLUE: Final = "#0072B2"
-SKY: Final = "#56B4E9"
-GREEN: Final = "#009E73"
-ORANGE: Final = "#E69F00"
-VERMILLION: Final = "#D55E00"
-PURPLE: Final = "#B0578D"
-GREY: Final = "#5F6670"
-PALE: Final = "#A9B4C0"
-PAPER: Final = "#FFFFFF"
+from dragrig.figures.palette import (
+    BLACK,
+    BLUE,
+    CYCLE,
+    GREEN,
+    GREY,
+    GRID,
+    ORANGE,
+    PALE,
+    PAPER,
+    PURPLE,
+    SKY,
+    VERMILLION,
+)
 
-CYCLE: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-"""Colours of curves that stand side by side, in order."""
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "CYCLE",
+    "GREEN",
+    "GREY",
+    "ORANGE",
+    "PALE",
+    "PAPER",
+    "PURPLE",
+    "SKY",
+    "VERMILLION",
+]
 
 TITLE_PT: Final = 19.0
 TEXT_PT: Final = 13.5
@@ -65,7 +79,7 @@ _RULES: Final = {
     "axes.facecolor": PAPER,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 6),
-    "grid.color": "#D3D9DF",
+    "grid.color": GRID,
     "grid.linewidth": 0.8,
     "xtick.labelsize": SMALL_PT,
     "ytick.labelsize": SMALL_PT,

@@ -15,6 +15,10 @@ class GapGroup(LazyGroup):
         "Commands": {
             "diagnose": "Say where a campaign differs from the model, which effect that is, and how large.",
             "evaluate": "Say how far an amended model closes the gap on fresh runs.",
+            "next": "Say which runs to make next, to separate what is hardly told apart.",
+            "isolability": "Say which effects a plan or a campaign can tell apart.",
+            "blind": "Say how often the diagnosis is right on campaigns whose effect is hidden.",
+            "calibrate": "Learn from such campaigns when a verdict is to be given.",
             "effects": "List the catalogue: where each effect acts, its parameters, what shows it.",
         },
     }

@@ -46,6 +46,8 @@ def diagnosis_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
         yield from shrink_parts(diagnosis.shrink, named=bool(diagnosis.effects))
     if diagnosis.cannot_answer:
         yield _lines("These runs cannot answer", map(sentence, diagnosis.cannot_answer))
+    if diagnosis.next_experiment is not None:
+        yield f"To run next\n  {diagnosis.next_experiment.why}"
     if diagnosis.left_out:
         yield _lines("Left out", _left_out({one.what: one.reason for one in diagnosis.left_out}))
     if diagnosis.remarks:

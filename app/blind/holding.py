@@ -1,0 +1,273 @@
+"""An exam from its seal to its score."""
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import TypeVar
+
+from dragrig.analysis.progress import Progress, silent
+from dragrig.blind.examinee import Question, Said, evaluate, examine
+from dragrig.blind.making import Order, amount, write
+from dragrig.blind.mixing import EXAM, MIXES, Case, mix
+from dragrig.blind.sealing import FORMAT, VERSION, Folder, open_answers, opened, put, seal, taken
+from dragrig.config.errors import AnalysisError, SettingsError
+from dragrig.gap_scoring import Score, score
+from dragrig.gap_scoring.document import score_document
+from dragrig.spreading import executor, require_workers, spread
+
+PieceT = TypeVar("PieceT")
+R = TypeVar("R")
+MAKING, DIAGNOSING, MEASURING, EVALUATING = 2, 5, 4, 1
+"""How long a piece of each kind takes, roughly, in seconds; what is left is told by these."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlindExam:
+    """An exam that was held.
+
+    Attributes
+    ----------
+    cases, seed
+        What it was drawn from.
+    answers_sha256
+        The seal.
+    score
+        How often the diagnosis was right.
+    failed
+        Why campaigns were not diagnosed, by their names; they are not in the score.
+    timings_s
+        Of this call; the only part that differs between two exams with one seed.
+    """
+
+    cases: int
+    seed: int
+    answers_sha256: str
+    score: Score
+    failed: Mapping[str, str] = field(default_factory=dict)
+    timings_s: Mapping[str, float] = field(default_factory=dict)
+
+    def document(self) -> Mapping[str, object]:
+        """Return all that the exam says as JSON."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "cases": self.cases,
+            "seed": self.seed,
+            "answers_sha256": self.answers_sha256,
+            **score_document(self.score),
+            "failed": dict(self.failed),
+            "timings_s": {name: round(seconds, 3) for name, seconds in self.timings_s.items()},
+        }
+
+
+def gap_blind(
+    cases: int = 100,
+    seed: int = 1,
+    out: str | Path | None = None,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    kind: str = EXAM,
+    without_true: bool = False,
+    sizes: bool = True,
+    progress: Progress = silent,
+) -> BlindExam:
+    """Examine the gap diagnosis on campaigns of the blind plant, whose hidden effects it cannot know.
+
+    The hash of the answers is written first. Then campaigns are made and diagnosed, each by a process that is given
+    its folder alone. Then the answers are opened, the amended models tried on fresh runs, and all of it scored.
+
+    Parameters
+    ----------
+    cases, seed
+        How many campaigns, and what they are drawn from.
+    out
+        Folder in which everything is kept; a second call with the same numbers goes on where the first was stopped. A
+        temporary one unless given.
+    workers
+        Processes that share the campaigns; as many as there are cores unless given.
+    scheduler
+        Address of a Dask cluster that does the work in their place; its workers must see `out`.
+    kind
+        Which mix of campaigns: `exam`, or `learning`, which has more of what is hard.
+    without_true
+        Whether campaigns with one effect are diagnosed again without it.
+    sizes
+        Whether d′ of single effects is measured, which takes almost as long as a diagnosis; without it the score has no
+        detection against size.
+
+    Raises
+    ------
+    SettingsError
+        When the numbers are none, the folder holds another exam, or the cluster cannot be used.
+    OutputError
+        When the folder cannot be used.
+    AnalysisError
+        When no campaign was diagnosed, or the plant was changed since the answers were sealed.
+    WorkerError
+        When processes end before the work is done; what was done is kept in `out`.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> exam = dragrig.gap_blind(40, seed=7, out="exam")  # doctest: +SKIP
+    >>> exam.score["full size, right name"].share  # doctest: +SKIP
+    """
+    if cases < 1:
+        raise SettingsError(f"--cases {cases}: an exam has one case at least.")
+    if seed < 0:
+        raise SettingsError(f"--seed {seed}: is a whole number from 0 on.")
+    if kind not in MIXES:
+        raise SettingsError(f"--mix {kind}: there is {' and '.join(MIXES)}.")
+    require_workers(workers, scheduler)
+    began = perf_counter()
+    place = tempfile.TemporaryDirectory(prefix="dragrig-blind-") if out is None else nullcontext(str(out))
+    with place as root, opened(Path(root).absolute(), cases, seed, kind) as folder:
+        planned = mix(cases, seed, kind)
+        held = _Held(folder, planned, workers, scheduler, _Meter(progress))
+        exam = held.through(cases, seed, without_true=without_true, sizes=sizes)
+        timings = {**exam.timings_s, "this call": perf_counter() - began}
+        exam = BlindExam(cases, seed, exam.answers_sha256, exam.score, exam.failed, timings)
+        put(folder.root / "score.json", exam.document())
+    return exam
+
+
+class _Meter:
+    """Progress over pieces of several kinds."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._done, self._of = progress, 0, 0
+
+    def expect(self, weight: int, pieces: int) -> None:
+        self._of += weight * pieces
+
+    def advance(self, weight: int) -> None:
+        self._done += weight
+        self._progress(self._done, self._of)
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    folder: Folder
+    planned: Sequence[Case]
+    workers: int | None
+    scheduler: str | None
+    meter: _Meter
+
+    def through(self, cases: int, seed: int, *, without_true: bool, sizes: bool) -> BlindExam:
+        """Do what is not done yet, and score."""
+        folder, single = self.folder, [one for one in self.planned if one.single]
+        orders = [
+            Order(one, folder.campaign(one.name), folder.fresh(one.name))
+            for one in self.planned
+            if not (folder.campaign(one.name).is_dir() and folder.fresh(one.name).is_dir())
+        ]
+        asked = {folder.campaign(one.name): one.name for one in self.planned if not folder.said(one.name).exists()}
+        again = {
+            Question(folder.campaign(one.name), one.effects): one.name
+            for one in single
+            if without_true and not folder.withheld(one.name).exists()
+        }
+        unmeasured = [one for one in single if sizes and not folder.amount(one.name).exists()]
+        for weight, pieces in ((MAKING, orders), (DIAGNOSING, asked), (DIAGNOSING, again), (MEASURING, unmeasured)):
+            self.meter.expect(weight, len(pieces))
+        self.meter.expect(EVALUATING, len(self.planned))
+        digest = seal(folder, self.planned)
+        self._spread(MAKING, write, orders)
+        questions = [Question(one) for one in asked]
+        self._spread(DIAGNOSING, examine, questions, lambda one, said: self._keep(asked[one.campaign], said))
+        answers = open_answers(folder, self.planned)
+        self._evaluate()
+        self._spread(DIAGNOSING, examine, again, lambda one, said: put(folder.withheld(again[one]), _told(said)))
+        self._spread(MEASURING, amount, unmeasured, lambda one, found: put(folder.amount(one.name), {"d": found}))
+        return self._scored(cases, seed, digest, answers, without_true=without_true)
+
+    def _spread(
+        self,
+        weight: int,
+        function: Callable[[PieceT], R],
+        pieces: Iterable[PieceT],
+        keep: Callable[[PieceT, R], None] | None = None,
+    ) -> None:
+        waiting = list(pieces)
+        if not waiting:
+            return
+
+        def finished(piece: PieceT, result: R) -> None:
+            if keep is not None:
+                keep(piece, result)
+            self.meter.advance(weight)
+
+        with executor(self.workers, self.scheduler, most=len(waiting), apart=True) as some:
+            spread(some, function, waiting, finished)
+
+    def _keep(self, name: str, said: Said) -> None:
+        """Keep a diagnosis; the model first, so that it is there when the diagnosis is."""
+        if said.model is not None:
+            self.folder.model(name).parent.mkdir(parents=True, exist_ok=True)
+            self.folder.model(name).write_text(said.model, "utf-8", newline="\n")
+        put(self.folder.said(name), _told(said))
+
+    def _evaluate(self) -> None:
+        """Try amended models on fresh runs."""
+        folder = self.folder
+        names = {
+            (folder.model(one.name), folder.fresh(one.name)): one.name
+            for one in self.planned
+            if folder.model(one.name).exists() and not folder.achieved(one.name).exists()
+        }
+        self._spread(EVALUATING, evaluate, names, lambda one, found: put(folder.achieved(names[one]), found))
+        for _ in range(len(self.planned) - len(names)):
+            self.meter.advance(EVALUATING)
+
+    def _scored(
+        self,
+        cases: int,
+        seed: int,
+        digest: str,
+        answers: Mapping[str, Mapping[str, object]],
+        *,
+        without_true: bool,
+    ) -> BlindExam:
+        folder = self.folder
+        said = {one.name: taken(folder.said(one.name)) for one in self.planned}
+        failed = {name: str(one["failed"]) for name, one in said.items() if "failed" in one}
+        if len(failed) == len(said):
+            name, reason = next(iter(failed.items()))
+            raise AnalysisError(f"no campaign was diagnosed; of {name} it is said: {reason}.")
+        found = score(
+            [(name, answers[name], one) for name, one in said.items() if name not in failed],
+            withheld=self._there(folder.withheld, "verdict") if without_true else {},
+            achieved=self._there(folder.achieved, "shrink"),
+            amounts={name: float(str(one["d"])) for name, one in self._there(folder.amount, "d").items()},
+        )
+        return BlindExam(cases, seed, digest, found, failed, _timings(said))
+
+    def _there(self, place: Callable[[str], Path], key: str) -> dict[str, Mapping[str, object]]:
+        """Return the files that are there and have a key, by the campaigns' names."""
+        known = {one.name: taken(place(one.name)) for one in self.planned if place(one.name).exists()}
+        return {name: one for name, one in known.items() if key in one}
+
+
+def _told(said: Said) -> Mapping[str, object]:
+    return said.document or {"failed": said.why_not}
+
+
+def _timings(said: Mapping[str, Mapping[str, object]]) -> dict[str, float]:
+    """Return the median of the time that a diagnosis took."""
+    from statistics import median
+
+    known = [one["timings_s"] for one in said.values() if "timings_s" in one]
+    seconds = [sum(float(str(each)) for each in one.values()) for one in known if isinstance(one, Mapping)]
+    return {"diagnosis (median)": median(seconds)} if seconds else {}
+
+
+def save_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
+    """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `diagnosing.save_report`."""
+    from dragrig.reports.blind.page import page
+    from dragrig.reports.files import write_text
+
+    return write_text(page(exam.score, exam.cases, exam.seed, exam.answers_sha256), path, overwrite=overwrite)

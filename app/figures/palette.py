@@ -1,0 +1,18 @@
+"""The colours of every picture and of the window: Okabe and Ito's, told apart with any kind of colour vision."""
+
+from typing import Final
+
+BLACK: Final = "#1A1A1A"
+BLUE: Final = "#0072B2"
+SKY: Final = "#56B4E9"
+GREEN: Final = "#009E73"
+ORANGE: Final = "#E69F00"
+VERMILLION: Final = "#D55E00"
+PURPLE: Final = "#B0578D"
+GREY: Final = "#5F6670"
+PALE: Final = "#A9B4C0"
+PAPER: Final = "#FFFFFF"
+GRID: Final = "#D3D9DF"
+
+CYCLE: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""Colours of curves that stand side by side, in order."""

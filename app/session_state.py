@@ -1,0 +1,169 @@
+"""What a session says of itself beside its run files while it is at work, for whoever follows it from elsewhere."""
+
+import contextlib
+import os
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from filelock import FileLock
+from pydantic import AwareDatetime, ValidationError
+
+from dragrig.config.base import Settings
+from dragrig.rig.acquiring import Outcome
+from dragrig.rig.people import Answer, Operator, Prompt, Watcher
+from dragrig.rig.programme import PlannedRun, Programme
+from dragrig.rig.reading import Reading
+
+STATE_FILE = "session-state.json"
+LOCK_FILE = "session.lock"
+"""Held by the process that carries the session out, and let go by the system when that dies."""
+_PATIENCE_S = 2.0
+
+Doing = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
+
+
+class SessionState(Settings):
+    """What a session is doing."""
+
+    format_version: Literal[1] = 1
+    plan: str
+    backend: str
+    double: bool = False
+    since: AwareDatetime
+    """When it began to do so, by the wall's clock."""
+    doing: Doing = "preparing"
+    said: str = ""
+    """The prompt that waits for an answer, or what is waited for."""
+    wait_s: float = 0.0
+    """Length of the wait; none where time is not real."""
+    real_time: bool = False
+    runs: int = 0
+    """Runs that this session has to make, ways back included."""
+    made: int = 0
+    """Of these, how many have begun."""
+    order: int = -1
+    run: str = ""
+    """The run that was begun last, in a few words."""
+    run_s: float = 0.0
+    """How long that one records."""
+    after_s: float = 0.0
+    """How long all runs after it take, rests included, people's hands not."""
+    status: str = ""
+    """How the session ended."""
+    reason: str = ""
+
+
+def read_state(folder: Path) -> SessionState | None:
+    """Read what the latest session of a campaign says of itself; None where there is nothing, or nothing readable."""
+    with contextlib.suppress(OSError, ValidationError):
+        return SessionState.model_validate_json((folder / STATE_FILE).read_bytes())
+    return None
+
+
+def at_work(folder: Path) -> bool:
+    """Tell whether a process is carrying out a session of this campaign; nothing is written to find out."""
+    try:
+        descriptor = os.open(folder / LOCK_FILE, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except ImportError:
+        return True
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+class Announced:
+    """A person, and beside them the file that says what the session is doing.
+
+    The file is small, replaced at once, and written when something begins or ends, never while samples are taken; a
+    folder that refuses it is of no account to the session.
+    """
+
+    def __init__(self, person: Operator, watcher: Watcher, folder: Path, plan: str, backend: str, double: bool) -> None:
+        self._person, self._watcher, self._folder = person, watcher, folder
+        self._state = SessionState(plan=plan, backend=backend, double=double, since=_now())
+        self._lock = FileLock(folder / LOCK_FILE, timeout=_PATIENCE_S, thread_local=False)
+        self._begun = False
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Put the prompt, and say that somebody is waited for."""
+        self._says("asking", said=prompt.text)
+        answer = self._person.ask(prompt)
+        self._says("between", said="")
+        return answer
+
+    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+        """Take the lock, and say what is to be done."""
+        runs = programme.runs[-pending:] if pending else ()
+        # A file system without locks, or a folder that refuses: who watches then goes by the state's age alone.
+        with contextlib.suppress(OSError, NotImplementedError):
+            self._lock.acquire()
+        self._begun = True
+        self._says("preparing", runs=pending, real_time=real_time, after_s=sum(map(_takes, runs)))
+        self._watcher.begins(programme, pending, real_time=real_time)
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Say what is waited for."""
+        self._says("waiting", said=why, wait_s=duration_s if self._state.real_time else 0.0)
+        self._watcher.waits(duration_s, why)
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Say which run is recorded."""
+        left = max(0.0, self._state.after_s - _takes(run))
+        self._says(
+            "recording",
+            made=self._state.made + 1,
+            order=order,
+            run=run.protocol.summary(),
+            run_s=run.duration_s,
+            after_s=left,
+        )
+        self._watcher.run_begins(run, order)
+
+    def reads(self, reading: Reading) -> None:
+        """Hand the block on; the recording itself is what others look at."""
+        self._watcher.reads(reading)
+
+    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+        """Say that nothing is recorded for the moment."""
+        self._says("between")
+        self._watcher.run_ends(run, outcome)
+
+    def ends(self, status: str, reason: str) -> None:
+        """Say how the session ended, and let the lock go; nothing where it never began."""
+        if not self._begun:
+            return
+        self._says("ended", status=status, reason=reason)
+        with contextlib.suppress(OSError):
+            self._lock.release()
+            (self._folder / LOCK_FILE).unlink(missing_ok=True)
+
+    def _says(self, doing: Doing, **further: object) -> None:
+        told = {"said": "", "wait_s": 0.0, **further}
+        self._state = self._state.model_copy(update={"doing": doing, "since": _now(), **told})
+        part = self._folder / f".{STATE_FILE}.part"
+        with contextlib.suppress(OSError):
+            part.write_text(self._state.model_dump_json(indent=1), "utf-8")
+            part.replace(self._folder / STATE_FILE)
+
+
+def _takes(run: PlannedRun) -> float:
+    return run.wait_s + run.tare_s + run.duration_s
+
+
+def _now() -> datetime:
+    return datetime.now().astimezone()

@@ -1,0 +1,238 @@
+"""Following a campaign from another process, which it never notices: files are read, and nothing is written."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from dragrig.config.errors import RunFileError
+from dragrig.rig.record import records_in
+from dragrig.rig.runfile import read_info, read_tail
+from dragrig.rig.runfile.model import PHASE_NAMES, Run
+from dragrig.rig.runfile.naming import is_recording, run_name
+from dragrig.session_state import SessionState, at_work, read_state
+
+RECENT_S = 20.0
+NOW_S = 0.1
+"""Mean over so long is the force now."""
+MOST_SAMPLES = 200_000
+POINTS = 300
+"""Of the recent force, about a screen's width."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The run that is being recorded.
+
+    Attributes
+    ----------
+    time_s, run_s
+        How long it records already, and how long altogether; None where nobody says.
+    recent_s, recent_mN
+        Force of the last seconds, a few hundred points.
+    """
+
+    file: str
+    kind: str
+    order: int
+    phase: str
+    time_s: float
+    run_s: float | None
+    samples: int
+    force_mN: float | None
+    position_mm: float | None
+    recent_s: tuple[float, ...] = ()
+    recent_mN: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedRun:
+    """A run that is whole."""
+
+    file: str
+    kind: str
+    order: int
+    status: str
+    reason: str
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignState:
+    """A campaign as it is now.
+
+    Attributes
+    ----------
+    doing
+        `preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process that carried the
+        session out is gone without a word.
+    said
+        The prompt that waits for an answer, what is waited for, or why the session ended.
+    run, of
+        Which run of this session it is at, and of how many; None where nobody says.
+    left_s
+        Time left by the plan, people's hands not counted; of recorded time where time is not real.
+    status
+        How the session ended.
+    """
+
+    campaign: str
+    folder: Path
+    plan: str
+    backend: str
+    doing: str
+    said: str
+    since: datetime | None
+    run: int | None
+    of: int | None
+    left_s: float | None
+    status: str
+    recording: Recording | None
+    finished: tuple[FinishedRun, ...] = field(default=())
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will come."""
+        return self.doing in {"ended", "died"}
+
+
+class CampaignWatch:
+    """Looks at a campaign again and again; finished runs are read once.
+
+    Parameters
+    ----------
+    folder
+        A campaign's folder, or one that holds campaigns: then the latest is meant.
+
+    Raises
+    ------
+    RunFileError
+        When there is no campaign.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = latest_campaign(folder)
+        self._finished: dict[Path, FinishedRun] = {}
+
+    def look(self) -> CampaignState:
+        """Return what the campaign is doing."""
+        working = at_work(self.folder)
+        state = read_state(self.folder)
+        recording = self._recording(state)
+        finished = self._look_at_finished()
+        if state is None:
+            return self._without_word(recording, finished)
+        doing, said = state.doing if working or state.doing == "ended" else "died", state.said
+        if doing == "ended":
+            said = state.reason
+        elif doing == "died":
+            said = "the program that carried it out is gone; dragrig recover finishes what it left"
+        return CampaignState(
+            campaign=self.folder.resolve().name,
+            folder=self.folder,
+            plan=state.plan,
+            backend=f"{state.backend}, double" if state.double else state.backend,
+            doing=doing,
+            said=said,
+            since=state.since,
+            run=state.made,
+            of=state.runs,
+            left_s=None if doing in {"ended", "died"} else _left(state, recording),
+            status=state.status,
+            recording=None if doing in {"ended", "died"} else recording,
+            finished=finished,
+        )
+
+    def follow(self, every_s: float) -> Iterator[CampaignState]:
+        """Look until the campaign is over; the last state is the last."""
+        while True:
+            state = self.look()
+            yield state
+            if state.over:
+                return
+            time.sleep(every_s)
+
+    def _without_word(self, recording: Recording | None, finished: tuple[FinishedRun, ...]) -> CampaignState:
+        """Say what the files alone say: they were made elsewhere, or by an older dragrig."""
+        records, _ = records_in(self.folder)
+        latest = records[-1] if records else None
+        return CampaignState(
+            campaign=self.folder.resolve().name,
+            folder=self.folder,
+            plan="" if latest is None else latest.plan.name,
+            backend="" if latest is None else latest.backend,
+            doing="ended",
+            said="a recording is left, which dragrig recover finishes" if recording else "no session is at work here",
+            since=None,
+            run=None,
+            of=None,
+            left_s=None,
+            status="",
+            recording=None,
+            finished=finished,
+        )
+
+    def _recording(self, state: SessionState | None) -> Recording | None:
+        paths = sorted(path for path in self.folder.glob("*.h5") if is_recording(path))
+        try:
+            return _recorded(read_tail(paths[-1], RECENT_S), state) if paths else None
+        except RunFileError:
+            return None  # finished while it was read; the next look finds it whole
+
+    def _look_at_finished(self) -> tuple[FinishedRun, ...]:
+        for path in self.folder.glob("*.h5"):
+            if path in self._finished or is_recording(path):
+                continue
+            try:
+                info = read_info(path)
+            except RunFileError as error:
+                self._finished[path] = FinishedRun(path.name, "", -1, "unreadable", str(error), 0)
+                continue
+            self._finished[path] = FinishedRun(
+                path.name, info.kind, info.header.order, info.status.value, info.reason, info.samples
+            )
+        return tuple(sorted(self._finished.values(), key=lambda one: (one.order, one.file)))
+
+
+def latest_campaign(folder: Path) -> Path:
+    """Return a campaign's folder: the one named, or the latest in it; raises `RunFileError` where there is none."""
+    if not folder.is_dir():
+        raise RunFileError(f"{folder}: there is no such folder; name a campaign, or the folder that holds campaigns.")
+    if any(folder.glob("session-*")) or any(folder.glob("*.h5")):
+        return folder
+    below = list(folder.glob("*/session-*.toml"))
+    if not below:
+        raise RunFileError(f"{folder}: holds no campaign; name the folder that dragrig run writes to.")
+    return max(below, key=lambda one: one.stat().st_mtime_ns).parent
+
+
+def _recorded(run: Run, state: SessionState | None) -> Recording:
+    info, trace = run.info, run.trace
+    now = trace.time.size - max(1, round(NOW_S * trace.sample_rate_hz))
+    some = trace.time.size > 0
+    every = max(1, trace.time.size // POINTS)
+    force = np.asarray(trace.force[::every], dtype=np.float64)
+    return Recording(
+        file=run_name(info.path),
+        kind=info.kind,
+        order=info.header.order,
+        phase=PHASE_NAMES[trace.phase[-1]] if some else "",
+        time_s=float(trace.time[-1]) if some else 0.0,
+        run_s=state.run_s if state is not None and state.order == info.header.order else None,
+        samples=info.samples,
+        force_mN=float(np.nanmean(trace.force[max(0, now) :])) if some else None,
+        position_mm=float(trace.position[-1]) if some else None,
+        recent_s=tuple(round(float(one), 4) for one in trace.time[::every]),
+        recent_mN=tuple(round(float(one), 2) for one in force),
+    )
+
+
+def _left(state: SessionState, recording: Recording | None) -> float:
+    of_run = 0.0
+    if recording is not None and recording.run_s is not None and state.doing == "recording":
+        of_run = max(0.0, recording.run_s - recording.time_s)
+    waited = min(state.wait_s, (datetime.now(UTC) - state.since).total_seconds()) if state.doing == "waiting" else 0.0
+    return max(0.0, of_run + state.after_s - waited)

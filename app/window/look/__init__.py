@@ -1,0 +1,1 @@
+"""The page that looks at runs: browser, overlay, cursors, filter, steady table, export."""

@@ -1,0 +1,146 @@
+"""Traces laid over each other: zoom, filter with immediate effect, two cursors that tell their values."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QSpinBox, QWidget
+
+from dragrig.figures.palette import BLACK, CYCLE, ORANGE, PALE
+from dragrig.looking import ShownTrace
+from dragrig.window.plots.panel import Panel
+from dragrig.window.plots.pyramid import Pyramid
+from dragrig.window.widgets import button, column, fill, label, row, table
+
+MOST = 7
+"""So many runs lie over each other at once, each with a colour of its own."""
+
+
+class Overlay(QWidget):
+    """Draws runs; what the filter makes of them stands in the foreground, the raw trace behind it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.traces: list[ShownTrace] = []
+        self.top, self.below = Panel("Force", "mN"), Panel("Speed", "mm/s")
+        self.top.hide_times()
+        self.top.follow(self.below)
+        self.channel = QComboBox()
+        self.channel.addItems(["force"])
+        self.channel.setAccessibleName("Channel")
+        self.channel.currentTextChanged.connect(lambda _: self.draw())
+        self.raw = QCheckBox("Ra&w")
+        self.raw.setChecked(True)
+        self.raw.toggled.connect(lambda _: self.draw())
+        self.window_ms = QDoubleSpinBox()
+        self.window_ms.setRange(1.0, 5000.0)
+        self.window_ms.setValue(50.0)
+        self.window_ms.setSuffix(" ms")
+        self.window_ms.setKeyboardTracking(False)
+        self.window_ms.setAccessibleName("Length of the filter's window")
+        self.order = QSpinBox()
+        self.order.setRange(0, 8)
+        self.order.setValue(3)
+        self.order.setAccessibleName("Order of the filter")
+        self.fit = button(
+            "Sho&w all", self.show_all, help_="Everything, from the first sample to the last", keys="Ctrl+0"
+        )
+        self.cursors = QCheckBox("&Cursors")
+        self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
+        self.values = table(("Run", "At A", "At B", "B − A"))
+        self.values.setAccessibleName("Values at the cursors")
+        self.values.setMaximumHeight(170)
+        self.values.hide()
+        self._pyramids: dict[tuple[int, str, bool], Pyramid] = {}
+        self._cursors = tuple(self.top.cursor(colour, lambda _: self._tell()) for colour in (BLACK, ORANGE))
+        controls = row(
+            label("Channel"), self.channel, self.raw, label("Filter"), self.window_ms, label("order"), self.order, 1,
+            self.cursors, self.fit,
+        )  # fmt: skip
+        layout = column(controls, self.top.widget, self.below.widget, self.values, margin=8)
+        layout.setStretch(1, 3)
+        layout.setStretch(2, 2)
+        self.setLayout(layout)
+
+    def show_traces(self, traces: Sequence[ShownTrace]) -> None:
+        """Show runs in place of those before; where the same runs were shown, what is seen of them stays."""
+        same = [one.path for one in traces] == [one.path for one in self.traces]
+        self.traces = list(traces)
+        self._pyramids = {}
+        chosen = self.channel.currentText()
+        names = list(dict.fromkeys(name for one in traces for name in one.channels)) or ["force"]
+        self.channel.blockSignals(True)
+        self.channel.clear()
+        self.channel.addItems(names)
+        self.channel.setCurrentText(chosen if chosen in names else names[0])
+        self.channel.blockSignals(False)
+        self.draw()
+        if not same:
+            self.show_all()
+
+    def draw(self) -> None:
+        """Draw the lines anew."""
+        name = self.channel.currentText()
+        for panel in (self.top, self.below):
+            panel.forget_lines()
+        unit = next((one.units.get(name, "") for one in self.traces), "")
+        self.top.rename(name.replace("_", " ").capitalize(), unit)
+        if self.raw.isChecked():
+            for at, one in enumerate(self.traces):
+                if name in one.channels:
+                    colour = PALE if len(self.traces) == 1 else CYCLE[at % MOST] + "55"
+                    self._put(self.top, at, name, colour, 1.0, filtered=False)
+        for at, one in enumerate(self.traces):
+            colour = CYCLE[at % MOST]
+            # A channel that no filter was made for is shown as it is.
+            self._put(self.top, at, name, colour, 2.0, filtered=name in one.filtered)
+            if "speed" in one.filtered:
+                self._put(self.below, at, "speed", colour, 2.0, filtered=True)
+        self.top.title(*((one.words, CYCLE[at % MOST]) for at, one in enumerate(self.traces)))
+        for panel in (self.top, self.below):
+            panel.redraw()
+        self._tell()
+
+    def show_all(self) -> None:
+        """Show everything."""
+        for panel in (self.below, self.top):
+            panel.fit()
+
+    def _put(self, panel: Panel, at: int, name: str, colour: str, width: float, *, filtered: bool) -> None:
+        trace = self.traces[at]
+        source = trace.filtered if filtered else trace.channels
+        if name not in source:
+            return
+        key = (at, name, filtered)
+        if key not in self._pyramids:
+            self._pyramids[key] = Pyramid()
+            self._pyramids[key].append(source[name])
+        panel.line("", colour, width).trace(self._pyramids[key], trace.rate_hz, trace.start_s)
+
+    def _show_cursors(self, *, shown: bool) -> None:
+        low, high = self.top.shown()
+        for cursor, place in zip(self._cursors, (0.33, 0.67), strict=True):
+            cursor.place(low + place * (high - low), visible=shown)
+        self.values.setVisible(shown)
+        self._tell()
+
+    def _tell(self) -> None:
+        if not self.cursors.isChecked():
+            return
+        name = self.channel.currentText()
+        first, second = (one.time_s for one in self._cursors)
+        rows = [("time (s)", f"{first:.4f}", f"{second:.4f}", f"{second - first:.4f}")]
+        for one in self.traces:
+            values = one.filtered.get(name, one.channels.get(name))
+            if values is not None:
+                a, b = (_at(values, (time - one.start_s) * one.rate_hz) for time in (first, second))
+                rows.append((f"{one.words}: {name} ({one.units.get(name, '')})", _said(a), _said(b), _said(b - a)))
+        fill(self.values, rows)
+
+
+def _at(values: "np.ndarray[tuple[int, ...], np.dtype[np.float32]]", place: float) -> float:
+    index = round(place)
+    return float(values[index]) if 0 <= index < len(values) else float("nan")
+
+
+def _said(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "none"

@@ -1,0 +1,1 @@
+"""Plots whose cost does not grow with the length of what they show."""

@@ -1,0 +1,198 @@
+"""One plot, and the lines in it; pyqtgraph is spoken to here and nowhere else."""
+
+import html
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import pyqtgraph
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QWidget
+
+from dragrig.figures.palette import BLACK, GREY
+from dragrig.window.plots.pyramid import Pyramid
+from dragrig.window.theme import SMALL_PX
+
+Values = npt.NDArray[np.floating]
+_FEWEST_COLUMNS = 200
+
+
+class Panel:
+    """A plot of one quantity against time, with its name written out and lines told apart by width and dashes too."""
+
+    def __init__(self, quantity: str, unit: str, across: str = "Time (s)") -> None:
+        self._plot = pyqtgraph.PlotWidget()
+        item = self._plot.getPlotItem()
+        style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
+        item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
+        item.setLabel("bottom", across, **style)
+        item.showGrid(x=True, y=True, alpha=0.18)
+        item.hideButtons()
+        for side in ("left", "bottom"):
+            axis = item.getAxis(side)
+            axis.enableAutoSIPrefix(False)
+            axis.setPen(GREY)
+            axis.setTextPen(BLACK)
+        item.getAxis("left").setWidth(84)
+        self._plot.setMinimumHeight(120)
+        self._item = item
+        self._lines: list[Line] = []
+        item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
+
+    @property
+    def widget(self) -> QWidget:
+        """The plot as a widget."""
+        widget: QWidget = self._plot
+        return widget
+
+    def line(self, name: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> "Line":
+        """Add a line."""
+        style = Qt.PenStyle.DashLine if dashed else Qt.PenStyle.SolidLine
+        pen = pyqtgraph.mkPen(colour, width=width, style=style)
+        made = Line(self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False))
+        self._lines.append(made)
+        return made
+
+    def title(self, *words: tuple[str, str]) -> None:
+        """Write above the plot what its lines are, each word with its colour."""
+        text = " &nbsp; ".join(f'<span style="color:{colour}">▬</span> {html.escape(word)}' for word, colour in words)
+        self._item.setTitle(text, size=f"{SMALL_PX}px", color=BLACK)
+
+    def rename(self, quantity: str, unit: str) -> None:
+        """Show another quantity."""
+        style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
+        self._item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
+
+    def forget_lines(self) -> None:
+        """Take all lines away."""
+        for line in self._lines:
+            self._item.removeItem(line.drawn)
+        self._lines = []
+
+    def level(self, value: float, words: str) -> None:
+        """Draw a limit across the plot."""
+        line = pyqtgraph.InfiniteLine(
+            pos=value,
+            angle=0,
+            pen=pyqtgraph.mkPen(GREY, width=1.5, style=Qt.PenStyle.DotLine),
+            label=words,
+            labelOpts={"color": GREY, "position": 0.5},
+        )
+        self._item.addItem(line)
+
+    def forget_levels(self) -> None:
+        """Take limits away."""
+        for one in list(self._item.items):
+            if isinstance(one, pyqtgraph.InfiniteLine) and not one.movable:
+                self._item.removeItem(one)
+
+    def cursor(self, colour: str, moved: Callable[[float], None]) -> "Cursor":
+        """Add an upright line that can be dragged; `moved` is told its time."""
+        line = pyqtgraph.InfiniteLine(
+            angle=90, movable=True, pen=pyqtgraph.mkPen(colour, width=2), hoverPen=pyqtgraph.mkPen(colour, width=4)
+        )
+        line.setVisible(False)
+        line.sigPositionChanged.connect(lambda *_: moved(float(line.value())))
+        self._item.addItem(line, ignoreBounds=True)
+        return Cursor(line)
+
+    def follow(self, other: "Panel") -> None:
+        """Show the same times as another plot."""
+        self._item.setXLink(other._item)  # noqa: SLF001  # two of one kind
+
+    def hide_times(self) -> None:
+        """Leave the times to the plot below."""
+        self._item.getAxis("bottom").setStyle(showValues=False)
+        self._item.setLabel("bottom", "")
+
+    def show_times(self, start: float, stop: float) -> None:
+        """Show from when to when [s]."""
+        if stop > start:
+            self._item.setXRange(start, stop, padding=0.01)
+
+    def fit(self) -> None:
+        """Show everything."""
+        ends = [line.ends for line in self._lines if line.ends is not None]
+        if ends:
+            self.show_times(min(end[0] for end in ends), max(end[1] for end in ends))
+        self._item.enableAutoRange(axis="y")
+        self.redraw()
+
+    def shown(self) -> tuple[float, float]:
+        """Return from when to when [s] the plot shows."""
+        low, high = self._item.getViewBox().viewRange()[0]
+        return float(low), float(high)
+
+    def redraw(self) -> None:
+        """Bring every line to what is shown now; costs the same however long they are."""
+        low, high = self.shown()
+        columns = max(_FEWEST_COLUMNS, int(self._item.getViewBox().width()))
+        for line in self._lines:
+            line.redraw(low, high, columns)
+
+
+class Line:
+    """A line of a panel: points given as they are, or a trace of any length."""
+
+    def __init__(self, drawn: "pyqtgraph.PlotDataItem") -> None:
+        self.drawn = drawn
+        self._trace: Pyramid | None = None
+        self._rate_hz, self._start_s = 1.0, 0.0
+        self._ends: tuple[float, float] | None = None
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """First and last time [s]."""
+        if self._trace is not None and self._trace.count:
+            return self._start_s, self._start_s + self._trace.count / self._rate_hz
+        return self._ends
+
+    def points(self, x: Values, y: Values) -> None:
+        """Show points as they are."""
+        self._trace = None
+        self._ends = (float(x[0]), float(x[-1])) if len(x) else None
+        self.drawn.setData(x, y)
+
+    def trace(self, values: Pyramid, rate_hz: float, start_s: float = 0.0) -> None:
+        """Show a trace, which may grow; `Panel.redraw` draws it."""
+        self._trace, self._rate_hz, self._start_s = values, rate_hz, start_s
+
+    def show(self, *, visible: bool) -> None:
+        """Show or hide the line."""
+        self.drawn.setVisible(visible)
+
+    @property
+    def visible(self) -> bool:
+        """Whether the line is shown."""
+        return bool(self.drawn.isVisible())
+
+    def redraw(self, low_s: float, high_s: float, columns: int) -> None:
+        """Draw what lies between two times."""
+        if self._trace is None:
+            return
+        begin, end = ((one - self._start_s) * self._rate_hz for one in (low_s, high_s))
+        # A sample beyond either side, so that lines reach the edges.
+        place, values = self._trace.view(begin - 1, end + 1, columns)
+        self.drawn.setData(self._start_s + place / self._rate_hz, values)
+
+
+class Cursor:
+    """An upright line that can be dragged."""
+
+    def __init__(self, line: "pyqtgraph.InfiniteLine") -> None:
+        self._line = line
+
+    @property
+    def time_s(self) -> float:
+        """Where it stands."""
+        return float(self._line.value())
+
+    def place(self, time_s: float, *, visible: bool = True) -> None:
+        """Put it somewhere."""
+        self._line.setVisible(visible)
+        self._line.setValue(time_s)
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is shown."""
+        return bool(self._line.isVisible())

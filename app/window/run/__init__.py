@@ -1,0 +1,1 @@
+"""The page that runs plans: form, preview, queue, live traces."""

@@ -1,0 +1,147 @@
+"""What the next session is to be: a plan, filled in, who is there, and how fast a rig that is no rig lives."""
+
+from pathlib import Path
+
+from PySide6.QtCore import QSignalBlocker, QTimer, Signal
+from PySide6.QtWidgets import QComboBox, QFileDialog, QFormLayout, QLineEdit, QWidget
+
+from dragrig.config.errors import DragrigError
+from dragrig.config.plan import Plan
+from dragrig.engine_host.messages import Pace, RigTerms
+from dragrig.plan_forms import PlanForm, form_of, known_plans
+from dragrig.planned import PlannedSession, RigInWords, planned
+from dragrig.window.remembered import Remembered
+from dragrig.window.run.form import PlanEditor
+from dragrig.window.widgets import button, card, column, label, row
+
+_SETTLE_MS = 250
+_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast as it can": "fast"}
+_DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times faster": 5.0, "20 times faster": 20.0}
+
+
+class NewSession(QWidget):
+    """Edits a session; `planned` and `refused` tell what it would do, a moment after every change."""
+
+    planned = Signal(object)
+    refused = Signal(str)
+    wanted = Signal(bool)
+    """It is to be put into the queue; true when it is to be started as well."""
+
+    def __init__(self, rig: RigTerms, words: RigInWords, lab: Path | None, remembered: Remembered) -> None:
+        super().__init__()
+        self._rig, self._remembered = rig, remembered
+        self._form: PlanForm | None = None
+        self.session: PlannedSession | None = None
+        self.plans = QComboBox()
+        self.plans.setAccessibleName("Plan")
+        for name in known_plans(lab):
+            self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
+        self.open = button("&Open …", self._choose_file, help_="A plan from a file")
+        self.editor = PlanEditor()
+        self.operator = QLineEdit(remembered.text("operator"))
+        self.note = QLineEdit()
+        self.pace = QComboBox()
+        self._paces = {} if words.real else _DOUBLE_PACES if words.title == "DOUBLE" else _PACES
+        self.pace.addItems(list(self._paces))
+        self.queue = button("Add to &queue", lambda: self.wanted.emit(False), help_="Put it at the end of the queue")
+        self.start = button(
+            "&Start", lambda: self.wanted.emit(True), "main", "Put it into the queue and start", "Ctrl+Return"
+        )
+        self._lay_out()
+        self._settle = QTimer(self)
+        self._settle.setSingleShot(True)
+        self._settle.timeout.connect(self.look)
+        self.editor.changed.connect(lambda: self._settle.start(_SETTLE_MS))
+        self.plans.currentIndexChanged.connect(lambda _: self._load(str(self.plans.currentData())))
+
+    @property
+    def chosen_pace(self) -> Pace | None:
+        """How fast a rig that is no rig is to live."""
+        return self._paces.get(self.pace.currentText())
+
+    def begin(self) -> None:
+        """Show the plan of the last time, or the first."""
+        place = self.plans.findData(self._remembered.text("plan", "drag"))
+        with QSignalBlocker(self.plans):
+            self.plans.setCurrentIndex(max(place, 0))
+        self._load(str(self.plans.currentData()))
+
+    def offer(self, name: str, plan: PlanForm) -> None:
+        """Show a plan that comes from elsewhere."""
+        with QSignalBlocker(self.plans):
+            if self.plans.findData(name) < 0:
+                self.plans.addItem(plan.plan.name, name)
+            self.plans.setCurrentIndex(self.plans.findData(name))
+        self._edit(plan)
+
+    def plan(self) -> Plan:
+        """Return the plan as it is filled in; raises `DragrigError`."""
+        if self._form is None:
+            return form_of(str(self.plans.currentData())).plan
+        return self._form.filled(self.editor.values())
+
+    def look(self) -> None:
+        """Look at what the session would do."""
+        self._settle.stop()
+        self.session = None
+        try:
+            self.session = planned(self.plan(), self._rig)
+        except DragrigError as error:
+            self.refused.emit(str(error))
+        else:
+            self.planned.emit(self.session)
+        allowed = self.session is not None and not self.session.findings
+        self.start.setEnabled(allowed)
+        self.queue.setEnabled(allowed)
+
+    def keep(self) -> None:
+        """Remember what is chosen."""
+        self._remembered.keep("plan", str(self.plans.currentData()))
+        self._remembered.keep("operator", self.operator.text())
+
+    def _lay_out(self) -> None:
+        form = QFormLayout()
+        form.addRow("Operator", self.operator)
+        form.addRow("Note", self.note)
+        if self._paces:
+            form.addRow("Lives", self.pace)
+        for edit, name in ((self.operator, "Operator"), (self.note, "Note"), (self.pace, "Pace")):
+            edit.setAccessibleName(name)
+        self.plans.setMinimumWidth(180)
+        head = row(self.plans, self.open)
+        head.setStretch(0, 1)
+        inside = column(label("New session", "title"), head, self.editor, form, row(1, self.queue, self.start))
+        inside.setStretch(2, 1)
+        self.setLayout(column(card(inside)))
+
+    def _choose_file(self) -> None:
+        dialog = QFileDialog(self, "Open a plan", self._remembered.text("plan folder"), "Plans (*.toml)")
+        # Not the system's own, which would keep Escape from the stop.
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.fileSelected.connect(self.open_file)
+        dialog.open()
+
+    def open_file(self, path: str) -> None:
+        """Choose a plan by its file."""
+        self._remembered.keep("plan folder", str(Path(path).parent))
+        if self.plans.findData(path) < 0:
+            with QSignalBlocker(self.plans):
+                self.plans.addItem(Path(path).stem, path)
+        self.plans.setCurrentIndex(self.plans.findData(path))
+
+    def _load(self, name: str) -> None:
+        try:
+            form = form_of(name)
+        except DragrigError as error:
+            self._form = None
+            self.start.setEnabled(False)
+            self.queue.setEnabled(False)
+            self.refused.emit(str(error))
+            return
+        self._edit(form)
+
+    def _edit(self, form: PlanForm) -> None:
+        self._form = form
+        self.editor.edit(form)
+        self.look()
