@@ -1,9 +1,9 @@
-"""Campaigns with hidden effects, and how a diagnosis did on them.
+"""Campaigns of the blind plant: how the time of diagnosing them grows, and how large their effects are.
 
-`python bench/blind.py make --cases 100 --seed 1 --out DIR` writes DIR/0001/*.h5 and so on, and DIR/answers.json;
-`python bench/blind.py diagnose DIR` diagnoses them, `python bench/blind.py score DIR` opens the answers.
-`python bench/blind.py score DIR` reads DIR/0001/diagnosis.json and so on and prints how often they are right.
-`python bench/blind.py sizes --draws 4` prints how large the effects are, form by form.
+`python bench/blind.py scale --campaigns 10 40 --workers 1 2` diagnoses campaigns side by side and prints how long it
+takes; run it on a machine that does nothing else. `python bench/blind.py sizes --draws 4 stribeck` prints how large
+effects are, form by form. `python bench/blind.py diagnose DIR` and `python bench/blind.py score DIR` diagnose and score
+campaigns DIR/NAME whose answers somebody else wrote to DIR/answers.json. An exam is held by `dragrig gap blind`.
 """
 
 import os
@@ -12,112 +12,54 @@ os.environ["OMP_NUM_THREADS"] = "1"
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
-import hashlib
 import json
-import multiprocessing
-import shutil
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, answer, draw, make
+from dragrig.blind.mixing import mix
+from dragrig.diagnosing_many import diagnose_many
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw, make
 
-SHARES = {
-    "full": 0.40,
-    "third": 0.15,
-    "tenth": 0.10,
-    "none": 0.10,
-    "outside": 0.10,
-    "pair": 0.07,
-    "rough": 0.08 * 2 / 3,
-    "rough none": 0.08 / 3,
-}
-"""Of each kind of case; single effects go through the whole vocabulary in turn."""
+MANY = 1000
+"""Campaigns that the time is extrapolated to."""
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What is to be hidden in one campaign."""
-
-    number: int
-    kind: str
-    seed: int
-    effects: tuple[str, ...]
-    sizes: tuple[float, ...]
-    rough: bool
-
-
-def mix(cases: int, seed: int) -> list[Case]:
-    """Return a balanced mix in random order; counts follow the shares as nearly as whole numbers allow."""
-    random = np.random.default_rng(seed)
-    exact = np.array([share * cases for share in SHARES.values()])
-    counts = np.floor(exact).astype(int)
-    counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
-    kinds = [kind for kind, count in zip(SHARES, counts.tolist(), strict=True) for _ in range(count)]
-    singles, foreign = _in_turn(tuple(CATALOGUE), random), _in_turn(tuple(OUTSIDE), random)
-    made = []
-    for kind in kinds:
-        effects, sizes = _hidden(kind, singles, foreign, random)
-        made.append((kind, effects, sizes))
-    order = random.permutation(len(made)).tolist()
-    seeds = random.integers(1, 2**31, len(made)).tolist()
-    return [
-        Case(number, made[at][0], own, made[at][1], made[at][2], rough=made[at][0].startswith("rough"))
-        for number, (at, own) in enumerate(zip(order, seeds, strict=True), 1)
-    ]
+def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> None:
+    """Print how the time of diagnosing grows with campaigns and workers."""
+    with tempfile.TemporaryDirectory() as root:
+        folders = [Path(root) / case.name for case in mix(max(campaigns), seed)]
+        for case, folder in zip(mix(max(campaigns), seed), folders, strict=True):
+            make(case.secret, folder)
+        print("campaigns  workers  seconds  s per campaign  times as fast  " + f"{MANY} campaigns (extrapolated)")
+        for count in campaigns:
+            alone = None
+            for some in workers:
+                began = perf_counter()
+                found = diagnose_many(folders[:count], workers=some)
+                seconds = perf_counter() - began
+                alone = alone or seconds
+                failed = sum(one.result is None for one in found)
+                told = f"{MANY * seconds / count / 60:.0f} min" + (f", {failed} failed" if failed else "")
+                print(
+                    f"{count:9d}  {some:7d}  {seconds:7.1f}  {seconds / count:14.2f}  {alone / seconds:13.2f}  {told}"
+                )
 
 
-def _in_turn(names: Sequence[str], random: np.random.Generator) -> Iterator[str]:
-    while True:
-        yield from random.permutation(np.array(names)).tolist()
+def diagnose(folder: Path) -> None:
+    """Diagnose every campaign that has no diagnosis yet."""
+    from dragrig.gap_json import gap_document
 
-
-def _hidden(
-    kind: str, singles: Iterator[str], foreign: Iterator[str], random: np.random.Generator
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    if kind in {"none", "rough none"}:
-        return (), ()
-    if kind == "outside":
-        return (next(foreign),), (1.0,)
-    if kind == "pair":
-        first, second = next(singles), next(singles)
-        while _place(first) == _place(second):
-            second = next(singles)
-        return (first, second), (1.0, 1.0 if random.random() < 0.5 else 1 / 3)
-    return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind, 1.0),)
-
-
-def _place(name: str) -> str:
-    return CATALOGUE[name][0].__module__
-
-
-def write(out: Path, fresh: bool, case: Case) -> dict[str, Any]:
-    """Write one campaign and return its answer."""
-    secret = draw(case.seed, effects=case.effects, size=case.sizes, rough=case.rough)
-    name = f"{case.number:04d}"
-    for folder, runs in ((out / name, None), (out / "fresh" / name, "fresh"))[: 2 if fresh else 1]:
-        if folder.exists():
-            shutil.rmtree(folder)
-        make(secret, folder, runs=runs)
-    return {"case": case.kind, **answer(secret)}
-
-
-def make_all(cases: int, seed: int, out: Path, *, fresh: bool) -> None:
-    """Write all campaigns of a mix and seal their answers."""
-    out.mkdir(parents=True, exist_ok=True)
-    planned = mix(cases, seed)
-    with multiprocessing.Pool(2) as pool:
-        found = pool.map(partial(write, out, fresh), planned, chunksize=1)
-    text = json.dumps({f"{one.number:04d}": told for one, told in zip(planned, found, strict=True)}, indent=1)
-    (out / "answers.json").write_text(text, encoding="utf-8")
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    (out / "answers.sha256").write_text(f"{digest}  answers.json\n", encoding="utf-8")
-    print(f"{len(planned)} campaigns in {out}, answers sealed with sha256 {digest}")
+    waiting = [one for one in sorted(folder.iterdir()) if one.is_dir() and not (one / "diagnosis.json").exists()]
+    for one in diagnose_many(waiting):
+        if one.result is None:
+            print(one.why_not)
+        else:
+            (Path(one.source) / "diagnosis.json").write_text(json.dumps(gap_document(one.result)), encoding="utf-8")
 
 
 def print_score(folder: Path) -> None:
@@ -126,21 +68,13 @@ def print_score(folder: Path) -> None:
 
     from dragrig.gap_scoring import score
 
-    text = (folder / "answers.json").read_text(encoding="utf-8")
-    sealed = folder / "answers.sha256"
-    if sealed.exists() and sealed.read_text(encoding="utf-8").split()[0] != hashlib.sha256(text.encode()).hexdigest():
-        print("answers.json is not what was sealed")
-    answers: dict[str, dict[str, Any]] = json.loads(text)
+    answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
     told = {name: folder / name / "diagnosis.json" for name in answers}
-    pairs = [
-        (name, answers[name], json.loads(path.read_text(encoding="utf-8")))
-        for name, path in told.items()
-        if path.exists()
-    ]
-    if len(pairs) < len(answers):
-        print(f"{len(answers) - len(pairs)} of {len(answers)} campaigns have no diagnosis.json and are left out")
+    there = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in told.items() if path.exists()}
+    if len(there) < len(answers):
+        print(f"{len(answers) - len(there)} of {len(answers)} campaigns have no diagnosis.json and are left out")
     console = Console()
-    for table in score(pairs).tables():
+    for table in score([(name, answers[name], said) for name, said in there.items()]).tables():
         console.print(table)
 
 
@@ -148,7 +82,7 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
     """Print d′ of every form at full size: median, least and largest of some draws."""
     from dataclasses import replace
 
-    from blind_sizes import directions, size
+    from dragrig.sim_backend.blind.size import directions, size
 
     bases = [draw(7 + at) for at in range(draws)]
     nominal = [directions(one) for one in bases]
@@ -164,63 +98,24 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
             print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")
 
 
-def diagnose_all(folder: Path, without: bool) -> None:
-    """Diagnose every campaign that has no diagnosis yet, two at a time, each without knowledge of the answers."""
-    cases = [one for one in sorted(folder.iterdir()) if one.is_dir() and one.name != "fresh"]
-    answers = json.loads((folder / "answers.json").read_text(encoding="utf-8")) if without else {}
-    waiting = [(one, tuple(answers.get(one.name, {}).get("effects", ())) if without else ()) for one in cases]
-    waiting = [one for one in waiting if not (one[0] / _name(without)).is_file()]
-    began = perf_counter()
-    with multiprocessing.Pool(2, maxtasksperchild=8) as pool:
-        seconds = list(pool.imap_unordered(partial(_diagnose_one, without), waiting))
-    if seconds:
-        print(f"{len(seconds)} campaigns in {perf_counter() - began:.0f} s, each {np.median(seconds):.1f} s (median)")
-
-
-def _name(without: bool) -> str:
-    return "diagnosis-without.json" if without else "diagnosis.json"
-
-
-def _diagnose_one(without: bool, case: tuple[Path, tuple[str, ...]]) -> float:
-    from dragrig.diagnosing import diagnosed, gap_evaluate
-    from dragrig.gap_json import gap_document, shrink_document
-
-    folder, left_out = case
-    began = perf_counter()
-    found = diagnosed(folder, without=left_out, workers=1).result
-    seconds = perf_counter() - began
-    fresh = folder.parent / "fresh" / folder.name
-    if not without and fresh.is_dir() and found.model is not None:
-        told = json.dumps(shrink_document(gap_evaluate(found.model, fresh)))
-        (folder / "fresh.json").write_text(told, encoding="utf-8")
-    (folder / _name(without)).write_text(json.dumps(gap_document(found)), encoding="utf-8")
-    return seconds
-
-
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    maker = commands.add_parser("make", help="write campaigns and their sealed answers")
-    maker.add_argument("--cases", type=int, default=100)
-    maker.add_argument("--seed", type=int, default=1)
-    maker.add_argument("--out", type=Path, required=True)
-    maker.add_argument(
-        "--fresh", action="store_true", help="write DIR/fresh/0001 too: the same at other speeds and strains"
-    )
-    doctor = commands.add_parser("diagnose", help="diagnose the campaigns that have no diagnosis yet")
-    doctor.add_argument("folder", type=Path)
-    doctor.add_argument("--without", action="store_true", help="with the true effects taken out of the catalogue")
-    scorer = commands.add_parser("score", help="compare diagnoses with the answers")
-    scorer.add_argument("folder", type=Path)
+    scale = commands.add_parser("scale", help="print how time grows with campaigns and workers")
+    scale.add_argument("--campaigns", type=int, nargs="+", default=[10, 40])
+    scale.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    scale.add_argument("--seed", type=int, default=3)
+    for name, told in (("diagnose", "diagnose what has no diagnosis yet"), ("score", "compare with the answers")):
+        commands.add_parser(name, help=told).add_argument("folder", type=Path)
     sizer = commands.add_parser("sizes", help="print how large the effects are")
     sizer.add_argument("--draws", type=int, default=4)
     sizer.add_argument("effects", nargs="*")
     given = parser.parse_args()
-    if given.command == "make":
-        make_all(given.cases, given.seed, given.out, fresh=given.fresh)
+    if given.command == "scale":
+        print_scale(given.campaigns, given.workers, given.seed)
     elif given.command == "diagnose":
-        diagnose_all(given.folder, given.without)
+        diagnose(given.folder)
     elif given.command == "score":
         print_score(given.folder)
     else:

@@ -11,8 +11,17 @@ import pytest
 # Tests run side by side, so that a second thread of linear algebra only waits for the first.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+os.environ.setdefault("PYTEST_QT_API", "pyside6")
+
+from windows import lacking
+
 if TYPE_CHECKING:
+    from playwright.sync_api import Browser
     from rig_faults import Bench
+
+# Where Qt cannot be loaded its plugin would end every test, so it is loaded here and not by itself.
+pytest_plugins = () if lacking() else ("pytestqt.plugin",)
 
 
 def is_root() -> bool:
@@ -71,3 +80,12 @@ def close_folder() -> Iterator[Callable[[Path], None]]:
     yield close
     for folder in closed:
         subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture(scope="session")
+def browser() -> "Iterator[Browser]":
+    """A real Chromium without a window; where there is none, the test is skipped, and fails where CI is true."""
+    from browsing import chromium
+
+    with chromium() as one:
+        yield one

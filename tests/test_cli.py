@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from dragrig.cli import main
 from dragrig.cli.console import exit_code_of, result
 from dragrig.cli.lazy import SECTIONS, group
-from dragrig.cli.plain import to_plain
+from dragrig.plain import to_plain
 
 ALONE = "Without a plan the rig itself is looked at, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")

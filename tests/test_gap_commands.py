@@ -74,11 +74,10 @@ def test_what_is_no_model_cannot_be_evaluated(
 
 
 def test_options_have_the_engines_defaults() -> None:
-    assert options_of((), None, 1).tolerance_mN == Options().tolerance_mN
-    assert options_of(("folds", "folds"), 0.0, 3) == Options(without=("folds",), tolerance_mN=0.0, workers=3)
-    assert options_of((), None, None).workers in {1, 2}
+    assert options_of((), None).tolerance_mN == Options().tolerance_mN
+    assert options_of(("folds", "folds"), 0.0) == Options(without=("folds",), tolerance_mN=0.0)
     with pytest.raises(SettingsError):
-        options_of(("",), None, 1)
+        options_of(("",), None)
 
 
 def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:

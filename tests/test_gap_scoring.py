@@ -1,32 +1,24 @@
 """The scorer of diagnoses."""
 
+import io
+import json
+from contextlib import redirect_stdout
+from html.parser import HTMLParser
 from io import StringIO
+from math import inf
 
 import pytest
+from exams import large_exam, said, truth
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from dragrig.cli.gap.blind_telling import exam_parts
+from dragrig.cli.gap.printing import show
 from dragrig.config.errors import AnalysisError
 from dragrig.gap_scoring import score
-
-
-def truth(*effects: str, size: float = 1.0, outside: bool = False, rough: bool = False) -> dict[str, object]:
-    verdict = "unknown" if outside else ("no_gap", "effect", "several")[min(len(effects), 2)]
-    sizes = [size] * len(effects)
-    return {"verdict": verdict, "effects": list(effects), "size": sizes, "nominal_slightly_wrong": rough}
-
-
-def said(*effects: str, p: float = 0.9, verdict: str = "", channel: str = "force") -> dict[str, object]:
-    told = verdict or ("effect" if len(effects) == 1 else "several")
-    first = "+".join(effects) or told
-    return {
-        "verdict": told,
-        "effects": list(effects),
-        "ranking": [{"hypothesis": first, "probability": p}, {"hypothesis": "rest", "probability": 1 - p}],
-        "where": {"channel": {"force": 0.2, "position": 0.2, channel: 0.8}},
-    }
-
+from dragrig.gap_scoring.document import score_document
+from dragrig.reports.blind.page import page
 
 PAIRS = [
     ("right", truth("stribeck"), said("stribeck")),
@@ -100,3 +92,134 @@ def test_rates_lie_within_their_intervals_and_do_not_depend_on_order(pairs: list
     assert [(one.held, one.count) for one in found.rates] == [(one.held, one.count) for one in turned.rates]
     for one in found.rates:
         assert not one.count or one.low - 1e-9 <= one.share <= one.high + 1e-9
+
+
+def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_alias() -> None:
+    asked = {
+        "unknown": said(verdict="unknown"),
+        "alias, unsure": said("adhesion", p=0.45),
+        "alias, sure": said("adhesion", p=0.7),
+        "alias, others not told from it": said("adhesion", p=0.7, confusable=("film_depletion",)),
+        "no alias": said("folds", p=0.4),
+        "no gap": said(verdict="no_gap"),
+    }
+    pairs = [(name, truth("stribeck"), said("stribeck")) for name in asked]
+    asked["tiny"], small = said(verdict="no_gap"), ("tiny", truth("stribeck", size=0.1), said("stribeck"))
+    found = score([*pairs, small], withheld=asked)
+    told = {one.name: (one.held, one.count) for one in found.withheld}
+    assert told == {
+        "withheld, unknown, or its near-alias with doubt": (3, 6),
+        "withheld, unknown": (1, 6),
+        "withheld, a name above 0.5": (2, 6),
+        "withheld, a tenth: that, or no gap": (1, 1),
+    }
+
+
+def test_what_was_said_is_counted_by_what_was_hidden() -> None:
+    found = score(PAIRS).confusion
+    counts = {
+        (row, column): count
+        for row, told in zip(found.hidden, found.counts, strict=True)
+        for column, count in zip(found.said, told, strict=True)
+        if count
+    }
+    assert sum(counts.values()) == len(PAIRS)
+    assert counts["stribeck", "adhesion"] == 1
+    assert counts["several", "several"] == 1
+    assert counts["several", "folds"] == 1
+    assert counts["unknown", "folds"] == 1
+    assert counts["no_gap", "unknown"] == 1
+    assert found.hidden[-3:] == ("several", "unknown", "no_gap")
+
+
+def test_detection_goes_by_size_and_leaves_rough_campaigns_out() -> None:
+    pairs = [
+        ("seen", truth("folds"), said("folds")),
+        ("named wrongly", truth("folds"), said("adhesion")),
+        ("not seen", truth("folds", size=0.1), said(verdict="no_gap")),
+        ("rough", truth("folds", rough=True), said("adhesion")),
+    ]
+    amounts = {"seen": 40.0, "named wrongly": 30.0, "not seen": 2.0, "rough": 30.0}
+    low, high = score(pairs, amounts=amounts).detection
+    assert (low.low, low.high, low.seen.held, low.misled.held, low.seen.count) == (0.0, 3.0, 0, 0, 1)
+    assert (high.low, high.seen.held, high.named.held, high.misled.held, high.seen.count) == (25.0, 2, 1, 1, 2)
+
+
+def test_probabilities_that_are_true_have_skill_and_lie_in_their_bands() -> None:
+    sure = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds" if at % 2 else "stribeck", p=1.0))
+            for at in range(20)]  # fmt: skip
+    found = score(sure).calibration
+    assert found.brier == pytest.approx(0.0)
+    assert found.brier_base == pytest.approx(0.5)
+    assert found.skill == pytest.approx(1.0)
+    [top] = found.bins
+    assert (top.low, top.high, top.count, top.right, top.band) == (0.95, 1.0, 20, 20, (1.0, 1.0))
+    guesses = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds", p=0.5)) for at in range(20)]
+    assert score(guesses).calibration.skill < 0.5
+    [middle] = score(guesses).calibration.bins
+    assert middle.band[0] <= middle.share <= middle.band[1]
+
+
+def test_an_effect_too_small_to_see_may_pass_for_no_gap_in_the_brier_score() -> None:
+    tiny = score([("a", truth("folds", size=0.1), said(verdict="no_gap", p=1.0))])
+    assert tiny.calibration.brier == pytest.approx(0.0)
+    large = score([("a", truth("folds"), said(verdict="no_gap", p=1.0))])
+    assert large.calibration.brier == pytest.approx(2.0)
+
+
+def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
+    pairs = [
+        ("kept", truth("folds"), said("folds", closed=0.95, interval=(0.9, 0.97))),
+        ("not kept", truth("folds"), said("folds", closed=0.95, interval=(0.94, 0.96))),
+        ("wrong", truth("folds"), said("adhesion", closed=0.8)),
+        ("no effect named", truth("folds"), said(verdict="unknown", closed=0.3)),
+        ("no fresh runs", truth("folds"), said("folds", closed=0.9)),
+    ]
+    closed = {"kept": 0.93, "not kept": 0.65, "wrong": 0.1, "no effect named": 0.2}
+    achieved = {name: {"shrink": {"closed": one, "closed_95ci": None}} for name, one in closed.items()}
+    found = score(pairs, achieved=achieved).promises
+    assert [one.case for one in found.kept] == ["kept", "not kept", "wrong"]
+    assert found.difference == pytest.approx(0.3)
+    assert found.right_difference == pytest.approx(0.16)
+    assert (found.within.held, found.within.count) == (1, 2)
+    assert (found.closed.held, found.closed.count) == (1, 2)
+
+
+@pytest.mark.parametrize("cases", [1, 160])
+def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
+    from dragrig.blind.holding import BlindExam
+
+    found = large_exam(cases)
+    exam = BlindExam(cases, 4, "ab" * 32, found, {}, {"this call": 1.0})
+    told = json.dumps(exam.document(), allow_nan=False)
+    assert json.loads(told)["calibration"]["reliability"]
+    assert exam.document()["confusion"] == score_document(found)["confusion"]
+    out = io.StringIO()
+    with redirect_stdout(out):
+        show(exam_parts(exam))
+    shown = page(found, cases, 4, "ab" * 32)
+    pictures = HTMLPictures()
+    pictures.feed(shown)
+    assert not pictures.sources
+    first = f"{cases - len(found.missed)} of {cases} verdicts are right"
+    assert first in out.getvalue()
+    assert first in shown.replace("\u00a0", " ")
+    if cases > 1:
+        assert pictures.drawn == 5
+        assert "d′" in out.getvalue()
+        assert any(one.high == inf for one in found.detection)
+        assert "Where the true effect is withheld" in shown
+    else:
+        assert shown == page(found, cases, 4, "ab" * 32)
+
+
+class HTMLPictures(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+        self.drawn = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.drawn += tag == "svg" and dict(attrs).get("class") != "glyphs"
+        if tag == "img":
+            self.sources.append(dict(attrs)["src"] or "")

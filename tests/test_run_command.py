@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,13 @@ import numpy as np
 import pytest
 from runfiles import header
 
+from dragrig import campaigns
 from dragrig.cli import main
+from dragrig.rig.people import Nobody
 from dragrig.rig.runfile import Recorder, campaign, mark_bad, read_run
 from dragrig.rig.runfile.model import RunInfo, Status
+from dragrig.sessions import Terms
+from dragrig.setup import resolve
 
 QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
 
@@ -48,6 +52,14 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def statuses(folder: Path) -> list[tuple[str, Status]]:
     return [(one.kind, one.status) for one in campaign(folder).runs]
+
+
+def test_two_dry_runs_of_one_second_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    setup = resolve("drag", assignments=[QUICK[2], QUICK[4]])
+    terms = Terms(tmp_path, origin=datetime(2026, 5, 4, 9, tzinfo=UTC))
+    made = [campaigns.begin(setup, None, terms, Nobody()).folder.name for _ in range(3)]
+    assert made == ["20260504-090000-drag", "20260504-090000-drag-2", "20260504-090000-drag-3"]
 
 
 def test_a_plan_becomes_one_file_a_run(run: Runner, tmp_path: Path) -> None:

@@ -1,0 +1,96 @@
+"""The paper's own question: is it a wall that cannot follow or a hyperelastic one, and is 20 mm/s a boundary.
+
+`python bench/paper_question.py` prints how far apart the two are under the paper's programme and under parts of it, and
+what a diagnosis says of simulated campaigns of that programme with either of them.
+"""
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+from dataclasses import replace
+
+import dragrig
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.nominal.capsule import CapsuleModel
+from dragrig.config.model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.setup import resolve
+
+PAIR = ("wall_lift_off", "hyperelastic_wall")
+POSITION = ("encoder_scale", "servo_lag", "velocity_ripple")
+HIDDEN = (
+    (),
+    ("wall_lift_off:share=0.6,speed_mm_s=25,power=3",),
+    ("wall_lift_off:share=0.2,speed_mm_s=25,power=3",),
+    ("wall_lift_off:share=0.6,speed_mm_s=10,power=3",),
+    ("wall_lift_off:share=0.6,speed_mm_s=40,power=3",),
+    ("hyperelastic_wall:stiffening=0.3",),
+    ("hyperelastic_wall:stiffening=0.1",),
+)
+
+
+def parts() -> dict[str, Plan]:
+    """Return the paper's programme, and parts of it."""
+    whole = resolve("paper", backend="simulated").plan
+    drags = tuple(one for one in whole.steps if one.kind == "drag")
+    speeds = drags[0].parameters["speed_mm_s"]
+    slow = [one for one in speeds if one <= 20] if isinstance(speeds, list) else []
+    slowly = drags[0].model_copy(update={"parameters": {**drags[0].parameters, "speed_mm_s": slow}})
+    return {
+        "paper": whole,
+        "drags alone": replace_steps(whole, drags),
+        "drags up to 20 mm/s alone": replace_steps(whole, (slowly,)),
+        "relaxations alone": replace_steps(whole, tuple(one for one in whole.steps if one.kind == "relaxation")),
+        "diagnose": resolve("diagnose", backend="simulated").plan,
+    }
+
+
+def replace_steps(plan: Plan, steps: tuple[object, ...]) -> Plan:
+    """Return a plan with other steps."""
+    return plan.model_copy(update={"steps": steps})
+
+
+def angles() -> None:
+    """Print how far the two are apart, and from their nearest rivals."""
+    for name, plan in parts().items():
+        found = dragrig.isolability(plan, without=POSITION)
+        seen = {one.effect: one for one in found.effects}
+        for effect in PAIR:
+            one = seen[effect]
+            least = "not seen" if one.least is None else f"from {one.least:.3f} on ({one.least_mN:.1f} mN)"
+            near = [each for each in found.pairs if effect in each.effects][:2]
+            said = [f"{each.effects} sin² {each.sin2:.2f} d′ {each.separation:.0f}" for each in near]
+            print(f"{name}: {effect} d′ {one.d_prime:.0f}, {least}; nearest {'; '.join(said)}", flush=True)
+        pair = found.pair(*PAIR)
+        if pair is not None:
+            print(f"{name}: sin² {pair.sin2:.3f}, d′ {pair.d_prime[0]:.0f} and {pair.d_prime[1]:.0f}", flush=True)
+
+
+def campaigns() -> None:
+    """Print what a diagnosis says of the paper's programme with either effect."""
+    model = CapsuleModel(FrictionModelSettings(name="paper"))
+    for effects in HIDDEN:
+        chosen = choose(dragrig.simulate("paper", effects=list(effects)))
+        drags = replace(chosen, experiments=chosen.of_kind("drag"))
+        for name, selection in (("paper", chosen), ("its drags alone", drags)):
+            found = diagnose(selection, model)
+            top = found.ranking[0]
+            values = ", ".join(f"{one.name} {one.value:.3g} ± {one.standard_error:.2g}" for one in top.parameters)
+            rivals = [f"{one.hypothesis} {one.probability:.2f}" for one in found.ranking[1:3]]
+            print(f"{effects or 'nothing'} by {name}: {found.verdict.value} {found.effects} {top.probability:.2f}")
+            print(f"    {values}; next {rivals}; confusable {found.confusable_with}")
+            if found.shrink is not None:
+                ratio, squared = found.shrink.r2_eq15, found.shrink.r2_corr
+                told = [ratio.before_below, ratio.before_above, squared.before_below, squared.before_above]
+                spelled = ["none" if one is None else f"{one:.3f}" for one in told]
+                print(
+                    f"    R², ratio of Eq. 15 and squared correlation, below and above 20 mm/s: {spelled}", flush=True
+                )
+
+
+if __name__ == "__main__":
+    angles()
+    campaigns()

@@ -1,0 +1,144 @@
+"""Pictures of every page of the window, made off screen: `python bench/screenshots.py [FOLDER]`; else docs/images.
+
+A lab folder is made for it, with one campaign on the simulated rig; the pages are used as a person would.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+
+from PySide6.QtCore import QSettings
+from PySide6.QtWidgets import QWidget
+
+import dragrig
+from dragrig.engine_host.messages import Answer, Reset, RigTerms
+from dragrig.lab import create
+from dragrig.window.application import application
+from dragrig.window.main_window import MainWindow
+from dragrig.window.remembered import Remembered
+
+PATIENCE_S = 600.0
+
+
+class Photographer:
+    """Uses a window and takes its picture."""
+
+    def __init__(self, folder: Path, lab: Path) -> None:
+        self.application = application()
+        self.folder = folder
+        settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
+        self.window = MainWindow(RigTerms(rig=lab / "rig.toml"), lab, Remembered(settings), PATIENCE_S)
+        self.window.resize(1500, 1000)
+        self.window.show()
+
+    def until(self, done: Callable[[], bool]) -> None:
+        """Let the window live until something is so."""
+        end = time.monotonic() + PATIENCE_S
+        while not done():
+            if time.monotonic() > end:
+                self.window.grab().save(str(self.folder / "window-stuck.png"))
+                raise TimeoutError("the window does not get there")
+            self.application.processEvents()
+            time.sleep(0.01)
+
+    def live_for(self, duration_s: float) -> None:
+        """Let the window live for a while."""
+        end = time.monotonic() + duration_s
+        self.until(lambda: time.monotonic() > end)
+
+    def take(self, name: str, widget: QWidget | None = None) -> None:
+        """Take a picture."""
+        self.live_for(0.4)
+        path = self.folder / f"window-{name}.png"
+        (widget or self.window).grab().save(str(path))
+        print(path)
+
+
+def run_page(camera: Photographer) -> None:
+    """Show a plan filled in, and its run under way."""
+    window = camera.window
+    new = window.run.new
+    new.plans.setCurrentIndex(new.plans.findData("drag"))
+    new.operator.setText("A. Person")
+    camera.until(lambda: bool(window.guard.text().startswith("guard: TRIPPED")))
+    camera.take("tripped")
+    window.engine.ask(Reset())
+    camera.until(lambda: window.guard.text() == "guard: armed")
+    camera.until(lambda: window.run.devices.devices.rowCount() > 0)
+    for key, text in {"speed_mm_s": "5, 10, 20", "wait_s": "0", "repeats": "2"}.items():
+        new.editor.put(key, text)
+    new.look()
+    camera.take("plan")
+    new.queue.click()
+    new.start.click()
+    camera.until(window.notices.question.isVisible)
+    camera.take("question")
+    window.notices.answers[Answer.DONE].click()
+    camera.until(lambda: window.run.live.run is not None and window.run.live.run.latest.time_s > 6)
+    camera.take("run")
+    window.stop_button.click()
+    camera.until(lambda: not window.run.under_way)
+
+
+def look_page(camera: Photographer, campaign: Path) -> None:
+    """Show runs over each other, with cursors, and their steady forces."""
+    window = camera.window
+    window.run.look_at.emit(str(campaign))
+    browser = window.look.browser
+    camera.until(lambda: bool(browser.selected()))
+    items = [item.child(at) for item in browser.tree.selectedItems() for at in range(item.childCount())]
+    drags = [item for item in items if "drag" in item.text(0)]
+    browser.tree.clearSelection()
+    for item in drags[:4]:
+        item.setSelected(True)
+    camera.until(lambda: len(window.look.overlay.traces) == len(drags[:4]))
+    window.look.overlay.cursors.click()
+    camera.take("look")
+    window.look.tabs.setCurrentIndex(1)
+    camera.until(lambda: window.look.steady.rowCount() > 0)
+    camera.take("steady")
+
+
+def diagnose_page(camera: Photographer, campaign: Path) -> None:
+    """Diagnose a campaign and show each of its tabs."""
+    window = camera.window
+    page = window.diagnose
+    window.go_to(page)
+    page.offer(str(campaign))
+    page.start.click()
+    camera.until(lambda: not page.busy)
+    for at, name in enumerate(("which", "where", "before-after", "questions")):
+        page.results.tabs.setCurrentIndex(at)
+        camera.take(f"diagnose-{name}")
+
+
+def main(folder: Path) -> None:
+    """Take all pictures."""
+    with tempfile.TemporaryDirectory() as place:
+        lab = Path(place) / "lab"
+        create(lab)
+        campaign = lab / "runs" / "stribeck"
+        # Less rest than a specimen would want: nobody looks at it.
+        dragrig.simulate(
+            "drag-sweep",
+            out=campaign,
+            rig=lab / "rig.toml",
+            effects=["stribeck:ratio=0.6"],
+            assignments=["speed_mm_s=[1,2,5,10,20,40]", "repeats=2"],
+        )
+        camera = Photographer(folder, lab)
+        try:
+            run_page(camera)
+            look_page(camera, campaign)
+            diagnose_page(camera, campaign)
+        finally:
+            camera.window.close_in_order("the pictures are taken")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "docs" / "images")

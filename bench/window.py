@@ -1,0 +1,109 @@
+"""Frame times of the window's plots: 10 million points on the screen, and 250 kS/s live, on one core.
+
+`python bench/window.py` prints median and worst frame; a frame is all that it takes to bring the plots to the screen's
+memory, drawn off screen, at the window's usual size.
+"""
+
+import os
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from dragrig.engine_host.live import Fresh
+from dragrig.window.application import application
+from dragrig.window.plots.panel import Panel
+from dragrig.window.plots.pyramid import Pyramid
+from dragrig.window.run.live import LiveView
+
+FRAMES = 60
+WANTED_HZ = 30.0
+POINTS = 10_000_000
+RATE_HZ = 250_000.0
+
+
+def frames(draw: Callable[[int], None], show: Callable[[], None]) -> np.ndarray:
+    """Return times of frames [s]."""
+    took = []
+    for number in range(FRAMES):
+        begun = time.perf_counter()
+        draw(number)
+        show()
+        took.append(time.perf_counter() - begun)
+    return np.array(took)
+
+
+def told(name: str, took: np.ndarray) -> None:
+    """Print what was measured."""
+    median, worst = float(np.median(took)), float(took.max())
+    fine = "ok" if 1 / median >= WANTED_HZ else "TOO SLOW"
+    print(f"{name:58} median {1000 * median:6.1f} ms, worst {1000 * worst:6.1f} ms, {1 / median:5.0f} frames/s  {fine}")
+
+
+def still() -> None:
+    """Zoom and pan over 10 million points."""
+    app = application()
+    panel = Panel("Force", "mN")
+    panel.widget.resize(1000, 600)
+    panel.widget.show()
+    noise = np.random.default_rng(1).normal(100.0, 3.0, POINTS).astype(np.float32)
+    pyramid = Pyramid()
+    begun = time.perf_counter()
+    pyramid.append(noise)
+    print(f"pyramid of {POINTS / 1e6:g} million points: {time.perf_counter() - begun:.2f} s, once")
+    panel.line("", "#0072B2", 2.0).trace(pyramid, RATE_HZ)
+    length = POINTS / RATE_HZ
+
+    def zoomed(number: int) -> None:
+        share = 0.5 ** (number % 20)
+        panel.show_times(0.3 * length * (1 - share), 0.3 * length * (1 - share) + share * length)
+
+    def panned(number: int) -> None:
+        panel.show_times(-0.01 * number, length - 0.01 * number)
+
+    def show() -> None:
+        panel.widget.grab()
+        app.processEvents()
+
+    told("10 million points, all of them shown, panned", frames(panned, show))
+    told("10 million points, zoomed from all to 40 samples", frames(zoomed, show))
+
+
+def live() -> None:
+    """Draw what comes at 250 kS/s, as fast as it comes: the frame holds what a 30th of a second brings."""
+    app = application()
+    view = LiveView()
+    view.resize(1000, 700)
+    view.show()
+    per_frame = round(RATE_HZ / WANTED_HZ)
+    rng = np.random.default_rng(2)
+
+    def draw(number: int) -> None:
+        first = number * per_frame
+        force = rng.normal(100.0, 3.0, per_frame).astype(np.float32)
+        position = (np.arange(first, first + per_frame) / RATE_HZ * 20.0).astype(np.float32)
+        view.take(Fresh(2, RATE_HZ, first, 0, force, position, np.full(per_frame, 2, np.uint8)))
+
+    def show() -> None:
+        view.grab()
+        app.processEvents()
+
+    first = frames(draw, show)
+    told("250 kS/s live, three plots, filter and speed, first 2 s", first[10:])
+    assert view.run is not None
+    # A quarter of an hour later: as many points as that, and the next frames.
+    fill = rng.normal(100.0, 3.0, 1_000_000).astype(np.float32)
+    for pyramid in (view.run.force, view.run.filtered, view.run.position, view.run.speed):
+        for _ in range(100):
+            pyramid.append(fill)
+    told("250 kS/s live, 100 million samples later", frames(lambda number: draw(FRAMES + number), show)[10:])
+
+
+if __name__ == "__main__":
+    still()
+    live()

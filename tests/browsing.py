@@ -1,0 +1,125 @@
+"""What the tests that open a page in a real Chromium share."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+PHONE_PX, DESK_PX = 390, 1200
+Scheme = Literal["light", "dark"]
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    found = next((path for path in map(shutil.which, NAMES) if path), None)
+    if found is None:
+        told = "no Chromium here: apt-get install chromium"
+        if os.environ.get("CI") == "true":
+            pytest.fail(told)
+        pytest.skip(told)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"], timeout=120_000)
+        yield browser
+        browser.close()
+
+
+@dataclass
+class Heard:
+    """What a page said and asked for."""
+
+    said: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def opened(browser: Browser, url: str, width: int = DESK_PX, scheme: Scheme = "light") -> Iterator[tuple[Page, Heard]]:
+    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    context.set_default_timeout(120_000)
+    page, heard = context.new_page(), Heard()
+    page.on("console", lambda message: heard.said.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: heard.said.append(f"error: {error}"))
+    page.on("request", lambda request: heard.asked.append(request.url))
+    page.goto(url)
+    yield page, heard
+    context.close()
+
+
+def must_be_presentable(browser: Browser, file: Path) -> None:
+    """Open a page at a desk, on a phone, in the dark and on paper, and look for what a customer would not like."""
+    for width, scheme in ((DESK_PX, "light"), (PHONE_PX, "light"), (DESK_PX, "dark")):
+        with opened(browser, file.as_uri(), width, scheme) as (page, heard):
+            _unfold(page)
+            assert heard.said == []
+            assert heard.asked == [file.as_uri()]
+            assert page.evaluate("document.documentElement.scrollWidth") <= width, f"wider than {width} px"
+            assert _contrast(page) > 7.0
+            assert _figures(page) == []
+            page.emulate_media(media="print")
+            assert _contrast(page) > 15.0, "prints on a dark ground"
+
+
+def must_sort(browser: Browser, file: Path, table: str, column: int) -> None:
+    """Sort a table's column of numbers from the keyboard: up, down, and as it was, missing ones always last."""
+    with opened(browser, file.as_uri()) as (page, heard):
+        head = page.locator(f"{table} thead th").nth(column)
+        as_was = _numbers(page, table, column)
+        there = sorted(one for one in as_was if one is not None)
+        lost = [None] * (len(as_was) - len(there))
+        assert as_was not in (there + lost, there[::-1] + lost)
+        head.locator("button").focus()
+        for key, order, wanted in (
+            ("Enter", "ascending", there + lost),
+            ("Space", "descending", there[::-1] + lost),
+            ("Enter", "none", as_was),
+        ):
+            page.keyboard.press(key)
+            assert head.get_attribute("aria-sort") == order
+            assert _numbers(page, table, column) == wanted
+        assert heard.said == []
+
+
+def _numbers(page: Page, table: str, column: int) -> list[float | None]:
+    cells = page.locator(f"{table} tbody tr td:nth-child({column + 1})").all_inner_texts()
+    return [None if one == "–" else float(one.replace("−", "-")) for one in cells]
+
+
+def _unfold(page: Page) -> None:
+    page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+
+
+def _figures(page: Page) -> list[str]:
+    """Say which figures are not drawn, say nothing to those who cannot see, or refer to letters that are not there."""
+    return list(
+        page.evaluate("""() => [...document.querySelectorAll("figure svg")].flatMap((svg, place) => [
+            svg.getBoundingClientRect().height < 100 ? `figure ${place} is not drawn` : "",
+            (svg.getAttribute("aria-label") ?? "").length < 20 ? `figure ${place} says nothing` : "",
+            ...[...svg.querySelectorAll("use")].map((use) =>
+                document.getElementById(use.getAttribute("href").slice(1)) ? "" : `no ${use.getAttribute("href")}`),
+            ...[...svg.querySelectorAll("[clip-path]")].map((one) =>
+                document.getElementById(one.getAttribute("clip-path").slice(5, -1)) ? "" : "a clip is lost"),
+        ]).filter(Boolean)""")
+    )
+
+
+def _contrast(page: Page) -> float:
+    """Contrast of text on the page, as the Web Content Accessibility Guidelines count it."""
+    text, ground = page.evaluate(
+        "(() => { const own = getComputedStyle(document.body);"
+        " return [own.color, own.backgroundColor].map((one) => one.match(/[\\d.]+/g).slice(0, 3).map(Number)); })()"
+    )
+    bright, dim = sorted((_luminance(text), _luminance(ground)), reverse=True)
+    return (bright + 0.05) / (dim + 0.05)
+
+
+def _luminance(rgb: list[float]) -> float:
+    red, green, blue = (
+        one / 12.92 if one <= 0.03928 else ((one + 0.055) / 1.055) ** 2.4 for one in (part / 255 for part in rgb)
+    )
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue

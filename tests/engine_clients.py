@@ -1,0 +1,130 @@
+"""Clients of an engine's host that are processes of their own, so that they can be held and killed.
+
+`python engine_clients.py FOLDER PLAN_SECONDS HOLD_S` starts a session at the real pace, says what happens on standard
+output, a line each, and holds its interpreter for `HOLD_S` seconds once the run moves.
+"""
+
+import ctypes
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from dragrig.config.plan import Plan
+from dragrig.engine_host.client import EngineClient
+from dragrig.engine_host.messages import (
+    SILENCE_S,
+    Answer,
+    Asked,
+    Began,
+    Ended,
+    Event,
+    Job,
+    Latched,
+    Reply,
+    Reset,
+    RigTerms,
+    RunBegan,
+    Start,
+)  # fmt: skip
+
+PATIENCE_S = 120.0
+"""Machines that test are busy."""
+
+
+def plan(speed_mm_s: float = 20.0, travel_mm: float = 10.0, runs: int = 1, prompt: str = "", **keys: object) -> Plan:
+    step = {
+        "kind": "drag",
+        "speed_mm_s": speed_mm_s,
+        "travel_mm": travel_mm,
+        "rest_s": 0.2,
+        "hold_s": 0.2,
+        "repeats": runs,
+        "wait_s": 0.0,
+        "prompt": prompt,
+        "way_back": "stay",
+    }
+    return Plan.model_validate({"name": "short", "steps": [{**step, **keys}]})
+
+
+class Listener:
+    """A client that remembers all it was told and answers what it is asked, unless `answer` is none."""
+
+    def __init__(self, client: EngineClient) -> None:
+        self.client = client
+        self.heard: list[Event] = []
+        self.answer: Answer | None = Answer.DONE
+
+    def armed(self) -> "Listener":
+        """Forget what was heard and seen, and reset the guard."""
+        self.client.ask(Reset())
+        self.until(Latched, lambda event: event == Latched(""))
+        self.heard, self.answer = [], Answer.DONE
+        self.client.live.read()
+        return self
+
+    def until(self, kind: type[Event], wanted: Callable[[Event], bool] = lambda _: True) -> Event:
+        """Wait for an event of a kind that has not been waited for yet."""
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            self.client.beat()
+            for event in self.client.events():
+                self.heard.append(event)
+                if isinstance(event, Asked) and self.answer is not None:
+                    self.client.ask(Reply(event.question, self.answer))
+                if isinstance(event, kind) and wanted(event):
+                    return event
+            time.sleep(0.005)
+        raise AssertionError(f"no {kind.__name__} within {PATIENCE_S:g} s, but {self.heard}")
+
+    def until_samples(self, count: int) -> int:
+        """Wait until so many samples of a run have come to the screen; return how many have."""
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            self.client.beat()
+            fresh = self.client.live.read()
+            if fresh is not None and fresh.first_index + len(fresh.force) >= count:
+                return fresh.first_index + len(fresh.force)
+            time.sleep(0.005)
+        raise AssertionError(f"no {count} samples within {PATIENCE_S:g} s")
+
+
+@contextmanager
+def listening(rig: RigTerms | None = None, silence_s: float = SILENCE_S) -> Iterator[Listener]:
+    """A host, and a client that hears it; the guard is reset."""
+    client = EngineClient(rig or RigTerms(backend="simulated"), silence_s)
+    try:
+        listener = Listener(client)
+        listener.until(Latched)
+        yield listener.armed()
+    finally:
+        client.close()
+
+
+def hold_the_interpreter(duration_s: float) -> None:
+    """Sleep with the interpreter's lock taken: no other thread of this process runs meanwhile."""
+    if sys.platform == "win32":
+        ctypes.PyDLL("kernel32").Sleep(round(1000 * duration_s))
+    else:
+        ctypes.PyDLL(None).usleep(round(1e6 * duration_s))
+
+
+def main(folder: Path, seconds: float, hold_s: float) -> None:
+    """Be the client that is held or killed."""
+    with listening() as listener:
+        listener.client.ask(Start(Job(1, plan(10.0 / seconds, 10.0), pace="real", out=folder)))
+        listener.until(Began)
+        listener.until(RunBegan)
+        listener.until_samples(400)
+        print("moving", listener.client.pid, flush=True)
+        begun = time.monotonic()
+        hold_the_interpreter(hold_s)
+        print("held", time.monotonic() - begun, flush=True)
+        ended = listener.until(Ended)
+        assert isinstance(ended, Ended)
+        print("ended", ended.status, flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]))

@@ -1,0 +1,66 @@
+"""Made-up exams, for what scores and presents them."""
+
+import numpy as np
+
+from dragrig.gap_scoring import Score, score
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+Document = dict[str, object]
+
+
+def truth(*effects: str, size: float = 1.0, outside: bool = False, rough: bool = False) -> Document:
+    verdict = "unknown" if outside else ("no_gap", "effect", "several")[min(len(effects), 2)]
+    sizes = [size] * len(effects)
+    return {"verdict": verdict, "effects": list(effects), "size": sizes, "nominal_slightly_wrong": rough,
+            "truth": ", ".join(effects) or "nothing", "form": ["one"] * len(effects)}  # fmt: skip
+
+
+def said(
+    *effects: str,
+    p: float = 0.9,
+    verdict: str = "",
+    channel: str = "force",
+    confusable: tuple[str, ...] = (),
+    closed: float | None = None,
+    interval: tuple[float, float] | None = None,
+) -> Document:
+    told = verdict or ("effect" if len(effects) == 1 else "several")
+    first = "+".join(effects) or told
+    shrink = {"closed": closed, "closed_95ci": None if interval is None else list(interval)}
+    return {
+        "verdict": told,
+        "effects": list(effects),
+        "ranking": [{"hypothesis": first, "probability": p}, {"hypothesis": "rest", "probability": 1 - p}],
+        "confusable_with": list(confusable),
+        "where": {"channel": {"force": 0.2, "position": 0.2, channel: 0.8}},
+        "shrink": None if closed is None else shrink,
+    }
+
+
+def large_exam(cases: int = 160, seed: int = 4) -> Score:
+    """Return the score of an exam in which most verdicts are right, some are not, and small effects are not seen."""
+    random = np.random.default_rng(seed)
+    names = sorted(catalogue())
+    pairs, withheld, achieved, amounts = [], {}, {}, {}
+    for number in range(cases):
+        name, effect = f"{number + 1:04d}", names[number % len(names)]
+        size = (1.0, 1 / 3, 0.1)[number % 3]
+        amount = float(60.0 * size * np.exp(random.normal(0.0, 0.8)))
+        p = float(random.uniform(0.55, 0.99))
+        right = random.random() < p * min(amount / 5.0, 1.0)
+        other = names[(number + 3) % len(names)]
+        closed = float(1.0 - abs(random.normal(0.0, 0.05)))
+        told = said(effect if right else other, p=p, closed=closed, interval=(closed - 0.02, closed + 0.01))
+        if amount < 4.0:
+            told = said(verdict="no_gap", p=p)
+        hidden = truth(effect, size=size)
+        if number % 11 == 0:
+            hidden, told = truth(), said(verdict="no_gap" if number % 33 else "unknown", p=p)
+        elif number % 13 == 0:
+            hidden, told = truth(outside=True), said(verdict="unknown", p=p)
+        else:
+            amounts[name] = amount
+            withheld[name] = said(verdict="unknown", p=p) if number % 5 else said(other, p=p)
+            achieved[name] = {"shrink": {"closed": closed + float(random.normal(0.0, 0.03)), "closed_95ci": None}}
+        pairs.append((name, hidden, told))
+    return score(pairs, withheld=withheld, achieved=achieved, amounts=amounts)

@@ -1,0 +1,109 @@
+"""The documentation: the site builds without a warning and asks for nothing, and what it shows works."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import click
+import pytest
+
+from dragrig.cli import main
+from dragrig.cli.lazy import group
+from dragrig.rig.protocols.catalogue import kinds
+from dragrig.rig.runfile import schema
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+class Assets(HTMLParser):
+    """Gathers what a page has a browser fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        if tag in {"script", "img", "iframe"} or (
+            tag == "link" and found.get("rel") not in {"canonical", "prev", "next"}
+        ):
+            self.fetched += [value for key in ("src", "href") if (value := found.get(key))]
+
+
+@pytest.mark.timeout(300)
+def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 15
+    for page in pages:
+        read = Assets()
+        read.feed(page.read_text("utf-8"))
+        assert read.fetched
+        assert not [one for one in read.fetched if "//" in one], page
+    styles = "".join(one.read_text("utf-8") for one in site.rglob("*.css"))
+    assert not re.findall(r"url\([\"']?(?:https?:)?//", styles)
+    assert not (site / "hooks").exists()
+
+
+@pytest.mark.timeout(300)
+def test_the_reference_is_that_of_the_code(site: Path) -> None:
+    commands = (site / "reference" / "commands.html").read_text("utf-8")
+    for name in group.list_commands(click.Context(group)):
+        assert f'id="{name}"' in commands or f'id="{name}-' in commands
+    settings = (site / "reference" / "settings.html").read_text("utf-8")
+    assert all(f'id="{kind}"' in settings for kind in kinds())
+    assert "<code>[sampling]</code>" in settings
+    assert "Standing still before the motion." in settings
+    run_file = (site / "reference" / "run-file.html").read_text("utf-8")
+    assert schema.FORMAT in run_file
+    assert all(one in run_file for one in ("contact_angle_deg", "SHA-256", "decelerate"))
+
+
+@pytest.mark.timeout(900)
+def test_every_command_of_the_tutorial_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (DOCS / "tutorial.md").read_text("utf-8")
+    [plan] = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
+    Path("first.toml").write_text(plan, "utf-8")
+    lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.strip().splitlines()]
+    assert len(lines) > 7
+    told = {}
+    for line in lines:
+        program, *arguments = shlex.split(line)
+        assert program == "dragrig"
+        assert main(arguments) == 0, line
+        told[line] = capsys.readouterr().out
+    diagnosis = next(said for line, said in told.items() if "gap diagnose" in line)
+    assert "stribeck" in diagnosis.lower()
+    assert Path("gap.html").stat().st_size > 10_000
+    assert Path("first.html").stat().st_size > 10_000
+
+
+@pytest.mark.timeout(300)
+def test_the_worked_protocol_runs_as_it_stands(tmp_path: Path) -> None:
+    [code] = re.findall(r"```python\n(.*?)```", (DOCS / "new-protocol.md").read_text("utf-8"), re.DOTALL)
+    script = tmp_path / "staircase.py"
+    script.write_text(code, "utf-8")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert done.stdout == "staircase 30.0 mm\n", done.stderr

@@ -1,0 +1,216 @@
+"""The engine in a process of its own: whatever becomes of its client, no sample is lost and the stage is stopped."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from engine_clients import Listener, listening, plan
+
+from dragrig.engine_host.messages import (
+    Abort,
+    Answer,
+    Asked,
+    Device,
+    Ended,
+    Examine,
+    Examined,
+    Job,
+    Latched,
+    Reply,
+    Reset,
+    RigTerms,
+    RunBegan,
+    RunEnded,
+    Start,
+    Status,
+    Waiting,
+)  # fmt: skip
+from dragrig.rig.profile import Phase
+from dragrig.rig.runfile import campaign, read_run
+from dragrig.rig.runfile.model import Run
+
+pytestmark = pytest.mark.timeout(240)
+CLIENT = Path(__file__).with_name("engine_clients.py")
+
+
+@pytest.fixture(scope="module")
+def host() -> Iterator[Listener]:
+    # Between tests nobody says that the client lives.
+    with listening(silence_s=600.0) as one:
+        yield one
+
+
+@pytest.fixture
+def heard(host: Listener) -> Listener:
+    """A client of a host whose guard is reset."""
+    return host.armed()
+
+
+def only_run(folder: Path) -> Run:
+    found = campaign(folder)
+    assert len(found.runs) == 1
+    assert not found.recordings
+    assert not found.unreadable
+    return read_run(found.runs[0].path)
+
+
+def require_whole(run: Run) -> None:
+    """No sample is missing, from the first to the last."""
+    trace = run.trace
+    np.testing.assert_allclose(trace.time, np.arange(len(trace.time)) / trace.sample_rate_hz, atol=1e-9)
+    assert not [event for event in run.events if event.kind == "gap"]
+    assert run.info.checks["lost_samples"] == 0
+
+
+def require_standing(run: Run) -> None:
+    assert run.trace.phase[-1] == Phase.HOLD
+    assert run.events[-1].message == run.info.reason
+    assert abs(float(run.trace.position[-1]) - float(run.trace.command[-1])) < 0.01
+
+
+def client(folder: Path, seconds: float, hold_s: float) -> "subprocess.Popen[str]":
+    command = [sys.executable, str(CLIENT), str(folder), str(seconds), str(hold_s)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+
+def said(process: "subprocess.Popen[str]", word: str) -> str:
+    assert process.stdout is not None
+    first, rest = process.stdout.readline().split(maxsplit=1)
+    assert first == word
+    return rest.strip()
+
+
+def test_a_client_whose_interpreter_is_held_for_five_seconds_loses_no_sample(tmp_path: Path) -> None:
+    with client(tmp_path / "c", 5.5, 5.0) as process:
+        said(process, "moving")
+        assert float(said(process, "held")) >= 5.0
+        assert said(process, "ended") == "complete"
+    assert process.returncode == 0
+    run = only_run(tmp_path / "c")
+    assert run.info.status is Status.COMPLETE
+    assert run.info.samples > 5500
+    require_whole(run)
+
+
+def test_a_killed_clients_stage_is_stopped_and_its_run_finished(tmp_path: Path) -> None:
+    with client(tmp_path / "c", 60.0, 0.0) as process:
+        host = psutil.Process(int(said(process, "moving")))
+        process.kill()
+        host.wait(100)
+    run = only_run(tmp_path / "c")
+    assert run.info.status is Status.ABORTED
+    assert "the window is gone" in run.info.reason
+    assert 300 < run.info.samples < 20_000
+    require_whole(run)
+    require_standing(run)
+
+
+def test_a_silent_client_is_taken_for_dead(tmp_path: Path) -> None:
+    with listening(silence_s=1.0) as heard:
+        host = psutil.Process(heard.client.pid)
+        heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+        heard.until_samples(100)
+        host.wait(100)
+    run = only_run(tmp_path / "c")
+    assert run.info.status is Status.ABORTED
+    assert "silent" in run.info.reason
+    require_whole(run)
+    require_standing(run)
+
+
+def test_a_session_tells_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(Start(Job(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
+    ended = heard.until(Ended)
+    assert ended == Ended(7, Status.COMPLETE, "", tmp_path / "c")
+    asked = [one for one in heard.heard if isinstance(one, Asked)]
+    assert [one.text for one in asked] == ["Put it in"]
+    runs = [one for one in heard.heard if isinstance(one, RunEnded)]
+    assert [(one.order, one.status) for one in runs] == [(0, Status.COMPLETE), (1, Status.COMPLETE)]
+    assert any(isinstance(one, Waiting) and one.duration_s == pytest.approx(3.0) for one in heard.heard)
+    assert len(campaign(tmp_path / "c").runs) == 2
+
+
+def test_an_abort_stops_the_stage_at_once_and_says_why(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.until(RunBegan)
+    shown = heard.until_samples(600)
+    heard.client.ask(Abort("Escape at the window"))
+    ended = heard.until(Ended)
+    assert isinstance(ended, Ended)
+    assert (ended.status, ended.reason) == (Status.ABORTED, "Escape at the window")
+    run = only_run(tmp_path / "c")
+    assert run.info.samples < shown + 2000
+    require_standing(run)
+
+
+def test_an_abort_that_comes_before_anything_moves_is_heard(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.client.ask(Abort("too early"))
+    ended = heard.until(Ended)
+    heard.client.ask(Start(Job(2, plan(), out=tmp_path / "d")))
+    later = heard.until(Ended)
+    assert isinstance(ended, Ended)
+    assert isinstance(later, Ended)
+    assert ended.status is Status.ABORTED
+    assert later.status is Status.COMPLETE
+
+
+def test_an_abort_at_a_prompt_ends_the_session(tmp_path: Path, heard: Listener) -> None:
+    heard.answer = None
+    heard.client.ask(Start(Job(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    heard.until(Asked)
+    heard.client.ask(Abort("never mind"))
+    ended = heard.until(Ended)
+    assert isinstance(ended, Ended)
+    assert (ended.status, ended.reason) == (Status.ABORTED, "never mind")
+
+
+def test_a_prompt_takes_the_persons_answer(tmp_path: Path, heard: Listener) -> None:
+    heard.answer = Answer.SKIP
+    heard.client.ask(Start(Job(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    ended = heard.until(Ended)
+    heard.client.ask(Reply(99, Answer.DONE))
+    assert isinstance(ended, Ended)
+    assert ended.status is Status.COMPLETE
+    assert not [one for one in heard.heard if isinstance(one, RunBegan)]
+
+
+def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
+    rig = RigTerms(backend="simulated", assignments=("rig.guard.force_limit_mN=20",))
+    with listening(rig) as heard:
+        heard.client.ask(Start(Job(1, plan(), out=tmp_path / "c")))
+        ended = heard.until(Ended)
+        latched = heard.until(Latched)
+        heard.client.ask(Start(Job(2, plan(), out=tmp_path / "d")))
+        refused = heard.until(Ended)
+        heard.client.ask(Reset())
+        assert heard.until(Latched) == Latched("")
+    assert isinstance(ended, Ended)
+    assert isinstance(refused, Ended)
+    assert isinstance(latched, Latched)
+    assert ended.status is Status.TRIPPED
+    assert "over the limit of 20 mN" in latched.reason
+    assert refused.status is None
+    assert "over the limit of 20 mN" in refused.reason
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_plan_that_the_rig_cannot_carry_out_is_refused_in_a_sentence(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(Start(Job(1, plan(travel_mm=900.0), out=tmp_path / "c")))
+    ended = heard.until(Ended)
+    assert isinstance(ended, Ended)
+    assert ended.status is None
+    assert "change travel_mm or start_mm" in ended.reason
+
+
+def test_every_device_is_told_of(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(Examine())
+    found = heard.until(Examined)
+    assert isinstance(found, Examined)
+    assert found.devices
+    assert all(isinstance(one, Device) and one.fine for one in found.devices)
+    assert not found.error

@@ -1,0 +1,127 @@
+"""`dragrig gap isolability`: which effects runs tell apart, and how small a one they show."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.isolability.ordering import neighbours
+from dragrig.analysis.gap.isolability.results import Isolability
+from dragrig.analysis.gap.seen import SEEN
+from dragrig.cli import main
+from dragrig.config.loading import to_toml
+from dragrig.config.plan import Plan
+from dragrig.reports.isolability.page import page
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+SLOW = ("encoder_scale", "servo_lag", "velocity_ripple")
+DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
+
+
+def plan(*steps: dict[str, object]) -> Plan:
+    return Plan.model_validate({"name": "tried", "steps": steps})
+
+
+@pytest.fixture(scope="module")
+def drags() -> Isolability:
+    return dragrig.isolability(plan(DRAGS), without=SLOW)
+
+
+def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> None:
+    blanks = dragrig.isolability(plan({"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 20.0}))
+    shown = {one.effect for one in blanks.effects if one.least is not None}
+    assert {"payload_inertia", "arm_compliance", "force_drift", "mains_hum", "servo_lag"} <= shown
+    assert {"stribeck", "folds", "extra_relaxation", "wall_lift_off"} <= set(blanks.unseen)
+    assert {"stribeck", "folds", "wall_lift_off"} <= {one.effect for one in drags.of_channel("force")}
+    assert blanks.pair("payload_inertia", "stribeck") is None
+    assert blanks.pair("payload_inertia", "servo_lag") is None
+
+
+def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
+    # Tack needs the closed gut; what changes the friction coefficient shows in the open one too.
+    both = dragrig.isolability(
+        plan(DRAGS, {"kind": "coulomb", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}), without=SLOW
+    )
+    alone, beside = drags.pair("stribeck", "adhesion"), both.pair("stribeck", "adhesion")
+    assert alone is not None
+    assert beside is not None
+    assert alone.confused
+    assert beside.sin2 > 3 * alone.sin2
+    assert beside.separation > 2 * alone.separation
+
+
+def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
+    twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=SLOW)
+    before, after = ({one.effect: one for one in found.of_channel("force")} for found in (drags, twice))
+    for name in ("stribeck", "wall_lift_off", "adhesion"):
+        assert after[name].d_prime > 1.2 * before[name].d_prime
+        assert (after[name].least or 0) < (before[name].least or 0)
+    # The smallest size is where d′ comes to what is found nearly always.
+    one = before["adhesion"]
+    assert one.least is not None
+    assert one.least * one.d_prime / one.usual == pytest.approx(SEEN, rel=0.3)
+
+
+def test_angles_are_shares_and_pairs_come_closest_first(drags: Isolability) -> None:
+    assert drags.pairs
+    assert all(0 <= one.sin2 <= min(one.typical_sin2) + 1e-9 <= 1 + 1e-9 for one in drags.pairs)
+    assert [one.sin2 for one in drags.pairs] == sorted(one.sin2 for one in drags.pairs)
+    assert all(one.separation <= min(each.d_prime for each in drags.effects if each.effect in one.effects) * 1.5
+               for one in drags.pairs if one.effects == ("stribeck", "adhesion"))  # fmt: skip
+
+
+def test_near_ones_stand_together() -> None:
+    names = ("a", "b", "c", "d")
+    near = {frozenset("ac"): 0.1, frozenset("bd"): 0.05}
+    sin2 = {frozenset((one, other)): 0.9 for one in names for other in names if one != other} | near
+    order = neighbours(names, sin2)
+    assert sorted(order) == list(names)
+    assert abs(order.index("a") - order.index("c")) == 1
+    assert abs(order.index("b") - order.index("d")) == 1
+
+
+def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = tmp_path / "apart.html"
+    assert main(["gap", "isolability", str(CAMPAIGN), "--json", "--quiet", "--report", str(report)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["format"], told["planned"], told["duration_s"]) == ("dragrig-isolability", False, None)
+    assert sum(told["runs"].values()) == 8
+    assert {"id", "d_prime", "least_seen", "least_seen_mN", "unit"} <= set(told["effects"][0])
+    text = report.read_text("utf-8")
+    assert told["in_words"][0].replace("'", "’")[:40] in text.replace("\u00a0", " ")
+    assert 'role="img"' in text
+    assert "://" not in text.split("<main>")[0]
+
+
+def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(to_toml(plan(DRAGS)), "utf-8")
+    names = [part for name in SLOW for part in ("--without", name)]
+    assert main(["gap", "isolability", str(file), "--quiet", *names]) == 0
+    said = capsys.readouterr().out
+    assert "3 drag runs" in said
+    assert "adhesion" in said
+    assert main(["gap", "isolability", "papr", "--quiet"]) == 2
+    assert "paper" in capsys.readouterr().err
+    assert main(["gap", "isolability", "paper", "--without", "stribek"]) == 2
+    assert "stribeck" in capsys.readouterr().err
+
+
+def test_the_page_holds_every_effect(drags: Isolability) -> None:
+    text = page(drags)
+    assert "Stribeck friction" in text
+    assert "hardly told apart" in text
+
+
+@pytest.mark.timeout(300)
+def test_the_page_is_presentable(browser: "Browser", drags: Isolability, tmp_path: Path) -> None:
+    from browsing import must_be_presentable
+
+    file = tmp_path / "apart.html"
+    file.write_text(page(drags), "utf-8")
+    must_be_presentable(browser, file)

@@ -1,0 +1,130 @@
+"""Weights that are learnt from campaigns whose hidden effects are known, and the file that they are kept in."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
+from dragrig.analysis.gap.evidence import Evidence, Tried
+from dragrig.analysis.gap.judging import judge
+from dragrig.analysis.gap.learning import Lesson, learn_gate, learn_weights
+from dragrig.analysis.gap.results import Verdict
+from dragrig.analysis.gap.seen import SEEN, TOLERANCE_MN
+from dragrig.config.errors import AnalysisError, SettingsError
+
+BLOCKS, NOISE, LOUD = 8000, 8010.0, 40_000.0
+NAMES = ("stribeck", "folds", "force_drift", "arm_compliance")
+
+
+def lessons(seed: int, count: int = 60) -> list[Lesson]:
+    """Right effects leave little, wrong ones and those outside the catalogue much, each with some scatter."""
+    random = np.random.default_rng(seed)
+    made = []
+    for number in range(count):
+        right, wrong = random.permutation(NAMES)[:2].tolist()
+        outside = number % 4 == 0
+        left = {
+            right: random.uniform(0.3, 0.6) if outside else random.uniform(0.0, 0.15),
+            wrong: random.uniform(0.5, 0.9),
+        }
+        tried = tuple(
+            Tried((name,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
+            for name, squares in ((name, NOISE + share * (LOUD - NOISE)) for name, share in left.items())
+        )
+        hidden = frozenset[str]() if outside else frozenset({right})
+        made.append(Lesson(Evidence(BLOCKS, LOUD, tried), hidden, outside))
+    quiet = Tried(("folds",), NOISE - 10, NOISE - 12, 1.0, gain=5.0, left=NOISE)
+    made += [Lesson(Evidence(BLOCKS, NOISE, (quiet,)), frozenset())] * 10
+    return made
+
+
+def learnt(made: list[Lesson]) -> Calibration:
+    gate, weights = learn_gate(made, TOLERANCE_MN), learn_weights(made, TOLERANCE_MN)
+    return Calibration(version=1, command="", seeds=(1,), cases=len(made), gate=gate, weights=weights)
+
+
+def test_what_was_learnt_holds_on_other_campaigns() -> None:
+    found = learnt(lessons(1))
+    right = 0
+    fresh = lessons(2)
+    for one in fresh:
+        judged = judge(one.evidence, TOLERANCE_MN, found)
+        verdict = "unknown" if one.outside else "effect" if one.effects else "no_gap"
+        right += judged.verdict.value == verdict and set(judged.effects) == one.effects
+    assert right >= 0.95 * len(fresh)
+
+
+def test_probabilities_are_as_often_right_as_they_say() -> None:
+    found = learnt(lessons(1, 200))
+    told = [(judge(one.evidence, TOLERANCE_MN, found), one) for one in lessons(3, 200)]
+    chances = [max(judged.probabilities.values()) for judged, _ in told]
+    right = [set(judged.effects) == one.effects for judged, one in told]
+    assert np.mean(chances) == pytest.approx(np.mean(right), abs=0.05)
+
+
+def test_nothing_is_learnt_from_nothing() -> None:
+    with pytest.raises(ValueError, match="no campaign"):
+        learn_weights([], TOLERANCE_MN)
+
+
+def exam(folder: Path, made: list[Lesson]) -> Path:
+    """Write what `dragrig gap blind --out` keeps, as far as it is learnt from."""
+    (folder / "said").mkdir(parents=True)
+    (folder / "exam.json").write_text('{"cases": 70, "seed": 5, "mix": "learning"}', "utf-8")
+    answers = {}
+    for number, one in enumerate(made):
+        verdict = "unknown" if one.outside else "effect" if one.effects else "no_gap"
+        answers[f"{number:04d}"] = {"verdict": verdict, "effects": sorted(one.effects), "size": [one.size]}
+        said = {"evidence": asdict(one.evidence)}
+        (folder / "said" / f"{number:04d}.json").write_text(json.dumps(said), "utf-8")
+    (folder / "answers.json").write_text(json.dumps(answers), "utf-8")
+    return folder
+
+
+def test_an_exam_becomes_a_file_that_is_as_good_as_what_was_learnt(tmp_path: Path) -> None:
+    made = lessons(1)
+    found = dragrig.gap_calibrate([exam(tmp_path / "learnt", made)])
+    assert (found.seeds, found.cases) == ((5,), len(made))
+    made_by = "dragrig gap blind --cases 70 --seed 5 --mix learning --out learnt"
+    assert found.command == f"{made_by}; dragrig gap calibrate learnt"
+    assert found.weights == learnt(made).weights
+    assert Calibration.model_validate_json(found.model_dump_json()) == found
+
+
+def test_a_folder_without_an_exam_is_told_in_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(AnalysisError, match="holds no exam from which can be learnt; hold one with dragrig gap blind"):
+        dragrig.gap_calibrate([tmp_path])
+
+
+def test_what_ships_says_where_it_comes_from() -> None:
+    shipped = shipped_calibration()
+    assert "dragrig gap calibrate" in shipped.command
+    assert shipped.cases >= 100
+    assert shipped.seeds
+
+
+def test_the_smallest_effect_that_is_promised_to_be_seen_passes_the_gate() -> None:
+    """An effect of d′ saves d′²/2 nats in the mean."""
+    assert pytest.approx(shipped_calibration().gate.least_gain, rel=0.02) == SEEN**2 / 2
+
+
+def test_a_calibration_of_ones_own_decides(tmp_path: Path) -> None:
+    campaign = Path(__file__).parent / "data" / "campaign"
+    stern = shipped_calibration().model_copy(update={"weights": {"known": -50.0}})
+    file = tmp_path / "stern.json"
+    file.write_text(stern.model_dump_json(), "utf-8")
+    assert dragrig.diagnose(campaign).verdict is not Verdict.UNKNOWN
+    assert dragrig.diagnose(campaign, calibration=file).effects == ()
+
+
+@pytest.mark.parametrize(("text", "told"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
+def test_a_calibration_that_is_none_is_told_in_one_sentence(tmp_path: Path, text: str | None, told: str) -> None:
+    file = tmp_path / "some.json"
+    if text is not None:
+        file.write_text(text, "utf-8")
+    with pytest.raises(SettingsError, match=told):
+        dragrig.diagnose(tmp_path, calibration=file)

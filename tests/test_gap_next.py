@@ -1,0 +1,124 @@
+"""`dragrig gap next`: which runs to make next, and whether they keep what is promised of them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from diagnoses import STRIBECK
+
+import dragrig
+from dragrig.analysis.gap.planning.results import Contest, NextExperiment, NextRun
+from dragrig.analysis.gap.planning.trials import Limits, few, many
+from dragrig.analysis.gap.planning.writing import plan_of
+from dragrig.cli import main
+from dragrig.cli.gap.telling import diagnosis_parts
+from dragrig.config.loading import to_toml
+from dragrig.config.plan import Plan, Step
+from dragrig.config.specimen import Specimen
+from dragrig.gap_json import gap_document
+from dragrig.planning import save_plan
+from dragrig.reports.gap.page import page
+
+DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
+BETWEEN = ("stribeck", "adhesion")
+OTHERS = ("encoder_scale", "servo_lag", "velocity_ripple")
+SPECIMEN = Specimen(name="jejunum")
+
+
+def plan(*steps: dict[str, object]) -> Plan:
+    return Plan.model_validate({"name": "tried", "steps": steps})
+
+
+@pytest.fixture(scope="module")
+def found() -> NextExperiment:
+    found = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
+    assert found is not None
+    return found
+
+
+def test_what_is_recommended_keeps_its_promise(found: NextExperiment) -> None:
+    # Tack needs the closed gut: an open one tells it from friction that falls with speed.
+    assert found.runs[0].step.kind == "coulomb"
+    first = found.runs[0]
+    assert first.after.d_prime > 1.5 * first.before.d_prime
+    before = dragrig.isolability(plan(DRAGS), without=OTHERS).pair(*BETWEEN)
+    more = plan_of(found)
+    both = Plan(name="both", steps=(*plan(DRAGS).steps, *more.steps))
+    after = dragrig.isolability(both, without=OTHERS).pair(*BETWEEN)
+    assert before is not None
+    assert after is not None
+    assert after.sin2 > 2 * before.sin2
+    assert after.separation > 1.5 * before.separation
+
+
+def test_rig_time_and_limits_are_kept(found: NextExperiment) -> None:
+    assert 0 < found.minutes <= 5.0
+    checked = dragrig.check(plan_of(found))
+    assert not checked.findings
+    # A plan's orders and prompts change no run, so that it takes as long as was said.
+    assert checked.duration_s / 60 == pytest.approx(found.minutes, rel=1e-6)
+    slow = Limits(travel_mm=20.0, speed_mm_s=10.0, accel_mm_s2=400.0)
+    kept = [one.run.profile.extremes() for one in many(SPECIMEN) if slow.allow(one)]
+    assert kept
+    assert all(one.speed_mm_s <= 10 and one.highest_mm <= 20 for one in kept)
+    assert len(few(SPECIMEN)) < len(many(SPECIMEN))
+
+
+def test_the_plan_file_is_run(found: NextExperiment, tmp_path: Path) -> None:
+    file = tmp_path / "next.toml"
+    assert save_plan(found, file) == file
+    made = dragrig.simulate(file)
+    kinds = [run.info.kind for run in made if run.info.kind != "return"]
+    wanted = [one.step.kind for one in found.runs for _ in range(one.step.repeats)]
+    assert sorted(kinds) == sorted(wanted)
+
+
+def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
+    contest = Contest("stribeck", "adhesion", 1.0, 0.2)
+    settings = {"travel_mm": 40.0, "accel_mm_s2": 400.0}
+    steps = [
+        Step(kind="drag", parameters={"speed_mm_s": 5.0, **settings}),
+        Step(kind="coulomb", parameters={"speed_mm_s": 1.0, **settings}),
+        Step(kind="motion", parameters={"strokes": [{"travel_mm": 40.0, "speed_mm_s": 20.0}]}),
+        Step(kind="drag", parameters={"speed_mm_s": 20.0, **settings}),
+        Step(kind="relaxation", parameters={"shear_strain": 2.0, "hold_s": 20.0}),
+    ]
+    made = plan_of(NextExperiment(tuple(NextRun(one, 1.0, contest, contest) for one in steps), 9, "Because."))
+    assert [one.kind for one in made.steps] == ["relaxation", "coulomb", "drag", "motion"]
+    assert [bool(one.prompt) for one in made.steps] == [True, True, True, False]
+    assert made.steps[2].parameters["speed_mm_s"] == [5.0, 20.0]
+
+
+def test_a_diagnosis_tells_it_in_text_page_and_json(found: NextExperiment) -> None:
+    told = replace(STRIBECK, next_experiment=found)
+    said = json.loads(json.dumps(gap_document(told), allow_nan=False))["next_experiment"]
+    assert said["protocol"] == "coulomb"
+    assert said["speed_mm_s"] > 0
+    assert said["why"] == found.why
+    assert set(said["between"]) == set(BETWEEN)
+    assert any(found.why in part for part in diagnosis_parts(told) if isinstance(part, str))
+    assert "What to run next" in page(told)
+    assert "What to run next" not in page(STRIBECK)
+
+
+def test_the_command_prints_json_and_refuses_what_is_no_effect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = tmp_path / "mine.toml", tmp_path / "next.toml"
+    file.write_text(to_toml(plan(DRAGS)), "utf-8")
+    command = ["gap", "next", str(file), "--quiet"]
+    assert main([*command, "--json", "--minutes", "2", "--between", *BETWEEN, "--save-plan", str(out)]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["format"] == "dragrig-next"
+    assert said["minutes"] <= 2
+    assert main(["check", str(out)]) == 0
+    capsys.readouterr()
+    assert main([*command, "--between", "stribek", "adhesion"]) == 2
+    assert "stribeck" in capsys.readouterr().err
+    assert main([*command, "--between", "adhesion", "adhesion"]) == 2
+    assert "differ" in capsys.readouterr().err
+    assert main([*command, "--minutes", "0"]) == 2
+    assert "--minutes 0" in capsys.readouterr().err
+    assert main([*command, "--between", "extra_relaxation", "payload_inertia", "--save-plan", str(out)]) == 2
+    assert "--overwrite" in capsys.readouterr().err

@@ -1,0 +1,49 @@
+"""`dragrig gui` where it cannot show a window, and the queue's arithmetic, which needs none."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from windows import require_qt
+
+from dragrig.engine_host.messages import Began, Ended, Job, RunBegan, RunEnded, RunLine, Status
+
+
+@pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
+def test_without_qt_a_sentence_says_what_to_install(missing: str, tmp_path: Path) -> None:
+    script = f"import sys; sys.modules[{missing!r}] = None; from dragrig.cli import main; sys.exit(main(['gui']))"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'dragrig[gui]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
+    script = "import sys; from dragrig.cli import main; sys.exit(main(['gui', sys.argv[1]]))"
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "is no lab folder" in done.stderr
+
+
+def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
+    require_qt()
+    from dragrig.window.run.queue_model import Entry, Queue, Stage
+
+    queue = Queue()
+    runs = (RunLine(0, "drag", 10.0, 5.0), RunLine(1, "drag", 10.0, 5.0))
+    queue.add(Entry(Job(queue.number(), "drag"), "drag", 30.0, 2))
+    queue.add(Entry(Job(queue.number(), "blank"), "blank", 8.0, 1))
+    assert queue.left_s == 38.0
+    first = queue.entries[0]
+    first.stage = Stage.RUNNING
+    queue.begins(Began(1, runs, real_time=True))
+    assert (first.left_s, first.share) == (30.0, 0.0)
+    queue.run_begins(RunBegan(runs[0], 0))
+    first.elapsed_s = 2.0
+    assert first.left_s == 18.0
+    queue.run_ends(RunEnded(runs[0], 0, Status.COMPLETE, "", 5000, ()))
+    assert (first.left_s, first.share) == (15.0, 0.5)
+    queue.ends(Ended(1, Status.TRIPPED, "force: too much"))
+    assert (first.stage, first.reason, queue.left_s) == (Stage.TRIPPED, "force: too much", 8.0)
+    assert queue.next is queue.entries[1]

@@ -1,0 +1,98 @@
+"""Several campaigns given to one command: side by side, in their order, each as it is by itself."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+import dragrig
+from dragrig.cli import main
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+
+
+@pytest.fixture
+def three(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with two campaigns, the second without its relaxation, and one empty folder between them."""
+    shutil.copytree(CAMPAIGN, tmp_path / "first")
+    shutil.copytree(CAMPAIGN, tmp_path / "second")
+    (tmp_path / "second" / "001-relaxation.h5").unlink()
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
+    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for one in told:
+        one.pop("timings_s", None)
+    return told
+
+
+def test_diagnoses_are_those_of_each_campaign_by_itself_whoever_makes_them(
+    three: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet"]
+    assert main([*asked, "--workers", "2"]) == 2
+    told = lines(capsys)
+    assert [one["source"] for one in told] == ["first", "empty", "second"]
+    assert "no run file" in str(told[1]["error"])
+    assert main([*asked, "--workers", "1"]) == 2
+    assert lines(capsys) == told
+    assert main(["gap", "diagnose", "second", "--json", "--quiet"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    del alone["timings_s"]
+    assert {"source": "second", **alone} == told[2]
+
+
+def test_what_cannot_be_diagnosed_is_told_and_the_others_go_on(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gap", "diagnose", "first", "empty", "--workers", "1"]) == 2
+    said = capsys.readouterr()
+    assert "no gap" in said.out
+    assert "not diagnosed: empty: holds no run file" in said.out
+    assert "1 of 2 campaigns were not diagnosed: empty" in said.err
+
+
+@pytest.mark.parametrize("option", ["--report", "--save-model"])
+def test_a_file_for_one_campaign_is_not_made_of_several(
+    option: str, three: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["gap", "diagnose", "first", "second", option, "mine"]) == 2
+    assert "made of one campaign, and 2 were given" in capsys.readouterr().err
+
+
+def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["identify", "first", "empty", "second", "--quiet"]
+    assert main([*asked, "--json", "--workers", "2"]) == 2
+    told = lines(capsys)
+    assert [one["source"] for one in told] == ["first", "empty", "second"]
+    assert "no run file" in str(told[1]["error"])
+    assert main(["identify", "second", "--json", "--quiet"]) == 0
+    assert {"source": "second", **json.loads(capsys.readouterr().out)} == told[2]
+    assert not (three / "first" / "identified").exists()
+
+
+def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (three / "other").mkdir()
+    (three / "second").rename(three / "other" / "first")
+    asked = ["identify", "first", "other/first", "--quiet", "--out", "made", "--workers", "1"]
+    assert main(asked) == 0
+    said = capsys.readouterr().out
+    assert "friction_coefficient" in said
+    assert (three / "made" / "first" / "model.toml").is_file()
+    assert (three / "made" / "first-2" / "joint-fit.png").is_file()
+    assert main(["identify", "first", "other/first", "--save-model", "x.toml"]) == 2
+    assert "made of one campaign" in capsys.readouterr().err
+    assert main(["identify", "first", "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert "one was given; leave it out" in capsys.readouterr().err
+
+
+def test_python_gives_the_same(three: Path) -> None:
+    heard: list[tuple[int, int]] = []
+    found = dragrig.diagnose_many(["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now))
+    assert found[0].result is not None
+    assert found[0].result.verdict == "no_gap"
+    assert found[0].run_ids
+    assert found[1].result is None
+    assert heard == [(0, 2), (1, 2), (2, 2)]

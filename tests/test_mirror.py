@@ -1,0 +1,117 @@
+"""The second copy of each finished file: verified, never waited for, and honest about what is missing."""
+
+import filecmp
+import json
+from pathlib import Path
+
+import pytest
+
+import dragrig
+from dragrig.cli import main
+from dragrig.config.errors import OutputError
+from dragrig.rig.acquiring import Outcome
+from dragrig.rig.people import Nobody
+from dragrig.rig.programme import PlannedRun
+from dragrig.rig.runfile.mirror import Mirror, copy_verified
+
+pytestmark = pytest.mark.timeout(120)
+FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
+
+
+class Mover(Nobody):
+    """Takes the mirror away once the first file is in it, and brings it back at another run's end."""
+
+    def __init__(self, mirror: Path, first: Path, back_after: int) -> None:
+        self._mirror, self._first, self._back_after = mirror, first, back_after
+        self._ended = 0
+
+    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+        self._ended += 1
+        if self._ended == 1:
+            while not any(self._first.glob("*.h5")):
+                pass  # copied while nobody waits
+            self._mirror.rename(self._mirror.with_name("away"))
+        if self._ended == self._back_after:
+            self._mirror.with_name("away").rename(self._mirror)
+
+
+def test_each_finished_file_has_its_equal_in_the_mirror(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "second").mkdir()
+    folder, mirror = tmp_path / "runs", tmp_path / "second"
+    line = ["run", "blank", "--out", str(folder), "--mirror", str(mirror), "--yes", "--set", FAST[0]]
+    assert main([*line, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["mirror"]
+    made = sorted(path.name for path in (*folder.glob("*.h5"), *folder.glob("session-*.toml")))
+    assert sorted(told["copied"]) == made == sorted(path.name for path in (mirror / "runs").iterdir())
+    assert told["missing"] == {}
+    assert filecmp.cmpfiles(folder, mirror / "runs", made, shallow=False) == (made, [], [])
+
+
+def test_a_mirror_that_disappears_stops_nothing_and_is_said(tmp_path: Path) -> None:
+    mirror, told = tmp_path / "second", list[str]()
+    mirror.mkdir()
+    made = dragrig.run(
+        "blank", out=tmp_path / "runs", mirror=mirror, tell=told.append, assignments=FAST[:1],
+        person=Mover(mirror, mirror / "runs", back_after=99),
+    )  # fmt: skip
+    made.session.require()
+    assert made.mirrored is not None
+    assert len(made.mirrored.copied) <= 1  # the first may be in place and yet unproven when the folder goes
+    assert not made.mirrored.whole
+    runs = {path.name for path in (tmp_path / "runs").glob("*.h5")}
+    assert runs - set(made.mirrored.copied) <= set(made.mirrored.missing)
+    assert all("there is no such folder" in why for why in made.mirrored.missing.values())
+    assert any(one.startswith("NOT MIRRORED: ") and "it stays where it was made" in one for one in told)
+    assert not mirror.exists()
+
+
+def test_a_mirror_that_comes_back_gets_what_it_missed(tmp_path: Path) -> None:
+    mirror = tmp_path / "second"
+    mirror.mkdir()
+    made = dragrig.run(
+        "blank", out=tmp_path / "runs", mirror=mirror, assignments=FAST[:1],
+        person=Mover(mirror, mirror / "runs", back_after=3),
+    )  # fmt: skip
+    assert made.mirrored is not None
+    assert made.mirrored.whole
+    assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(made.mirrored.copied)
+
+
+def test_going_on_mirrors_what_was_made_before(tmp_path: Path) -> None:
+    (tmp_path / "second").mkdir()
+    first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
+    assert first.mirrored is None
+    again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
+    assert again.mirrored is not None
+    assert again.mirrored.whole
+    assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(again.mirrored.copied)
+
+
+def test_a_missing_mirror_is_said_at_once(tmp_path: Path) -> None:
+    told: list[str] = []
+    mirror = Mirror(tmp_path / "gone", "runs", told.append)
+    assert mirror.close().whole
+    assert told == [f"NOT MIRRORED: {tmp_path / 'gone' / 'runs'}: there is no such folder; make it, or mount the disk; "
+                    "the runs are made all the same."]  # fmt: skip
+
+
+def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> None:
+    source = tmp_path / "run.h5"
+    source.write_bytes(bytes(33 << 20))
+    mirror = Mirror(small_disk, "runs", lambda _: None)
+    mirror.submit(source)
+    found = mirror.close()
+    assert found.missing == {"run.h5": "No space left on device"}
+    assert list((small_disk / "runs").iterdir()) == []
+
+
+def test_another_file_of_the_same_name_is_never_replaced(tmp_path: Path) -> None:
+    source, target = tmp_path / "run.h5", tmp_path / "second.h5"
+    source.write_bytes(b"new")
+    target.write_bytes(b"old")
+    with pytest.raises(OutputError, match="a file of this name is there and differs"):
+        copy_verified(source, target)
+    assert target.read_bytes() == b"old"
+    target.write_bytes(b"new")
+    copy_verified(source, target)
+    assert not list(tmp_path.glob("*.part"))

@@ -1,0 +1,94 @@
+"""Plans as forms: every key with unit, range and help, and back to the same plan."""
+
+from pathlib import Path
+
+import pytest
+
+from dragrig.config.errors import DragrigError, SettingsError
+from dragrig.engine_host.messages import RigTerms
+from dragrig.plan_forms import FieldKind, form_of, known_plans
+from dragrig.planned import planned, rig_in_words
+
+
+@pytest.mark.parametrize("name", known_plans())
+def test_a_form_left_as_it_is_gives_the_same_plan(name: str) -> None:
+    form = form_of(name)
+    assert form.filled([step.values for step in form.steps]) == form.plan
+
+
+def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
+    fields = {one.key: one for one in form_of("drag").steps[0].fields}
+    speed = fields["speed_mm_s"]
+    assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "above 0 to 5000 mm/s")
+    assert "speed of the stroke" in speed.help
+    assert speed.sweeps
+    assert speed.required
+    assert fields["order"].choices == ("listed", "reversed", "random", "random_within_repeat")
+    assert fields["prompt_each"].kind is FieldKind.SWITCH
+    assert all(one.help for one in fields.values())
+
+
+def test_several_values_make_one_run_of_each() -> None:
+    form = form_of("drag")
+    values = {**form.steps[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
+    session = planned(form.filled([values]), RigTerms())
+    assert len([one for one in session.runs if one.summary.startswith("drag")]) == 6
+
+
+@pytest.mark.parametrize(("key", "text"), [("speed_mm_s", "fast"), ("speed_mm_s", "-3"), ("wait_s", "1, 2")])
+def test_what_cannot_be_is_said_in_a_sentence(key: str, text: str) -> None:
+    form = form_of("drag")
+    with pytest.raises(DragrigError) as refused:
+        planned(form.filled([{**form.steps[0].values, key: text}]), RigTerms())
+    assert text.split(",", maxsplit=1)[0] in str(refused.value)
+
+
+def test_strokes_of_a_motion_can_be_edited(tmp_path: Path) -> None:
+    file = tmp_path / "to-and-fro.toml"
+    file.write_text(
+        'name = "to-and-fro"\n[[steps]]\nkind = "motion"\nstrokes = [{travel_mm = 5, speed_mm_s = 2},'
+        " {travel_mm = -5, speed_mm_s = 4}]\n",
+        "utf-8",
+    )
+    form = form_of(str(file))
+    plan = form.filled([step.values for step in form.steps])
+    assert len(planned(plan, RigTerms()).runs) == 1
+    changed = form.filled([{"strokes": "{travel_mm = 3, speed_mm_s = 2}"}])
+    assert planned(changed, RigTerms()).runs[0].highest_mm == pytest.approx(43.0)
+
+
+def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\n[[steps]]\nkind = "blank"\nspeed_mm_s = 5\n', "utf-8")
+    (tmp_path / "rig.toml").write_text("", "utf-8")
+    assert known_plans(tmp_path)[0] == str(tmp_path / "mine.toml")
+    assert str(tmp_path / "rig.toml") not in known_plans(tmp_path)
+
+
+def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
+    session = planned(form_of("drag").plan, RigTerms())
+    time, position, speed = session.runs[0].course()
+    assert position[0] == pytest.approx(session.runs[0].lowest_mm)
+    assert position.max() == pytest.approx(session.runs[0].highest_mm)
+    assert speed.max() == pytest.approx(20.0)
+    assert time[-1] == pytest.approx(session.runs[0].duration_s)
+    form = form_of("drag")
+    far = planned(form.filled([{**form.steps[0].values, "travel_mm": "900"}]), RigTerms())
+    assert "change travel_mm or start_mm" in far.findings[0]
+
+
+@pytest.mark.parametrize(
+    ("rig", "title", "real"),
+    [
+        (RigTerms(), "SIMULATED", False),
+        (RigTerms(backend="hardware"), "HARDWARE", True),
+        (RigTerms(backend="hardware", double=True), "DOUBLE", False),
+    ],
+)
+def test_a_rig_is_named_unmistakably(rig: RigTerms, title: str, real: bool) -> None:
+    said = rig_in_words(rig)
+    assert (said.title, said.real) == (title, real)
+
+
+def test_a_plan_that_is_none_is_refused() -> None:
+    with pytest.raises(SettingsError, match="no plan of this name"):
+        form_of("dragg")

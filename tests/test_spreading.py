@@ -1,0 +1,187 @@
+"""Pieces of work side by side: the same results, nothing lost, nothing twice, whoever is killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from spreading_pieces import deadly, failing, loaded, product, traced
+
+from dragrig.config.errors import SettingsError, WorkerError
+from dragrig.spreading import cores, executor, spread
+from dragrig.spreading.serial import Serial
+
+SEEDS = range(6)
+
+
+def kill_when_begun(folder: Path, told: list[int], told_before: list[int]) -> threading.Thread:
+    """Kill the process that works on number 3 as soon as it does, and note what had been told by then."""
+
+    def wait_and_kill() -> None:
+        trace = folder / "3-begun-0"
+        deadline = time.monotonic() + 150
+        while time.monotonic() < deadline:
+            if trace.exists() and (pid := trace.read_text("utf-8")):
+                told_before.extend(told)
+                os.kill(int(pid), signal.SIGKILL)
+                return
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=wait_and_kill)
+    thread.start()
+    return thread
+
+
+def require_nothing_lost_or_twice(folder: Path, found: list[bytes], told: list[int], once: list[int]) -> None:
+    assert found == [product(seed) for seed in SEEDS]
+    assert sorted(told) == list(SEEDS)
+    assert len(list(folder.glob("3-begun-*"))) == 2
+    for seed in once:
+        assert [path.name for path in folder.glob(f"{seed}-ended-*")] == [f"{seed}-ended-0"]
+
+
+@contextmanager
+def dask_cluster(workers: int = 2) -> Iterator[str]:
+    """Yield the address of a scheduler over loopback; its workers are processes that nobody starts again."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(Path(__file__).parent),
+        "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    }
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
+    with open_port_file() as port_file:
+        dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+        alone = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(port_file)]
+        started = [subprocess.Popen([*dask, *alone], **quiet)]  # type: ignore[call-overload]
+        try:
+            worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(port_file)]
+            few = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+            local = ["--local-directory", str(port_file.parent)]
+            commands = [[*worker, *few, *local]] * workers
+            started += [subprocess.Popen(command, **quiet) for command in commands]  # type: ignore[call-overload]
+            yield address_in(port_file)
+        finally:
+            for process in reversed(started):
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def open_port_file() -> Iterator[Path]:
+    import tempfile
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        yield Path(folder) / "scheduler.json"
+
+
+def address_in(port_file: Path) -> str:
+    import json
+
+    deadline = time.monotonic() + 100
+    while time.monotonic() < deadline:
+        if port_file.exists() and (text := port_file.read_text("utf-8")):
+            return str(json.loads(text)["address"])
+        time.sleep(0.02)
+    raise AssertionError("the scheduler did not start")
+
+
+def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers() -> None:
+    with executor(1) as here:
+        assert isinstance(here, Serial)
+        alone = spread(here, product, SEEDS)
+    with executor(2) as processes:
+        assert spread(processes, product, SEEDS) == alone
+    assert alone == [product(seed) for seed in SEEDS]
+
+
+@pytest.mark.timeout(200)
+def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
+    told: list[int] = []
+    killer = kill_when_begun(tmp_path, told, [])
+    with executor(2) as processes:
+        pieces = [(tmp_path, seed) for seed in SEEDS]
+        found = spread(processes, traced, pieces, lambda piece, _: told.append(piece[1]))
+    killer.join()
+    require_nothing_lost_or_twice(tmp_path, found, told, list(SEEDS))
+
+
+def test_a_process_killed_while_it_waits_is_replaced() -> None:
+    with executor(1, apart=True) as one:
+        [(pid, _)] = spread(one, loaded, ["dragrig"])
+        assert pid != os.getpid()
+        os.kill(pid, signal.SIGKILL)
+        [(other, _)] = spread(one, loaded, ["dragrig"])
+    assert other not in {pid, os.getpid()}
+
+
+def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
+    with pytest.raises(WorkerError, match="ended 3 times"), executor(1, apart=True) as one:
+        spread(one, deadly, [1])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_piece_raises_comes_out(workers: int) -> None:
+    with pytest.raises(ValueError, match="not liked"), executor(workers) as some:
+        spread(some, failing, range(3))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
+    told: list[tuple[int, int]] = []
+    with pytest.raises(ValueError, match="not liked"), executor(workers) as some:
+        spread(some, failing, [0, 0, 0, 1], lambda piece, found: told.append((piece, found)))
+    assert told == [(0, 0)] * len(told)
+    assert len(told) >= 4 - workers
+
+
+def test_workers_are_the_cores_unless_told() -> None:
+    with executor(most=1) as one:
+        assert isinstance(one, Serial)
+    assert cores() >= 1
+    with pytest.raises(SettingsError, match="one worker at least"), executor(0):
+        pass
+    with pytest.raises(SettingsError, match="give one"), executor(2, "tcp://127.0.0.1:1"):
+        pass
+
+
+@pytest.mark.timeout(300)
+def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # On a busy machine its processes take long to start.
+    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 100)
+    told, told_before = list[int](), list[int]()
+    with dask_cluster() as address:
+        killer = kill_when_begun(tmp_path, told, told_before)
+        with executor(scheduler=address) as workers:
+            pieces = [(tmp_path, seed) for seed in SEEDS]
+            found = spread(workers, traced, pieces, lambda piece, _: told.append(piece[1]))
+        killer.join()
+    # What a worker had done but not yet handed over when it was killed is done anew by another.
+    require_nothing_lost_or_twice(tmp_path, found, told, told_before)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])
+def test_a_scheduler_that_does_not_answer_is_told(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 1)
+    with pytest.raises(SettingsError, match="no Dask scheduler answers there"), executor(scheduler=address):
+        pass
+
+
+@pytest.mark.timeout(200)
+def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 5)
+    with dask_cluster(0) as address, pytest.raises(SettingsError, match="has no workers"), executor(scheduler=address):
+        pass
+
+
+def test_dask_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SettingsError, match=r"install dragrig\[dask\]"), executor(scheduler="tcp://127.0.0.1:8786"):
+        pass

@@ -1,0 +1,164 @@
+"""Following a campaign from elsewhere: what is seen while it runs, when it waits, when it is over."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+
+import dragrig
+from dragrig.cli import main
+from dragrig.config.errors import RunFileError
+from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.reading import Reading
+from dragrig.session_state import STATE_FILE, SessionState, read_state
+from dragrig.watch_page import served
+from dragrig.watching import CampaignState, CampaignWatch
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytestmark = pytest.mark.timeout(300)  # a process and a browser are slow to start on a busy machine
+PLAN = """
+name = "two"
+[[steps]]
+kind = "blank"
+speed_mm_s = [20.0, 40.0]
+travel_mm = 10.0
+prompt = "Take the capsule off"
+"""
+
+
+class Onlooker(Nobody):
+    """Answers prompts, and looks at the campaign while the session is asked something and while it records."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.asked: list[CampaignState] = []
+        self.recorded: list[CampaignState] = []
+        self.process: subprocess.Popen[str] | None = None
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.asked.append(CampaignWatch(self._folder).look())
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dragrig", "watch", str(self._folder.parent), "--every", "0.05"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout is not None
+        assert "waits for a person: Take the capsule off" in self.process.stdout.readline()
+        return Answer.DONE
+
+    def reads(self, reading: Reading) -> None:
+        if reading.time[-1] > 0.5 and not self.recorded:
+            watch = CampaignWatch(self._folder)
+            while (state := watch.look()).recording is None or not state.recording.samples:
+                pass  # what was offered is on file within a flush
+            self.recorded.append(state)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Onlooker:
+    folder = tmp_path_factory.mktemp("runs") / "two"
+    plan = folder.parent / "two.toml"
+    plan.write_text(PLAN, "utf-8")
+    onlooker = Onlooker(folder)
+    dragrig.run(str(plan), out=folder, person=onlooker, assignments=["rig.recording.flush_s=0.02"]).session.require()
+    return onlooker
+
+
+def test_a_prompt_that_waits_is_seen(seen: Onlooker) -> None:
+    [state] = seen.asked
+    assert (state.doing, state.said) == ("asking", "Take the capsule off")
+    assert (state.run, state.of, state.finished) == (0, 4, ())
+    assert state.left_s is not None
+    assert not state.over
+
+
+def test_a_run_is_seen_while_it_is_recorded(seen: Onlooker) -> None:
+    [state] = seen.recorded
+    assert (state.doing, state.run, state.backend) == ("recording", 1, "simulated")
+    one = state.recording
+    assert one is not None
+    assert (one.kind, one.order) == ("blank", 0)
+    assert one.phase in {"rest", "accelerate", "steady"}
+    assert 0 < one.time_s < (one.run_s or 0)
+    assert one.samples == pytest.approx(1000 * one.time_s, abs=2)
+    assert one.force_mN == pytest.approx(0.0, abs=20.0)
+    assert 1 < len(one.recent_s) == len(one.recent_mN) < 700
+
+
+def test_who_follows_in_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
+    assert seen.process is not None
+    told, _ = seen.process.communicate(timeout=120)
+    assert seen.process.returncode == 0
+    assert told.splitlines()[-1] == "two: run 4 of 4, over, complete"
+
+
+def test_what_is_over_says_how_it_ended(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = seen.asked[0].folder
+    assert main(["watch", str(folder), "--once", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["doing"], told["status"], told["recording"], told["left_s"]) == ("ended", "complete", None, None)
+    assert [one["kind"] for one in told["finished"]] == ["blank", "return", "blank", "return"]
+    assert main(["watch", str(folder)]) == 0
+    assert capsys.readouterr().out == "two: run 4 of 4, over, complete\n"
+
+
+def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path) -> None:
+    state = read_state(seen.asked[0].folder)
+    assert isinstance(state, SessionState)
+    (tmp_path / "session-1.toml").touch()
+    (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "recording"}).model_dump_json(), "utf-8")
+    found = CampaignWatch(tmp_path).look()
+    assert (found.doing, found.over, found.left_s) == ("died", True, None)
+    assert "dragrig recover" in found.said
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"plan": 1', "\x00"])
+def test_a_damaged_state_is_no_state(content: str, tmp_path: Path) -> None:
+    (tmp_path / "session-1.toml").touch()
+    (tmp_path / STATE_FILE).write_text(content, "utf-8")
+    assert CampaignWatch(tmp_path).look().said == "no session is at work here"
+
+
+def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunFileError, match="holds no campaign"):
+        CampaignWatch(tmp_path)
+    with pytest.raises(RunFileError, match="there is no such folder"):
+        CampaignWatch(tmp_path / "gone")
+
+
+def test_the_page_is_for_this_machine_alone(seen: Onlooker) -> None:
+    with served(0) as page:
+        page.show(seen.recorded[0])
+        address = f"http://127.0.0.1:{page.port}"
+        with urlopen(f"{address}/state.json") as answer:
+            assert json.load(answer)["doing"] == "recording"
+        with pytest.raises(HTTPError, match="403"):
+            urlopen(Request(f"{address}/state.json", headers={"Host": "elsewhere.example"}))
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(f"{address}/etc")
+
+
+def test_the_page_shows_the_run_and_then_that_it_is_over(seen: Onlooker, browser: "Browser") -> None:
+    from browsing import PHONE_PX, opened
+    from playwright.sync_api import expect
+
+    with served(0) as server:
+        server.show(seen.recorded[0])
+        address = f"http://127.0.0.1:{server.port}/"
+        with opened(browser, address, PHONE_PX) as (page, heard):
+            expect(page.locator("#run")).to_have_text("1 of 4", timeout=60_000)
+            assert page.locator("#force").inner_text().endswith(" mN")
+            assert page.locator("#line").get_attribute("points")
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
+            server.show(CampaignWatch(seen.asked[0].folder).look())
+            expect(page.locator("#state")).to_have_text("Over, complete", timeout=60_000)
+            assert page.locator("#runs tbody tr").count() == 4
+            assert heard.said == []
+            assert {one.split("?")[0] for one in heard.asked} == {address, f"{address}state.json"}

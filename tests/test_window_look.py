@@ -1,0 +1,232 @@
+"""The pages that look at runs and diagnose them, used as a person uses them, on real files."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from windows import WAIT_MS, Until, dressed, press, require_qt
+
+require_qt()
+
+from diagnoses import STRIBECK
+from PySide6.QtCore import QSettings
+from PySide6.QtWidgets import QApplication, QTreeWidgetItem
+from pytestqt.qtbot import QtBot
+
+import dragrig
+from dragrig.diagnosing_apart import told
+from dragrig.looking import FORMATS, shown_trace
+from dragrig.window.diagnose.page import DiagnosePage
+from dragrig.window.look.page import LookPage
+from dragrig.window.remembered import Remembered
+from dragrig.window.widgets import top_items
+
+pytestmark = pytest.mark.timeout(600)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drags and their ways back."""
+    root = tmp_path_factory.mktemp("runs")
+    short = ["travel_mm=10", "rest_s=0.5", "hold_s=0.5", "wait_s=0", "speed_mm_s=[5,20]"]
+    dragrig.simulate("drag", out=root / "first", assignments=short)
+    return root
+
+
+@pytest.fixture
+def until(qtbot: QtBot) -> Until:
+    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
+
+
+@pytest.fixture
+def remembered(tmp_path: Path) -> Remembered:
+    return Remembered(QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat))
+
+
+@pytest.fixture
+def page(qapp: QApplication, folder: Path, remembered: Remembered, until: Until) -> Iterator[LookPage]:
+    dressed()
+    made = LookPage(folder, remembered)
+    made.show()
+    until(lambda: bool(runs_of(made)))
+    yield made
+    made.keep()
+    made.close()
+
+
+def runs_of(page: LookPage) -> list[QTreeWidgetItem]:
+    tops = top_items(page.browser.tree)
+    return [child for item in tops for at in range(item.childCount()) if (child := item.child(at)) is not None]
+
+
+def choose(page: LookPage, until: Until, *places: int) -> None:
+    page.browser.tree.clearSelection()
+    for place in places:
+        runs_of(page)[place].setSelected(True)
+    until(lambda: len(page.overlay.traces) == len(places) and page.steady.rowCount() == len(places))
+
+
+def test_runs_lie_over_each_other_with_their_settings(page: LookPage, until: Until) -> None:
+    choose(page, until, 0, 2)
+    first, second = page.overlay.traces
+    assert first.words.endswith("drag 5 mm/s")
+    assert second.words.endswith("drag 20 mm/s")
+    table = page.browser.settings
+    said = {table.item(at, 0).text(): table.item(at, 1).text() for at in range(table.rowCount())}
+    assert said["travel mm"] == "10"
+    assert said["status"] == "complete"
+
+
+def test_a_filter_acts_at_once(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    before = page.overlay.traces[0].filtered["force"]
+    page.overlay.window_ms.setValue(200.0)
+    until(lambda: page.overlay.traces[0].filtered["force"] is not before)
+    after = page.overlay.traces[0].filtered["force"]
+    assert np.std(np.diff(after)) < np.std(np.diff(before))
+    expected = dragrig.filter(dragrig.load(page.overlay.traces[0].path), window_s=0.2).filtered
+    assert expected is not None
+    np.testing.assert_allclose(after, expected.channels["force"], rtol=1e-5)
+    page.overlay.order.setValue(1)
+    until(lambda: page.overlay.traces[0].filtered["force"] is not after)
+
+
+def test_a_filter_that_cannot_be_is_told_of_in_a_sentence(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    said: list[str] = []
+    page.complained.connect(said.append)
+    page.overlay.order.setValue(8)
+    page.overlay.window_ms.setValue(1.0)
+    until(lambda: bool(said))
+    assert "too short" in said[0]
+
+
+def test_cursors_tell_values_and_their_difference(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    page.overlay.cursors.click()
+    first, second = page.overlay._cursors
+    first.place(1.0)
+    second.place(1.5)
+    values = page.overlay.values
+    assert [values.item(0, at).text() for at in range(1, 4)] == ["1.0000", "1.5000", "0.5000"]
+    trace = page.overlay.traces[0]
+    shown = float(values.item(1, 1).text())
+    assert shown == pytest.approx(trace.filtered["force"][round(trace.rate_hz)], abs=1e-3)
+    page.overlay.cursors.click()
+    assert not values.isVisible()
+
+
+def test_zoom_goes_in_and_out_again(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    whole = page.overlay.below.shown()
+    page.overlay.below.show_times(1.0, 1.2)
+    assert page.overlay.top.shown()[1] < 1.3
+    press(page.overlay.fit)
+    assert page.overlay.below.shown() == pytest.approx(whole, abs=0.05)
+
+
+def test_another_channel_and_the_raw_trace_can_be_left_out(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    page.overlay.channel.setCurrentText("position")
+    assert len(page.overlay.top._lines) == 2
+    page.overlay.raw.click()
+    assert len(page.overlay.top._lines) == 1
+
+
+def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, folder: Path) -> None:
+    choose(page, until, 0, 2)
+    frame = dragrig.table(folder / "first")
+    for row, place in ((0, 0), (1, 2)):
+        assert float(page.steady.item(row, 2).text()) == pytest.approx(frame["steady_force_mN"][place], abs=0.01)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_chosen_runs_are_exported_from_the_menu(page: LookPage, until: Until, name: str, tmp_path: Path) -> None:
+    assert f"{name} …" in [one.text() for one in page.menu.actions()]
+    choose(page, until, 0, 1)
+    assert page.export.isEnabled()
+    page.export_to(tmp_path, name)
+    until(lambda: "written" in page.state.text())
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_leaving_the_folder_field_keeps_what_is_selected(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    page.browser.folder.editingFinished.emit()
+    assert not page.browser._background.busy
+    assert len(page.browser.selected()) == 1
+
+
+def test_another_folder_is_looked_at(page: LookPage, until: Until, tmp_path: Path) -> None:
+    page.browser.open_folder(str(tmp_path))
+    until(lambda: not top_items(page.browser.tree))
+    press(page.browser.again)
+    assert not page.browser.selected()
+
+
+def test_lost_samples_stay_a_gap(folder: Path) -> None:
+    trace = shown_trace(sorted((folder / "first").glob("*.h5"))[0])
+    assert len(trace.channels["force"]) == len(trace.filtered["speed"])
+    assert not np.isnan(trace.channels["force"]).any()
+
+
+@pytest.fixture
+def diagnose(qapp: QApplication, remembered: Remembered) -> Iterator[DiagnosePage]:
+    dressed()
+    made = DiagnosePage(remembered)
+    made.show()
+    yield made
+    made.keep()
+    made.close()
+
+
+def test_a_diagnosis_is_shown_with_all_that_it_says(diagnose: DiagnosePage) -> None:
+    results = diagnose.results
+    results.show_told(told(STRIBECK))
+    assert "0.93" in results.verdict.text()
+    assert results.hypotheses.item(0, 3).text() == "the verdict"
+    assert results.runs.count() == len(STRIBECK.views)
+    for at in range(results.runs.count()):
+        results.runs.setCurrentIndex(at)
+        assert len(results.above._lines) == 3
+    assert results.map.renderer().isValid()
+    assert "payload inertia" in results.open_questions.text()
+    assert results.next.isEnabled() == (STRIBECK.next_experiment is not None)
+
+
+def test_a_campaign_that_is_none_is_refused_in_a_sentence(diagnose: DiagnosePage, until: Until, tmp_path: Path) -> None:
+    said: list[str] = []
+    diagnose.complained.connect(said.append)
+    assert not diagnose.start.isEnabled()
+    diagnose.offer(str(tmp_path / "nothing"))
+    press(diagnose.start)
+    until(lambda: bool(said))
+    assert "nothing" in said[0]
+    assert diagnose.start.isEnabled()
+
+
+def test_a_diagnosis_can_be_cancelled(diagnose: DiagnosePage, folder: Path) -> None:
+    diagnose.offer(str(folder / "first"))
+    press(diagnose.start)
+    assert diagnose.busy
+    press(diagnose.cancel)
+    assert not diagnose.busy
+    assert diagnose.state.text() == "Cancelled."
+
+
+def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> None:
+    from dataclasses import replace
+
+    from dragrig.analysis.gap.planning.results import Contest, NextExperiment, NextRun
+    from dragrig.config.plan import Step
+
+    step = Step.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
+    contest = Contest("stribeck", "adhesion", 2.0, 0.5)
+    found = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
+    diagnose.results.show_told(told(replace(STRIBECK, next_experiment=found)))
+    assert diagnose.results.next_words.text() == "A slow drag tells them apart."
+    handed: list[object] = []
+    diagnose.next_experiment.connect(lambda _, form: handed.append(form.plan.steps[0].parameters["speed_mm_s"]))
+    press(diagnose.results.next)
+    assert handed == [2.0]

@@ -1,0 +1,291 @@
+"""The page that runs plans, used as a person uses it: every button, with a real engine on the simulated rig."""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
+
+require_qt()
+
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+
+from dragrig.engine_host.messages import Answer, RigTerms, Status
+from dragrig.rig.runfile import campaign
+from dragrig.window.main_window import MainWindow
+from dragrig.window.remembered import Remembered
+from dragrig.window.run.queue_model import Stage
+
+pytestmark = pytest.mark.timeout(600)
+BUSY_S = 600.0
+"""A machine that tests may hold the window up for long."""
+
+
+def opened(qtbot: QtBot, lab: Path, settings: Path, **terms: object) -> MainWindow:
+    dressed()
+    rig = RigTerms(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
+    window = MainWindow(rig, lab, Remembered(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
+    window.show()
+    qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    return window
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return lab_in(tmp_path_factory.mktemp("lab"))
+
+
+@pytest.fixture
+def until(qtbot: QtBot) -> Until:
+    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
+
+
+@pytest.fixture(scope="module")
+def shared(
+    request: pytest.FixtureRequest, qapp: QApplication, lab: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[MainWindow]:
+    """One window for many tests: each engine takes seconds to start."""
+    made = opened(QtBot(request), lab, tmp_path_factory.mktemp("settings") / "window.ini")
+    yield made
+    made.close_in_order("the tests are over")
+
+
+@pytest.fixture
+def window(shared: MainWindow, until: Until) -> MainWindow:
+    """A window with nothing in its queue, whose guard is reset."""
+    assert not shared.run.under_way
+    shared.run.queue.entries.clear()
+    shared.notices.complaint.hide()
+    shared.go_to(shared.run)
+    if shared.guard.text() != "guard: armed":
+        press(shared.notices.reset)
+        until(lambda: shared.guard.text() == "guard: armed")
+    return shared
+
+
+def fill(window: MainWindow, plan: str = "drag", **values: str) -> None:
+    new = window.run.new
+    new.plans.setCurrentIndex(new.plans.findData(plan))
+    usual = {"travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0", "way_back": "stay", "prompt": ""}
+    for key, text in {**usual, **values}.items():
+        new.editor.put(key, text)
+    new.pace.setCurrentText("as fast as it can")
+    new.look()
+
+
+def slow(window: MainWindow) -> None:
+    """Fill in a run that lasts a minute at the real pace."""
+    fill(window, speed_mm_s="0.2")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+
+
+def moving(window: MainWindow) -> bool:
+    entry = window.run.queue.current
+    return entry is not None and entry.under_way is not None and entry.elapsed_s > 0.2
+
+
+def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
+    window = opened(qtbot, lab, tmp_path / "window.ini")
+    try:
+        assert window.notices.trip.isVisible()
+        assert "nobody has looked at the rig yet" in window.notices.trip_text.text()
+        press(window.notices.reset)
+        qtbot.waitUntil(lambda: not window.notices.trip.isVisible(), timeout=WAIT_MS)
+        assert window.guard.text() == "guard: armed"
+    finally:
+        window.close_in_order("the test is over")
+
+
+def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until: Until, lab: Path) -> None:
+    fill(window, speed_mm_s="10, 20")
+    assert window.run.preview.runs.rowCount() == 2
+    assert "Nothing forbids it" in window.run.preview.findings.text()
+    window.run.new.operator.setText("A. Person")
+    press(window.run.new.start)
+    until(lambda: not window.run.under_way)
+    entry = window.run.queue.entries[-1]
+    assert entry.stage is Stage.COMPLETE
+    made = campaign(Path(entry.folder))
+    assert [run.status for run in made.runs] == [Status.COMPLETE, Status.COMPLETE]
+    assert {run.header.entry["operator"] for run in made.runs} == {"A. Person"}
+    live = window.run.live.run
+    assert live is not None
+    assert live.force.count == made.runs[-1].samples
+    assert live.latest.phase == "hold"
+
+
+def test_what_the_rig_cannot_do_cannot_be_started(window: MainWindow) -> None:
+    fill(window, travel_mm="900")
+    assert "NOT ALLOWED" in window.run.preview.findings.text()
+    assert not window.run.new.start.isEnabled()
+    assert not window.run.new.queue.isEnabled()
+    fill(window, speed_mm_s="fast")
+    assert "is no number" in window.run.preview.findings.text()
+    assert not window.run.new.start.isEnabled()
+
+
+@pytest.mark.parametrize("how", ["button", "escape", "abort"])
+def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: Until, qtbot: QtBot) -> None:
+    slow(window)
+    press(window.run.new.queue)
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    window.go_to(window.pages.widget(window.pages.count() - 1))
+    match how:
+        case "button":
+            press(window.stop_button)
+        case "escape":
+            qtbot.keyClick(window.pages.currentWidget(), Qt.Key.Key_Escape)
+        case _:
+            press(window.run.abort)
+    until(lambda: not window.run.under_way)
+    first, second = window.run.queue.entries
+    assert first.stage is Stage.ABORTED
+    assert "window" in first.reason
+    assert second.stage is Stage.WAITING
+    assert campaign(Path(first.folder)).runs[0].reason == first.reason
+
+
+def test_a_window_is_not_closed_by_mistake_while_the_stage_moves(window: MainWindow, until: Until) -> None:
+    slow(window)
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    assert not window.close()
+    assert "under way" in window.notices.complaint_text.text()
+    press(window.stop_button)
+    until(lambda: not window.run.under_way)
+
+
+def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
+    fill(window, prompt="Put the capsule in", prompt_each="yes", repeats="2", way_back="driven")
+    press(window.run.new.start)
+    until(window.notices.question.isVisible)
+    assert window.notices.question_text.text() == "Put the capsule in."
+    assert not window.notices.answers[Answer.REDO].isVisible()
+    press(window.notices.answers[Answer.DONE])
+    until(window.notices.answers[Answer.REDO].isVisible)
+    for answer in (Answer.REDO, Answer.DONE, Answer.SKIP):
+        until(window.notices.question.isVisible)
+        press(window.notices.answers[answer])
+    until(lambda: not window.run.under_way)
+    entry = window.run.queue.entries[-1]
+    assert entry.stage is Stage.COMPLETE
+    made = campaign(Path(entry.folder))
+    assert (len(made.runs), len(made.good)) == (4, 2)
+
+
+def test_abort_at_a_question_ends_the_session(window: MainWindow, until: Until) -> None:
+    fill(window, prompt="Put the capsule in")
+    press(window.run.new.start)
+    until(window.notices.question.isVisible)
+    press(window.notices.answers[Answer.ABORT])
+    until(lambda: not window.run.under_way)
+    assert window.run.queue.entries[-1].stage is Stage.ABORTED
+    assert not window.notices.question.isVisible()
+    press(window.notices.dismiss)
+    assert not window.notices.complaint.isVisible()
+
+
+def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
+    window = opened(qtbot, lab, tmp_path / "window.ini", assignments=("rig.guard.force_limit_mN=20",))
+    try:
+        press(window.notices.reset)
+        until(lambda: window.guard.text() == "guard: armed")
+        fill(window)
+        press(window.run.new.queue)
+        press(window.run.new.start)
+        until(window.notices.trip.isVisible)
+        assert "over the limit of 20 mN" in window.notices.trip_text.text()
+        press(window.run.start_queue)
+        assert "reset it" in window.notices.complaint_text.text()
+        assert [one.stage for one in window.run.queue.entries] == [Stage.TRIPPED, Stage.WAITING]
+        press(window.notices.reset)
+        until(lambda: window.guard.text() == "guard: armed")
+    finally:
+        window.close_in_order("the test is over")
+
+
+def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainWindow, until: Until) -> None:
+    view = window.run.queue_view
+    for speed in ("10", "20", "40"):
+        fill(window, speed_mm_s=speed)
+        press(window.run.new.queue)
+    entries = list(window.run.queue.entries)
+    view.tree.setCurrentItem(view.tree.topLevelItem(2))
+    press(view.up)
+    assert window.run.queue.entries == [entries[0], entries[2], entries[1]]
+    press(view.down)
+    assert window.run.queue.entries == entries
+    press(view.out)
+    assert window.run.queue.entries == entries[:2]
+    press(window.run.start_queue)
+    until(lambda: not window.run.under_way)
+    assert [(one.stage, one.reason) for one in window.run.queue.entries] == [(Stage.COMPLETE, "")] * 2
+    assert window.run.queue.left_s == 0
+    looked: list[str] = []
+    window.run.look_at.connect(looked.append)
+    view.tree.setCurrentItem(view.tree.topLevelItem(1))
+    press(view.look)
+    assert looked == [entries[1].folder]
+    press(view.clear)
+    assert window.run.queue.entries == []
+
+
+def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
+    devices = window.run.devices
+    until(lambda: devices.devices.rowCount() > 0)
+    devices.devices.setRowCount(0)
+    press(devices.again)
+    until(lambda: devices.devices.rowCount() > 0)
+    assert devices.verdict == "all fine"
+
+
+def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: Until) -> None:
+    pid = window.engine.pid
+    assert pid is not None
+    os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+    until(window.notices.lost.isVisible)
+    press(window.notices.restart)
+    until(lambda: window.guard.text() == "guard: TRIPPED")
+    assert window.engine.pid != pid
+    assert not window.notices.lost.isVisible()
+
+
+def test_only_the_last_seconds_are_shown_when_asked_for(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="0.5")
+    press(window.run.new.start)
+    until(lambda: not window.run.under_way)
+    whole = window.run.live.speed.shown()
+    window.run.live.only_last.click()
+    last = window.run.live.speed.shown()
+    assert whole[1] - whole[0] > 15
+    assert last[1] - last[0] < 12
+
+
+def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
+    first = opened(qtbot, lab, tmp_path / "window.ini")
+    first.run.new.plans.setCurrentIndex(first.run.new.plans.findData("blank"))
+    first.run.new.operator.setText("B. Person")
+    first.close_in_order("closed")
+    second = opened(qtbot, lab, tmp_path / "window.ini")
+    try:
+        assert second.run.new.plans.currentData() == "blank"
+        assert second.run.new.operator.text() == "B. Person"
+    finally:
+        second.close_in_order("the test is over")
+
+
+def test_a_rig_is_named_in_words(window: MainWindow) -> None:
+    assert "SIMULATED" in window.windowTitle()
+    assert window.words.title == "SIMULATED"
+
+
+def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text('name = "own"\n[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 10]\n', "utf-8")
+    window.run.new.open_file(str(file))
+    assert window.run.preview.runs.rowCount() == 4

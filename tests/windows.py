@@ -1,0 +1,66 @@
+"""What the tests of the window share: a lab, a window on it, and what it takes to have one."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from PySide6.QtWidgets import QApplication
+
+PACKAGES = {
+    "libEGL": "libegl1", "libGL": "libgl1", "libxkbcommon": "libxkbcommon0", "libdbus": "libdbus-1-3",
+    "libfontconfig": "libfontconfig1", "libglib": "libglib2.0-0",
+}  # fmt: skip
+"""Debian's package for each library of the system that Qt needs, even off screen."""
+WAIT_MS = 100_000
+
+
+def lacking() -> str:
+    """Say what keeps Qt from being loaded here; nothing when it can be."""
+    try:
+        import PySide6.QtTest
+        import PySide6.QtWidgets  # noqa: F401
+    except ImportError as error:
+        package = next((name for part, name in PACKAGES.items() if part in str(error)), "")
+        return f"the window needs {package or 'PySide6'} ({error}): apt-get install {package}"
+    return ""
+
+
+def require_qt() -> None:
+    """Skip a test module where Qt cannot be loaded; fail where everything has to be there."""
+    reason = lacking()
+    if not reason:
+        return
+    if os.environ.get("CI") == "true":
+        pytest.fail(reason, pytrace=False)
+    pytest.skip(reason, allow_module_level=True)
+
+
+def press(widget: object) -> None:
+    """Press a button as a person does: nothing happens where it cannot be pressed."""
+    from PySide6.QtWidgets import QAbstractButton
+
+    assert isinstance(widget, QAbstractButton)
+    assert widget.isEnabled(), f"{widget.text()} cannot be pressed"
+    widget.click()
+
+
+Until = Callable[[Callable[[], bool]], None]
+
+
+def lab_in(folder: Path) -> Path:
+    """Make a lab folder."""
+    from dragrig.lab import create
+
+    create(folder)
+    return folder
+
+
+def dressed() -> "QApplication":
+    """Return the application, looking as it does for people."""
+    from dragrig.window.application import application
+
+    return application()
