@@ -45,7 +45,7 @@ def choose(campaign: Path | Iterable[Run], specimen: str | None = None, progress
             usable.extend(runs)
             return spread(runs)
 
-        found = _remarked(select(campaign, meant, progress, choice), len(usable))
+        found = _remarked(select(there, meant, progress, choice), len(usable))
     else:
         runs = tuple(campaign)
         infos = [run.info for run in runs]

@@ -143,10 +143,10 @@ def _chance(search: _Search, free: FloatArray, improvement: float) -> float:
 
 
 def _none_found(deviation: Deviation, what: str, chance: float) -> str:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     squares = deviation.force_mN @ np.linalg.solve(deviation.covariance, deviation.force_mN)
-    alike = float(chi2.sf(squares, len(deviation.force_mN)))
+    alike = float(chdtrc(len(deviation.force_mN), squares))
     besides = ""
     if alike < SIGNIFICANT:
         besides = f" Yet {what} differ (p {_spelt(alike)}), with no speed at which that begins."

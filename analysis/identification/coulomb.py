@@ -161,7 +161,7 @@ def _remarks(slow: Sequence[CoulombRun], net: Sequence[CoulombRun], shared: Floa
 
 def _speed_dependence(net: Sequence[CoulombRun], shared: FloatArray, mean: float) -> Iterator[str]:
     """Say so when μ, viscous friction taken off, still goes up or down with speed."""
-    from scipy.stats import norm
+    from scipy.special import ndtr
 
     speeds = np.array([abs(run.speed_mm_s) for run in net])
     if len(net) < 2 or speeds.max() < SAME_SPEED * speeds.min():
@@ -170,7 +170,7 @@ def _speed_dependence(net: Sequence[CoulombRun], shared: FloatArray, mean: float
     errors = np.array([run.mu_without_viscous.standard_error for run in net], dtype=float)
     own = np.maximum(errors**2 - shared**2, 0.0) + (RUN_TO_RUN * mean) ** 2
     slope, error = trend(values, np.diag(own) + np.outer(shared, shared), np.log(speeds))
-    chance = 2 * float(norm.sf(abs(slope) / error))
+    chance = 2 * float(ndtr(-abs(slope) / error))
     if chance < SIGNIFICANT:
         yield (
             f"μ {'falls' if slope < 0 else 'rises'} with speed, viscous friction taken off, by "

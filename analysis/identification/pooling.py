@@ -37,7 +37,7 @@ def pooled(values: FloatArray, covariance: FloatArray, usual_scatter: float) -> 
     the weighted squares down to their expectation (Paule and Mandel, J. Res. NBS 87, 1982).
     """
     from scipy.optimize import brentq
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     degrees = len(values) - 1
     if degrees == 0:
@@ -51,7 +51,7 @@ def pooled(values: FloatArray, covariance: FloatArray, usual_scatter: float) -> 
     if squares > degrees:
         scatter = float(brentq(surplus, usual_scatter, usual_scatter + LARGEST * float(np.ptp(values))))
     mean, error, _ = _weighted(values, covariance, scatter)
-    return Pooled(Estimate(mean, error), scatter, float(chi2.sf(squares, degrees)))
+    return Pooled(Estimate(mean, error), scatter, float(chdtrc(degrees, squares)))
 
 
 def trend(values: FloatArray, covariance: FloatArray, along: FloatArray) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from dragrig.analysis.identification.spoilt import spoilt, spoilt_in_part
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.rig.runfile.campaigns import specimen_key
+from dragrig.rig.runfile.campaigns import Campaign, specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo, Status
 
 SLIDES_BACK = "return"
@@ -34,14 +34,14 @@ Choice = Callable[[Sequence[RunInfo]], Sequence[RunInfo]]
 
 
 def select(
-    folder: Path, specimen: str | None = None, progress: Progress = silent, choice: Choice | None = None
+    campaign: Path | Campaign, specimen: str | None = None, progress: Progress = silent, choice: Choice | None = None
 ) -> Selection:
     """Read the runs of a campaign that can be used.
 
     Parameters
     ----------
-    folder
-        The campaign.
+    campaign
+        Its folder, or what `rig.runfile.campaign` just said of it.
     specimen
         Name or id of the specimen that is meant; needed where the folder holds several.
     choice
@@ -54,9 +54,10 @@ def select(
     AnalysisError
         When it holds no usable run, or runs of several specimens and none was named.
     """
-    from dragrig.rig.runfile import campaign, read_run
+    from dragrig.rig import runfile
 
-    found = campaign(folder)
+    found = runfile.campaign(campaign) if isinstance(campaign, Path) else campaign
+    folder = found.folder
     left_out = [LeftOut(path.name, str(fault).removeprefix(f"{path}: ")) for path, fault in found.unreadable]
     left_out += [LeftOut(path.name, "it is a recording that was not finished") for path in found.recordings]
     marks = {path: mark.reason for path, mark in found.marks.items()}
@@ -71,7 +72,7 @@ def select(
     for done, info in enumerate(usable):
         progress(done, len(usable))
         try:
-            runs.append(read_run(info.path, info))
+            runs.append(runfile.read_run(info.path, info))
         except RunFileError as fault:
             left_out.append(LeftOut(info.path.name, str(fault).removeprefix(f"{info.path}: ")))
     progress(len(usable), len(usable))

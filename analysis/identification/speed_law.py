@@ -16,7 +16,7 @@ def log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
     The intervals are those of the line through the points at these speeds, by the points' errors. Where
     `lack_of_fit_p` is small, no straight line describes them, and other speeds would give another one.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     if len(points) < FEWEST_SPEEDS:
         return None
@@ -43,5 +43,5 @@ def log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
         slope=slope,
         correlation=float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])),
         r2=1 - squares / spread if spread else float("nan"),
-        lack_of_fit_p=float(chi2.sf(squares, degrees)),
+        lack_of_fit_p=float(chdtrc(degrees, squares)),
     )

@@ -18,7 +18,7 @@ STRAYS = 1e-3
 
 def joint_fit(problem: Problem, solution: Solution) -> JointFit:
     """Read a solution."""
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     values = problem.scales.values(solution.z)
     runs = tuple(_runs(problem, solution, values))
@@ -26,7 +26,7 @@ def joint_fit(problem: Problem, solution: Solution) -> JointFit:
     degrees = sum(one.blocks for one in runs)
     known = min(noise.degrees for noise in problem.noises)
     # Noise that was assumed and not seen rejects no model, but it excuses nothing either.
-    p_value = float(f.sf(chi2 / degrees, degrees, known)) if known else float("nan")
+    p_value = float(fdtrc(degrees, known, chi2 / degrees)) if known else float("nan")
     widened = 1.0 if p_value >= DOUBTFUL else max(1.0, chi2 / degrees)
     # The solution's own misfit is in its covariance already.
     covariance = max(1.0, widened / solution.misfit) * solution.covariance
@@ -164,7 +164,7 @@ def _alike(correlation: FloatArray) -> Iterator[list[int]]:
 
 
 def _straying(problem: Problem, runs: tuple[RunResidual, ...]) -> Iterator[str]:
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     for variation in problem.nominal.variations:
         found = [{**one.factors, **one.offsets}[variation.name] for one in runs]
@@ -175,7 +175,7 @@ def _straying(problem: Problem, runs: tuple[RunResidual, ...]) -> Iterator[str]:
             if one.value is not None and one.standard_error is not None and one.standard_error < 0.8 * variation.sd
         ]
         squares = float(np.sum(np.square(said))) / variation.sd**2
-        if said and chi2.sf(squares, len(said)) < STRAYS:
+        if said and chdtrc(len(said), squares) < STRAYS:
             rms = float(np.sqrt(np.mean(np.square(said))))
             by, usual = (f"{size:.1%}" if variation.unit == "1" else f"{size:.3g}" for size in (rms, variation.sd))
             yield (
