@@ -8,7 +8,7 @@ from dragrig.analysis.gap.results import Diagnosis
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import DragrigError
 from dragrig.diagnosing import DiagnosedCampaign, diagnosed, options_of
-from dragrig.spreading import executor, spread
+from dragrig.spreading import executor, spread, spread_counted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,16 +114,8 @@ def diagnose_many(
     options_of(without, tolerance_mN)
     asked = Asked(str(nominal), tuple(without), tolerance_mN, specimen)
     folders = [Path(one).absolute() for one in campaigns]
-    done = 0
-    progress(0, len(folders))
-
-    def finished(_folder: Path, _found: DiagnosedFolder) -> None:
-        nonlocal done
-        done += 1
-        progress(done, len(folders))
-
     with executor(workers, scheduler, most=len(folders)) as some:
-        found = spread(some, asked.diagnosed_or_told, folders, finished)
+        found = spread_counted(some, asked.diagnosed_or_told, folders, progress)
     return tuple(
         DiagnosedFolder(str(given), one.result, one.run_ids, one.why_not.replace(one.source, str(given)))
         for given, one in zip(campaigns, found, strict=True)

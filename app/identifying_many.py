@@ -9,7 +9,7 @@ from dragrig.analysis.identification.results import Identification
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import DragrigError
 from dragrig.identifying import IdentifiedCampaign, Wall, identify, pictures, save_model
-from dragrig.spreading import executor, spread
+from dragrig.spreading import executor, spread_counted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,16 +85,8 @@ def identify_many(
     folders = [Path(one).absolute() for one in campaigns]
     places = _places(folders, out) if write else [None] * len(folders)
     asked = _Asked(str(nominal), str(model), wall, specimen, overwrite)
-    done = 0
-    progress(0, len(folders))
-
-    def finished(_piece: object, _found: IdentifiedFolder) -> None:
-        nonlocal done
-        done += 1
-        progress(done, len(folders))
-
     with executor(workers, scheduler, most=len(folders)) as some:
-        found = spread(some, asked.identified, list(zip(folders, places, strict=True)), finished)
+        found = spread_counted(some, asked.identified, list(zip(folders, places, strict=True)), progress)
     return tuple(
         IdentifiedFolder(str(given), one.result, one.files, one.why_not.replace(one.source, str(given)))
         for given, one in zip(campaigns, found, strict=True)

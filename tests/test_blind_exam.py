@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from dragrig.blind.holding import BlindExam, gap_blind
+from dragrig.blind.exam import BlindExam
+from dragrig.blind.holding import gap_blind
 from dragrig.blind.making import Order, write
 from dragrig.blind.mixing import mix
 from dragrig.blind.sealing import opened, put, seal

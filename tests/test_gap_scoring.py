@@ -187,7 +187,7 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
 
 @pytest.mark.parametrize("cases", [1, 160])
 def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
-    from dragrig.blind.holding import BlindExam
+    from dragrig.blind.exam import BlindExam
 
     found = large_exam(cases)
     exam = BlindExam(cases, 4, "ab" * 32, found, {}, {"this call": 1.0})

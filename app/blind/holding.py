@@ -3,64 +3,25 @@
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import TypeVar
 
 from dragrig.analysis.progress import Progress, silent
+from dragrig.blind.exam import BlindExam
 from dragrig.blind.examinee import Question, Said, evaluate, examine
 from dragrig.blind.making import Order, amount, write
 from dragrig.blind.mixing import EXAM, MIXES, Case, mix
-from dragrig.blind.sealing import FORMAT, VERSION, Folder, open_answers, opened, put, seal, taken
+from dragrig.blind.sealing import Folder, open_answers, opened, put, seal, taken
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.gap_scoring import Score, score
-from dragrig.gap_scoring.document import score_document
+from dragrig.gap_scoring import score
 from dragrig.spreading import executor, require_workers, spread
 
 PieceT = TypeVar("PieceT")
 R = TypeVar("R")
 MAKING, DIAGNOSING, MEASURING, EVALUATING = 2, 5, 4, 1
 """How long a piece of each kind takes, roughly, in seconds; what is left is told by these."""
-
-
-@dataclass(frozen=True, slots=True)
-class BlindExam:
-    """An exam that was held.
-
-    Attributes
-    ----------
-    cases, seed
-        What it was drawn from.
-    answers_sha256
-        The seal.
-    score
-        How often the diagnosis was right.
-    failed
-        Why campaigns were not diagnosed, by their names; they are not in the score.
-    timings_s
-        Of this call; the only part that differs between two exams with one seed.
-    """
-
-    cases: int
-    seed: int
-    answers_sha256: str
-    score: Score
-    failed: Mapping[str, str] = field(default_factory=dict)
-    timings_s: Mapping[str, float] = field(default_factory=dict)
-
-    def document(self) -> Mapping[str, object]:
-        """Return all that the exam says as JSON."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "cases": self.cases,
-            "seed": self.seed,
-            "answers_sha256": self.answers_sha256,
-            **score_document(self.score),
-            "failed": dict(self.failed),
-            "timings_s": {name: round(seconds, 3) for name, seconds in self.timings_s.items()},
-        }
 
 
 def gap_blind(
@@ -263,11 +224,3 @@ def _timings(said: Mapping[str, Mapping[str, object]]) -> dict[str, float]:
     known = [one["timings_s"] for one in said.values() if "timings_s" in one]
     seconds = [sum(float(str(each)) for each in one.values()) for one in known if isinstance(one, Mapping)]
     return {"diagnosis (median)": median(seconds)} if seconds else {}
-
-
-def save_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
-    """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `diagnosing.save_report`."""
-    from dragrig.reports.blind.page import page
-    from dragrig.reports.files import write_text
-
-    return write_text(page(exam.score, exam.cases, exam.seed, exam.answers_sha256), path, overwrite=overwrite)

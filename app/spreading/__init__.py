@@ -10,6 +10,6 @@
 """
 
 from dragrig.spreading.choosing import cores, executor, require_workers
-from dragrig.spreading.pieces import spread
+from dragrig.spreading.pieces import spread, spread_counted
 
-__all__ = ["cores", "executor", "require_workers", "spread"]
+__all__ = ["cores", "executor", "require_workers", "spread", "spread_counted"]

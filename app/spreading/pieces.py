@@ -1,9 +1,12 @@
 """Pieces of work through an executor."""
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from itertools import count
 from typing import TypeVar
+
+from dragrig.analysis.progress import Progress
 
 R = TypeVar("R")
 PieceT = TypeVar("PieceT")
@@ -48,6 +51,15 @@ def spread(
             if finished is not None:
                 finished(piece, result)
     return [results[number] for number in range(len(results))]
+
+
+def spread_counted(
+    executor: Executor, function: Callable[[PieceT], R], pieces: Sequence[PieceT], progress: Progress
+) -> list[R]:
+    """Do the same, and tell how many pieces are done of how many."""
+    done = count(1)
+    progress(0, len(pieces))
+    return spread(executor, function, pieces, lambda _piece, _result: progress(next(done), len(pieces)))
 
 
 def _ended(running: dict[Future[R], tuple[int, PieceT]]) -> list[tuple[int, PieceT, R]]:

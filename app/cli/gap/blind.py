@@ -51,7 +51,8 @@ def command(
     and the verdicts scored, with Wilson intervals. Two exams with one seed are the same. The exit code is 0 however
     often it was right, and 2 where campaigns could not be diagnosed.
     """
-    from dragrig.blind.holding import gap_blind, save_report
+    from dragrig.blind.exam import save_report
+    from dragrig.blind.holding import gap_blind
     from dragrig.cli.gap.blind_telling import exam_parts
     from dragrig.cli.gap.printing import show
     from dragrig.config.errors import AnalysisError

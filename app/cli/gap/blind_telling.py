@@ -11,7 +11,7 @@ from dragrig.gap_scoring.words import calibration_sentences, exam_sentences, pro
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from dragrig.blind.holding import BlindExam
+    from dragrig.blind.exam import BlindExam
     from dragrig.gap_scoring.calibration import Calibration
     from dragrig.gap_scoring.detection import Detection
     from dragrig.gap_scoring.rates import Rate
