@@ -1,7 +1,7 @@
 """Frame times of the window's plots: 10 million points on the screen, and 250 kS/s live, on one core.
 
 `python bench/window.py` prints median and worst frame; a frame is all that it takes to bring the plots to the screen's
-memory, drawn off screen, at the window's usual size.
+memory, drawn off screen, at the window's usual size. It stays on the last core; `--busy` keeps all others busy.
 """
 
 import os
@@ -10,10 +10,14 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
+from PySide6.QtCore import QEvent, QObject
 
 from dragrig.engine_host.live import Fresh
 from dragrig.window.application import application
@@ -27,14 +31,33 @@ POINTS = 10_000_000
 RATE_HZ = 250_000.0
 
 
-def frames(draw: Callable[[int], None], show: Callable[[], None]) -> np.ndarray:
-    """Return times of frames [s]."""
-    took = []
+class Paints(QObject):
+    """Counts how often plots are painted."""
+
+    def __init__(self, *plots: Panel) -> None:
+        super().__init__()
+        self.count = 0
+        self._views = [plot.widget.viewport() for plot in plots]
+        for view in self._views:
+            view.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Count."""
+        self.count += event.type() is QEvent.Type.Paint and watched in self._views
+        return False
+
+
+def frames(draw: Callable[[int], None], *plots: Panel) -> np.ndarray:
+    """Return times of frames [s]; each is drawn and painted."""
+    app = application()
+    app.processEvents()
+    paints, took = Paints(*plots), []
     for number in range(FRAMES):
         begun = time.perf_counter()
         draw(number)
-        show()
+        app.processEvents()
         took.append(time.perf_counter() - begun)
+    assert paints.count >= FRAMES * len(plots), "frames were left out"
     return np.array(took)
 
 
@@ -47,7 +70,7 @@ def told(name: str, took: np.ndarray) -> None:
 
 def still() -> None:
     """Zoom and pan over 10 million points."""
-    app = application()
+    application()
     panel = Panel("Force", "mN")
     panel.widget.resize(1000, 600)
     panel.widget.show()
@@ -66,17 +89,13 @@ def still() -> None:
     def panned(number: int) -> None:
         panel.show_times(-0.01 * number, length - 0.01 * number)
 
-    def show() -> None:
-        panel.widget.grab()
-        app.processEvents()
-
-    told("10 million points, all of them shown, panned", frames(panned, show))
-    told("10 million points, zoomed from all to 40 samples", frames(zoomed, show))
+    told("10 million points, all of them shown, panned", frames(panned, panel))
+    told("10 million points, zoomed from all to 40 samples", frames(zoomed, panel))
 
 
 def live() -> None:
     """Draw what comes at 250 kS/s, as fast as it comes: the frame holds what a 30th of a second brings."""
-    app = application()
+    application()
     view = LiveView()
     view.resize(1000, 700)
     view.show()
@@ -89,11 +108,8 @@ def live() -> None:
         position = (np.arange(first, first + per_frame) / RATE_HZ * 20.0).astype(np.float32)
         view.take(Fresh(2, RATE_HZ, first, 0, force, position, np.full(per_frame, 2, np.uint8)))
 
-    def show() -> None:
-        view.grab()
-        app.processEvents()
-
-    first = frames(draw, show)
+    plots = (view.force, view.position, view.speed)
+    first = frames(draw, *plots)
     told("250 kS/s live, three plots, filter and speed, first 2 s", first[10:])
     assert view.run is not None
     # A quarter of an hour later: as many points as that, and the next frames.
@@ -101,9 +117,32 @@ def live() -> None:
     for pyramid in (view.run.force, view.run.filtered, view.run.position, view.run.speed):
         for _ in range(100):
             pyramid.append(fill)
-    told("250 kS/s live, 100 million samples later", frames(lambda number: draw(FRAMES + number), show)[10:])
+    told("250 kS/s live, 100 million samples later", frames(lambda number: draw(FRAMES + number), *plots)[10:])
+
+
+@contextmanager
+def one_core(*, busy: bool) -> Iterator[None]:
+    """Stay on the last core; keep the others busy."""
+    if not hasattr(os, "sched_setaffinity"):
+        print("this system cannot keep a process on one core: measured on all of them")
+        yield
+        return
+    *others, mine = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {mine})
+    forever = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nwhile True: pass"
+    spinning = [
+        subprocess.Popen([sys.executable, "-c", forever, str(core)], start_new_session=True)
+        for core in others if busy
+    ]  # fmt: skip
+    print(f"on one core of {1 + len(others)}, {'the others busy' if spinning else 'the others as they are'}")
+    try:
+        yield
+    finally:
+        for one in spinning:
+            one.kill()
 
 
 if __name__ == "__main__":
-    still()
-    live()
+    with one_core(busy="--busy" in sys.argv):
+        still()
+        live()

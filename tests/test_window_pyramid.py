@@ -64,3 +64,12 @@ def test_next_to_nothing_can_be_drawn(count: int) -> None:
     pyramid.append(np.zeros(count, np.float32))
     place, _ = pyramid.view(0, 10, 100)
     assert len(place) == count
+
+
+def test_a_line_is_drawn_with_short_strokes_between_columns() -> None:
+    values = np.random.default_rng(2).normal(size=100_000).astype(np.float32)
+    pyramid = Pyramid()
+    pyramid.append(values)
+    _, line = pyramid.view(0, len(values), 300)
+    across = np.abs(np.diff(line))[1::2]
+    assert across.max() < np.abs(np.diff(line))[::2].min()

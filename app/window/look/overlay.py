@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QSpinBox, QWidget
 
-from dragrig.figures.palette import BLACK, CYCLE, ORANGE, PALE
+from dragrig.figures.palette import BLACK, CYCLE, ORANGE, PALE, tint
 from dragrig.looking import ShownTrace
 from dragrig.window.plots.panel import Panel
 from dragrig.window.plots.pyramid import Pyramid
@@ -87,7 +87,7 @@ class Overlay(QWidget):
         if self.raw.isChecked():
             for at, one in enumerate(self.traces):
                 if name in one.channels:
-                    colour = PALE if len(self.traces) == 1 else CYCLE[at % MOST] + "55"
+                    colour = PALE if len(self.traces) == 1 else tint(CYCLE[at % MOST])
                     self._put(self.top, at, name, colour, 1.0, filtered=False)
         for at, one in enumerate(self.traces):
             colour = CYCLE[at % MOST]

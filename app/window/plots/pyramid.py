@@ -69,6 +69,8 @@ class Pyramid:
         starts = np.arange(0, len(low), step)
         line = np.empty((len(starts), 2), np.float32)
         line[:, 0], line[:, 1] = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
+        # Up, down, up: from a column to the next it is never far, and long strokes are what drawing costs.
+        line[1::2] = line[1::2, ::-1]
         place = (begin + starts * width) * float(self.base)
         return np.repeat(place, 2), line.ravel()
 

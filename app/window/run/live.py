@@ -1,6 +1,6 @@
 """The run under way: force raw and filtered, position, speed and phase, as curves and as numbers for a metre away."""
 
-from math import isfinite
+from math import ceil, floor, isfinite, log10
 from threading import Thread
 
 from PySide6.QtWidgets import QCheckBox, QLabel, QWidget
@@ -71,13 +71,12 @@ class LiveView(QWidget):
     def _draw(self) -> None:
         if self.run is None:
             return
-        now = self.run.latest.time_s
         before = self.speed.shown()
-        self.speed.show_times(max(0.0, now - LAST_S) if self.only_last.isChecked() else 0.0, now)
+        self.speed.show_times(*_times(self.run.latest.time_s, only_last=self.only_last.isChecked()))
+        # A new range of times redraws all three, which are tied to each other.
         if self.speed.shown() == before:
-            self.speed.redraw()
-        for panel in (self.force, self.position):
-            panel.redraw()
+            for panel in (self.force, self.position, self.speed):
+                panel.redraw()
 
     def _tell(self, latest: Reading) -> None:
         for name, value, digits, unit in (
@@ -93,3 +92,10 @@ class LiveView(QWidget):
         value.setMinimumWidth(_WIDTHS.get(name, 120))
         value.setAccessibleName(name)
         return card(label(name.capitalize(), "faint"), value)
+
+
+def _times(now_s: float, *, only_last: bool) -> tuple[float, float]:
+    """Return what is to be shown; it goes on in steps, so that axes stand still to be read, and cost nothing."""
+    step = 1.0 if only_last else 10.0 ** floor(log10(max(now_s, 1.0))) / 2
+    end = step * ceil(max(now_s, step) / step)
+    return (max(0.0, end - LAST_S) if only_last else 0.0), end
