@@ -32,6 +32,12 @@ def beside(first: str, second: str, gain: float, left: float) -> Tried:
     return Tried((first, second), NOISE, NOISE, 5.0, gain=gain, left=left, rival_gain=10.0)
 
 
+def test_what_was_left_out_although_it_resembles_what_is_named_stays_in_doubt() -> None:
+    found = case(LOUD, one("stribeck", NOISE), without=("adhesion", "folds"))
+    assert judge(found, TOLERANCE_MN).confusable_with == ("adhesion",)
+    assert judge(case(NOISE, without=("adhesion",)), TOLERANCE_MN).confusable_with == ()
+
+
 @pytest.mark.parametrize(
     ("found", "verdict", "effects"),
     [

@@ -14,7 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from dragrig.analysis.gap.evidence import Evidence
 from dragrig.analysis.gap.results import BeforeAfter, Diagnosis, Ranked
+from dragrig.analysis.gap.sentences import name_of
 from dragrig.cli.gap.printing import show
 from dragrig.cli.gap.telling import diagnosis_parts, shrink_parts
 from dragrig.figures.gap_before_after import gap_before_after_figure, representative
@@ -49,6 +51,13 @@ def words(html: str) -> str:
 
     Reader().feed(html)
     return " ".join(" ".join(found).replace("\u00a0", " ").split())
+
+
+def test_what_was_left_out_of_the_search_is_not_called_inseparable() -> None:
+    asked = Evidence(blocks=8000, squares=20_000.0, without=("adhesion",))
+    said = text(replace(STRIBECK, confusable_with=("adhesion",), evidence=asked))
+    assert f"Left out of the search, and hardly told from it: {name_of('adhesion')}" in " ".join(said.split())
+    assert "with these runs" not in said
 
 
 FIRST = {

@@ -5,13 +5,14 @@ campaigns with hidden effects (`calibration.json`, judged on other seeds); its p
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp
 
 from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
 from dragrig.analysis.gap.evidence import Evidence
 from dragrig.analysis.gap.results import Verdict
 from dragrig.analysis.gap.weighing import Hypothesis, hypotheses
+from dragrig.sim_backend.effects.catalogue import near_aliases
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
 
@@ -49,9 +50,14 @@ def judge(found: Evidence, tolerance_mN: float, calibration: Calibration | None 
     """Weigh the hypotheses and name what earns its place."""
     weights = calibration or shipped_calibration()
     force = _of_force(found, tolerance_mN, weights)
-    if found.position or found.strays:
-        return _with_position(found, force)
-    return _with_lines(found, force)
+    judged = _with_position(found, force) if found.position or found.strays else _with_lines(found, force)
+    return replace(judged, confusable_with=(*judged.confusable_with, *_not_tried(judged.effects, found.without)))
+
+
+def _not_tried(effects: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
+    """Return what was left out of the search although it is hardly told from what was found."""
+    alike = {other for one in effects for other in near_aliases(one)}
+    return tuple(one for one in without if one in alike)
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,7 +134,7 @@ class Diagnosis:
     effects
         The most probable effects; empty for `no_gap` and `unknown`.
     confusable_with
-        Effects that these runs cannot tell from them.
+        Effects that these runs cannot tell from them, near-aliases that were left out of the search among them.
     residual_unknown
         Whether something is left beside effects that clearly earn their place.
     would_have_seen_mN

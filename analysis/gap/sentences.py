@@ -140,11 +140,14 @@ def _seen(diagnosis: Diagnosis) -> str:
 
 
 def _confusable(diagnosis: Diagnosis) -> Iterator[str]:
-    if not diagnosis.confusable_with:
-        return
-    others = capital(listed([name_of(one) for one in diagnosis.confusable_with]))
+    left_out = () if diagnosis.evidence is None else diagnosis.evidence.without
     it = "it" if len(diagnosis.effects) == 1 else "them"
-    yield f"{others} cannot be told from {it} with these runs."
+    alike = [name_of(one) for one in diagnosis.confusable_with if one not in left_out]
+    if alike:
+        yield f"{capital(listed(alike))} cannot be told from {it} with these runs."
+    untried = [name_of(one) for one in diagnosis.confusable_with if one in left_out]
+    if untried:
+        yield f"Left out of the search, and hardly told from {it}: {listed(untried)}."
 
 
 def _beside(diagnosis: Diagnosis) -> Iterator[str]:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from dragrig.gap_scoring.rates import NAMED, Rate, rate
 from dragrig.gap_scoring.records import SMALL, Case
+from dragrig.sim_backend.effects.catalogue import near_aliases
 
 
 def withheld_rates(cases: Sequence[Case]) -> tuple[Rate, ...]:
@@ -33,15 +34,6 @@ def doubted(case: Case) -> bool:
         return case.answer.least < SMALL
     alias = set(said.effects) <= near_aliases(case.answer.effects[0])
     return alias and (said.stated < NAMED or bool(said.confusable_with))
-
-
-def near_aliases(effect: str) -> frozenset[str]:
-    """Return the effects that are hardly told from one, as either's entry in the catalogue says."""
-    from dragrig.sim_backend.effects.catalogue import catalogue
-
-    known = catalogue()
-    own = known[effect].aliases if effect in known else ()
-    return frozenset({*own, *(name for name, one in known.items() if effect in one.aliases)})
 
 
 def _named(case: Case) -> bool:

@@ -26,3 +26,10 @@ def find_effect(name: str) -> Effect:
     if name not in known:
         raise SettingsError(f"effect {name}: is not in the catalogue; {nearest(name, list(known))}")
     return known[name]
+
+
+def near_aliases(name: str) -> frozenset[str]:
+    """Return the effects that are hardly told from one, as either's entry says; none for what is no effect."""
+    known = catalogue()
+    own = known[name].aliases if name in known else ()
+    return frozenset({*own, *(other for other, one in known.items() if name in one.aliases)})
