@@ -270,11 +270,13 @@ def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> Non
     first = opened(qtbot, lab, tmp_path / "window.ini")
     first.run.new.plans.setCurrentIndex(first.run.new.plans.findData("blank"))
     first.run.new.operator.setText("B. Person")
+    first.run.new.mirror.setText("/second disk")
     first.close_in_order("closed")
     second = opened(qtbot, lab, tmp_path / "window.ini")
     try:
         assert second.run.new.plans.currentData() == "blank"
         assert second.run.new.operator.text() == "B. Person"
+        assert second.run.new.chosen_mirror == Path("/second disk")
     finally:
         second.close_in_order("the test is over")
 
@@ -289,3 +291,33 @@ def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> Non
     file.write_text('name = "own"\n[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 10]\n', "utf-8")
     window.run.new.open_file(str(file))
     assert window.run.preview.runs.rowCount() == 4
+
+
+def test_a_mirror_is_chosen_and_gets_every_file(window: MainWindow, until: Until, tmp_path: Path) -> None:
+    fill(window, speed_mm_s="20")
+    window.run.new.mirror.setText(str(tmp_path))
+    press(window.run.new.start)
+    until(lambda: not window.run.under_way)
+    window.run.new.mirror.clear()
+    entry = window.run.queue.entries[-1]
+    made = sorted(file.name for file in Path(entry.folder).iterdir() if file.suffix in {".h5", ".toml"})
+    assert sorted(file.name for file in (tmp_path / Path(entry.folder).name).iterdir()) == made
+    item = window.run.queue_view.tree.topLevelItem(0)
+    assert item.text(3) == f"complete; all {len(made)} files in the mirror {tmp_path / Path(entry.folder).name}"
+    assert not window.notices.complaint.isVisible()
+
+
+def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tmp_path: Path) -> None:
+    fill(window, speed_mm_s="20")
+    window.run.new.mirror.setText(str(tmp_path / "unplugged"))
+    press(window.run.new.start)
+    until(lambda: not window.run.under_way)
+    window.run.new.mirror.clear()
+    entry = window.run.queue.entries[-1]
+    assert entry.stage is Stage.COMPLETE
+    (file,) = Path(entry.folder).glob("*.h5")
+    item = window.run.queue_view.tree.topLevelItem(0)
+    below = {item.child(at).text(0): item.child(at).text(3) for at in range(item.childCount())}
+    assert "there is no such folder" in below[file.name]
+    assert f"{entry.mirror.missing[0][0]}" in window.notices.complaint_text.text()
+    assert "NOT IN THE MIRROR" in item.text(3)

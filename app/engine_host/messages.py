@@ -50,6 +50,8 @@ class Job:
         What its client calls it.
     resume
         Folder of a campaign to go on with, in place of the plan.
+    mirror
+        Folder that is to hold a second copy of each finished file.
     """
 
     number: int
@@ -59,6 +61,7 @@ class Job:
     pace: Pace | None = None
     out: Path | None = None
     resume: Path | None = None
+    mirror: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +199,22 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
+class InMirror:
+    """How many files have an equal in the mirror, and which have none, each with why."""
+
+    folder: Path
+    copied: int
+    missing: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Warned:
+    """Something that a person has to know at once and that stops nothing."""
+
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
 class Ended:
     """A session is over; `status` is none where it never began, and `reason` says why."""
 
@@ -203,6 +222,7 @@ class Ended:
     status: Status | None
     reason: str
     folder: Path | None = None
+    mirror: InMirror | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,4 +239,6 @@ class Lost:
     exit_code: int | None
 
 
-Event: TypeAlias = Ready | Examined | Latched | Began | Waiting | RunBegan | RunEnded | Asked | Ended | Refused | Lost
+Event: TypeAlias = (
+    Ready | Examined | Latched | Began | Waiting | RunBegan | RunEnded | Asked | Warned | Ended | Refused | Lost
+)

@@ -18,6 +18,7 @@ from dragrig.engine_host.messages import (
     Event,
     Examine,
     Examined,
+    InMirror,
     Job,
     Latched,
     Ready,
@@ -27,6 +28,7 @@ from dragrig.engine_host.messages import (
     RigTerms,
     Start,
     Status,
+    Warned,
 )
 from dragrig.engine_host.person import RemotePerson
 from dragrig.examining import examine
@@ -87,7 +89,7 @@ class Host:
         ended = Ended(job.number, Status.FAILED, "the engine met a bug")
         try:
             made = self._carry_out(job)
-            ended = Ended(job.number, made.session.status, made.session.reason, made.folder)
+            ended = Ended(job.number, made.session.status, made.session.reason, made.folder, _in_mirror(made))
         except DragrigError as error:
             ended = Ended(job.number, None, str(error))
         finally:
@@ -97,7 +99,15 @@ class Host:
             self._latch(ended.reason)
 
     def _carry_out(self, job: Job) -> Made:
-        terms = Terms(Path(), operator=job.operator, note=job.note, pace=job.pace, begun=self._ear.stops)
+        terms = Terms(
+            Path(),
+            operator=job.operator,
+            note=job.note,
+            pace=job.pace,
+            begun=self._ear.stops,
+            mirror=job.mirror,
+            tell=lambda sentence: self._mouth.say(Warned(sentence)),
+        )
         if job.resume is not None:
             return campaigns.go_on(job.resume, terms, self._person)
         return campaigns.begin(resolve(job.plan, **self._rig.choices()), job.out, terms, self._person)
@@ -126,3 +136,8 @@ class Host:
         except DragrigError as error:
             return replace(found, error=str(error))
         return found
+
+
+def _in_mirror(made: Made) -> InMirror | None:
+    found = made.mirrored
+    return None if found is None else InMirror(found.folder, len(found.copied), tuple(found.missing.items()))

@@ -20,6 +20,7 @@ from dragrig.engine_host.messages import (
     Reply,
     Reset,
     RigTerms,
+    Warned,
 )
 from dragrig.plan_forms import PlanForm
 from dragrig.planned import rig_in_words
@@ -98,6 +99,8 @@ class MainWindow(QMainWindow):
                 QApplication.alert(self)
             case Ended():
                 self.notices.nothing_asked()
+            case Warned(sentence):
+                self.notices.complain(sentence)
             case Refused(sentence):
                 self.notices.complain(sentence)
                 self.notices.reset.setEnabled(True)

@@ -5,7 +5,7 @@ from PySide6.QtWidgets import QApplication
 
 from dragrig.figures.palette import BLACK, BLUE, GREEN, GREY, GRID, PALE, PAPER, VERMILLION
 
-TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 13, 20, 30
+TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32
 SURFACE = "#F3F5F7"
 STOP = "#B00020"
 """Of the stop button alone; white on it stands out for every kind of colour vision, and it says STOP."""

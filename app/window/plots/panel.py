@@ -39,7 +39,7 @@ class Panel:
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_BEHIND)
         item.getAxis("left").setWidth(84)
-        self._plot.setMinimumHeight(120)
+        self._plot.setMinimumHeight(150)
         self._item = item
         self._lines: list[Line] = []
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
@@ -109,6 +109,7 @@ class Panel:
         """Leave the times to the plot below."""
         self._item.getAxis("bottom").setStyle(showValues=False)
         self._item.setLabel("bottom", "")
+        self._plot.setMinimumHeight(105)
 
     def show_times(self, start: float, stop: float) -> None:
         """Show from when to when [s]."""

@@ -103,6 +103,7 @@ class PlanEditor(QWidget):
                 editor.textChanged.connect(self.changed.emit)
             case _:
                 editor = QLineEdit(text)
+                editor.setCursorPosition(0)
                 editor.setPlaceholderText("needed" if one.required else USUAL)
                 editor.textChanged.connect(lambda _: self.changed.emit())
         editor.setToolTip(_told(one))

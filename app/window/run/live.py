@@ -27,7 +27,7 @@ class LiveView(QWidget):
         self.only_last = QCheckBox(f"Only the last {LAST_S:g} &s")
         self.only_last.toggled.connect(lambda _: self._draw())
         self.force = Panel("Force", "mN")
-        self.position = Panel("Way", "mm")
+        self.position = Panel("Position", "mm")
         self.speed = Panel("Speed", "mm/s")
         for upper in (self.force, self.position):
             upper.hide_times()
@@ -42,9 +42,9 @@ class LiveView(QWidget):
             row(self.title, 1, self.only_last), numbers, self.force.widget, self.position.widget, self.speed.widget,
             margin=8,
         )  # fmt: skip
-        layout.setStretch(2, 3)
-        layout.setStretch(3, 2)
-        layout.setStretch(4, 2)
+        layout.setStretch(2, 6)
+        layout.setStretch(3, 4)
+        layout.setStretch(4, 5)
         self.setLayout(layout)
         Thread(target=warm_up, name="warm-up", daemon=True).start()
 

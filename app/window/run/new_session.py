@@ -40,6 +40,12 @@ class NewSession(QWidget):
         self.editor = PlanEditor()
         self.operator = QLineEdit(remembered.text("operator"))
         self.note = QLineEdit()
+        self.mirror = QLineEdit(remembered.text("mirror"))
+        self.mirror.setPlaceholderText("no second copy")
+        self.mirror.setToolTip("A folder on another disk: each finished file is copied into it and read back")
+        self.choose_mirror = button(
+            "&Mirror …", self._choose_mirror, help_="A folder on another disk for second copies"
+        )
         self.pace = QComboBox()
         self._paces = {} if words.real else _DOUBLE_PACES if words.title == "DOUBLE" else _PACES
         self.pace.addItems(list(self._paces))
@@ -58,6 +64,12 @@ class NewSession(QWidget):
     def chosen_pace(self) -> Pace | None:
         """How fast a rig that is no rig is to live."""
         return self._paces.get(self.pace.currentText())
+
+    @property
+    def chosen_mirror(self) -> Path | None:
+        """Where second copies go."""
+        text = self.mirror.text().strip()
+        return Path(text).expanduser() if text else None
 
     def begin(self) -> None:
         """Show the plan of the last time, or the first."""
@@ -98,6 +110,7 @@ class NewSession(QWidget):
         """Remember what is chosen."""
         self._remembered.keep("plan", str(self.plans.currentData()))
         self._remembered.keep("operator", self.operator.text())
+        self._remembered.keep("mirror", self.mirror.text().strip())
 
     def _lay_out(self) -> None:
         form = QFormLayout()
@@ -105,7 +118,15 @@ class NewSession(QWidget):
         form.addRow("Note", self.note)
         if self._paces:
             form.addRow("Lives", self.pace)
-        for edit, name in ((self.operator, "Operator"), (self.note, "Note"), (self.pace, "Pace")):
+        copies = row(self.mirror, self.choose_mirror)
+        copies.setStretch(0, 1)
+        form.addRow("Second copy", copies)
+        for edit, name in (
+            (self.operator, "Operator"),
+            (self.note, "Note"),
+            (self.pace, "Pace"),
+            (self.mirror, "Folder for second copies"),
+        ):
             edit.setAccessibleName(name)
         self.plans.setMinimumWidth(180)
         head = row(self.plans, self.open)
@@ -120,6 +141,13 @@ class NewSession(QWidget):
         dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
         dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
         dialog.fileSelected.connect(self.open_file)
+        dialog.open()
+
+    def _choose_mirror(self) -> None:
+        dialog = QFileDialog(self, "Folder for second copies", self.mirror.text())
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.fileSelected.connect(self.mirror.setText)
         dialog.open()
 
     def open_file(self, path: str) -> None:

@@ -93,7 +93,14 @@ class RunPage(QWidget):
         except DragrigError as error:
             self.complained.emit(str(error))
             return None
-        job = Job(self.queue.number(), plan, self.new.operator.text(), self.new.note.text(), self.new.chosen_pace)
+        job = Job(
+            self.queue.number(),
+            plan,
+            self.new.operator.text(),
+            self.new.note.text(),
+            self.new.chosen_pace,
+            mirror=self.new.chosen_mirror,
+        )
         entry = Entry(job, plan.name, session.duration_s, len(session.runs))
         self.queue.add(entry)
         self.new.keep()
@@ -159,6 +166,11 @@ class RunPage(QWidget):
 
     def _ended(self, event: Ended) -> None:
         self.queue.ends(event)
+        if event.mirror is not None and event.mirror.missing:
+            names = ", ".join(name for name, _ in event.mirror.missing)
+            self.complained.emit(
+                f"NOT IN THE MIRROR {event.mirror.folder}: {names}; the queue says why. They are in {event.folder}."
+            )
         if event.status is Status.COMPLETE:
             self.live.begin(f"Complete: {event.folder}")
         else:
@@ -206,7 +218,7 @@ class RunPage(QWidget):
         right = QSplitter(Qt.Orientation.Vertical)
         right.addWidget(self.tabs)
         right.addWidget(holder(column(buttons, self.queue_view)))
-        right.setSizes([700, 230])
+        right.setSizes([640, 290])
         right.setStretchFactor(0, 1)
         whole = QSplitter(Qt.Orientation.Horizontal)
         self.new.setMinimumWidth(430)

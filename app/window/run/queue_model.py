@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from dragrig.engine_host.messages import Began, Ended, Job, RunBegan, RunEnded, RunLine, Status
+from dragrig.engine_host.messages import Began, Ended, InMirror, Job, RunBegan, RunEnded, RunLine, Status
 
 
 class Stage(StrEnum):
@@ -33,6 +33,8 @@ class Entry:
         Its runs once it has begun, and how those that are over ended, by their index.
     under_way
         The run that moves, and how far it is [s].
+    mirror
+        What is in the mirror once it is over; none without one.
     """
 
     job: Job
@@ -47,6 +49,7 @@ class Entry:
     under_way: RunLine | None = None
     elapsed_s: float = 0.0
     real_time: bool = True
+    mirror: InMirror | None = None
 
     def took(self, run: RunLine) -> float:
         """Time that a run takes, its rest before it included where that takes its time."""
@@ -151,7 +154,7 @@ class Queue:
         for entry in self.entries:
             if entry.job.number == event.job and entry.stage is Stage.RUNNING:
                 entry.stage = Stage.REFUSED if event.status is None else _STAGES.get(event.status, Stage.FAILED)
-                entry.reason, entry.under_way = event.reason, None
+                entry.reason, entry.under_way, entry.mirror = event.reason, None, event.mirror
                 entry.folder = "" if event.folder is None else str(event.folder)
 
     def is_lost(self, reason: str) -> None:

@@ -71,7 +71,7 @@ class QueueView(QWidget):
         chosen = self._chosen()
         self.tree.clear()
         for entry in self._queue.entries:
-            told = f"{entry.stage.value}{f': {entry.reason}' if entry.reason else ''}"
+            told = f"{entry.stage.value}{f': {entry.reason}' if entry.reason else ''}{_mirror_state(entry)}"
             item = QTreeWidgetItem([entry.title, str(entry.count), duration(entry.seconds), told])
             item.setData(0, _NUMBER, entry.job.number)
             item.setToolTip(3, told)
@@ -79,7 +79,10 @@ class QueueView(QWidget):
             for run in entry.runs:
                 item.addChild(QTreeWidgetItem([f"{run.index}  {run.summary}", "", duration(run.duration_s),
                                                _run_state(entry, run)]))  # fmt: skip
-            item.setExpanded(entry.stage is Stage.RUNNING)
+            missing = entry.mirror.missing if entry.mirror is not None else ()
+            for name, why in missing:
+                item.addChild(QTreeWidgetItem([name, "", "", f"NOT IN THE MIRROR: {why}"]))
+            item.setExpanded(entry.stage is Stage.RUNNING or bool(missing))
             if entry is chosen:
                 self.tree.setCurrentItem(item)
 
@@ -120,3 +123,12 @@ def _run_state(entry: Entry, run: RunLine) -> str:
         return "moving" if entry.under_way is not None and entry.under_way.index == run.index else ""
     told = [ended.status.value, *([ended.reason] if ended.status is not Status.COMPLETE else [])]
     return "; ".join((*told, *(f"NOTE {one}" for one in ended.warnings)))
+
+
+def _mirror_state(entry: Entry) -> str:
+    found = entry.mirror
+    if found is None:
+        return ""
+    if found.missing:
+        return f"; {len(found.missing)} of {found.copied + len(found.missing)} files NOT IN THE MIRROR {found.folder}"
+    return f"; all {found.copied} files in the mirror {found.folder}"
