@@ -30,7 +30,7 @@ class Notices(QWidget):
         self.answers = {
             Answer.DONE: button("&Done", lambda: self._say(Answer.DONE), "main", "It is done: go on"),
             Answer.REDO: button("R&edo the last run", lambda: self._say(Answer.REDO), help_="Its file is marked bad"),
-            Answer.SKIP: button("S&kip", lambda: self._say(Answer.SKIP), help_="Leave out what this prepares"),
+            Answer.SKIP: button("Ski&p", lambda: self._say(Answer.SKIP), help_="Leave out what this prepares"),
             Answer.ABORT: button("A&bort", lambda: self._say(Answer.ABORT), help_="End the session here"),
         }
         self.hands = label("", "faint")
@@ -39,7 +39,7 @@ class Notices(QWidget):
         self.restart = button("Start the en&gine again", restart, "main")
         self.lost = _frame("trip", _wide(self.lost_text, self.restart))
         self.complaint_text = label("", wrap=True)
-        self.dismiss = button("Seen", self._dismiss, help_="Take this away")
+        self.dismiss = button("D&ismiss", self._dismiss, help_="Take this away")
         self.complaint = _frame("notice", _wide(self.complaint_text, self.dismiss))
         self.setLayout(column(self.lost, self.trip, self.question, self.complaint))
         for frame in (self.lost, self.trip, self.question, self.complaint):

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QFrame,
@@ -40,7 +41,8 @@ def button(text: str, pressed: Callable[[], None], role: str = "", help_: str = 
     made.setAutoDefault(False)
     made.clicked.connect(lambda _checked=False: pressed())
     if keys:
-        made.setShortcut(keys)
+        # Not the button's own shortcut, which would take the place of its letter.
+        QShortcut(QKeySequence(keys), made).activated.connect(made.click)
     told = f"{help_} ({keys})" if keys and help_ else help_ or keys
     made.setToolTip(told)
     made.setAccessibleName(text.replace("&", ""))

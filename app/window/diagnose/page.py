@@ -37,7 +37,7 @@ class DiagnosePage(QWidget):
         self.nominal.setAccessibleName("What is expected")
         self.nominal.setToolTip("The friction model, the stage alone, or a file with a model of one's own")
         self.nominal.setMinimumWidth(160)
-        self.start = button("&Diagnose", self.diagnose, "main", "Say where, why and how far the runs differ", "Ctrl+D")
+        self.start = button("Diag&nose", self.diagnose, "main", "Say where, why and how far the runs differ", "Ctrl+D")
         self.cancel = button("C&ancel", self.stop, help_="End the diagnosis; the runs stay as they are")
         self.progress = QProgressBar()
         self.progress.setAccessibleName("Progress of the diagnosis")

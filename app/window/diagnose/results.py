@@ -109,7 +109,7 @@ class Results(QWidget):
         inside.setLayout(column(label("What these runs cannot answer", "title"), self.open_questions, 1, margin=10))
         questions.setWidget(inside)
         for widget, name in (
-            (which, "Which"), (where, "Where"), (runs, "Before and after"), (questions, "Open questions"),
+            (which, "&Which"), (where, "W&here"), (runs, "Before and a&fter"), (questions, "&Open questions"),
         ):  # fmt: skip
             self.tabs.addTab(widget, name)
         following = row(label("To run next", "title"), self.next_words, self.next)

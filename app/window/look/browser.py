@@ -33,7 +33,7 @@ class Browser(QWidget):
         self.folder.setAccessibleName("Folder of campaigns")
         self.folder.editingFinished.connect(self._edited)
         self.choose = button("&Folder …", self._choose, help_="Look at another folder")
-        self.again = button("&Refresh", self.refresh, help_="Look what is there now", keys="F5")
+        self.again = button("Refres&h", self.refresh, help_="Look what is there now", keys="F5")
         self.tree = QTreeWidget()
         self.tree.setHeaderLabels(["Run", "Status", "Begun"])
         self.tree.setAccessibleName("Campaigns and runs")

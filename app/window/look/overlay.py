@@ -3,16 +3,20 @@
 from collections.abc import Sequence
 
 import numpy as np
+from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QSpinBox, QWidget
 
 from dragrig.figures.palette import BLACK, CYCLE, ORANGE, PALE, tint
 from dragrig.looking import ShownTrace
-from dragrig.window.plots.panel import Panel
+from dragrig.window.plots.panel import Cursor, Panel
 from dragrig.window.plots.pyramid import Pyramid
 from dragrig.window.widgets import button, column, fill, label, row, table
 
 MOST = 7
 """So many runs lie over each other at once, each with a colour of its own."""
+
+_STEP = 0.2
+_CURSOR_STEPS = 200
 
 
 class Overlay(QWidget):
@@ -42,7 +46,7 @@ class Overlay(QWidget):
         self.order.setValue(3)
         self.order.setAccessibleName("Order of the filter")
         self.fit = button(
-            "Sho&w all", self.show_all, help_="Everything, from the first sample to the last", keys="Ctrl+0"
+            "Show a&ll", self.show_all, help_="Everything, from the first sample to the last", keys="Ctrl+0"
         )
         self.cursors = QCheckBox("&Cursors")
         self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
@@ -60,6 +64,7 @@ class Overlay(QWidget):
         layout.setStretch(1, 3)
         layout.setStretch(2, 2)
         self.setLayout(layout)
+        self._listen_to_keys()
 
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
         """Show runs in place of those before; where the same runs were shown, what is seen of them stays."""
@@ -104,6 +109,27 @@ class Overlay(QWidget):
         """Show everything."""
         for panel in (self.below, self.top):
             panel.fit()
+
+    def _listen_to_keys(self) -> None:
+        first, second = self._cursors
+        for keys, does in (
+            ("Ctrl++", lambda: self.below.zoom(0.5)),
+            ("Ctrl+-", lambda: self.below.zoom(2.0)),
+            ("Ctrl+Left", lambda: self.below.pan(-_STEP)),
+            ("Ctrl+Right", lambda: self.below.pan(_STEP)),
+            ("Alt+Left", lambda: self._step(first, -1)),
+            ("Alt+Right", lambda: self._step(first, 1)),
+            ("Alt+Shift+Left", lambda: self._step(second, -1)),
+            ("Alt+Shift+Right", lambda: self._step(second, 1)),
+        ):
+            QShortcut(QKeySequence(keys), self).activated.connect(does)
+        self.fit.setToolTip("Everything, from the first sample to the last (Ctrl+0); Ctrl and + − ← → zoom and pan")
+        self.cursors.setToolTip("Two times and their values; Alt and ← → move A, with Shift B")
+
+    def _step(self, cursor: Cursor, way: int) -> None:
+        if self.cursors.isChecked():
+            low, high = self.top.shown()
+            cursor.place(cursor.time_s + way * (high - low) / _CURSOR_STEPS)
 
     def _put(self, panel: Panel, at: int, name: str, colour: str, width: float, *, filtered: bool) -> None:
         trace = self.traces[at]

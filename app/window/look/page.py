@@ -52,8 +52,8 @@ class LookPage(QWidget):
         self.export.setMenu(self.menu)
         self.export.setEnabled(False)
         self.tabs = QTabWidget()
-        self.tabs.addTab(self.overlay, "Traces")
-        self.tabs.addTab(self.steady, "Steady forces")
+        self.tabs.addTab(self.overlay, "&Traces")
+        self.tabs.addTab(self.steady, "&Steady forces")
         self._chosen: list[ShownRun] = []
         self._traces = Background(self._refused, self)
         self._table = Background(self._refused, self)

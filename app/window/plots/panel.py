@@ -124,6 +124,18 @@ class Panel:
         self._item.enableAutoRange(axis="y")
         self.redraw()
 
+    def zoom(self, factor: float) -> None:
+        """Show a span of times so many times as long, about the same middle."""
+        low, high = self.shown()
+        half = 0.5 * factor * (high - low)
+        self._item.setXRange(0.5 * (low + high) - half, 0.5 * (low + high) + half, padding=0)
+
+    def pan(self, share: float) -> None:
+        """Show later times, by a share of what is shown; earlier ones where it is negative."""
+        low, high = self.shown()
+        by = share * (high - low)
+        self._item.setXRange(low + by, high + by, padding=0)
+
     def shown(self) -> tuple[float, float]:
         """Return from when to when [s] the plot shows."""
         low, high = self._item.getViewBox().viewRange()[0]

@@ -24,7 +24,7 @@ class LiveView(QWidget):
         self.run: LiveRun | None = None
         self.title = label("No run yet: choose a plan, look at what it will do, and start.", "title")
         self.readings = {name: label("–", "reading") for name in ("force", "position", "speed", "phase", "time")}
-        self.only_last = QCheckBox(f"Only the last {LAST_S:g} &s")
+        self.only_last = QCheckBox(f"Onl&y the last {LAST_S:g} s")
         self.only_last.toggled.connect(lambda _: self._draw())
         self.force = Panel("Force", "mN")
         self.position = Panel("Position", "mm")

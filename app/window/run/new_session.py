@@ -44,7 +44,7 @@ class NewSession(QWidget):
         self.mirror.setPlaceholderText("no second copy")
         self.mirror.setToolTip("A folder on another disk: each finished file is copied into it and read back")
         self.choose_mirror = button(
-            "&Mirror …", self._choose_mirror, help_="A folder on another disk for second copies"
+            "&Folder …", self._choose_mirror, help_="A folder on another disk for second copies"
         )
         self.pace = QComboBox()
         self._paces = {} if words.real else _DOUBLE_PACES if words.title == "DOUBLE" else _PACES

@@ -67,9 +67,9 @@ class RunPage(QWidget):
         self.start_queue = button("Start &the queue", self.go_on, "main", "Carry the waiting sessions out, one by one")
         self.abort = button("&Abort the session", self._abort, help_="Stop the stage and end the session in good order")
         self.tabs = QTabWidget()
-        self.tabs.addTab(self.preview, "What it will do")
-        self.tabs.addTab(self.live, "Live")
-        self.tabs.addTab(self.devices, "Devices")
+        self.tabs.addTab(self.preview, "W&hat it will do")
+        self.tabs.addTab(self.live, "Li&ve")
+        self.tabs.addTab(self.devices, "Devi&ces")
         self._lay_out()
         self._wire(engine)
         self.new.begin()
@@ -147,7 +147,7 @@ class RunPage(QWidget):
                 self._latched = reason
             case Examined():
                 self.devices.show_found(event)
-                self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devices: {self.devices.verdict}")
+                self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
             case Lost():
                 self._goes_on = False
                 self.queue.is_lost("the engine is gone")
