@@ -158,7 +158,7 @@ def told(diagnosis: Diagnosis) -> Told:
         where=where_sentence(diagnosis.where),
         places=tuple(Place(one.axis, one.where, one.p) for one in places(diagnosis.where)),
         where_svg=_where_svg(diagnosis),
-        shrink=() if diagnosis.shrink is None else shrink_sentences(diagnosis.shrink),
+        shrink=() if diagnosis.shrink is None else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
         cannot_answer=tuple(map(sentence, diagnosis.cannot_answer)),
         views=diagnosis.views,
         named=bool(diagnosis.effects),

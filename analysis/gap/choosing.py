@@ -10,6 +10,7 @@ from dragrig.analysis.identification.results import LeftOut
 from dragrig.analysis.identification.selection import Selection, select, select_from
 from dragrig.analysis.nominal.experiment import USUAL_DWELL_S, Experiment
 from dragrig.analysis.progress import Progress, silent
+from dragrig.rig.devices import Contact
 from dragrig.rig.runfile.campaigns import specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo, Status
 
@@ -109,11 +110,12 @@ def _remarks(kept: tuple[Experiment, ...], *, several: bool) -> Iterator[str]:
     nameless = sum(not _told(one, "sensor_serial") for one in kept)
     if several and nameless:
         yield f"{nameless} runs do not say with which force sensor they were measured"
-    ageless = [one for one in kept if "insertion_dwell_s" not in one.run.info.header.entry]
+    touching = [one for one in kept if one.contact is not Contact.NONE]
+    ageless = [one for one in touching if "insertion_dwell_s" not in one.run.info.header.entry]
     if ageless:
         yield (
-            f"{len(ageless)} of {len(kept)} runs do not note the age of the contact: {USUAL_DWELL_S:g} s are assumed, "
-            "and what depends on it is less certain"
+            f"{len(ageless)} of {len(touching)} runs do not note the age of the contact: {USUAL_DWELL_S:g} s are "
+            "assumed, and what depends on it is less certain"
         )
 
 

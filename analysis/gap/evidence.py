@@ -27,6 +27,9 @@ class Tried:
         What is left in runs where they add nothing, in standard deviations of chance.
     at_limit
         Whether one of them is as large as it can be, and would be larger.
+    untold
+        How many effects, which the nominal model leaves no place for and which were therefore not tried, may look the
+        same in these runs.
     """
 
     effects: tuple[str, ...]
@@ -39,6 +42,7 @@ class Tried:
     rival_gain: float = 0.0
     elsewhere: float = 0.0
     at_limit: bool = False
+    untold: int = 0
 
 
 @dataclass(frozen=True, slots=True)

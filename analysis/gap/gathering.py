@@ -11,8 +11,10 @@ from dragrig.analysis.gap.position.finding import PositionFinding
 
 def evidence_of(found: Findings, position: PositionFinding, lines: Lines, without: tuple[str, ...]) -> Evidence:
     """Return what a verdict is made of; `without` are the effects that were not to be considered."""
-    tried = [_single(one, found.squares) for one in found.singles]
-    tried += [_joint(one, one.together) for one in found.steps if one.together is not None]
+    untold = found.study.untold
+    tried = [replace(_single(one, found.squares), untold=untold(one.design)) for one in found.singles]
+    joint = [(one, one.together) for one in found.steps if one.together is not None]
+    tried += [replace(_joint(*one), untold=untold(one[1].design)) for one in joint]
     return Evidence(
         blocks=found.blocks,
         squares=found.squares,

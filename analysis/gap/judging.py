@@ -92,8 +92,10 @@ def _of_force(found: Evidence, tolerance_mN: float, weights: Calibration) -> _Fo
         gap *= 1.0 - small
     gap = min(max(gap, LEAST), 1.0 - LEAST)
     shares = _softmax([weights.utility(one.features) for one in tried])
-    named = {one.effects: gap * each for one, each in zip(tried, shares[:-1], strict=True)}
-    return _Force(gap * shares[-1], named, frozenset(_with_rest(found, tried)))
+    # What was not tried and looks the same is as likely, each of it.
+    kept = {one.effects: 1.0 / (1 + one.untold) for one in found.tried}
+    named = {one.effects: gap * each * kept[one.effects] for one, each in zip(tried, shares[:-1], strict=True)}
+    return _Force(gap - sum(named.values()), named, frozenset(_with_rest(found, tried)))
 
 
 def _with_rest(found: Evidence, tried: Sequence[Hypothesis]) -> list[tuple[str, ...]]:

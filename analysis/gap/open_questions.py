@@ -18,8 +18,14 @@ def of_any(sights: Sequence[Sight]) -> Iterator[str]:
         yield "No condition was repeated, so that repeatability is assumed and not seen."
     if len(sights) < FEWEST_RUNS:
         yield "With so few runs none can be kept back, so that no shrink is given."
-    if not np.any([one.experiment.run.trace.command is not None for one in sights]):
+    if not any(_commanded(one) for one in sights):
         yield "No command was recorded, so that nothing is said of the motor."
+
+
+def _commanded(one: Sight) -> bool:
+    """Tell whether a run has a command of its own, and not the position in its place."""
+    trace = one.experiment.run.trace
+    return not np.array_equal(np.asarray(trace.command), np.asarray(trace.position), equal_nan=True)
 
 
 def of_capsule(sights: Sequence[Sight]) -> Iterator[str]:

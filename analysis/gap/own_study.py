@@ -3,9 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from dragrig.analysis.gap.design import Design
 from dragrig.analysis.gap.narrowing import narrowed
 from dragrig.analysis.gap.open_questions import of_any, of_own
 from dragrig.analysis.gap.predicted_scene import acting, predicted_scene
+from dragrig.analysis.gap.resembling import like_friction
 from dragrig.analysis.gap.sights import LONGEST_MM, sights_of
 from dragrig.analysis.gap.study import Study, part_of
 from dragrig.analysis.identification.joint.problem import Problem
@@ -14,7 +16,7 @@ from dragrig.analysis.nominal.protocol import NominalModel
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.runfile.schema import SIGNALS
-from dragrig.sim_backend.effects.base import Effect, SensorEffect
+from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
 from dragrig.sim_backend.effects.scene import Scene
 
 FORCE_UNIT = "mN"
@@ -28,9 +30,12 @@ class OwnStudy(Study):
     ----------
     others
         Channels that the model predicts too.
+    untried
+        How many effects would act between what slides, of which the model does not tell the force.
     """
 
     others: tuple[str, ...] = ()
+    untried: int = 0
 
     @classmethod
     def of(cls, selection: Selection, nominal: NominalModel, effects: Sequence[Effect]) -> "OwnStudy":
@@ -51,7 +56,9 @@ class OwnStudy(Study):
                 "diagnosis explains; name another model with --nominal."
             )
         problem = narrowed(part_of(whole, [at for at, one in enumerate(whole.evidence) if one.channel == channel]))
-        bare = cls(problem, sights_of(problem.evidence), (), tuple(one for one in channels if one != channel))
+        others = tuple(one for one in channels if one != channel)
+        untried = sum(isinstance(one, ForceEffect) for one in effects)
+        bare = cls(problem, sights_of(problem.evidence), (), others, untried)
         sensor = [one for one in effects if isinstance(one, SensorEffect) and not one.nominal]
         return replace(bare, effects=acting(bare, sensor))
 
@@ -64,6 +71,10 @@ class OwnStudy(Study):
     def counted(self, number: int, motion_sd: FloatArray) -> BoolArray:
         """Return the blocks of which the motion tells more than a single sample's noise hides."""
         return motion_sd <= self.problem.noises[number].white
+
+    def untold(self, design: Design) -> int:
+        """Return the number of effects that were not tried where candidates look like friction along the way."""
+        return self.untried if like_friction(design, self.sights) else 0
 
     def open_questions(self) -> Iterator[str]:
         """Say what these runs and this model leave open, a sentence each."""

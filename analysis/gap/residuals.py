@@ -8,7 +8,7 @@ from dragrig.analysis.gap.design import Design, Part
 from dragrig.analysis.gap.gaps import own_factors, own_zero
 from dragrig.analysis.gap.lines import Line
 from dragrig.analysis.gap.phases import commanded_phase
-from dragrig.analysis.gap.position.errors import COUNT_MM, QUANTISATION_MM, PositionErrors
+from dragrig.analysis.gap.position.errors import COUNT_MM, QUANTISATION_MM, PositionErrors, origin_of
 from dragrig.analysis.gap.solving import fit
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.where import ResidualBlocks
@@ -51,6 +51,7 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
                 phase=at.phase.astype(np.uint8),
                 position_mm=at.position_mm,
                 level_mN=part.predicted,
+                origin_mm=origin_of(sight.experiment),
             )
         )
     return found
@@ -77,6 +78,7 @@ def position_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlocks]:
                 time_s=one.time_s,
                 phase=commanded_phase(experiment, one.time_s).astype(np.uint8),
                 position_mm=one.command_mm,
+                origin_mm=origin_of(experiment),
             )
         )
     return found

@@ -39,12 +39,14 @@ def meaning_of_probabilities(diagnosis: Diagnosis) -> str:
     return sentence(diagnosis.calibration) or UNCALIBRATED
 
 
-def shrink_sentences(shrink: Shrink) -> tuple[str, ...]:
-    """Say how far the gap closes on runs that took no part."""
+def shrink_sentences(shrink: Shrink, *, named: bool = True) -> tuple[str, ...]:
+    """Say how far the gap closes on runs that took no part; how large it is where no effect is named to close it."""
     runs = f", on {counted(len(shrink.runs), 'run')} that took no part in fit or choice" if shrink.runs else ""
     floor = f"noise and scatter of repeats alone are {millinewton(shrink.noise_floor_mN)}"
     before, after = millinewton(shrink.gap_before_mN), millinewton(shrink.gap_after_mN)
     sizes = f"Root mean square of the residual{runs}: {before} without the effect, {after} with it; {floor}."
+    if not named and shrink.closed is not None:
+        return (f"Root mean square of the residual{runs}: {before}; {floor}.",)
     if shrink.closed is None or not isfinite(shrink.closed):
         sizes = f"Root mean square of the residual{runs}: {before}; {floor}."
         return sizes, "That is hardly above them, so that no share of a gap can be said to close."

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.sim_backend.effects.applied import Chain
 from dragrig.sim_backend.effects.base import Effect
 from dragrig.sim_backend.effects.scene import Scene
+
+if TYPE_CHECKING:
+    from dragrig.analysis.gap.design import Design
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,11 @@ class Study(ABC):
         """Return the friction model that effects may be added to for the simulator; None unless there is one."""
         del z
         return None
+
+    def untold(self, design: "Design") -> int:
+        """Return how many effects that cannot be tried may look like a design's candidates; 0 unless said."""
+        del design
+        return 0
 
     @property
     def channel(self) -> str:

@@ -44,15 +44,23 @@ def places(where: Where) -> tuple[PlaceInWords, ...]:
     """Return the axes on which a part of the excess lies; none without a gap."""
     if not where.present:
         return ()
-    return tuple(PlaceInWords(_axis(one), text, one.least_p) for one in where.locations if (text := _text(one)))
+    alone = where.runs == 1
+    return tuple(
+        PlaceInWords(_axis(one), text, float("nan") if alone else one.least_p)
+        for one in where.locations
+        if (text := _text(one, alone=alone))
+    )
 
 
 def where_sentence(where: Where) -> str:
     """Say what the residual is above all a function of."""
-    if not where.present or not where.domain:
+    if not where.present:
         return "No place stands out of noise and repeatability."
+    if not where.domain:
+        return "What the residual is a function of, these runs do not say of one another."
     score = where.domain_scores.get(where.domain, float("nan"))
-    share = f", which accounts for {100 * score:.0f} % of its squares on runs that took no part"
+    others = "" if where.runs == 1 else " on runs that took no part"
+    share = f", which accounts for {100 * score:.0f} % of its squares{others}"
     if not isfinite(score):
         share = ""
     return f"The residual is above all a function of {DOMAINS.get(where.domain, where.domain)}{share}."
@@ -62,13 +70,15 @@ def _axis(location: Location) -> str:
     return _UNITS[location.name][0] if location.name in _UNITS else location.name
 
 
-def _text(location: Location) -> str:
+def _text(location: Location, *, alone: bool) -> str:
     named = sorted(location.shares.items(), key=lambda one: -one[1])
     if named:
         return ", ".join(f"{name} {100 * share:.0f} %" for name, share in named if share >= LEAST_SHARE)
     if location.low is None or location.high is None or location.share < LEAST_SHARE:
         return ""
-    if location.p > BY_CHANCE:
+    if alone and location.low == location.high:
+        return ""
+    if location.p > BY_CHANCE and not alone:
         return EVENLY
     _, unit, factor = _UNITS.get(location.name, (location.name, "", 1.0))
     low, high = f"{location.low * factor:.3g}", f"{location.high * factor:.3g}"

@@ -4,7 +4,7 @@ Stretches that stand still are the rests before a motion, the holds of capsules 
 relaxations' holds, from which a cubic is taken.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,10 @@ LONGEST_S = 60.0
 """So much of a stretch is looked at."""
 RELAXING = 3
 """Power of time up to which the end of a relaxation is taken off."""
+FEWEST_MOVING = 100
+"""Samples of steady motion that say what white noise is like where nothing rests."""
+GAUSSIAN = 0.6745
+"""Median over standard deviation of a normal distribution's magnitudes."""
 RESOLUTION = 1e-5
 """Least white noise over the largest value of the channel, a step or so of a converter of 16 bit."""
 USUAL_CORRELATION_S = 0.2
@@ -106,12 +110,14 @@ def estimate_noise(experiments: Iterable[Experiment], channel: str) -> Noise:
     """Estimate a channel's noise from all stretches at which it should stay the same, or merely relaxes.
 
     Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
-    short for slow noise, a third of the white noise with 0.2 s correlation is assumed, and `USUAL` where there
-    are none.
+    short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
+    noise is what neighbouring samples of steady motion differ by beyond a straight line, and `USUAL` where there is no
+    steady motion either; both count as assumed.
     """
     squares, count, largest = 0.0, 0, 0.0
     groups: dict[_Layout, list[FloatArray]] = {}
-    for stretch in _quiet(experiments, channel):
+    runs = tuple(experiments)
+    for stretch in _quiet(runs, channel):
         squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
         count += len(stretch.values) - 1
         largest = max(largest, float(np.abs(stretch.values).max()))
@@ -119,11 +125,29 @@ def estimate_noise(experiments: Iterable[Experiment], channel: str) -> Noise:
         if layout.blocks >= FEWEST_BLOCKS:
             groups.setdefault(layout, []).append(means)
     if count < FEWEST_DIFFERENCES:
-        return USUAL
+        return _in_motion(runs, channel)
     white = max(float(np.sqrt(squares / count)), RESOLUTION * largest, 1e-9)
     slow, correlation_s = _slow(groups, white) if groups else (SLOW_SHARE * white, USUAL_CORRELATION_S)
     # Differences of neighbours hold two independent numbers in three.
     return Noise(white, slow, correlation_s, count * 2 // 3)
+
+
+def _in_motion(experiments: Sequence[Experiment], channel: str) -> Noise:
+    """Return the noise that steady motion shows from sample to sample; what is slower cannot be told from a signal."""
+    bends, largest = [np.zeros(0)], 0.0
+    for experiment in experiments:
+        trace = experiment.run.trace
+        if channel not in trace.channels:
+            continue
+        values = np.asarray(trace.channels[channel], dtype=np.float64)
+        for start, stop in _stretches(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values)):
+            bends.append(np.abs(np.diff(values[start:stop], 2)) / np.sqrt(6.0))
+            largest = max(largest, float(np.abs(values[start:stop]).max()))
+    whole = np.concatenate(bends)
+    if whole.size < FEWEST_MOVING:
+        return USUAL
+    white = max(float(np.median(whole)) / GAUSSIAN, RESOLUTION * largest, 1e-9)
+    return Noise(white, SLOW_SHARE * white, USUAL_CORRELATION_S, 0)
 
 
 def _quiet(experiments: Iterable[Experiment], channel: str) -> Iterator[_Stretch]:

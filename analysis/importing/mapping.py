@@ -70,6 +70,9 @@ class ImportSettings(Settings):
     """Rate to which rows at uneven times are interpolated; never done unasked."""
     tolerance: float = Field(default=0.1, gt=0, lt=0.5)
     """How far a time stamp may be off an even grid, in sample periods."""
+    steady: bool = False
+    """The stage was told to go at one speed, of which the file says nothing: the straight line through the position is
+    taken for the command."""
     from_s: float | None = None
     """Leave out rows before this time, as the file counts it."""
     to_s: float | None = None
@@ -90,6 +93,8 @@ class ImportSettings(Settings):
             raise ValueError("sample_rate_hz says that rows are evenly spaced, resample_hz that they are not; give one")
         if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
             raise ValueError("from_s must come before to_s")
+        if self.steady and self.columns.mapped() and (self.columns.command or not self.columns.position):
+            raise ValueError("steady makes a command of the position; map a position and no command")
         if self.delimiter and self.delimiter == self.decimal:
             raise ValueError("decimal mark and delimiter are the same, so that columns cannot be told apart")
         return self

@@ -79,7 +79,7 @@ def measurement_of(table: ForeignTable, settings: ImportSettings) -> Measurement
     values = {name: array[rows] for name, array in values.items()}
     grid, values = _on_grid(table, settings, stamps, values)
     events += [*grid.events, *(Event(0.0, IMPORT_EVENT, str(said)) for said in _scaled(mapped))]
-    position, command, origin_mm, said = _places(values)
+    position, command, origin_mm, said = _places(values, grid, steady=settings.steady)
     events += said
     phase = detect_phases(position, grid.sample_rate_hz, gap_starts(grid.time, grid.sample_rate_hz))
     if phase is None:
@@ -181,7 +181,9 @@ def _on_grid(
     return fit_grid(table.path, stamps, settings.tolerance), values
 
 
-def _places(values: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, float, list[Event]]:
+def _places(
+    values: Mapping[str, FloatArray], grid: Grid, *, steady: bool
+) -> tuple[FloatArray, FloatArray, float, list[Event]]:
     """Position and command from where the run starts, that place, and what is to be said of them."""
     rows = len(next(iter(values.values())))
     position, command = values.get("position"), values.get("command")
@@ -189,12 +191,25 @@ def _places(values: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, f
     if position is None:
         position = np.full(rows, np.nan)
         said.append(Event(0.0, IMPORT_EVENT, "no position in the file: position is missing (NaN)"))
-    if command is None:
+    if command is None and steady:
+        command, speed_mm_s = _straight(grid.time, position)
+        message = f"no command in the file: the straight line at {speed_mm_s:.6g} mm/s through the position, as stated"
+        said.append(Event(0.0, IMPORT_EVENT, message))
+    elif command is None:
         command = position
         said.append(Event(0.0, IMPORT_EVENT, "no command in the file: the position stands for it"))
     first = position[0] if np.isfinite(position[0]) else command[0]
     origin_mm = float(first) if np.isfinite(first) else 0.0
     return position - origin_mm, command - origin_mm, origin_mm, said
+
+
+def _straight(time_s: FloatArray, position: FloatArray) -> tuple[FloatArray, float]:
+    """Return the straight line that is nearest to a position, and its slope; missing positions are left out."""
+    seen = np.isfinite(position)
+    if np.count_nonzero(seen) < 2:
+        return np.full_like(position, np.nan), float("nan")
+    line = np.polynomial.Polynomial.fit(time_s[seen], position[seen], 1)
+    return np.asarray(line(time_s), dtype=np.float64), float(line.deriv()(0.0))
 
 
 def _scaled(mapped: Mapping[str, _Mapped]) -> list[str]:

@@ -24,6 +24,7 @@ class _Given(TypedDict):
     table: str | None
     sample_rate_hz: float | None
     resample_hz: float | None
+    steady: bool | None
     from_s: float | None
     to_s: float | None
     kind: str | None
@@ -46,6 +47,7 @@ class _Given(TypedDict):
 @click.option("--table", metavar="NAME", help="Variable of a MAT file, or group of a TDMS file.")
 @click.option("--sample-rate-hz", type=float, metavar="HZ", help="Rows are evenly spaced at this rate.")
 @click.option("--resample-hz", type=float, metavar="HZ", help="Interpolate rows at uneven times to this rate.")
+@click.option("--steady", is_flag=True, default=None, help="Told to go at one speed: the command is a straight line.")
 @click.option("--from-s", type=float, metavar="S", help="Leave out rows before this time.")
 @click.option("--to-s", type=float, metavar="S", help="Leave out rows after this time.")
 @click.option("--kind", metavar="NAME", help="Kind of run: drag, relaxation, …; motion unless given.")

@@ -85,7 +85,8 @@ def _title(where: Where) -> str:
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda one: shares[one]) for shares in (channel, protocol))
     share = f"{100 * protocol[in_runs]:.0f} %"
-    return f"Gap in {in_channel}, {share} of it in {in_runs} runs, above all a matter of {where.domain}"
+    matter = f", above all a matter of {where.domain}" if where.domain else ""
+    return f"Gap in {in_channel}, {share} of it in {in_runs} runs{matter}"
 
 
 def _subtitle(where: Where, name: str) -> str:

@@ -19,8 +19,8 @@ LAG_POWERS = (0.0, 0.4, 0.8)
 """Powers of the top speed that a lag may grow with: motors run out of voltage."""
 SPEED_MM_S, LEAST_SPEED_MM_S = 20.0, 0.1
 LATENCIES_S = np.concatenate((-np.geomspace(0.1, 0.0005, 24), np.geomspace(0.0005, 0.1, 24)))
-WAVES_PER_MM = np.arange(1 / 30, 1 / 0.6, 0.25 / 45)
-"""Wave numbers of a ripple; over 45 mm neighbours differ by a quarter of a period."""
+LOWEST_PER_MM, HIGHEST_PER_MM, STROKE_MM, QUARTER = 1 / 30, 1 / 0.6, 45.0, 0.25
+"""Wave numbers of a ripple: over a stroke, or over all that runs reach, neighbours differ by a quarter of a period."""
 BENT, LONG_WAVE_PER_MM, BEHIND = 0.9, 1 / 15, 0.02
 """Where a scale explains so much, a ripple of longer waves than this stands so far behind it."""
 HARMONICS = 3
@@ -54,7 +54,9 @@ def families(runs: Sequence[PositionErrors]) -> tuple[Family, ...]:
     last_s = max(one.session_s for one in runs) + 1.0
 
     def stretched(one: PositionErrors) -> FloatArray:
-        return np.column_stack((one.command_mm, one.command_mm**2 / 40.0, one.command_mm * one.session_s / last_s))
+        # In motion throughout, a bend is a speed that was not kept.
+        bent = 0.0 if one.entering_mm_s else one.command_mm**2 / 40.0
+        return np.column_stack((one.command_mm, bent + 0.0 * one.command_mm, one.command_mm * one.session_s / last_s))
 
     scale, ripple = Family("encoder_scale", _held_out(runs, stretched)), _ripple(runs)
     if scale.held_out > BENT and ripple.shape < LONG_WAVE_PER_MM:
@@ -96,32 +98,38 @@ def _ripple(runs: Sequence[PositionErrors]) -> Family:
 
 def _wave(runs: Sequence[PositionErrors], before: tuple[float, ...]) -> float:
     """Return the wave number per mm that explains most of what is left beside others."""
-    place = np.concatenate([one.command_mm for one in runs])
     weight = np.concatenate([_weight(one) for one in runs])
     error = np.concatenate([one.error_mm for one in runs]) * weight
     if before:
-        basis = np.concatenate([_waves(before)(one) for one in runs]) * weight[:, None]
+        basis = np.concatenate([one.from_zero(_waves(before)(one)) for one in runs]) * weight[:, None]
         error = error - basis @ _fitted(basis.T @ basis, basis.T @ error)[0]
-    power = np.array([_power(place, error, weight, float(wave)) for wave in WAVES_PER_MM])
-    near = float(WAVES_PER_MM[int(power.argmax())])
-    step = float(WAVES_PER_MM[1] - WAVES_PER_MM[0])
+    places = [one.origin_mm + one.command_mm for one in runs]
+    reach = max(float(one.max()) for one in places) - min(float(one.min()) for one in places)
+    step = QUARTER / max(reach, STROKE_MM)
+    waves_per_mm = np.arange(LOWEST_PER_MM, HIGHEST_PER_MM, step)
+    power = np.array([_power(runs, error, weight, float(wave)) for wave in waves_per_mm])
+    near = float(waves_per_mm[int(power.argmax())])
     tried: list[float] = np.linspace(near - step, near + step, 9).tolist()
     return max(tried, key=lambda wave: _explained(runs, _waves((*before, wave))))
 
 
-def _power(place_mm: FloatArray, error: FloatArray, weight: FloatArray, wave: float) -> float:
-    turned = 2 * np.pi * wave * place_mm
-    basis = np.column_stack((np.cos(turned) - 1.0, np.sin(turned))) * weight[:, None]
+def _power(runs: Sequence[PositionErrors], error: FloatArray, weight: FloatArray, wave: float) -> float:
+    basis = np.concatenate([one.from_zero(_periodic(one, np.array([wave]))) for one in runs]) * weight[:, None]
     return _fitted(basis.T @ basis, basis.T @ error)[1]
 
 
 def _waves(waves_per_mm: tuple[float, ...]) -> Columns:
     def columns(one: PositionErrors) -> FloatArray:
-        numbers = np.outer(waves_per_mm, np.arange(1, HARMONICS + 1)).ravel()
-        turned = 2 * np.pi * one.command_mm[:, None] * numbers
-        return np.hstack((np.cos(turned) - 1.0, np.sin(turned)))
+        return _periodic(one, np.outer(waves_per_mm, np.arange(1, HARMONICS + 1)).ravel())
 
     return columns
+
+
+def _periodic(one: PositionErrors, waves_per_mm: FloatArray) -> FloatArray:
+    """Return cosines and sines of the place on the rig, nothing where the run begins, shape `(B, 2 W)`."""
+    begin = 2 * np.pi * one.origin_mm * waves_per_mm
+    turned = 2 * np.pi * (one.origin_mm + one.command_mm)[:, None] * waves_per_mm
+    return np.hstack((np.cos(turned) - np.cos(begin), np.sin(turned) - np.sin(begin)))
 
 
 def _weight(one: PositionErrors) -> FloatArray:
@@ -133,7 +141,7 @@ def _weight(one: PositionErrors) -> FloatArray:
 def _grams(runs: Sequence[PositionErrors], columns: Columns) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     for one in runs:
         weight = _weight(one)
-        basis, error = columns(one) * weight[:, None], one.error_mm * weight
+        basis, error = one.from_zero(columns(one)) * weight[:, None], one.error_mm * weight
         yield basis.T @ basis, basis.T @ error, float(error @ error)
 
 

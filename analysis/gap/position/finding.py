@@ -65,11 +65,15 @@ def find_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) 
 
 def strayed(candidate: Candidate, one: PositionErrors) -> FloatArray:
     """Return the position error that an effect makes of a run, shape `(B,)` [mm]."""
-    effect = candidate.effect
+    effect, values = candidate.effect, dict(candidate.values)
     if isinstance(effect, MotorEffect):
-        return effect.moved(one.time_s, one.command_mm, candidate.values) - one.command_mm
+        if effect.phase is not None and one.origin_mm:
+            # What is periodic stays where it is on the rig, wherever a run begins.
+            pitch_mm = next(value for name, value in values.items() if name.startswith("pitch"))
+            values[effect.phase.name] += 2 * np.pi * one.origin_mm / pitch_mm
+        return one.from_zero(effect.moved(one.time_s, one.command_mm, values) - one.command_mm)
     if isinstance(effect, EncoderEffect):
-        return effect.recorded(one.time_s, one.command_mm, candidate.values) - one.command_mm
+        return one.from_zero(effect.recorded(one.time_s, one.command_mm, values) - one.command_mm)
     return np.zeros_like(one.time_s)
 
 

@@ -69,6 +69,8 @@ def _one_run(blocks: Sequence[ResidualBlocks]) -> str:
     excess: dict[str, float] = {}
     for one in blocks:
         excess[one.run_id] = excess.get(one.run_id, 0.0) + float(one.excess.sum())
+    if len(excess) == 1:
+        return ""
     whole = sum(max(one, 0.0) for one in excess.values())
     most = max(excess, key=lambda name: excess[name])
     return f" Nearly all of it is in one run, {most}." if excess[most] >= MOST * whole > 0 else ""

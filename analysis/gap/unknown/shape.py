@@ -4,11 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dragrig.analysis.gap.unknown.decay import decay_of
 from dragrig.analysis.gap.unknown.part import Part
-from dragrig.analysis.gap.unknown.trend import trend_of
+from dragrig.analysis.gap.unknown.trend import told, trend_of
 from dragrig.analysis.gap.where.blocks import ResidualBlocks
 from dragrig.analysis.gap.where.domain import FAST_HZ
-from dragrig.analysis.gap.where.periodic import FREQUENCIES_HZ, WAVENUMBERS_PER_MM, periodic_shares
+from dragrig.analysis.gap.where.periodic import FREQUENCIES_HZ, best_wave, periodic_shares
 from dragrig.analysis.gap.where.results import Where
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
@@ -37,12 +38,14 @@ def shape(where: Where, part: Part) -> str:
     """Return what the residual is above all a function of, how it goes, its sign, and whether runs agree on it."""
     words, name, unit = _OF.get(where.domain, (f"of {where.domain}", "", ""))
     wave = _wave(part)
-    trend = trend_of(part, where.domain)
+    trend = trend_of(part, where.domain) if where.runs != 1 else None
     along = trend.words(name, part.unit, unit) if trend is not None else ""
+    decay = None if wave else decay_of(part)
     said = [
         _agreement(where, part, words, bool(wave)),
         wave,
         f"Measured less modelled {along}." if along else "",
+        "" if decay is None else decay.words(part.unit),
         _sign(part),
     ]
     return " ".join(one for one in said if one)
@@ -56,6 +59,8 @@ def _agreement(where: Where, part: Part, words: str, periodic: bool) -> str:
         return f"{share:.0%} of it is at changes of velocity and shortly after. {_starts_and_stops(part)}".rstrip()
     if where.domain == "frequency" and share >= OTHERWISE:
         return f"{share:.0%} of it is faster than {FAST_HZ:g} Hz."
+    if where.runs == 1:
+        return ""
     if share < OTHERWISE and not periodic:
         return "It differs from run to run, and is not clearly a function of anything that runs have in common."
     alike = ", so that it is much the same in every run" if share >= ALIKE and not periodic else ""
@@ -104,14 +109,17 @@ def _wave(part: Part) -> str:
     if max(in_position.max(), in_time.max()) < PERIODIC:
         return ""
     along = in_position.max() >= in_time.max()
-    rate = float(WAVENUMBERS_PER_MM[np.argmax(in_position)] if along else FREQUENCIES_HZ[np.argmax(in_time)])
+    rate = best_wave(part.blocks) if along else float(FREQUENCIES_HZ[np.argmax(in_time)])
     waves = np.array([_amplitude(one, np.abs(one.position_mm) if along else one.time_s, rate) for one in part.blocks])
     size = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * part.scale
     step = abs(waves.sum()) / np.abs(waves).sum()
     begin = "at the same place" if along else "at the same time"
-    phase = f"{begin} in every run" if step >= IN_STEP else "with a phase of its own in each run"
+    phase = f", {begin} in every run" if step >= IN_STEP else ", with a phase of its own in each run"
+    if along and len({round(one.origin_mm, 1) for one in part.blocks}) > 1:
+        # Positions count from where each run begins.
+        phase = ""
     place, unit = ("along the stroke", "mm") if along else ("in time", "s")
-    return f"It is periodic {place}, {1 / rate:.2g} {unit} long, with an amplitude of {size:.2g} {part.unit}, {phase}."
+    return f"It is periodic {place}, {1 / rate:.3g} {unit} long, with an amplitude of {told(size)} {part.unit}{phase}."
 
 
 def _amplitude(one: ResidualBlocks, coordinate: FloatArray, rate: float) -> complex:

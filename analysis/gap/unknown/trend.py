@@ -53,10 +53,10 @@ class Trend:
             verb = "grows" if self.order > 0 else "falls"
             return f"{verb} with {name}, from {self._told(0, unit, of)} to {self._told(-1, unit, of)}"
         side = "highest" if self.mean[peak] > 0 else "lowest"
-        return f"is {side} at about {_number(self.at[peak])}{of}, {_signed(self.mean[peak])} {unit}"
+        return f"is {side} at about {told(self.at[peak])}{of}, {_signed(self.mean[peak])} {unit}"
 
     def _told(self, at: int, unit: str, of: str) -> str:
-        return f"{_signed(self.mean[at])} {unit} at {_number(self.at[at])}{of}"
+        return f"{_signed(self.mean[at])} {unit} at {told(self.at[at])}{of}"
 
 
 def trend_of(part: Part, domain: str) -> Trend | None:
@@ -114,7 +114,8 @@ def _means(
     return Trend(table[:, 0], table[:, 1], table[:, 2])
 
 
-def _number(value: float) -> str:
+def told(value: float) -> str:
+    """Return a number with two digits, or without decimals."""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
 

@@ -58,6 +58,8 @@ class ResidualBlocks:
         Where the stage is, from the first sample on.
     bands
         The steady phase by frequency, from the whole trace; from the blocks where it is missing.
+    origin_mm
+        Where on the rig the run begins.
     level_mN
         The force that was measured, shape `(B,)`, where it is at hand.
     explained
@@ -81,6 +83,7 @@ class ResidualBlocks:
     bands: BandPower | None = None
     level_mN: FloatArray | None = None
     explained: FloatArray | None = None
+    origin_mm: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""

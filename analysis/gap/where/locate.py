@@ -1,6 +1,6 @@
 """Where a gap is: excess by axis, its significance, and its domain put together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,6 +16,9 @@ MOST = 0.8
 
 LEAST_COVERED = 0.05
 """An axis on which less of the whole excess lies has no shares: relaxations know nothing of speed, drags of strain."""
+
+ALONE = 0.3
+"""One run is said to be a function of what accounts for more than this of it: no other run confirms it."""
 
 ALPHA = 0.05
 """Chance of calling noise a gap."""
@@ -57,11 +60,17 @@ def locate(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed: 
         rms=_root(float(runs.energy.mean())),
         locations=tuple(_location(axis, one, whole, there) for axis, one in zip(axes, found, strict=True)),
         cells=_cells(blocks),
-        domain=max(scores, key=lambda name: scores[name]) if scores else "",
+        domain=_domain(scores, ALONE if len(runs.ids) == 1 else 0.0),
         domain_scores=scores,
         permutations=PERMUTATIONS,
         seed=seed,
+        runs=len(runs.ids),
     )
+
+
+def _domain(scores: Mapping[str, float], least: float) -> str:
+    best = max(scores, key=lambda name: scores[name], default="")
+    return best if best and scores[best] > least else ""
 
 
 def _location(axis: Axis, tested: Significance, whole: float, there: bool) -> Location:

@@ -114,6 +114,8 @@ class Where:
         How much of the residual each domain accounts for in runs that took no part, 0 to 1.
     permutations, seed
         Of the p-values.
+    runs
+        How many runs it was looked for in: with one, nothing was permuted and no other run predicts it.
     """
 
     present: bool
@@ -125,6 +127,7 @@ class Where:
     domain_scores: Mapping[str, float]
     permutations: int
     seed: int
+    runs: int = 0
 
     def location(self, name: str) -> Location:
         """Return an axis by name; raises `KeyError` for one that there is not."""

@@ -56,8 +56,10 @@ def diagnosis_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
 
 def shrink_parts(shrink: "Shrink", *, named: bool = True) -> "Iterator[RenderableType]":
     """Yield how far the gap shrinks, and R² in both forms beside the paper's; before only where no effect is named."""
-    yield "\n".join(shrink_sentences(shrink))
+    yield "\n".join(shrink_sentences(shrink, named=named))
     forms = (("Eq. 15", shrink.r2_eq15), ("correlation²", shrink.r2_corr))
+    if all(value is None for _, one in forms for value in _all_of(one)):
+        return
     rows = [row for name, one in forms for row in list(_r2(name, one))[: 2 if named else 1]]
     paper = ("the paper, its own gut", "", f"{printed.R2_BELOW:.4f}", f"{printed.R2_ABOVE:.4f}")
     at = printed.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
@@ -110,6 +112,10 @@ def _held_out(one: "Ranked") -> str:
 def _r2(name: str, one: "BeforeAfter") -> Iterator[tuple[str, str, str, str]]:
     yield name, "before", _four(one.before_below), _four(one.before_above)
     yield "", "after", _four(one.after_below), _four(one.after_above)
+
+
+def _all_of(one: "BeforeAfter") -> "tuple[float | None, ...]":
+    return one.before_below, one.before_above, one.after_below, one.after_above
 
 
 def _four(value: float | None) -> str:

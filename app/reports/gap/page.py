@@ -38,7 +38,9 @@ def page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> st
             "cannot_answer": [sentence(one) for one in diagnosis.cannot_answer],
             "settings": _settings(diagnosis, source),
             "where": where_sentence(diagnosis.where),
-            "shrink": () if diagnosis.shrink is None else shrink_sentences(diagnosis.shrink),
+            "shrink": ()
+            if diagnosis.shrink is None
+            else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
             "unknown": diagnosis.unknown,
             "remarks_": diagnosis.remarks,
             "model": model,
