@@ -53,6 +53,9 @@ class Photographer:
 
     def take(self, name: str, widget: QWidget | None = None) -> None:
         """Take a picture."""
+        self.window.notices.complaint.hide()
+        self.live_for(0.2)
+        self.window.resize(1500, 1000)
         self.live_for(0.4)
         path = self.folder / f"window-{name}.png"
         (widget or self.window).grab().save(str(path))
@@ -90,14 +93,15 @@ def look_page(camera: Photographer, campaign: Path) -> None:
     window = camera.window
     window.run.look_at.emit(str(campaign))
     browser = window.look.browser
-    camera.until(lambda: bool(browser.selected()))
+    camera.until(lambda: not browser.busy and bool(browser.selected()))
     items = [item.child(at) for item in browser.tree.selectedItems() for at in range(item.childCount())]
-    drags = [item for item in items if "drag" in item.text(0)]
+    drags = [item for item in items if any(item.text(0).endswith(f"drag {speed} mm/s") for speed in (5, 10, 20, 40))]
     browser.tree.clearSelection()
     for item in drags[:4]:
         item.setSelected(True)
     camera.until(lambda: len(window.look.overlay.traces) == len(drags[:4]))
     window.look.overlay.cursors.click()
+    window.look.overlay.place_cursors(1.3, 2.8)
     camera.take("look")
     window.look.tabs.setCurrentIndex(1)
     camera.until(lambda: window.look.steady.rowCount() > 0)

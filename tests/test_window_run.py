@@ -11,9 +11,10 @@ from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 require_qt()
 
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
+import dragrig
 from dragrig.engine_host.messages import Answer, RigTerms, Status
 from dragrig.rig.runfile import campaign
 from dragrig.window.main_window import MainWindow
@@ -148,6 +149,46 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
     assert "window" in first.reason
     assert second.stage is Stage.WAITING
     assert campaign(Path(first.folder)).runs[0].reason == first.reason
+
+
+def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="2")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    cover = QWidget()
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    moves = 0
+
+    def pushed_about() -> bool:
+        nonlocal moves
+        moves += 1
+        match moves % 8:
+            case 0:
+                window.showMinimized()
+            case 2:
+                window.showNormal()
+            case 4:
+                cover.setGeometry(window.frameGeometry())
+                cover.show()
+                cover.raise_()
+            case 6:
+                cover.hide()
+        window.move(40 + 7 * moves % 300, 30 + 11 * moves % 200)
+        window.resize(1200 + 13 * moves % 400, 900 + 17 * moves % 200)
+        return not window.run.under_way
+
+    until(pushed_about)
+    cover.close()
+    window.showNormal()
+    assert moves > 20
+    entry = window.run.queue.entries[-1]
+    assert entry.stage is Stage.COMPLETE, entry.reason
+    (file,) = Path(entry.folder).glob("*.h5")
+    run = dragrig.load(file)
+    assert run.info.checks["lost_samples"] == 0
+    assert not [event for event in run.events if event.kind == "gap"]
+    planned = sum(one.duration_s for one in entry.runs)
+    assert len(run.trace.time) == pytest.approx(planned * run.trace.sample_rate_hz, abs=2)
 
 
 def test_a_window_is_not_closed_by_mistake_while_the_stage_moves(window: MainWindow, until: Until) -> None:

@@ -83,7 +83,9 @@ class MainWindow(QMainWindow):
     def go_to(self, page: QWidget) -> None:
         """Show a page."""
         self.pages.setCurrentWidget(page)
-        self._page_buttons.button(self.pages.indexOf(page)).setChecked(True)
+        chosen = self._page_buttons.button(self.pages.indexOf(page))
+        chosen.setChecked(True)
+        chosen.setFocus()
 
     def take(self, event: Event) -> None:
         """Hear what the engine says."""

@@ -24,6 +24,8 @@ QFrame[role="trip"] {{ background: #FBE3E6; border: 3px solid {STOP}; border-rad
 QFrame[role="simulated"] {{ background: #E3F1FA; border: 2px dashed {BLUE}; border-radius: 6px; }}
 QFrame[role="hardware"] {{ background: #FFE9D6; border: 3px solid {VERMILLION}; border-radius: 6px; }}
 QPushButton, QToolButton {{ background: {PAPER}; border: 1px solid {PALE}; border-radius: 5px; padding: 7px 14px; }}
+QToolButton[popupMode="2"] {{ padding-right: 30px; }}
+QToolButton::menu-indicator {{ subcontrol-origin: padding; subcontrol-position: right center; right: 9px; }}
 QPushButton:hover, QToolButton:hover {{ border-color: {BLUE}; }}
 QPushButton:focus, QToolButton:focus {{ border: 2px solid {BLUE}; padding: 6px 13px; }}
 QPushButton:disabled, QToolButton:disabled {{ color: {PALE}; background: {SURFACE}; }}
@@ -32,9 +34,10 @@ QPushButton[role="main"]:focus {{ border: 2px solid {BLACK}; }}
 QPushButton[role="main"]:disabled {{ background: {PALE}; border-color: {PALE}; color: white; }}
 QPushButton[role="stop"] {{ background: {STOP}; color: white; font-size: 22px; font-weight: 800;
     border: 3px solid #6B0013; border-radius: 8px; padding: 8px 26px; }}
-QPushButton[role="page"] {{ border: none; background: transparent; font-size: 17px; padding: 10px 16px;
+QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
+    background: transparent; font-size: 17px; padding: 10px 16px;
     min-width: 112px; }}
-QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; font-weight: 700; border-radius: 0; }}
+QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; font-weight: 700; }}
 QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
 QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
     border-radius: 4px; padding: 5px 7px; selection-background-color: {BLUE}; selection-color: white; }}

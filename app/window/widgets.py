@@ -100,13 +100,15 @@ def table(header: Sequence[str]) -> QTableWidget:
     return made
 
 
-def fill(target: QTableWidget, rows: Sequence[Sequence[str]]) -> None:
-    """Put rows of text into a table; what reads as a number stands to the right."""
+def fill(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool = True) -> None:
+    """Put rows of text into a table; what reads as a number stands to the right, where there are columns of numbers."""
     target.setRowCount(len(rows))
     for at, cells in enumerate(rows):
         for place, text in enumerate(cells):
             item = QTableWidgetItem(text)
-            if text[:1].isdigit() or text[:1] in {"-", "−", "+"}:
+            item.setToolTip(text)
+            # The last column is as wide as is left.
+            if numbers and place < len(cells) - 1 and (text[:1].isdigit() or text[:1] in {"-", "−", "+"}):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             target.setItem(at, place, item)
 

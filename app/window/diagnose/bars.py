@@ -19,6 +19,7 @@ class Bars:
         self._item.setMenuEnabled(False)
         self._item.setXRange(0.0, 1.12, padding=0)
         self._item.setLabel("bottom", "Probability", color=BLACK)
+        self._item.getAxis("bottom").setTicks([[(tenth / 10, f"{tenth / 10:g}") for tenth in range(0, 11, 2)]])
         self._item.getAxis("left").setTextPen(BLACK)
         self._item.getAxis("left").setPen(GREY)
 

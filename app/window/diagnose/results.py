@@ -31,7 +31,6 @@ class Results(QWidget):
         self.places = table(("Along", "Where", "Chance without a gap"))
         self.places.setAccessibleName("Where the gap is")
         self.map = QSvgWidget()
-        self.map.renderer().setAspectRatioMode(Qt.AspectRatioMode.KeepAspectRatio)
         self.map.setAccessibleName("Map of where the gap is")
         self.where = label("", wrap=True)
         self.runs = QComboBox()
@@ -56,6 +55,8 @@ class Results(QWidget):
         fill(self.places, [(one.axis, one.where, f"{one.p:.2g}") for one in told.places])
         self.where.setText(told.where)
         self.map.load(QByteArray(told.where_svg))
+        # What is loaded brings its own.
+        self.map.renderer().setAspectRatioMode(Qt.AspectRatioMode.KeepAspectRatio)
         self.open_questions.setText("\n".join(told.cannot_answer) or "Nothing that was asked.")
         self.runs.clear()
         self.runs.addItems([f"{one.label}, {one.file} ({one.channel.replace('_', ' ')})" for one in told.views])
@@ -81,7 +82,7 @@ class Results(QWidget):
         self.above.title(*words[: 3 if told.named else 2])
         if told.floor_mN is not None and view.unit == "mN":
             for level in (-told.floor_mN, told.floor_mN):
-                self.below.level(level, "noise and scatter of repeats" if level > 0 else "")
+                self.below.level(level, "noise and scatter of repeats" if level > 0 else "", aside=True)
         self.above.fit()
         self.below.fit()
 

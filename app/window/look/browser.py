@@ -54,6 +54,11 @@ class Browser(QWidget):
         layout.setStretch(5, 2)
         self.setLayout(layout)
 
+    @property
+    def busy(self) -> bool:
+        """Whether a folder is being read."""
+        return self._background.busy
+
     def refresh(self) -> None:
         """Look again what is there."""
         self._listed = self.folder.text()
@@ -130,7 +135,8 @@ class Browser(QWidget):
     def _select(self) -> None:
         runs = self.selected()
         if runs:
-            fill(self.settings, [(key.replace("_", " "), value) for key, value in runs[-1].settings.items() if value])
+            said = [(key.replace("_", " "), value) for key, value in runs[-1].settings.items() if value]
+            fill(self.settings, said, numbers=False)
         if (folder := self.campaign()) is not None:
             self.campaign_chosen.emit(str(folder))
         self.chosen.emit(runs)

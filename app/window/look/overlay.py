@@ -6,7 +6,7 @@ import numpy as np
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QSpinBox, QWidget
 
-from dragrig.figures.palette import BLACK, CYCLE, ORANGE, PALE, tint
+from dragrig.figures.palette import BLACK, CYCLE, PALE, VERMILLION, tint
 from dragrig.looking import ShownTrace
 from dragrig.window.plots.panel import Cursor, Panel
 from dragrig.window.plots.pyramid import Pyramid
@@ -55,7 +55,9 @@ class Overlay(QWidget):
         self.values.setMaximumHeight(170)
         self.values.hide()
         self._pyramids: dict[tuple[int, str, bool], Pyramid] = {}
-        self._cursors = tuple(self.top.cursor(colour, lambda _: self._tell()) for colour in (BLACK, ORANGE))
+        self._cursors = tuple(
+            self.top.cursor(name, colour, lambda _: self._tell()) for name, colour in (("A", BLACK), ("B", VERMILLION))
+        )
         controls = row(
             label("Channel"), self.channel, self.raw, label("Filter"), self.window_ms, label("order"), self.order, 1,
             self.cursors, self.fit,
@@ -110,6 +112,11 @@ class Overlay(QWidget):
         for panel in (self.below, self.top):
             panel.fit()
 
+    def place_cursors(self, first_s: float, second_s: float) -> None:
+        """Put the cursors somewhere."""
+        for cursor, time_s in zip(self._cursors, (first_s, second_s), strict=True):
+            cursor.place(time_s, visible=self.cursors.isChecked())
+
     def _listen_to_keys(self) -> None:
         first, second = self._cursors
         for keys, does in (
@@ -144,8 +151,7 @@ class Overlay(QWidget):
 
     def _show_cursors(self, *, shown: bool) -> None:
         low, high = self.top.shown()
-        for cursor, place in zip(self._cursors, (0.33, 0.67), strict=True):
-            cursor.place(low + place * (high - low), visible=shown)
+        self.place_cursors(*(low + share * (high - low) for share in (0.33, 0.67)))
         self.values.setVisible(shown)
         self._tell()
 

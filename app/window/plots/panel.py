@@ -9,12 +9,13 @@ import pyqtgraph
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
-from dragrig.figures.palette import BLACK, GREY, GRID
+from dragrig.figures.palette import BLACK, GREY, GRID, PAPER
 from dragrig.window.plots.pyramid import Pyramid
 from dragrig.window.theme import SMALL_PX
 
 Values = npt.NDArray[np.floating]
 _FEWEST_COLUMNS = 200
+_WORDS_A_LINE = 4
 _BEHIND = -1000.0
 
 
@@ -39,7 +40,7 @@ class Panel:
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_BEHIND)
         item.getAxis("left").setWidth(84)
-        self._plot.setMinimumHeight(150)
+        self._plot.setMinimumHeight(120)
         self._item = item
         self._lines: list[Line] = []
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
@@ -60,8 +61,12 @@ class Panel:
 
     def title(self, *words: tuple[str, str]) -> None:
         """Write above the plot what its lines are, each word with its colour."""
-        text = " &nbsp; ".join(f'<span style="color:{colour}">▬</span> {html.escape(word)}' for word, colour in words)
-        self._item.setTitle(text, size=f"{SMALL_PX}px", color=BLACK)
+        each = [f'<span style="color:{colour}">▬</span> {html.escape(word)}' for word, colour in words]
+        lines = [" &nbsp; ".join(each[at : at + _WORDS_A_LINE]) for at in range(0, len(each), _WORDS_A_LINE)]
+        self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=BLACK)
+        height = 6 + 1.6 * SMALL_PX * max(len(lines), 1)
+        self._item.titleLabel.setMaximumHeight(height)
+        self._item.layout.setRowFixedHeight(0, height)
 
     def rename(self, quantity: str, unit: str) -> None:
         """Show another quantity."""
@@ -74,14 +79,18 @@ class Panel:
             self._item.removeItem(line.drawn)
         self._lines = []
 
-    def level(self, value: float, words: str) -> None:
-        """Draw a limit across the plot."""
+    def level(self, value: float, words: str, *, aside: bool = False) -> None:
+        """Draw a limit across the plot; its words stand in the middle, or above it and aside."""
         line = pyqtgraph.InfiniteLine(
             pos=value,
             angle=0,
             pen=pyqtgraph.mkPen(GREY, width=1.5, style=Qt.PenStyle.DotLine),
             label=words,
-            labelOpts={"color": GREY, "position": 0.5},
+            labelOpts={
+                "color": GREY,
+                "position": 0.85 if aside else 0.5,
+                "anchors": [(0.5, 1.0)] * 2 if aside else None,
+            },
         )
         self._item.addItem(line)
 
@@ -91,11 +100,12 @@ class Panel:
             if isinstance(one, pyqtgraph.InfiniteLine) and not one.movable:
                 self._item.removeItem(one)
 
-    def cursor(self, colour: str, moved: Callable[[float], None]) -> "Cursor":
+    def cursor(self, name: str, colour: str, moved: Callable[[float], None]) -> "Cursor":
         """Add an upright line that can be dragged; `moved` is told its time."""
         line = pyqtgraph.InfiniteLine(
-            angle=90, movable=True, pen=pyqtgraph.mkPen(colour, width=2), hoverPen=pyqtgraph.mkPen(colour, width=4)
-        )
+            angle=90, movable=True, pen=pyqtgraph.mkPen(colour, width=2), hoverPen=pyqtgraph.mkPen(colour, width=4),
+            label=name, labelOpts={"color": colour, "position": 0.94, "fill": PAPER},
+        )  # fmt: skip
         line.setVisible(False)
         line.sigPositionChanged.connect(lambda *_: moved(float(line.value())))
         self._item.addItem(line, ignoreBounds=True)
@@ -109,7 +119,7 @@ class Panel:
         """Leave the times to the plot below."""
         self._item.getAxis("bottom").setStyle(showValues=False)
         self._item.setLabel("bottom", "")
-        self._plot.setMinimumHeight(105)
+        self._plot.setMinimumHeight(80)
 
     def show_times(self, start: float, stop: float) -> None:
         """Show from when to when [s]."""

@@ -1,0 +1,127 @@
+"""The page that diagnoses, carried to the end on a real campaign, and what its answer is good for on the run page."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runfiles import PRACTICE
+from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
+
+require_qt()
+
+from PySide6.QtCore import QSettings
+from PySide6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+
+from dragrig.diagnosing_apart import Told
+from dragrig.engine_host.messages import RigTerms
+from dragrig.window.main_window import MainWindow
+from dragrig.window.remembered import Remembered
+from dragrig.window.run.queue_model import Stage
+
+pytestmark = pytest.mark.timeout(900)
+LONG_MS = 600_000
+"""A diagnosis on a busy machine."""
+
+
+@pytest.fixture(scope="module")
+def window(
+    request: pytest.FixtureRequest, qapp: QApplication, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[MainWindow]:
+    dressed()
+    lab = lab_in(tmp_path_factory.mktemp("lab"))
+    settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
+    made = MainWindow(RigTerms(rig=lab / "rig.toml"), lab, Remembered(settings), 600.0)
+    made.show()
+    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    made.go_to(made.diagnose)
+    yield made
+    made.close_in_order("the tests are over")
+
+
+@pytest.fixture
+def until(qtbot: QtBot) -> Until:
+    return lambda done: qtbot.waitUntil(done, timeout=LONG_MS)
+
+
+@pytest.fixture
+def diagnosed(window: MainWindow, until: Until) -> Told:
+    """The diagnosis of the practice campaign, made once."""
+    page = window.diagnose
+    if page.results.told is None:
+        page.offer(str(PRACTICE))
+        press(page.start)
+        assert not page.start.isEnabled()
+        assert page.progress.isVisible()
+        until(lambda: page.progress.value() > 0 or not page.busy)
+        until(lambda: not page.busy)
+    assert page.results.told is not None, window.notices.complaint_text.text()
+    return page.results.told
+
+
+def test_a_diagnosis_under_way_is_cancelled_and_leaves_no_process(window: MainWindow, until: Until) -> None:
+    page = window.diagnose
+    page.offer(str(PRACTICE))
+    press(page.start)
+    work = page._work
+    assert work is not None
+    until(lambda: page.progress.maximum() > 0)
+    press(page.cancel)
+    assert page.state.text() == "Cancelled."
+    assert not work._process.is_alive()
+    assert page.start.isEnabled()
+    assert page.results.told is None
+
+
+def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Told) -> None:
+    results = window.diagnose.results
+    assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
+    assert results.isVisible()
+    assert results.verdict.text() == diagnosed.verdict[0]
+    shown = [results.hypotheses.item(at, 0).text() for at in range(results.hypotheses.rowCount())]
+    assert shown == [one.name for one in diagnosed.ranking]
+    chances = [one.probability for one in diagnosed.ranking]
+    assert chances == sorted(chances, reverse=True)
+    assert 0.9 < sum(chances) <= 1.001
+    assert results.map.renderer().isValid()
+
+
+def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Told) -> None:
+    results = window.diagnose.results
+    forces = [one for one in diagnosed.views if one.channel == "force"]
+    assert {one.file for one in forces} == {file.name for file in PRACTICE.glob("*.h5")}
+    for at, view in enumerate(diagnosed.views):
+        results.runs.setCurrentIndex(at)
+        measured, before = (line.drawn.getData()[1] for line in results.above._lines[:2])
+        np.testing.assert_array_equal(measured, view.measured)
+        np.testing.assert_array_equal(before, view.before)
+        left = results.below._lines[0].drawn.getData()[1]
+        np.testing.assert_allclose(left, view.measured - view.before)
+
+
+def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: Told) -> None:
+    assert diagnosed.next_plan is not None
+    assert not window.run.queue.entries
+    press(window.diagnose.results.next)
+    assert window.pages.currentWidget() is window.run
+    (entry,) = window.run.queue.entries
+    assert entry.stage is Stage.WAITING
+    assert [step.kind for step in entry.job.plan.steps] == [step.kind for step in diagnosed.next_plan.steps]
+    for queued, wanted in zip(entry.job.plan.steps, diagnosed.next_plan.steps, strict=True):
+        # The form adds what is usual to what is recommended.
+        assert wanted.parameters.items() <= queued.parameters.items()
+    assert window.run.preview.runs.rowCount() == entry.count > 0
+    assert not window.run.under_way
+
+
+def test_what_is_no_campaign_is_told_and_the_page_stays_usable(
+    window: MainWindow, until: Until, tmp_path: Path
+) -> None:
+    page = window.diagnose
+    window.go_to(page)
+    page.offer(str(tmp_path))
+    press(page.start)
+    until(lambda: not page.busy)
+    assert str(tmp_path) in window.notices.complaint_text.text()
+    assert page.start.isEnabled()
