@@ -6,6 +6,7 @@ import numpy as np
 
 from dragrig.analysis.gap.sights import Sight
 from dragrig.rig.devices import Contact
+from dragrig.rig.profile import Phase
 
 FEWEST_RUNS = 4
 FEWEST_SPEEDS = 3
@@ -57,8 +58,14 @@ def of_stage(sights: Sequence[Sight]) -> Iterator[str]:
         yield "Without blank runs the stage is known no better than what hangs on it."
 
 
-def of_own(others: Sequence[str]) -> Iterator[str]:
+def of_own(sights: Sequence[Sight], others: Sequence[str]) -> Iterator[str]:
     """Say what is left open of a model of one's own, of which one channel is explained and `others` are not."""
+    rests = any(np.any(one.coordinates.phase == Phase.REST) for one in sights)
+    if len({(one.condition, one.heading) for one in sights}) == 1 and not rests:
+        yield (
+            "All runs go one way at one speed and none rests, so that what a sensor does in time cannot be told from "
+            "friction that changes along the way."
+        )
     yield (
         "The model does not say which parts its force has, so that only effects of sensor and acquisition were tried; "
         "none of wall, interface, specimen or drive was."

@@ -78,7 +78,7 @@ class OwnStudy(Study):
 
     def open_questions(self) -> Iterator[str]:
         """Say what these runs and this model leave open, a sentence each."""
-        yield from of_own(self.others)
+        yield from of_own(self.sights, self.others)
         yield from of_any(self.sights)
 
 
