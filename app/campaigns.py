@@ -1,6 +1,7 @@
 """Campaigns: the folder that a session's runs go to, and going on with one that ended early."""
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from itertools import count
@@ -15,7 +16,7 @@ from dragrig.rig.runfile.mirror import Mirror, Mirrored
 from dragrig.rig.runfile.model import Status
 from dragrig.rig.session import Progress, SessionResult
 from dragrig.rigs import contact_in
-from dragrig.session_state import Announced
+from dragrig.session_state import Announced, SessionState, alone_in
 from dragrig.sessions import Person, Terms, carry_out
 from dragrig.setup import Setup
 
@@ -52,21 +53,26 @@ def begin(setup: Setup, out: Path | None, terms: Terms, person: Person | None) -
     Raises
     ------
     OutputError
-        When the folder cannot be made or holds a campaign already.
+        When the folder cannot be made, holds a campaign already, or another session is at work in it.
     DragrigError
         What `carry_out` raises.
     """
+    if out is not None:
+        _require_no_runs(out)
+        with ExitStack() as alone:
+            return _made(setup, replace(terms, folder=out), person, _begun_in(out, alone, own=False))
     now = terms.origin or datetime.now().astimezone()
-    folder = out or _unused(setup.data_root, f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}")
-    if folder.is_dir() and any(folder.glob("*.h5")):
-        raise OutputError(f"{folder}: holds runs already; name another folder, or go on with --resume {folder}.")
-    return _made(setup, replace(terms, folder=folder), person)
-
-
-def _unused(root: Path, name: str) -> Path:
-    """Return a folder that is not there yet: two short dry runs of a queue may begin within one second."""
+    name = f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}"
     names = (name if nth == 1 else f"{name}-{nth}" for nth in count(1))
-    return next(folder for folder in (root / one for one in names) if not folder.exists())
+    # Two sessions may begin within one second: here, where nothing has moved yet, the later one takes the next name.
+    for folder in (folder for folder in (setup.data_root / one for one in names) if not folder.exists()):
+        with ExitStack() as alone, suppress(_TakenError):
+            return _made(setup, replace(terms, folder=folder), person, _begun_in(folder, alone, own=True))
+    raise AssertionError("names do not run out")
+
+
+class _TakenError(OutputError):
+    """Another session took the folder meanwhile."""
 
 
 def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequence[str] = ()) -> Made:
@@ -86,36 +92,62 @@ def go_on(folder: Path, terms: Terms, person: Person | None, assignments: Sequen
     DragrigError
         What `carry_out` raises.
     """
-    record = latest_record(folder)
-    for one in recover(folder):
-        if one.outcome is Outcome.IN_USE:
-            raise OutputError(
-                f"{one.recording}: is being recorded right now; a campaign goes on once its session is over."
-            )
-    before = campaign(folder)
-    # A dry run's rests take no time, so that its last run may have ended later than it is now.
-    ended = [one.end_time or one.header.start_time for one in before.runs]
-    origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
-    setup = _setup_of(record, folder).with_rig(assignments)
-    first = min((one.header.start_time for one in before.runs), default=None)
-    terms = replace(terms, folder=folder, origin=origin, first_run_at=first, progress=_progress(before))
-    return _made(setup, terms, person, before)
+    latest_record(folder)
+    with alone_in(folder):
+        for one in recover(folder):
+            if one.outcome is Outcome.IN_USE:
+                raise OutputError(
+                    f"{one.recording}: is being recorded right now; a campaign goes on once its session is over."
+                )
+        record, before = latest_record(folder), campaign(folder)
+        # A dry run's rests take no time, so that its last run may have ended later than it is now.
+        ended = [one.end_time or one.header.start_time for one in before.runs]
+        origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
+        setup = _setup_of(record, folder).with_rig(assignments)
+        first = min((one.header.start_time for one in before.runs), default=None)
+        terms = replace(terms, folder=folder, origin=origin, first_run_at=first, progress=_progress(before))
+        return _made(setup, terms, person, lambda: None, before)
 
 
-def _made(setup: Setup, terms: Terms, person: Person | None, before: Campaign | None = None) -> Made:
+def _begun_in(folder: Path, alone: ExitStack, *, own: bool) -> Callable[[], None]:
+    """Return what makes a campaign's folder, and takes it for this session until `alone` is left."""
+
+    def begun() -> None:
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(exist_ok=not own)
+        except FileExistsError:
+            if own:
+                raise _TakenError(f"{folder}: is there already.") from None
+            raise
+        alone.enter_context(alone_in(folder))
+        _require_no_runs(folder)
+
+    return begun
+
+
+def _require_no_runs(folder: Path) -> None:
+    if folder.is_dir() and any(folder.glob("*.h5")):
+        raise OutputError(f"{folder}: holds runs already; name another folder, or go on with --resume {folder}.")
+
+
+def _made(
+    setup: Setup, terms: Terms, person: Person | None, begun: Callable[[], None], before: Campaign | None = None
+) -> Made:
     """Carry out a session whose state others can see, with its files mirrored where that is wanted."""
-    someone = person or Nobody()
-    announced = Announced(someone, someone, terms.folder, setup.plan.name, setup.backend, setup.double)
+    someone, folder = person or Nobody(), terms.folder
+    state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
+    announced = Announced(someone, someone, folder, state, terms.progress.done)
     mirror = None
     if terms.mirror is not None:
-        mirror = Mirror(terms.mirror, terms.folder.resolve().name, terms.tell)
+        mirror = Mirror(_require_elsewhere(terms.mirror, folder), folder.resolve().name, terms.tell)
         for run in before.runs if before is not None else ():
             mirror.submit(run.path)
     status, reason = Status.FAILED.value, "the program ended it"
     mirrored = None
     try:
         told = mirror.submit if mirror is not None else None
-        session = carry_out(setup, _store_in(terms.folder, told), terms, announced)
+        session = carry_out(setup, _store_in(folder, begun, told), terms, announced)
         status, reason = session.status.value, session.reason
     except DragrigError as error:
         reason = plain(error)
@@ -123,21 +155,29 @@ def _made(setup: Setup, terms: Terms, person: Person | None, before: Campaign | 
     finally:
         announced.ends(status, reason)
         if mirror is not None:
-            mirrored = _close(mirror, terms.folder)
-    return Made(terms.folder, session, mirrored)
+            mirrored = _close(mirror, folder)
+    return Made(folder, session, mirrored)
+
+
+def _require_elsewhere(mirror: Path, folder: Path) -> Path:
+    if (mirror.resolve() / folder.resolve().name) == folder.resolve():
+        raise OutputError(f"--mirror {mirror}: is where the campaign itself goes; name a folder on another disk.")
+    return mirror
 
 
 def _close(mirror: Mirror, folder: Path) -> Mirrored:
-    """Copy the sessions' records too, and wait for the last copy."""
-    for file in sorted(folder.glob("session-*.toml")):
+    """Copy the sessions' records and the marks on runs too, and wait for the last copy."""
+    for file in (*sorted(folder.glob("session-*.toml")), *sorted(folder.glob("*.mark.toml"))):
         mirror.submit(file)
     return mirror.close()
 
 
-def _store_in(folder: Path, told: Callable[[Path], None] | None = None) -> Callable[[SessionRecord], FolderStore]:
+def _store_in(
+    folder: Path, begun: Callable[[], None], told: Callable[[Path], None] | None
+) -> Callable[[SessionRecord], FolderStore]:
     def opened(record: SessionRecord) -> FolderStore:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            begun()
             write_record(record, folder)
         except OSError as error:
             raise OutputError(

@@ -2,6 +2,7 @@
 
 import io
 import multiprocessing
+import signal
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -196,6 +197,8 @@ def _diagnose(connection: "Connection[News, object]", wanted: Wanted) -> None:
     def progress(done: int, of: int) -> None:
         connection.send(Far(done, of))
 
+    # Ctrl-C in the terminal is the window's to hear, which then cancels this.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Nobody listens any more once the window is gone.
     with suppress(OSError):
         try:

@@ -7,6 +7,7 @@ import numpy as np
 from dragrig.config.plan import Plan
 from dragrig.engine_host.messages import RigTerms
 from dragrig.measuring import check
+from dragrig.pacing import pacing
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.preflight import Preview
 from dragrig.rigs import resolve_rig
@@ -88,8 +89,9 @@ def planned(plan: Plan | str, rig: RigTerms) -> PlannedSession:
 
 
 def rig_in_words(rig: RigTerms) -> RigInWords:
-    """Say which rig is meant; raises `SettingsError`."""
+    """Say which rig is meant; raises `SettingsError`, also for a pace that this rig has not."""
     setup = resolve_rig(**rig.choices())
+    pacing(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
     if simulated:
         title, meaning = "SIMULATED", "nothing moves; the friction model stands in for rig and gut"

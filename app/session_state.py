@@ -3,25 +3,33 @@
 import contextlib
 import os
 import sys
+import time
+from collections.abc import Collection, Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from filelock import FileLock
-from pydantic import AwareDatetime, ValidationError
+from pydantic import AwareDatetime, Field, ValidationError
 
 from dragrig.config.base import Settings
+from dragrig.config.errors import OutputError
 from dragrig.rig.acquiring import Outcome
 from dragrig.rig.people import Answer, Operator, Prompt, Watcher
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
+from dragrig.rig.runfile import files
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
 """Held by the process that carries the session out, and let go by the system when that dies."""
-_PATIENCE_S = 2.0
+_PATIENCE_S, _PAUSE_S = 2.0, 0.02
+"""Who watches holds the lock too, for a moment."""
 
 Doing = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
+
+
+def _now() -> datetime:
+    return datetime.now().astimezone()
 
 
 class SessionState(Settings):
@@ -31,7 +39,7 @@ class SessionState(Settings):
     plan: str
     backend: str
     double: bool = False
-    since: AwareDatetime
+    since: AwareDatetime = Field(default_factory=_now)
     """When it began to do so, by the wall's clock."""
     doing: Doing = "preparing"
     said: str = ""
@@ -42,7 +50,7 @@ class SessionState(Settings):
     runs: int = 0
     """Runs that this session has to make, ways back included."""
     made: int = 0
-    """Of these, how many have begun."""
+    """Which of these began last, from 1."""
     order: int = -1
     run: str = ""
     """The run that was begun last, in a few words."""
@@ -63,7 +71,11 @@ def read_state(folder: Path) -> SessionState | None:
 
 
 def at_work(folder: Path) -> bool:
-    """Tell whether a process is carrying out a session of this campaign; nothing is written to find out."""
+    """Tell whether a process is carrying out a session of this campaign; nothing is written to find out.
+
+    Where the file system has no locks nobody can tell, and a lock that was left counts as held: what the session said
+    last is then believed.
+    """
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     except OSError:
@@ -86,17 +98,51 @@ def at_work(folder: Path) -> bool:
     return False
 
 
+@contextlib.contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Be the only session of a campaign, of all processes, until the block ends or the process dies.
+
+    Raises
+    ------
+    BusyError
+        When another one is at work.
+    OutputError
+        When the folder refuses.
+    """
+    busy = f"{folder}: another session of this campaign is at work; go on once it is over."
+    until = time.monotonic() + _PATIENCE_S
+    with contextlib.ExitStack() as held:
+        while True:
+            try:
+                held.enter_context(files.locked(folder / LOCK_FILE, busy))
+                break
+            except files.BusyError:
+                if time.monotonic() > until:
+                    raise
+            time.sleep(_PAUSE_S)
+        yield
+
+
 class Announced:
     """A person, and beside them the file that says what the session is doing.
 
     The file is small, replaced at once, and written when something begins or ends, never while samples are taken; a
     folder that refuses it is of no account to the session.
+
+    Parameters
+    ----------
+    state
+        What is said from the beginning.
+    done
+        Runs of the programme that earlier sessions made.
     """
 
-    def __init__(self, person: Operator, watcher: Watcher, folder: Path, plan: str, backend: str, double: bool) -> None:
+    def __init__(
+        self, person: Operator, watcher: Watcher, folder: Path, state: SessionState, done: Collection[int] = ()
+    ) -> None:
         self._person, self._watcher, self._folder = person, watcher, folder
-        self._state = SessionState(plan=plan, backend=backend, double=double, since=_now())
-        self._lock = FileLock(folder / LOCK_FILE, timeout=_PATIENCE_S, thread_local=False)
+        self._state, self._done = state, done
+        self._runs: tuple[PlannedRun, ...] = ()
         self._begun = False
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -107,13 +153,10 @@ class Announced:
         return answer
 
     def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
-        """Take the lock, and say what is to be done."""
-        runs = programme.runs[-pending:] if pending else ()
-        # A file system without locks, or a folder that refuses: who watches then goes by the state's age alone.
-        with contextlib.suppress(OSError, NotImplementedError):
-            self._lock.acquire()
+        """Say what is to be done."""
         self._begun = True
-        self._says("preparing", runs=pending, real_time=real_time, after_s=sum(map(_takes, runs)))
+        self._runs = tuple(run for run in programme.runs if run.index not in self._done)
+        self._says("preparing", runs=pending, real_time=real_time, after_s=sum(map(_takes, self._runs)))
         self._watcher.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:
@@ -123,14 +166,15 @@ class Announced:
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Say which run is recorded."""
-        left = max(0.0, self._state.after_s - _takes(run))
+        # Runs before it were made or skipped, and those after it are still to come, also when it is made again.
+        later = [one for one in self._runs if one.index > run.index]
         self._says(
             "recording",
-            made=self._state.made + 1,
+            made=len(self._runs) - len(later),
             order=order,
             run=run.protocol.summary(),
             run_s=run.duration_s,
-            after_s=left,
+            after_s=sum(map(_takes, later)),
         )
         self._watcher.run_begins(run, order)
 
@@ -144,26 +188,18 @@ class Announced:
         self._watcher.run_ends(run, outcome)
 
     def ends(self, status: str, reason: str) -> None:
-        """Say how the session ended, and let the lock go; nothing where it never began."""
-        if not self._begun:
-            return
-        self._says("ended", status=status, reason=reason)
-        with contextlib.suppress(OSError):
-            self._lock.release()
-            (self._folder / LOCK_FILE).unlink(missing_ok=True)
+        """Say how the session ended; nothing where it never began."""
+        if self._begun:
+            self._says("ended", status=status, reason=reason)
 
     def _says(self, doing: Doing, **further: object) -> None:
         told = {"said": "", "wait_s": 0.0, **further}
         self._state = self._state.model_copy(update={"doing": doing, "since": _now(), **told})
         part = self._folder / f".{STATE_FILE}.part"
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, OutputError):
             part.write_text(self._state.model_dump_json(indent=1), "utf-8")
-            part.replace(self._folder / STATE_FILE)
+            files.give_name(part, self._folder / STATE_FILE)
 
 
 def _takes(run: PlannedRun) -> float:
     return run.wait_s + run.tare_s + run.duration_s
-
-
-def _now() -> datetime:
-    return datetime.now().astimezone()

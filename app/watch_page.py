@@ -1,9 +1,12 @@
 """A campaign's state as a small page, served to this machine alone."""
 
 import json
+import os
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from dragrig.config.errors import OutputError
@@ -15,29 +18,44 @@ LINGER_S = 3.0
 LOCAL = ("127.0.0.1", "localhost")
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    content: bytes = b"{}"
+    last: bool = False
+
+
 class StatePage:
     """What the server shows; `show` belongs to one thread, the rest to the server's."""
 
     def __init__(self) -> None:
         self.port = 0
         self.html = b""
-        self.state = b"{}"
-        self._over = False
+        self.shown = _Shown()
         self._seen = threading.Event()
 
     def show(self, state: CampaignState) -> None:
         """Have the page show another state."""
-        self._over = state.over
-        self.state = json.dumps(to_plain(state), allow_nan=False).encode()
+        self.shown = _Shown(json.dumps(to_plain(state), allow_nan=False).encode(), state.over)
 
-    def handed_out(self) -> None:
-        """Note that somebody has been given the state."""
-        if self._over:
+    def handed_out(self, shown: _Shown) -> None:
+        """Note that somebody has been given a state."""
+        if shown.last:
             self._seen.set()
 
     def linger(self) -> None:
         """Wait until somebody has seen the last state, if anybody looks at all."""
         self._seen.wait(LINGER_S)
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    # On Windows this would let two programs serve at one port.
+    allow_reuse_address = os.name == "posix"
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing of a browser that went away before it had its answer."""
+        if not isinstance(sys.exception(), OSError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
 @contextmanager
@@ -63,8 +81,9 @@ def served(port: int) -> Iterator[StatePage]:
             if self.path == "/":
                 self._answer(page.html, "text/html; charset=utf-8")
             elif self.path == "/state.json":
-                self._answer(page.state, "application/json")
-                page.handed_out()
+                shown = page.shown
+                self._answer(shown.content, "application/json")
+                page.handed_out(shown)
             else:
                 self.send_error(404)
 
@@ -80,10 +99,9 @@ def served(port: int) -> Iterator[StatePage]:
             del format, args
 
     try:
-        server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
+        server = _Server(("127.0.0.1", port), Handler)
     except OSError as error:
         raise OutputError(f"--page {port}: cannot be served at ({error.strerror}); name another port, or 0.") from error
-    server.daemon_threads = True
     page.port = server.server_address[1]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
     thread.start()

@@ -116,15 +116,20 @@ class CampaignWatch:
     def __init__(self, folder: Path) -> None:
         self.folder = latest_campaign(folder)
         self._finished: dict[Path, FinishedRun] = {}
+        self._state: SessionState | None = None
 
     def look(self) -> CampaignState:
         """Return what the campaign is doing."""
+        before = read_state(self.folder)
         working = at_work(self.folder)
-        state = read_state(self.folder)
-        recording = self._recording(state)
+        # What changed meanwhile was changed by somebody who lives; Windows refuses to read what is being replaced.
+        state = read_state(self.folder) or self._state
+        working = working or state != before
+        self._state = state
+        recording = self._recording(state) if working else None
         finished = self._look_at_finished()
         if state is None:
-            return self._without_word(recording, finished)
+            return self._without_word(finished, working=working)
         doing, said = state.doing if working or state.doing == "ended" else "died", state.said
         if doing == "ended":
             said = state.reason
@@ -142,7 +147,7 @@ class CampaignWatch:
             of=state.runs,
             left_s=None if doing in {"ended", "died"} else _left(state, recording),
             status=state.status,
-            recording=None if doing in {"ended", "died"} else recording,
+            recording=recording if doing == "recording" else None,
             finished=finished,
         )
 
@@ -155,17 +160,19 @@ class CampaignWatch:
                 return
             time.sleep(every_s)
 
-    def _without_word(self, recording: Recording | None, finished: tuple[FinishedRun, ...]) -> CampaignState:
-        """Say what the files alone say: they were made elsewhere, or by an older dragrig."""
+    def _without_word(self, finished: tuple[FinishedRun, ...], *, working: bool) -> CampaignState:
+        """Say what the files alone say: a session that has only just begun, or one made elsewhere or by an older us."""
         records, _ = records_in(self.folder)
         latest = records[-1] if records else None
+        left = any(is_recording(path) for path in self.folder.glob("*.h5"))
+        said = "a recording is left, which dragrig recover finishes" if left else "no session is at work here"
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
             plan="" if latest is None else latest.plan.name,
             backend="" if latest is None else latest.backend,
-            doing="ended",
-            said="a recording is left, which dragrig recover finishes" if recording else "no session is at work here",
+            doing="preparing" if working else "ended",
+            said="" if working else said,
             since=None,
             run=None,
             of=None,

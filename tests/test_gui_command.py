@@ -1,5 +1,6 @@
 """`dragrig gui` where it cannot show a window, and the queue's arithmetic, which needs none."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,25 @@ def test_a_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
     assert "is no lab folder" in done.stderr
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
+def test_without_a_screen_a_sentence_says_so(tmp_path: Path) -> None:
+    require_qt()
+    screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
+    bare = {name: value for name, value in os.environ.items() if name not in screens}
+    command = [sys.executable, "-m", "dragrig", "gui"]
+    done = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "there is no screen here" in done.stderr
+
+
+def test_a_pace_that_the_rig_has_not_is_refused(tmp_path: Path) -> None:
+    require_qt()
+    command = [sys.executable, "-m", "dragrig", "gui", "--backend", "simulated", "--pace", "20"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "is fast or real" in done.stderr
+
+
 def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
     require_qt()
     from dragrig.window.run.queue_model import Entry, Queue, Stage
@@ -43,7 +63,12 @@ def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
     first.elapsed_s = 2.0
     assert first.left_s == 18.0
     queue.run_ends(RunEnded(runs[0], 0, Status.COMPLETE, "", 5000, ()))
-    assert (first.left_s, first.share) == (15.0, 0.5)
+    assert (first.left_s, first.share, first.place) == (15.0, 0.5, 2)
+    queue.run_begins(RunBegan(runs[0], 1))
+    assert (first.left_s, first.place) == (20.0, 1)  # made again
+    queue.run_begins(RunBegan(runs[1], 2))
+    assert (first.left_s, first.place) == (5.0, 2)  # whatever became of the one before
+    first.elapsed_s = 5.0
     queue.ends(Ended(1, Status.TRIPPED, "force: too much"))
     assert (first.stage, first.reason, queue.left_s) == (Stage.TRIPPED, "force: too much", 8.0)
     assert queue.next is queue.entries[1]

@@ -12,7 +12,9 @@ from dragrig.config.errors import OutputError
 from dragrig.rig.acquiring import Outcome
 from dragrig.rig.people import Nobody
 from dragrig.rig.programme import PlannedRun
+from dragrig.rig.runfile import mark_bad
 from dragrig.rig.runfile.mirror import Mirror, copy_verified
+from dragrig.rig.runfile.naming import mark_path
 
 pytestmark = pytest.mark.timeout(120)
 FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
@@ -85,6 +87,24 @@ def test_going_on_mirrors_what_was_made_before(tmp_path: Path) -> None:
     assert again.mirrored is not None
     assert again.mirrored.whole
     assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(again.mirrored.copied)
+
+
+def test_the_campaigns_own_folder_is_no_mirror(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is where the campaign itself goes"):
+        dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path, assignments=FAST[:1])
+    assert not (tmp_path / "runs").exists()
+
+
+def test_marks_on_runs_are_mirrored_with_them(tmp_path: Path) -> None:
+    (tmp_path / "second").mkdir()
+    dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
+    [first, *_] = sorted((tmp_path / "runs").glob("*.h5"))
+    mark_bad(first, "the capsule slipped")
+    mark = mark_path(first)
+    again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
+    assert again.mirrored is not None
+    assert mark.name in again.mirrored.copied
+    assert filecmp.cmp(mark, tmp_path / "second" / "runs" / mark.name, shallow=False)
 
 
 def test_a_missing_mirror_is_said_at_once(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from spreading_pieces import deadly, failing, loaded, product, traced
 
 from dragrig.config.errors import SettingsError, WorkerError
-from dragrig.spreading import cores, executor, spread
+from dragrig.spreading import cores, executor, processes, spread
 from dragrig.spreading.serial import Serial
 
 SEEDS = range(6)
@@ -95,8 +96,8 @@ def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_
     with executor(1) as here:
         assert isinstance(here, Serial)
         alone = spread(here, product, SEEDS)
-    with executor(2) as processes:
-        assert spread(processes, product, SEEDS) == alone
+    with executor(2) as two:
+        assert spread(two, product, SEEDS) == alone
     assert alone == [product(seed) for seed in SEEDS]
 
 
@@ -104,9 +105,9 @@ def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_
 def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
     told: list[int] = []
     killer = kill_when_begun(tmp_path, told, [])
-    with executor(2) as processes:
+    with executor(2) as two:
         pieces = [(tmp_path, seed) for seed in SEEDS]
-        found = spread(processes, traced, pieces, lambda piece, _: told.append(piece[1]))
+        found = spread(two, traced, pieces, lambda piece, _: told.append(piece[1]))
     killer.join()
     require_nothing_lost_or_twice(tmp_path, found, told, list(SEEDS))
 
@@ -118,6 +119,24 @@ def test_a_process_killed_while_it_waits_is_replaced() -> None:
         os.kill(pid, signal.SIGKILL)
         [(other, _)] = spread(one, loaded, ["dragrig"])
     assert other not in {pid, os.getpid()}
+
+
+def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From Python 3.12 on that thread holds the pool's lock then, and would wait for it for ever."""
+    where: list[threading.Thread] = []
+
+    class Noted(ProcessPoolExecutor):
+        def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+            where.append(threading.current_thread())
+            super().shutdown(wait, cancel_futures=cancel_futures)
+
+        def __del__(self) -> None:
+            where.append(threading.current_thread())
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Noted)
+    with pytest.raises(WorkerError, match="ended 3 times"), executor(1, apart=True) as one:
+        spread(one, deadly, [1])
+    assert set(where) == {threading.main_thread()}
 
 
 def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:

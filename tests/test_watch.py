@@ -1,8 +1,14 @@
 """Following a campaign from elsewhere: what is seen while it runs, when it waits, when it is over."""
 
 import json
+import socket
+import struct
 import subprocess
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.error import HTTPError
@@ -11,11 +17,16 @@ from urllib.request import Request, urlopen
 import pytest
 
 import dragrig
+from dragrig.campaigns import begin
 from dragrig.cli import main
-from dragrig.config.errors import RunFileError
+from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
-from dragrig.session_state import STATE_FILE, SessionState, read_state
+from dragrig.rig.runfile.model import Status
+from dragrig.session_state import LOCK_FILE, STATE_FILE, SessionState, alone_in, read_state
+from dragrig.sessions import Terms
+from dragrig.setup import resolve
 from dragrig.watch_page import served
 from dragrig.watching import CampaignState, CampaignWatch
 
@@ -124,6 +135,82 @@ def test_a_damaged_state_is_no_state(content: str, tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
     (tmp_path / STATE_FILE).write_text(content, "utf-8")
     assert CampaignWatch(tmp_path).look().said == "no session is at work here"
+
+
+def test_a_session_that_has_not_said_anything_yet_is_not_over(tmp_path: Path) -> None:
+    (tmp_path / "session-1.toml").touch()
+    with alone_in(tmp_path):
+        state = CampaignWatch(tmp_path).look()
+    assert (state.doing, state.over) == ("preparing", False)
+    assert not (tmp_path / LOCK_FILE).exists()
+
+
+def test_one_session_of_a_campaign_at_a_time(tmp_path: Path) -> None:
+    """Not a run is being recorded: the other session waits for a person."""
+    folder = tmp_path / "runs" / "one"
+    told: list[str] = []
+
+    class Second(Nobody):
+        def ask(self, prompt: Prompt) -> Answer:
+            for again in (
+                lambda: dragrig.resume(folder),
+                lambda: dragrig.run("blank", out=folder, assignments=["rig.sampling.rate_hz=200"]),
+            ):
+                with pytest.raises(OutputError) as refused:
+                    again()
+                told.append(str(refused.value))
+            told.append(CampaignWatch(folder).look().doing)
+            return super().ask(prompt)
+
+    plan = tmp_path / "one.toml"
+    plan.write_text(PLAN, "utf-8")
+    dragrig.run(str(plan), out=folder, person=Second()).session.require()
+    assert len(told) == 3
+    assert all("another session of this campaign is at work" in one for one in told[:2])
+    assert told[2] == "asking"
+    assert len(list(folder.glob("session-*.toml"))) == 1
+
+
+def test_sessions_that_begin_in_one_moment_have_a_folder_each(tmp_path: Path) -> None:
+    at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
+    setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
+    with ThreadPoolExecutor(4) as some:
+        made = list(some.map(lambda _: begin(setup, None, Terms(Path(), origin=at), None), range(4)))
+    assert [one.session.status for one in made] == [Status.COMPLETE] * 4
+    names = sorted(one.folder.name for one in made)
+    assert names == ["20260504-093000-blank", *(f"20260504-093000-blank-{nth}" for nth in (2, 3, 4))]
+
+
+def test_runs_made_again_or_skipped_count_once(tmp_path: Path) -> None:
+    plan = tmp_path / "some.toml"
+    plan.write_text(PLAN.replace("prompt =", "prompt_each = true\nprompt ="), "utf-8")
+    folder = tmp_path / "some"
+    answers = iter((Answer.DONE, Answer.REDO, Answer.DONE, Answer.SKIP))
+    at: list[tuple[int, int]] = []
+
+    class Person(Nobody):
+        def ask(self, prompt: Prompt) -> Answer:
+            return next(answers)
+
+        def run_begins(self, run: PlannedRun, order: int) -> None:
+            state = read_state(folder)
+            assert state is not None
+            at.append((state.made, state.runs))
+
+    dragrig.run(str(plan), out=folder, person=Person()).session.require()
+    assert at == [(1, 4), (2, 4), (1, 4), (2, 4)]
+
+
+def test_a_browser_that_goes_away_is_no_matter(seen: Onlooker, capfd: pytest.CaptureFixture[str]) -> None:
+    with served(0) as page:
+        page.html = b"x" * (1 << 24)
+        with socket.create_connection(("127.0.0.1", page.port)) as gone:
+            gone.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
+            assert gone.recv(10)
+            gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        while [one for one in threading.enumerate() if "process_request_thread" in one.name]:
+            time.sleep(0.01)
+    assert capfd.readouterr().err == ""
 
 
 def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The pages that look at runs and diagnose them, used as a person uses them, on real files."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -154,7 +155,7 @@ def test_chosen_runs_are_exported_from_the_menu(page: LookPage, until: Until, na
 def test_leaving_the_folder_field_keeps_what_is_selected(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     page.browser.folder.editingFinished.emit()
-    assert not page.browser._background.busy
+    assert not page.browser._listing.busy
     assert len(page.browser.selected()) == 1
 
 
@@ -163,6 +164,26 @@ def test_another_folder_is_looked_at(page: LookPage, until: Until, tmp_path: Pat
     until(lambda: not top_items(page.browser.tree))
     press(page.browser.again)
     assert not page.browser.selected()
+
+
+def test_campaigns_that_are_opened_at_once_are_all_filled(page: LookPage, until: Until, tmp_path: Path) -> None:
+    for name in ("one", "two", "three"):
+        shutil.copytree(page.browser.campaign() or tmp_path, tmp_path / name)
+    page.browser.open_folder(str(tmp_path))
+    page.browser.folder.setText("half a new pa")  # typed on while the folder before is still being listed
+    until(lambda: len(top_items(page.browser.tree)) == 3)
+    for item in top_items(page.browser.tree):
+        item.setExpanded(True)
+    until(lambda: [item.childCount() for item in top_items(page.browser.tree)] == [4, 4, 4])
+
+
+def test_no_export_is_dropped_for_a_later_one(page: LookPage, until: Until, tmp_path: Path) -> None:
+    choose(page, until, 0, 1)
+    for name in FORMATS:
+        (tmp_path / name).mkdir()
+        page.export_to(tmp_path / name, name)
+    until(lambda: not page._exporting.busy)
+    assert [len(list((tmp_path / name).iterdir())) for name in FORMATS] == [2] * len(FORMATS)
 
 
 def test_lost_samples_stay_a_gap(folder: Path) -> None:

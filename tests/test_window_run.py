@@ -16,6 +16,7 @@ from pytestqt.qtbot import QtBot
 
 import dragrig
 from dragrig.engine_host.messages import Answer, RigTerms, Status
+from dragrig.plan_forms import form_of
 from dragrig.rig.runfile import campaign
 from dragrig.window.main_window import MainWindow
 from dragrig.window.remembered import Remembered
@@ -110,6 +111,7 @@ def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until
     until(lambda: not window.run.under_way)
     entry = window.run.queue.entries[-1]
     assert entry.stage is Stage.COMPLETE
+    assert "A session is under way" not in window.run.devices.told.text()
     made = campaign(Path(entry.folder))
     assert [run.status for run in made.runs] == [Status.COMPLETE, Status.COMPLETE]
     assert {run.header.entry["operator"] for run in made.runs} == {"A. Person"}
@@ -290,7 +292,14 @@ def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: U
     assert pid is not None
     os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
     until(window.notices.lost.isVisible)
+    fill(window)
+    press(window.run.new.start)
+    assert "the engine has ended" in window.notices.complaint_text.text()
+    assert not window.run.under_way
+    assert [one.stage for one in window.run.queue.entries] == [Stage.WAITING]
     press(window.notices.restart)
+    press(window.run.start_queue)  # before the new one is there
+    assert [one.stage for one in window.run.queue.entries] == [Stage.WAITING]
     until(lambda: window.guard.text() == "guard: TRIPPED")
     assert window.engine.pid != pid
     assert not window.notices.lost.isVisible()
@@ -309,13 +318,17 @@ def test_only_the_last_seconds_are_shown_when_asked_for(window: MainWindow, unti
 
 def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
     first = opened(qtbot, lab, tmp_path / "window.ini")
-    first.run.new.plans.setCurrentIndex(first.run.new.plans.findData("blank"))
+    file = tmp_path / "own.toml"
+    file.write_text('name = "own"\n[[steps]]\nkind = "blank"\n', "utf-8")
+    first.run.new.open_file(str(file))
     first.run.new.operator.setText("B. Person")
     first.run.new.mirror.setText("/second disk")
+    first.run.new.pace.setCurrentText("as fast as it can")
     first.close_in_order("closed")
     second = opened(qtbot, lab, tmp_path / "window.ini")
     try:
-        assert second.run.new.plans.currentData() == "blank"
+        assert second.run.new.plans.currentData() == str(file)
+        assert second.run.new.chosen_pace == "fast"
         assert second.run.new.operator.text() == "B. Person"
         assert second.run.new.chosen_mirror == Path("/second disk")
     finally:
@@ -362,3 +375,31 @@ def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tm
     assert "there is no such folder" in below[file.name]
     assert f"{entry.mirror.missing[0][0]}" in window.notices.complaint_text.text()
     assert "NOT IN THE MIRROR" in item.text(3)
+
+
+def test_a_plan_that_was_offered_can_be_chosen_again(window: MainWindow) -> None:
+    plans = window.run.new.plans
+    window.run.offer_and_queue("next experiment", form_of("coulomb"))
+    offered = plans.currentIndex()
+    plans.setCurrentIndex(plans.findData("drag"))
+    plans.setCurrentIndex(offered)
+    assert window.run.new.plan().name == "coulomb"
+    assert window.run.preview.summary.text() != "This plan cannot be used yet"
+
+
+def test_a_question_of_a_reset_is_put_also_after_a_stop(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
+    """On a rig that needs hands; its double asks as it does."""
+    window = opened(qtbot, lab, tmp_path / "window.ini", backend="hardware", double=True, pace=7.0)
+    try:
+        assert window.run.new.chosen_pace == 7.0
+        press(window.stop_button)
+        press(window.notices.reset)
+        until(window.notices.question.isVisible)
+        press(window.notices.answers[Answer.ABORT])
+        until(lambda: window.notices.complaint.isVisible() and window.notices.reset.isEnabled())
+        press(window.notices.reset)
+        until(window.notices.question.isVisible)
+        press(window.notices.answers[Answer.DONE])
+        until(lambda: window.guard.text() == "guard: armed")
+    finally:
+        window.close_in_order("the test is over")

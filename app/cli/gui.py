@@ -1,5 +1,7 @@
 """`dragrig gui`."""
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +53,11 @@ def _show(terms: "RigTerms", lab: Path | None) -> int:
         from dragrig.window.application import show
     except ImportError as error:
         raise SettingsError(_what_lacks(error)) from error
+    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
+        raise SettingsError(
+            "gui: there is no screen here, neither DISPLAY nor WAYLAND_DISPLAY is set; sit at the machine itself, or "
+            "connect with ssh -X."
+        )
     return show(terms, lab)
 
 

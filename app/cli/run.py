@@ -1,5 +1,6 @@
 """`dragrig run`."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -141,4 +142,5 @@ def _plain_run(one: "RunResult") -> dict[str, object]:
 
 def _tell_aloud(sentence: str) -> None:
     # From the mirror's thread, and whatever --quiet says: a copy that is not there must be known of.
-    click.echo(f"\n{sentence}", err=True)
+    with suppress(OSError):  # a terminal that was closed hears nothing, and the copying goes on
+        click.echo(f"\n{sentence}", err=True)

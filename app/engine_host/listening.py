@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from threading import Event as Signal
 from threading import Lock, Thread
 
-from dragrig.engine_host.messages import SILENCE_S, Abort, Answer, Event, Leave, Reply, Request, Start
+from dragrig.engine_host.messages import SILENCE_S, Abort, Answer, Beat, Event, Leave, Reply, Request
 
 _WAKE_S = 0.25
 GONE = "the window is gone"
@@ -44,6 +44,8 @@ class Mouth:
 class Ear:
     """Hears requests on a thread of its own: stops and answers at once, the others in order from `next`.
 
+    A stop is for what had been asked before it came, under way or still to be begun, and for nothing asked later.
+
     Attributes
     ----------
     gone
@@ -53,8 +55,9 @@ class Ear:
     def __init__(self, connection: "Connection[Event, Request]", silence_s: float = SILENCE_S) -> None:
         self._connection = connection
         self._silence_s = silence_s
-        self._requests: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[int, Request] | None] = queue.SimpleQueue()
         self._lock = Lock()
+        self._heard = self._at_hand = self._stopped = 0
         self._stop: Callable[[str], None] | None = None
         self._stop_reason = ""
         self._questions: dict[int, queue.SimpleQueue[Answer]] = {}
@@ -63,28 +66,39 @@ class Ear:
 
     def next(self) -> Request | None:
         """Wait for a request; none once the client is gone."""
-        return None if self.gone.is_set() else self._requests.get()
+        found = None if self.gone.is_set() else self._requests.get()
+        if found is None:
+            return None
+        with self._lock:
+            self._at_hand, request = found
+        return request
 
     def stops(self, stop: Callable[[str], None] | None) -> None:
-        """Name what stops the session under way; a stop that came before it is passed on now."""
+        """Name what stops the request at hand; a stop that came before it is passed on now."""
         with self._lock:
-            self._stop, reason = stop, self._stop_reason
+            self._stop, reason = stop, self._stop_reason if self._ending else ""
         if stop is not None and reason:
             stop(reason)
 
-    def await_answer(self, question: int) -> Answer:
-        """Wait for the answer to a question; abort where the session is to end."""
+    def await_answer(self, question: int, put: Callable[[], None]) -> Answer:
+        """Put a question and wait for its answer; abort where the request at hand is to end."""
         box: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         with self._lock:
             self._questions[question] = box
-            ending = bool(self._stop_reason)
-        if ending:
-            box.put(Answer.ABORT)
+            if self._ending:
+                box.put(Answer.ABORT)
         try:
+            # Not before there is a box for the answer, which may be quick.
+            put()
             return box.get()
         finally:
             with self._lock:
                 del self._questions[question]
+
+    @property
+    def _ending(self) -> bool:
+        """Whether the request at hand is to end; asked with the lock held."""
+        return self._at_hand <= self._stopped
 
     def _listen(self) -> None:
         reason = GONE
@@ -114,19 +128,18 @@ class Ear:
                     box = self._questions.get(question)
                 if box is not None:
                     box.put(answer)
-            case Start():
-                with self._lock:
-                    self._stop_reason = ""
-                self._requests.put(request)
-            case Leave():
+            case Beat() | Leave():
                 pass
             case _:
-                self._requests.put(request)
+                with self._lock:
+                    self._heard += 1
+                    self._requests.put((self._heard, request))
 
     def _end(self, reason: str) -> None:
         with self._lock:
-            self._stop_reason = self._stop_reason or reason
-            stop, boxes = self._stop, tuple(self._questions.values())
+            if self._stopped < self._heard:  # else all that was asked is to end already, for the reason given first
+                self._stopped, self._stop_reason = self._heard, reason
+            stop, reason, boxes = self._stop, self._stop_reason, tuple(self._questions.values())
         if stop is not None:
             stop(reason)
         for box in boxes:

@@ -26,8 +26,8 @@ class RemotePerson:
     def ask(self, prompt: Prompt) -> Answer:
         """Put a prompt and wait for the answer; abort when the session is to end."""
         question = next(self._numbers)
-        self._mouth.say(Asked(question, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands))
-        return self._ear.await_answer(question)
+        asked = Asked(question, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
+        return self._ear.await_answer(question, lambda: self._mouth.say(asked))
 
     def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
         """Tell which runs are still to be made."""

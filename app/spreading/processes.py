@@ -38,6 +38,7 @@ class Processes(Executor):
 
     def __init__(self, workers: int) -> None:
         self._idle = [_lane() for _ in range(workers)]
+        self._dead: list[ProcessPoolExecutor] = []
         self._workers = workers
         self._waiting: deque[_Piece] = deque()
         self._changed = threading.Condition()
@@ -74,7 +75,7 @@ class Processes(Executor):
             one.future.cancel()
         with self._changed:
             self._changed.wait_for(lambda: len(self._idle) == self._workers and not self._waiting)
-        for lane in self._idle:
+        for lane in (*self._idle, *self._dead):
             lane.shutdown()
 
     def _deal(self) -> None:
@@ -89,7 +90,7 @@ class Processes(Executor):
                 try:
                     inner = lane.submit(piece.call)
                 except BrokenProcessPool:  # its process died while it had nothing to do
-                    lane.shutdown(wait=False)
+                    self._dead.append(lane)
                     lane = _lane()
                     inner = lane.submit(piece.call)
                 inner.add_done_callback(partial(self._ended, piece, lane))
@@ -99,7 +100,9 @@ class Processes(Executor):
         died = isinstance(error, BrokenProcessPool)
         with self._changed:
             if died:
-                lane.shutdown(wait=False)
+                # From Python 3.12 on a broken pool calls this with its lock held: shutting it down here, or letting go
+                # of it, would wait for that lock for ever.
+                self._dead.append(lane)
                 lane = _lane()
                 piece.lives -= 1
             again = died and piece.lives > 0 and not self._abandoned

@@ -1,4 +1,4 @@
-"""Work on files beside the screen's thread; the last piece of work that was asked for counts."""
+"""Work on files beside the screen's thread."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -32,7 +32,7 @@ class _Work(QRunnable):
 
 
 class Background(QObject):
-    """Does one kind of work, one piece at a time; a newer piece makes the results of older ones unwanted."""
+    """Does one kind of work, one piece at a time, and hands results over on the screen's thread."""
 
     def __init__(self, failed: Callable[[str], None], parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -41,7 +41,7 @@ class Background(QObject):
         self._pool.setMaxThreadCount(1)
         self._failed = failed
         self._number = 0
-        self._taken: Callable[[object], None] | None = None
+        self._wanted: dict[int, Callable[[object], None]] = {}
         self._told = _Told(self)
         self._told.done.connect(self._done)
         self._told.failed.connect(self._broke)
@@ -49,26 +49,34 @@ class Background(QObject):
     @property
     def busy(self) -> bool:
         """Whether a result is still to come."""
-        return self._taken is not None
+        return bool(self._wanted)
 
     def do(self, work: Callable[[], object], taken: Callable[[object], None]) -> None:
-        """Do some work; `taken` gets the result on the screen's thread, unless newer work was asked for meanwhile."""
-        self._number += 1
-        self._taken = taken
+        """Do some work in place of all that was asked for before, whose results are not wanted any more."""
         self._pool.clear()
+        self._wanted.clear()
+        self.do_too(work, taken)
+
+    def do_too(self, work: Callable[[], object], taken: Callable[[object], None]) -> None:
+        """Do some work after what was asked for before; `taken` gets its result."""
+        self._number += 1
+        self._wanted[self._number] = taken
         self._pool.start(_Work(self._number, work, self._told))
 
-    def wait(self) -> None:
-        """Wait until nothing is being done."""
+    def drop(self) -> None:
+        """Leave what has not begun, and wait for what has."""
         self._pool.clear()
         self._pool.waitForDone()
 
+    def finish(self) -> None:
+        """Wait until all is done."""
+        self._pool.waitForDone()
+
     def _done(self, number: int, result: object) -> None:
-        if number == self._number and self._taken is not None:
-            taken, self._taken = self._taken, None
+        taken = self._wanted.pop(number, None)
+        if taken is not None:
             taken(result)
 
     def _broke(self, number: int, sentence: str) -> None:
-        if number == self._number:
-            self._taken = None
+        if self._wanted.pop(number, None) is not None:
             self._failed(sentence)

@@ -94,6 +94,7 @@ class MainWindow(QMainWindow):
                 self.notices.lost.hide()
                 self.run.devices.look()
             case Latched(reason):
+                self.notices.nothing_asked()
                 self.notices.latched(reason)
                 self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
             case Asked():
@@ -104,6 +105,7 @@ class MainWindow(QMainWindow):
             case Warned(sentence):
                 self.notices.complain(sentence)
             case Refused(sentence):
+                self.notices.nothing_asked()
                 self.notices.complain(sentence)
                 self.notices.reset.setEnabled(True)
             case Lost(exit_code):

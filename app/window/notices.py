@@ -77,8 +77,11 @@ class Notices(QWidget):
         self.nothing_asked()
         self.trip.hide()
         self.lost_text.setText(
-            f"THE ENGINE HAS ENDED (exit code {exit_code}). A drive that no longer hears it stops by itself; what was "
-            "recorded is finished with dragrig recover, or when its campaign goes on."
+            "THE ENGINE HAS ENDED, because it heard nothing from this window for too long: the stage was stopped, and "
+            "the run under way finished."
+            if exit_code == 0
+            else f"THE ENGINE HAS ENDED (exit code {exit_code}). A drive that no longer hears it stops by itself; what "
+            "was recorded is finished with dragrig recover, or when its campaign goes on."
         )
         self.lost.show()
 

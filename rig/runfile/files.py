@@ -21,15 +21,12 @@ _SHARING_PAUSE_S = 0.05
 
 
 class BusyError(OutputError):
-    """Another process, alive, is writing this run."""
+    """Another process, alive, is at work on this."""
 
 
 @contextlib.contextmanager
 def writing(run: Path) -> Iterator[None]:
     """Be the only writer of a run, of all processes, until the block ends or the process dies.
-
-    The operating system holds the lock of a small file beside the run, so that it ends with its process.
-    A Python without file locks writes unguarded.
 
     Raises
     ------
@@ -37,7 +34,23 @@ def writing(run: Path) -> Iterator[None]:
         When another process, or this one elsewhere, is writing the run.
     """
     path = lock_path(run)
-    descriptor = _locked(path)
+    with locked(path, f"{path.with_suffix('')}: another process is writing this run; let it finish"):
+        yield
+
+
+@contextlib.contextmanager
+def locked(path: Path, busy: str) -> Iterator[None]:
+    """Be the only one of all processes to hold the lock of a small file, until the block ends or the process dies.
+
+    The operating system holds the lock, so that it ends with its process; the file is made and removed. A file system
+    or a Python without file locks guards nothing.
+
+    Raises
+    ------
+    BusyError
+        With this sentence, when another process, or this one elsewhere, holds it.
+    """
+    descriptor = _locked(path, busy)
     try:
         yield
     finally:
@@ -50,7 +63,7 @@ def writing(run: Path) -> Iterator[None]:
             os.close(descriptor)
 
 
-def _locked(path: Path) -> int:
+def _locked(path: Path, busy: str) -> int:
     while True:
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -60,7 +73,7 @@ def _locked(path: Path) -> int:
             ) from None
         if not _try_lock(descriptor):
             os.close(descriptor)
-            raise BusyError(f"{path.with_suffix('')}: another process is writing this run; let it finish")
+            raise BusyError(busy)
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor
@@ -121,8 +134,13 @@ def put_in_place(part: Path, target: Path) -> None:
         When Windows keeps the old one open for too long, or the folder refuses.
     """
     sync_file(part)
-    _patiently(lambda: part.replace(target), target)
+    give_name(part, target)
     sync_folder(target.parent)
+
+
+def give_name(part: Path, target: Path) -> None:
+    """Give a file its name at once, unsynced; raises as `put_in_place`."""
+    _patiently(lambda: part.replace(target), target)
 
 
 def drop(part: Path) -> None:

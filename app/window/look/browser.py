@@ -43,7 +43,8 @@ class Browser(QWidget):
         self.tree.itemSelectionChanged.connect(self._select)
         self.settings = table(("Setting", "Value"))
         self.settings.setAccessibleName("Settings of the chosen run")
-        self._background = Background(self.complained.emit, self)
+        self._listing = Background(self.complained.emit, self)
+        self._opening = Background(self.complained.emit, self)
         self._wanted: Path | None = None
         self._listed = ""
         layout = column(
@@ -57,13 +58,13 @@ class Browser(QWidget):
     @property
     def busy(self) -> bool:
         """Whether a folder is being read."""
-        return self._background.busy
+        return self._listing.busy or self._opening.busy
 
     def refresh(self) -> None:
         """Look again what is there."""
         self._listed = self.folder.text()
         folder = Path(self._listed)
-        self._background.do(lambda: campaigns_below(folder), self._list)
+        self._listing.do(lambda: campaigns_below(folder), self._list)
 
     def look_at(self, folder: Path) -> None:
         """Show a campaign and select its runs."""
@@ -91,7 +92,8 @@ class Browser(QWidget):
 
     def close_down(self) -> None:
         """Wait for what is being read."""
-        self._background.wait()
+        self._listing.drop()
+        self._opening.drop()
 
     def _edited(self) -> None:
         # Qt tells of this whenever the field is left, and a new list would forget what is selected.
@@ -101,7 +103,7 @@ class Browser(QWidget):
     def _list(self, found: object) -> None:
         folders = [one for one in found if isinstance(one, Path)] if isinstance(found, tuple) else []
         self.tree.clear()
-        root = Path(self.folder.text())
+        root = Path(self._listed)
         for folder in folders:
             name = folder.name if folder == root else str(folder.relative_to(root))
             item = QTreeWidgetItem([name, "", ""])
@@ -116,7 +118,8 @@ class Browser(QWidget):
 
     def _open(self, item: QTreeWidgetItem) -> None:
         if item.childCount() == 0:
-            self._background.do(lambda: shown_campaign(Path(item.toolTip(0))), self._put)
+            folder = Path(item.toolTip(0))
+            self._opening.do_too(lambda: shown_campaign(folder), self._put)
 
     def _put(self, found: object) -> None:
         if not isinstance(found, ShownCampaign):

@@ -82,14 +82,15 @@ class LookPage(QWidget):
         self._remembered.keep("filter window", self.overlay.window_ms.value())
         self._remembered.keep("filter order", float(self.overlay.order.value()))
         self.browser.close_down()
-        for one in (self._traces, self._table, self._exporting):
-            one.wait()
+        for one in (self._traces, self._table):
+            one.drop()
+        self._exporting.finish()
 
     def export_to(self, folder: Path, name: str) -> None:
         """Write the chosen runs into a folder."""
         paths, kind = [one.path for one in self._chosen], FORMATS[name]
         self.state.setText(f"Writing {len(paths)} runs …")
-        self._exporting.do(lambda: export(paths, folder, kind), self._exported)
+        self._exporting.do_too(lambda: export(paths, folder, kind), self._exported)
 
     def _choose(self, runs: Sequence[ShownRun]) -> None:
         self._chosen = list(runs)

@@ -29,12 +29,13 @@ class NewSession(QWidget):
 
     def __init__(self, rig: RigTerms, words: RigInWords, lab: Path | None, remembered: Remembered) -> None:
         super().__init__()
-        self._rig, self._remembered = rig, remembered
+        self._rig, self._words, self._remembered = rig, words, remembered
         self._form: PlanForm | None = None
+        self._offered: dict[str, PlanForm] = {}
         self.session: PlannedSession | None = None
         self.plans = QComboBox()
         self.plans.setAccessibleName("Plan")
-        for name in known_plans(lab):
+        for name in known_plans(None if lab is None else lab.absolute()):
             self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
         self.open = button("&Open …", self._choose_file, help_="A plan from a file")
         self.editor = PlanEditor()
@@ -47,8 +48,9 @@ class NewSession(QWidget):
             "&Folder …", self._choose_mirror, help_="A folder on another disk for second copies"
         )
         self.pace = QComboBox()
-        self._paces = {} if words.real else _DOUBLE_PACES if words.title == "DOUBLE" else _PACES
+        self._paces = _paces(rig, words)
         self.pace.addItems(list(self._paces))
+        self._choose_pace(rig.pace)
         self.queue = button("Add to &queue", lambda: self.wanted.emit(False), help_="Put it at the end of the queue")
         self.start = button(
             "&Start", lambda: self.wanted.emit(True), "main", "Put it into the queue and start", "Ctrl+Return"
@@ -73,13 +75,16 @@ class NewSession(QWidget):
 
     def begin(self) -> None:
         """Show the plan of the last time, or the first."""
-        place = self.plans.findData(self._remembered.text("plan", "drag"))
+        last = self._remembered.text("plan", "drag")
         with QSignalBlocker(self.plans):
-            self.plans.setCurrentIndex(max(place, 0))
+            if self.plans.findData(last) < 0 and Path(last).is_file():
+                self.plans.addItem(Path(last).stem, last)
+            self.plans.setCurrentIndex(max(self.plans.findData(last), 0))
         self._load(str(self.plans.currentData()))
 
     def offer(self, name: str, plan: PlanForm) -> None:
-        """Show a plan that comes from elsewhere."""
+        """Show a plan that comes from elsewhere; it can be chosen again for as long as the window is open."""
+        self._offered[name] = plan
         with QSignalBlocker(self.plans):
             if self.plans.findData(name) < 0:
                 self.plans.addItem(plan.plan.name, name)
@@ -108,9 +113,12 @@ class NewSession(QWidget):
 
     def keep(self) -> None:
         """Remember what is chosen."""
-        self._remembered.keep("plan", str(self.plans.currentData()))
+        if (plan := str(self.plans.currentData())) not in self._offered:
+            self._remembered.keep("plan", plan)
         self._remembered.keep("operator", self.operator.text())
         self._remembered.keep("mirror", self.mirror.text().strip())
+        if self._paces:
+            self._remembered.keep(f"pace, {self._words.title}", self.pace.currentText())
 
     def _lay_out(self) -> None:
         form = QFormLayout()
@@ -134,6 +142,12 @@ class NewSession(QWidget):
         inside = column(label("New session", "title"), head, self.editor, form, row(1, self.queue, self.start))
         inside.setStretch(2, 1)
         self.setLayout(column(card(inside)))
+
+    def _choose_pace(self, asked: Pace | None) -> None:
+        """Choose the pace that was asked for with the rig, or else that of the last time."""
+        wanted = next((name for name, pace in self._paces.items() if pace == asked), "")
+        place = self.pace.findText(wanted or self._remembered.text(f"pace, {self._words.title}"))
+        self.pace.setCurrentIndex(max(place, 0))
 
     def _choose_file(self) -> None:
         dialog = QFileDialog(self, "Open a plan", self._remembered.text("plan folder"), "Plans (*.toml)")
@@ -160,7 +174,7 @@ class NewSession(QWidget):
 
     def _load(self, name: str) -> None:
         try:
-            form = form_of(name)
+            form = self._offered.get(name) or form_of(name)
         except DragrigError as error:
             self._form = None
             self.start.setEnabled(False)
@@ -173,3 +187,12 @@ class NewSession(QWidget):
         self._form = form
         self.editor.edit(form)
         self.look()
+
+
+def _paces(rig: RigTerms, words: RigInWords) -> dict[str, Pace]:
+    """Return the paces that this rig may have, by their names; the one asked for among them."""
+    if words.real:
+        return {}
+    known = _DOUBLE_PACES if words.title == "DOUBLE" else _PACES
+    asked = rig.pace
+    return {**known, f"{asked:g} times faster": asked} if isinstance(asked, int | float) else known

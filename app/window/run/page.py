@@ -57,7 +57,7 @@ class RunPage(QWidget):
         self._engine = engine
         self._goes_on = False
         self._told_at = 0.0
-        self._latched = ""
+        self._latched = "the engine is not there yet"
         self.queue = Queue()
         self.new = NewSession(rig, words, lab, remembered)
         self.preview, self.live = Preview(), LiveView()
@@ -113,9 +113,10 @@ class RunPage(QWidget):
         entry = self.queue.next
         if self.under_way or entry is None:
             return
-        if self._latched:
+        if self._engine.lost or self._latched:
             self._goes_on = False
-            self.complained.emit(f"{entry.title} waits in the queue: the guard is tripped; reset it, then start again.")
+            why = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
+            self.complained.emit(f"{entry.title} waits in the queue: {why}, then start the queue.")
             return
         entry.stage = Stage.RUNNING
         self._engine.ask(Start(entry.job))
@@ -149,8 +150,9 @@ class RunPage(QWidget):
                 self.devices.show_found(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
             case Lost():
-                self._goes_on = False
-                self.queue.is_lost("the engine is gone")
+                self._goes_on, self._latched = False, "the engine is gone"
+                self.queue.is_lost(self._latched)
+                self.devices.give_up()
             case _:
                 return
         self._show_state()
@@ -176,7 +178,9 @@ class RunPage(QWidget):
         else:
             self._goes_on = False
             self.live.begin(f"Ended early: {event.reason}")
-            if event.status is not Status.TRIPPED:
+            if event.status is Status.TRIPPED:
+                self._latched = event.reason
+            else:
                 self.complained.emit(f"The session ended early: {event.reason}")
         if self._goes_on:
             self.go_on()

@@ -32,7 +32,9 @@ class Entry:
     runs, ended
         Its runs once it has begun, and how those that are over ended, by their index.
     under_way
-        The run that moves, and how far it is [s].
+        The run that moves, and `elapsed_s` how far it is [s].
+    at
+        Index of the run that began last; those before it were made or skipped, and those after it are to come.
     mirror
         What is in the mirror once it is over; none without one.
     """
@@ -47,6 +49,7 @@ class Entry:
     runs: tuple[RunLine, ...] = ()
     ended: dict[int, RunEnded] = field(default_factory=dict)
     under_way: RunLine | None = None
+    at: int = -1
     elapsed_s: float = 0.0
     real_time: bool = True
     mirror: InMirror | None = None
@@ -65,13 +68,18 @@ class Entry:
         """Time of the runs that are still to be made."""
         if self.stage is not Stage.RUNNING:
             return self.seconds if self.stage is Stage.WAITING else 0.0
-        left = sum(self.took(one) for one in self.runs if one.index not in self.ended)
         if not self.runs:
             return self.seconds
-        if self.under_way is not None and self.under_way.index not in self.ended:
-            rest = self.under_way.wait_s if self.real_time else 0.0
-            left -= rest + min(self.elapsed_s, self.under_way.duration_s)
+        left = sum(self.took(one) for one in self.runs if one.index > self.at)
+        if self.under_way is not None:
+            left += self.under_way.duration_s - min(self.elapsed_s, self.under_way.duration_s)
         return max(left, 0.0)
+
+    @property
+    def place(self) -> int:
+        """Which of its runs it is at, from 1: the one that moves, or the one that is next."""
+        begun = sum(one.index <= self.at for one in self.runs)
+        return min(begun + (self.under_way is None), max(self.count, 1))
 
     @property
     def share(self) -> float:
@@ -140,7 +148,7 @@ class Queue:
     def run_begins(self, event: RunBegan) -> None:
         """Note which run moves."""
         if (entry := self.current) is not None:
-            entry.under_way, entry.elapsed_s = event.run, 0.0
+            entry.under_way, entry.at, entry.elapsed_s = event.run, event.run.index, 0.0
             entry.ended.pop(event.run.index, None)
 
     def run_ends(self, event: RunEnded) -> None:

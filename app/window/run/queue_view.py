@@ -61,11 +61,10 @@ class QueueView(QWidget):
             self.progress.setFormat(f"not running; {told}")
             return
         self.progress.setValue(round(1000 * entry.share))
-        place = min(len(entry.ended) + 1, max(entry.count, 1))
         more = f"; {waiting} more waiting, {duration(self._queue.left_s)} in all" if waiting else ""
         # A dry run's rests take no time, and nobody knows how fast it is.
         left = f", {duration(entry.left_s)} left" if entry.real_time else ""
-        self.progress.setFormat(f"{entry.title}: run {place} of {entry.count}{left}{more}")
+        self.progress.setFormat(f"{entry.title}: run {entry.place} of {entry.count}{left}{more}")
 
     def _rebuild(self) -> None:
         chosen = self._chosen()

@@ -1,0 +1,66 @@
+"""The host's ear by itself: what is said while a request is at hand, before it, and when there is none."""
+
+import queue
+from collections.abc import Iterator
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+
+import pytest
+
+from dragrig.engine_host.listening import Ear
+from dragrig.engine_host.messages import Abort, Answer, Examine, Job, Reply, Reset, Start
+
+Client = Connection
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[Client, Ear]]:
+    client, host = Pipe()
+    ear = Ear(host, silence_s=600.0)
+    yield client, ear
+    client.close()
+    while ear.next() is not None:
+        pass
+    host.close()
+
+
+def test_an_answer_that_is_quicker_than_its_question_is_heard(pair: tuple[Client, Ear]) -> None:
+    client, ear = pair
+    client.send(Reset())
+    assert ear.next() == Reset()
+
+    def put() -> None:
+        client.send(Reply(1, Answer.SKIP))
+        client.send(Examine())
+        assert ear.next() == Examine()  # so that what was sent before it has been heard
+
+    assert ear.await_answer(1, put) is Answer.SKIP
+
+
+def test_a_stop_with_nothing_under_way_ends_nothing_that_is_asked_later(pair: tuple[Client, Ear]) -> None:
+    client, ear = pair
+    client.send(Abort("nothing moves"))
+    client.send(Reset())
+    assert ear.next() == Reset()
+    stopped: list[str] = []
+    ear.stops(stopped.append)
+    assert ear.await_answer(1, lambda: client.send(Reply(1, Answer.DONE))) is Answer.DONE
+    assert stopped == []
+
+
+def test_a_stop_is_for_what_was_asked_before_it_and_keeps_its_first_reason(pair: tuple[Client, Ear]) -> None:
+    client, ear = pair
+    first, second = Start(Job(1, "drag")), Start(Job(2, "drag"))
+    for request in (first, Abort("Escape"), Abort("again"), second, Examine()):
+        client.send(request)
+    stopped: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
+    assert ear.next() == first
+    ear.stops(lambda reason: stopped.put((1, reason)))
+    assert stopped.get(timeout=50) == (1, "Escape")
+    assert ear.await_answer(1, lambda: None) is Answer.ABORT
+    ear.stops(None)
+    assert ear.next() == second
+    ear.stops(lambda reason: stopped.put((2, reason)))
+    assert ear.await_answer(2, lambda: client.send(Reply(2, Answer.DONE))) is Answer.DONE
+    while not stopped.empty():
+        assert stopped.get() == (1, "Escape")
