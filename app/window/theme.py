@@ -47,7 +47,9 @@ QComboBox QAbstractItemView {{ background: {PAPER}; selection-background-color: 
 QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid {GRID};
     alternate-background-color: {SURFACE};
     selection-background-color: #CFE6F5; selection-color: {BLACK}; }}
-QHeaderView::section {{ background: {SURFACE}; border: none; border-bottom: 1px solid {GRID}; padding: 5px;
+QTableWidget::item {{ padding: 0 7px; }}
+QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
+QHeaderView::section {{ background: {SURFACE}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
     color: {GREY}; }}
 QTabBar::tab {{ background: transparent; padding: 8px 16px; border: none; color: {GREY}; }}
 QTabBar::tab:selected {{ color: {BLACK}; font-weight: 600; border-bottom: 3px solid {BLUE}; }}

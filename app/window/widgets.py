@@ -1,5 +1,6 @@
 """Small widgets that every page is made of."""
 
+import re
 from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import Qt
@@ -20,6 +21,8 @@ from PySide6.QtWidgets import (
     QVBoxLayout,
     QWidget,
 )
+
+_NUMBER = re.compile(r"[-−+]?[\d.]+( \S+){0,3}")
 
 
 def label(text: str = "", role: str = "", *, wrap: bool = False) -> QLabel:
@@ -97,6 +100,7 @@ def table(header: Sequence[str]) -> QTableWidget:
     made.setTabKeyNavigation(False)
     made.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
     made.horizontalHeader().setStretchLastSection(True)
+    made.horizontalHeader().setHighlightSections(False)
     made.horizontalHeader().setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
     return made
 
@@ -109,7 +113,7 @@ def fill(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool =
             item = QTableWidgetItem(text)
             item.setToolTip(text)
             # The last column is as wide as is left.
-            if numbers and place < len(cells) - 1 and (text[:1].isdigit() or text[:1] in {"-", "−", "+"}):
+            if numbers and place < len(cells) - 1 and _NUMBER.fullmatch(text):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             target.setItem(at, place, item)
 

@@ -127,7 +127,10 @@ class Browser(QWidget):
         for item in top_items(self.tree):
             if item.toolTip(0) == str(found.folder) and item.childCount() == 0:
                 for run in found.runs:
-                    child = QTreeWidgetItem([run.words, f"BAD: {run.bad}" if run.bad else run.status, run.start])
+                    # The day stands in the campaign's name, and where the mouse is.
+                    begun = run.start.split()[-1]
+                    child = QTreeWidgetItem([run.words, f"BAD: {run.bad}" if run.bad else run.status, begun])
+                    child.setToolTip(2, run.start)
                     child.setData(0, _RUN, run)
                     item.addChild(child)
                 if item.isSelected():

@@ -40,7 +40,7 @@ class Panel:
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_BEHIND)
         item.getAxis("left").setWidth(84)
-        self._plot.setMinimumHeight(120)
+        self._plot.setMinimumHeight(145)
         self._item = item
         self._lines: list[Line] = []
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
