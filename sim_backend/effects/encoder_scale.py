@@ -18,6 +18,7 @@ class EncoderScale(EncoderEffect):
     summary: ClassVar[str] = "The encoder's counts times its pitch is not the distance."
     exposes: ClassVar[str] = "position against command, in proportion to travel"
     source: ClassVar[str] = "error of scale; Slocum, Precision Machine Design, chapter 4"
+    aliases: ClassVar[tuple[str, ...]] = ("velocity_ripple",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("scale_error", "1", Role.SIZE, 0.002, -0.1, 0.1, "relative"),
     )

@@ -22,7 +22,7 @@ class MesenteryTether(ForceEffect):
     summary: ClassVar[str] = "The mesentery or the fixture pulls back late in the stroke."
     exposes: ClassVar[str] = "growth beyond some position of drag runs, and what stays of it in the hold"
     source: ClassVar[str] = "toe and linear region of a slack membrane taken up; Fung, Biomechanics (1993), chapter 7"
-    aliases: ClassVar[tuple[str, ...]] = ("film_depletion",)
+    aliases: ClassVar[tuple[str, ...]] = ("film_depletion", "force_drift")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "pull 10 mm beyond the onset"),
         EffectParameter(

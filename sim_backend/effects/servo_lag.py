@@ -23,6 +23,7 @@ class ServoLag(MotorEffect):
     summary: ClassVar[str] = "The stage lags behind its command and overshoots at the end."
     exposes: ClassVar[str] = "position against command, in proportion to speed"
     source: ClassVar[str] = "second-order servo loop with velocity feed-forward; Ellis, Control System Design Guide"
+    aliases: ClassVar[tuple[str, ...]] = ("channel_latency",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter("lag_s", "s", Role.SIZE, 0.01, 0.0, 0.5, "time behind the command at constant speed"),
         EffectParameter(
