@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from dragrig.analysis.gap.evidence import Evidence
 from dragrig.analysis.gap.results import BeforeAfter, Diagnosis, Ranked
-from dragrig.analysis.gap.sentences import name_of
+from dragrig.analysis.gap.sentences import name_of, shrink_sentences
 from dragrig.cli.gap.printing import show
 from dragrig.cli.gap.telling import diagnosis_parts, shrink_parts
 from dragrig.figures.gap_before_after import gap_before_after_figure, representative
@@ -127,6 +127,15 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
     with redirect_stdout(out):
         show(shrink_parts(worse))
     assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in out.getvalue()
+
+
+def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
+    beyond = replace(shrink(), closed=1.01, closed_95ci=(1.0, 1.05))
+    said = shrink_sentences(beyond)[1]
+    assert (
+        said
+        == "The whole gap closes (101 %; 95 %: 100 % to 105 %): less is left than noise and scatter of repeats make."
+    )
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:

@@ -50,10 +50,14 @@ def shrink_sentences(shrink: Shrink, *, named: bool = True) -> tuple[str, ...]:
     if shrink.closed is None or not isfinite(shrink.closed):
         sizes = f"Root mean square of the residual{runs}: {before}; {floor}."
         return sizes, "That is hardly above them, so that no share of a gap can be said to close."
-    closed = f"{percent(shrink.closed)} of the gap closes"
+    said, interval = percent(shrink.closed), ""
     if shrink.closed_95ci is not None:
         low, high = shrink.closed_95ci
-        closed += f" (95 %: {percent(low)} to {percent(high)})"
+        interval = f"95 %: {percent(low)} to {percent(high)}"
+    if shrink.closed > 1:
+        exactly = "; ".join(one for one in (said, interval) if one)
+        return sizes, f"The whole gap closes ({exactly}): less is left than noise and scatter of repeats make."
+    closed = f"{said} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
 
 

@@ -28,7 +28,7 @@ class Results(QWidget):
         self.ranking = Bars()
         self.hypotheses = table(("Hypothesis", "Probability", "Takes away, held out", ""))
         self.hypotheses.setAccessibleName("Ranking of hypotheses")
-        self.places = table(("Along", "Where", "Chance without a gap"))
+        self.places = table(("Along", "Where", "By chance"))
         self.places.setAccessibleName("Where the gap is")
         self.map = QSvgWidget()
         self.map.setAccessibleName("Map of where the gap is")

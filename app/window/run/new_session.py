@@ -125,7 +125,7 @@ class NewSession(QWidget):
         form.addRow("Operator", self.operator)
         form.addRow("Note", self.note)
         if self._paces:
-            form.addRow("Lives", self.pace)
+            form.addRow("Pace", self.pace)
         copies = row(self.mirror, self.choose_mirror)
         copies.setStretch(0, 1)
         form.addRow("Second copy", copies)
