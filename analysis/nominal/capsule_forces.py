@@ -34,6 +34,10 @@ RELAXED = 1e-9
 """A contact whose wall has relaxed to this share no longer knows its age."""
 
 
+RECORDED = MotionProfile.from_pieces(())
+"""The profile of a run whose motion comes from the record: one for all, so that alike acquisitions are equal."""
+
+
 def acquisition_of(experiment: Experiment) -> Acquisition:
     """Return what the friction model must know of a run; its motion comes from the record.
 
@@ -50,7 +54,7 @@ def acquisition_of(experiment: Experiment) -> Acquisition:
         run_id=header.run_id,
         order=header.order,
         kind=experiment.kind,
-        profile=MotionProfile.from_pieces(()),
+        profile=RECORDED,
         capsule=experiment.capsule,
         specimen=specimen,
         fixture=experiment.fixture,
