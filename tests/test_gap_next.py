@@ -52,6 +52,15 @@ def test_what_is_recommended_keeps_its_promise(found: NextExperiment) -> None:
     assert after.separation > 1.5 * before.separation
 
 
+def test_a_run_that_is_not_needed_is_told_as_such(found: NextExperiment) -> None:
+    assert not any(one.surer for one in found.runs)
+    settled = dragrig.next_experiment("paper", between=("folds", "hyperelastic_wall"), minutes=5.0)
+    assert settled is not None
+    assert all(one.surer for one in settled.runs)
+    assert settled.why.startswith("What is likely is told apart well enough already.")
+    assert "already" not in found.why
+
+
 def test_rig_time_and_limits_are_kept(found: NextExperiment) -> None:
     assert 0 < found.minutes <= 5.0
     checked = dragrig.check(plan_of(found))

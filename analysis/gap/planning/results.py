@@ -38,12 +38,15 @@ class NextRun:
         Rig time with rests and ways back, of all repeats.
     before, after
         The contest that it decides most, without it and with it.
+    surer
+        Whether all is answered well enough without it.
     """
 
     step: Step
     minutes: float
     before: Contest
     after: Contest
+    surer: bool = False
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -62,7 +65,7 @@ class NextExperiment:
     tried
         How many settings were compared.
     why
-        One plain sentence.
+        Why, in plain words.
     """
 
     runs: tuple[NextRun, ...]

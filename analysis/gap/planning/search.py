@@ -48,7 +48,8 @@ def search(
     if not found and budget.enough < float("inf"):
         # All is answered well enough already; what would make it surer still is told all the same.
         surer = replace(budget, enough=float("inf"))
-        found = _chosen(ground, questions, list(zip(trials, grams, strict=True)), surer)
+        more = _gathered(_chosen(ground, questions, list(zip(trials, grams, strict=True)), surer))
+        return tuple(replace(one, surer=True) for one in more)
     return _gathered(found)
 
 

@@ -32,11 +32,11 @@ def run_in_words(step: Step) -> str:
 
 
 def why(run: NextRun, tried: int) -> str:
-    """Say in one sentence why a run is recommended, with numbers."""
+    """Say why a run is recommended, with numbers, and that it need not be where that is so."""
     said = f"{capital(run_in_words(run.step))} {what_it_does(run.before, run.after)}"
     return (
-        f"{said} in {run.minutes:.1f} min of rig time, "
-        f"more per minute than any other of {tried} runs that were compared."
+        f"{'What is likely is told apart well enough already. ' if run.surer else ''}{said} "
+        f"in {run.minutes:.1f} min of rig time, more per minute than any other of {tried} runs that were compared."
     )
 
 

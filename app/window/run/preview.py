@@ -8,7 +8,7 @@ from dragrig.window.plots.panel import Panel
 from dragrig.window.widgets import column, fill, give_role, label, table
 from dragrig.wording import duration, size
 
-_HEADER = ("Run", "What", "Capsule", "From (mm)", "To (mm)", "Speed (mm/s)", "Rest", "Takes", "Asks before")
+_HEADER = ("Run", "What", "Capsule", "Lowest (mm)", "Highest (mm)", "Speed (mm/s)", "Rest", "Takes", "Asks before")
 
 
 class Preview(QWidget):
