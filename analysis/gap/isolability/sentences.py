@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from dragrig.analysis.gap.isolability.results import Isolability, Pair, Visibility
 from dragrig.analysis.gap.sentences import capital, counted, listed, name_of
 
+NAMES = {"coulomb": "Coulomb"}
+
 
 def isolability_sentences(found: Isolability) -> tuple[str, ...]:
     """Return what matters most, the first sentence first."""
@@ -26,7 +28,7 @@ def pair_in_words(one: Pair) -> str:
 
 def _sentences(found: Isolability) -> Iterator[str]:
     made = "would make" if found.planned else "are"
-    counts = listed([counted(number, f"{kind} run") for kind, number in found.runs.items()])
+    counts = listed([counted(number, f"{NAMES.get(kind, kind)} run") for kind, number in found.runs.items()])
     time = "" if found.duration_s is None else f" in {found.duration_s / 60:.1f} min of rig time"
     confused = found.confused
     if confused:
