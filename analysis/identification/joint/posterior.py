@@ -148,7 +148,7 @@ def _remarks(
         )
     if assumed:
         yield (
-            "no run rests long enough to show its noise, so that the usual one was assumed: nothing tells whether the "
+            "no run rests long enough to show its noise, so that one was assumed: nothing tells whether the "
             f"model holds, and the intervals were widened by {np.sqrt(widened):.2f} for what it leaves"
         )
 
