@@ -1,7 +1,9 @@
 """The page that runs plans, used as a person uses it: every button, with a real engine on the simulated rig."""
 
+import gc
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -276,6 +278,29 @@ def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainW
     assert looked == [entries[1].folder]
     press(view.clear)
     assert window.run.queue.entries == []
+
+
+def test_garbage_is_collected_on_the_screens_thread_alone(window: MainWindow, until: Until) -> None:
+    """On another thread it would take plots apart that are being drawn, and both would wait for ever."""
+    collected_by: list[threading.Thread] = []
+
+    class Knot:
+        def __init__(self) -> None:
+            self.me = self
+
+        def __del__(self) -> None:
+            collected_by.append(threading.current_thread())
+
+    def litter() -> None:
+        for _ in range(20_000):
+            Knot()
+
+    until(lambda: not gc.isenabled())
+    reader = threading.Thread(target=litter)
+    reader.start()
+    reader.join()
+    until(lambda: len(collected_by) == 20_000)
+    assert set(collected_by) == {threading.main_thread()}
 
 
 def test_every_device_is_shown(window: MainWindow, until: Until) -> None:

@@ -30,6 +30,7 @@ from dragrig.window.look.page import LookPage
 from dragrig.window.notices import Notices
 from dragrig.window.remembered import Remembered
 from dragrig.window.run.page import RunPage
+from dragrig.window.tidying import Tidying
 from dragrig.window.widgets import button, card, column, holder, label, row
 
 
@@ -54,6 +55,8 @@ class MainWindow(QMainWindow):
         silence_s: float = SILENCE_S,
     ) -> None:
         super().__init__()
+        self._tidying = Tidying(self)
+        self._tidying.begin()
         self._remembered = remembered or Remembered()
         self.words = rig_in_words(rig)
         self.setWindowTitle(f"dragrig: {self.words.name}, {self.words.title}")
@@ -147,6 +150,7 @@ class MainWindow(QMainWindow):
         application = QApplication.instance()
         if application is not None:
             application.removeEventFilter(self)
+        self._tidying.end()
         super().closeEvent(event)
 
     def _look_at(self, folder: str) -> None:
