@@ -80,6 +80,18 @@ def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: d
             assert sd < 0.1 * abs(terms[name])
 
 
+def test_a_law_is_looked_for_where_a_single_relaxation_comes_first() -> None:
+    def drags_and_the_hold(one: ResidualBlocks) -> FloatArray:
+        return rise_and_fall(one) + 40.0 * (one.phase == Phase.HOLD) * (one.kind == "relaxation")
+
+    blocks = campaign(1, drags_and_the_hold)
+    kept = [one for one in blocks if one.kind != "relaxation" or one.run_id == blocks[0].run_id]
+    part = part_of(locate(kept, present=True), kept)
+    assert {one.strain for one in part.blocks} == {0.0, 0.5}
+    law = find_law(part)
+    assert law is None or np.isfinite(law.coefficients).all()
+
+
 def test_what_follows_the_measured_force_is_told_as_such() -> None:
     made = [replace(one, level_mN=200.0 + 30.0 * np.sqrt(speed(one)) * np.cos(one.position_mm)) for one in campaign(3)]
     planted = [

@@ -65,10 +65,10 @@ def library(part: Part) -> Library:
     for name, of in _variables(order).items():
         if not name.startswith(leave):
             columns[name] = np.concatenate([of(one)[at] for one, at in zip(part.blocks, part.inside, strict=True)])
-    simple = {name: one for name, one in columns.items() if name == "1" or np.ptp(one) > LEAST_CHANGE * abs(one).max()}
+    simple = {name: one for name, one in columns.items() if name == "1" or _varies(one)}
     bare = [name for name in simple if name != "1" and not name.endswith("²")]
-    pairs = {f"{one}·{other}": simple[one] * simple[other] for one, other in combinations(bare, 2)}
-    pairs.pop("v·ln(v)", None)
+    products = {f"{one}·{other}": simple[one] * simple[other] for one, other in combinations(bare, 2)}
+    pairs = {name: one for name, one in products.items() if _varies(one) and name != "v·ln(v)"}
     terms = {**simple, **pairs}
     inside = list(zip(part.blocks, part.inside, strict=True))
     return Library(
@@ -79,6 +79,10 @@ def library(part: Part) -> Library:
         weight=np.concatenate([(one.weight / (part.scale * one.noise_sd) ** 2)[at] for one, at in inside]),
         run=np.concatenate([np.full(np.count_nonzero(at), number) for number, (_, at) in enumerate(inside)]),
     )
+
+
+def _varies(values: FloatArray) -> bool:
+    return bool(np.ptp(values) > LEAST_CHANGE * abs(values).max())
 
 
 def _left_out(part: Part) -> tuple[str, ...]:
