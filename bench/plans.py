@@ -2,8 +2,9 @@
 
 `python bench/plans.py compare --cases 20 --seed 7100` makes the runs of `paper` and of `diagnose` on the blind plant,
 with the same hidden effects, and counts right verdicts of either. The plant has no reversals: those of `diagnose` are
-left out. `python bench/plans.py advice --seed 7200` diagnoses thin campaigns, then each again with the same runs made a
-second time, and with the runs that the diagnosis advised in as much rig time.
+left out. `python bench/plans.py advice --seed 7400` diagnoses campaigns of five first runs, then each again with these
+runs made a second time, and with the runs that the diagnosis advised in at most as much rig time. `--workers` share the
+cases, and a second call with the same `--out` goes on where the first was stopped.
 """
 
 import os
@@ -14,8 +15,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import argparse
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from dragrig.analysis.gap.choosing import choose
 from dragrig.analysis.gap.diagnose import Options, diagnose
@@ -28,29 +31,36 @@ from dragrig.config.model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.setup import PlanLike, resolve
 from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, Listed, Secret, draw, make
+from dragrig.spreading import executor, spread
 
-Table = Mapping[str, str | float]
 KINDS = ("drag", "coulomb", "relaxation", "blank")
 LATER_S = 120.0
-THIN = Plan.model_validate(
+SURE = 0.8
+FIRST = Plan.model_validate(
     {
-        "name": "thin",
+        "name": "first",
         "steps": [
-            {"kind": "relaxation", "shear_strain": [1.0, 2.0]},
+            {"kind": "relaxation", "shear_strain": 1.0},
             {"kind": "blank", "speed_mm_s": 40.0, "wait_s": 5.0},
-            {"kind": "drag", "speed_mm_s": [1.0, 20.0, 5.0, 60.0]},
+            {"kind": "drag", "speed_mm_s": [20.0, 5.0, 60.0]},
         ],
     }
 )
-DOUBTFUL = (
-    "stribeck", "adhesion", "wall_lift_off", "wall_inertia", "film_depletion", "hyperelastic_wall",
-    "extra_relaxation", "payload_inertia", "presliding", "breakaway", "mesentery_tether", "force_drift",
-)  # fmt: skip
+OF_THE_FORCE = tuple(name for name in CATALOGUE if name not in ("servo_lag", "velocity_ripple", "encoder_scale"))
 
 
-def tables(plan: PlanLike, begin_s: float = 0.0) -> tuple[list[Table], float]:
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A hidden effect, empty for none, at a size, and the seed that all else is drawn from."""
+
+    seed: int
+    effect: str
+    size: float
+
+
+def tables(plan: PlanLike, begin_s: float = 0.0) -> tuple[list[Mapping[str, str | float]], float]:
     """Return a plan's runs as the plant reads them, and when the last one ends, rests and ways back counted."""
-    found: list[Table] = []
+    found: list[Mapping[str, str | float]] = []
     time_s = begin_s
     for run in resolve(plan, backend="simulated").programme().runs:
         time_s += run.wait_s + run.tare_s
@@ -69,7 +79,7 @@ def told(secret: Secret, listed: Listed, budget: Budget | None = None) -> Diagno
         return diagnose(choose(Path(folder)), CapsuleModel(FrictionModelSettings(name="paper")), options)
 
 
-def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> dict[str, object]:
+def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> Mapping[str, object]:
     """Return what was said and whether it is right: the name among those said, or the verdict without one."""
     said = diagnosis.effects or (diagnosis.verdict.value,)
     meant = set(truth)
@@ -77,7 +87,7 @@ def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> dict[str, object]:
     return {"said": list(said), "right": meant <= set(said), "alone": meant == set(said), "of_truth": round(sure, 3)}
 
 
-def mix(cases: int) -> list[tuple[str, float]]:
+def mix(cases: int, seed: int) -> list[Case]:
     """Return what is hidden: of ten, five at a third, two at full size, one at a tenth, one foreign, one nothing."""
     names = list(CATALOGUE)
     sizes = (1 / 3, 1 / 3, 1.0, 1 / 3, 1 / 10, 1 / 3, 1.0, 1 / 3)
@@ -85,46 +95,46 @@ def mix(cases: int) -> list[tuple[str, float]]:
     for number in range(cases):
         place = number % 10
         if place == 8:
-            found.append((list(OUTSIDE)[(3 * number) % len(OUTSIDE)], 1.0))
+            found.append(Case(seed + number, list(OUTSIDE)[(3 * number) % len(OUTSIDE)], 1.0))
         elif place == 9:
-            found.append(("", 0.0))
+            found.append(Case(seed + number, "", 0.0))
         else:
-            found.append((names[(7 * number) % len(names)], sizes[place]))
+            found.append(Case(seed + number, names[(7 * number) % len(names)], sizes[place]))
     return found
 
 
-def compare(cases: int, seed: int, out: Path) -> None:
-    """Diagnose the same hidden effects by the runs of two plans."""
+def compared(case: Case) -> dict[str, object]:
+    """Diagnose the same hidden effect by the runs of two plans."""
+    secret = draw(case.seed, effects=[case.effect] if case.effect else None, size=case.size or 1.0)
+    truth = [case.effect] if case.effect in CATALOGUE else ["unknown" if case.effect else "no_gap"]
     plans = {name: Listed.of(name, tables(name)[0]) for name in ("paper", "diagnose")}
-    for number, (effect, size) in enumerate(mix(cases)):
-        secret = draw(seed + number, effects=[effect] if effect else None, size=size or 1.0)
-        truth = [effect] if effect in CATALOGUE else ["unknown" if effect else "no_gap"]
-        found = {name: entry(told(secret, listed), truth) for name, listed in plans.items()}
-        keep(out, {"seed": seed + number, "hidden": effect, "size": size, **found})
-    summarise(out, ("paper", "diagnose"))
+    return {name: entry(told(secret, listed), truth) for name, listed in plans.items()}
 
 
-def advice(seed: int, out: Path, sizes: Sequence[float]) -> None:
-    """Diagnose thin campaigns, then the same with their runs again, and with advised runs in as much rig time."""
-    first, ends_s = tables(THIN)
-    again, _ = tables(THIN, ends_s + LATER_S)
+def advised(case: Case) -> dict[str, object]:
+    """Diagnose first runs, then these with the same again, and with advised runs in at most as much rig time."""
+    first, ends_s = tables(FIRST)
+    again, _ = tables(FIRST, ends_s + LATER_S)
     budget = Budget(ends_s / 60, 30, limits=Limits(kinds=KINDS))
-    cases = [(name, size) for size in sizes for name in DOUBTFUL]
-    for number, (effect, size) in enumerate(cases):
-        secret = draw(seed + number, effects=[effect], size=size)
-        thin = told(secret, Listed.of("thin", first), budget)
-        advised = thin.next_experiment
-        more = [] if advised is None else tables(plan_of(advised), ends_s + LATER_S)[0]
-        found = {
-            "thin": entry(thin, [effect]),
-            "repeated": entry(told(secret, Listed.of("thin", [*first, *again])), [effect]),
-            "advised": entry(told(secret, Listed.of("thin", [*first, *more])), [effect]),
-        }
-        minutes = 0.0 if advised is None else round(advised.minutes, 2)
-        told_runs = [] if advised is None else [f"{one.step.kind} {dict(one.settings)}" for one in advised.runs]
-        one = {"seed": seed + number, "hidden": effect, "size": size, "minutes": minutes, "runs": told_runs, **found}
-        keep(out, one)
-    summarise(out, ("thin", "repeated", "advised"))
+    secret = draw(case.seed, effects=[case.effect], size=case.size)
+    before = told(secret, Listed.of("first", first), budget)
+    advice = before.next_experiment
+    more = [] if advice is None else tables(plan_of(advice), ends_s + LATER_S)[0]
+    return {
+        "first": entry(before, [case.effect]),
+        "repeated": entry(told(secret, Listed.of("first", [*first, *again])), [case.effect]),
+        "advised": entry(told(secret, Listed.of("first", [*first, *more])), [case.effect]),
+        "minutes": 0.0 if advice is None else round(advice.minutes, 2),
+        "runs": [] if advice is None else [f"{one.step.kind} {dict(one.settings)}" for one in advice.runs],
+    }
+
+
+def hold(what: str, cases: Sequence[Case], out: Path, workers: int) -> None:
+    """Diagnose all cases that have no line in the results yet."""
+    there = {one["seed"] for one in lines_of(out)}
+    waiting = [one for one in cases if one.seed not in there]
+    with executor(workers) as here:
+        spread(here, WAYS[what].work, waiting, lambda case, found: keep(out, {**asdict(case), **found}))
 
 
 def keep(out: Path, one: Mapping[str, object]) -> None:
@@ -134,43 +144,61 @@ def keep(out: Path, one: Mapping[str, object]) -> None:
     print(json.dumps({key: value for key, value in one.items() if key != "runs"}), flush=True)
 
 
+def lines_of(out: Path) -> list[dict[str, Any]]:
+    """Return the results that are there."""
+    return [json.loads(line) for line in out.read_text("utf-8").splitlines()] if out.exists() else []
+
+
 def summarise(out: Path, ways: Sequence[str]) -> None:
-    """Print rates with Wilson intervals, by size."""
+    """Print rates with Wilson intervals, by size, and how the last way differs from the one before, case by case."""
     from scipy.stats import binomtest
 
-    lines = [json.loads(line) for line in out.read_text("utf-8").splitlines()]
+    lines = lines_of(out)
     sizes = sorted({round(one["size"], 3) for one in lines}, reverse=True)
-    for label, kept in [
-        ("all", lines),
-        *((str(size), [o for o in lines if round(o["size"], 3) == size]) for size in sizes),
-    ]:
+    groups = [("all", lines), *((str(size), [o for o in lines if round(o["size"], 3) == size]) for size in sizes)]
+    for label, kept in groups:
         for way in ways:
-            right = sum(one[way]["right"] for one in kept)
+            right, alone = (sum(one[way][key] for one in kept) for key in ("right", "alone"))
             interval = binomtest(right, len(kept)).proportion_ci(method="wilson")
-            sure = sum(one[way]["of_truth"] for one in kept) / len(kept)
-            alone = sum(one[way]["alone"] for one in kept)
+            mean = sum(one[way]["of_truth"] for one in kept) / len(kept)
+            sure = sum(one[way]["right"] and one[way]["of_truth"] > SURE for one in kept)
             print(
                 f"{label:6s} {way:9s} {right} of {len(kept)} right ({interval.low:.2f} to {interval.high:.2f}), "
-                f"{alone} alone, mean probability of the truth {sure:.2f}"
+                f"{alone} alone, {sure} above {SURE}, mean probability of the truth {mean:.2f}"
             )
+    before, after = ways[-2:]
+    for key, least in (("right", 0.0), (f"right above {SURE}", SURE)):
+        held = [[one[way]["right"] and one[way]["of_truth"] > least for way in (before, after)] for one in lines]
+        won, lost = held.count([False, True]), held.count([True, False])
+        chance = binomtest(won, won + lost).pvalue if won + lost else 1.0
+        print(f"{key}: {won} cases with {after} only, {lost} with {before} only (sign test: p = {chance:.3f})")
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A question: what is done with a case, and which answers are set beside each other."""
+
+    work: Callable[[Case], dict[str, object]]
+    told: tuple[str, ...]
+
+
+WAYS = {"compare": Way(compared, ("paper", "diagnose")), "advice": Way(advised, ("first", "repeated", "advised"))}
 
 
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("compare", "advice", "score"))
-    parser.add_argument("--cases", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=7100)
+    parser.add_argument("what", choices=tuple(WAYS))
+    parser.add_argument("--cases", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=7400)
     parser.add_argument("--sizes", type=float, nargs="+", default=[1 / 3, 1.0])
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("plans.jsonl"))
     given = parser.parse_args()
-    if given.what == "compare":
-        compare(given.cases, given.seed, given.out)
-    elif given.what == "advice":
-        advice(given.seed, given.out, given.sizes)
-    else:
-        ways = ("thin", "repeated", "advised") if "thin" in given.out.read_text("utf-8") else ("paper", "diagnose")
-        summarise(given.out, ways)
+    hidden = [(size, effect) for size in given.sizes for effect in OF_THE_FORCE]
+    of_advice = [Case(given.seed + number, effect, size) for number, (size, effect) in enumerate(hidden)]
+    hold(given.what, of_advice if given.what == "advice" else mix(given.cases, given.seed), given.out, given.workers)
+    summarise(given.out, WAYS[given.what].told)
 
 
 if __name__ == "__main__":

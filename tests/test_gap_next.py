@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from diagnoses import STRIBECK
+from listed_runs import table
 
 import dragrig
 from dragrig.analysis.gap.planning.results import Contest, NextExperiment, NextRun
@@ -19,6 +20,7 @@ from dragrig.config.specimen import Specimen
 from dragrig.gap_json import gap_document
 from dragrig.planning import save_plan
 from dragrig.reports.gap.page import page
+from dragrig.sim_backend.blind import Listed, draw, make
 
 DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
 BETWEEN = ("stribeck", "adhesion")
@@ -59,6 +61,18 @@ def test_a_run_that_is_not_needed_is_told_as_such(found: NextExperiment) -> None
     assert all(one.surer for one in settled.runs)
     assert settled.why.startswith("What is likely is told apart well enough already.")
     assert "already" not in found.why
+
+
+def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path) -> None:
+    """The contests between catalogue effects are decided soon here; whether it is one of them is not."""
+    drags = [table("drag", 200.0 * number, speed_mm_s=speed) for number, speed in enumerate((20.0, 5.0, 60.0), 1)]
+    few = Listed.of("few", [table("relaxation", 0.0, hold_s=60.0), *drags])
+    make(draw(112, effects=["peristalsis"], size=1 / 3), tmp_path / "few", runs=few)
+    assert dragrig.diagnose(tmp_path / "few").ranking[0].probability < 0.9
+    found = dragrig.next_experiment(tmp_path / "few", minutes=5.0)
+    assert found is not None
+    assert found.minutes > 4.0
+    assert not any(one.surer for one in found.runs)
 
 
 def test_rig_time_and_limits_are_kept(found: NextExperiment) -> None:

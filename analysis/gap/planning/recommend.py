@@ -8,10 +8,11 @@ import numpy as np
 
 from dragrig.analysis.gap.capsule_study import CapsuleStudy
 from dragrig.analysis.gap.design import Design
+from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN
 from dragrig.analysis.gap.planning.contests import Ground, Question, Truth
 from dragrig.analysis.gap.planning.imagined import specimen_of
 from dragrig.analysis.gap.planning.results import NextExperiment, NextRun
-from dragrig.analysis.gap.planning.search import Budget, search
+from dragrig.analysis.gap.planning.search import UNBOUNDED, Budget, search
 from dragrig.analysis.gap.planning.trials import Limits, few, many
 from dragrig.analysis.gap.planning.words import why
 from dragrig.analysis.gap.ranking import Ranked
@@ -19,6 +20,9 @@ from dragrig.analysis.gap.seen import SEEN
 from dragrig.analysis.gap.study import Study
 
 LEADING = 3
+SURE = 0.9
+"""Below this probability of what is named, runs go on where the contests alone seem decided: these know the catalogue's
+forms only."""
 LEAST_WEIGHT = 0.05
 """A leading effect counts for so much however improbable it is."""
 
@@ -60,7 +64,8 @@ def recommend(
     trials = [one for one in grid if limits.allow(one)]
     if not asked or not trials:
         return None
-    wanted = budget if gap else replace(budget, enough=float("inf"))
+    sure = max((value for name, value in probabilities.items() if name not in (NO_GAP, UNKNOWN)), default=0.0) > SURE
+    wanted = replace(budget, spent_whole=not sure) if gap else replace(budget, enough=UNBOUNDED)
     return experiment_of(search(study, design, asked, trials, wanted), len(trials))
 
 

@@ -14,19 +14,30 @@ from dragrig.rig.arrays import FloatArray
 
 LEAST_GAIN = 1e-3
 """Less than this, in log odds, is nothing."""
+UNBOUNDED = float("inf")
 HANDS_MIN = 2.0
 """What changing to another fixture counts beside the rig time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How much rig time, how many runs, and from which log odds on nothing more is wanted."""
+    """How much rig time, how many runs, and when nothing more is wanted.
+
+    Attributes
+    ----------
+    enough
+        Log odds beyond which a contest is decided.
+    spent_whole
+        Whether time that is left once all is decided is spent on making it surer.
+    limits
+        Of the rig; what the campaign's own runs say unless given.
+    """
 
     minutes: float = float("inf")
     runs: int = 1
     enough: float = ENOUGH
+    spent_whole: bool = False
     limits: Limits | None = None
-    """Of the rig; what the campaign's own runs say unless given."""
 
 
 def search(
@@ -45,9 +56,9 @@ def search(
     ground = Ground.of(design, effects)
     grams = _grams(replace(study, effects=tuple(one for one in study.effects if one.id in effects)), design, trials)
     found = _chosen(ground, questions, list(zip(trials, grams, strict=True)), budget)
-    if not found and budget.enough < float("inf"):
+    if not found and budget.enough < UNBOUNDED:
         # All is answered well enough already; what would make it surer still is told all the same.
-        surer = replace(budget, enough=float("inf"))
+        surer = replace(budget, enough=UNBOUNDED)
         more = _gathered(_chosen(ground, questions, list(zip(trials, grams, strict=True)), surer))
         return tuple(replace(one, surer=True) for one in more)
     return _gathered(found)
@@ -57,22 +68,25 @@ def _chosen(
     ground: Ground, questions: Sequence[Question], tried: Sequence[tuple[Trial, FloatArray]], budget: Budget
 ) -> list[tuple[Trial, Contest, Contest]]:
     chosen: list[tuple[Trial, Contest, Contest]] = []
-    spent, fitted = 0.0, set[Fixture]()
+    spent, fitted, enough = 0.0, set[Fixture](), budget.enough
     while len(chosen) < budget.runs:
-        now = worth(ground, questions, budget.enough)
+        now = worth(ground, questions, enough)
         best, most = None, 0.0
         for trial, gram in tried:
             if spent + trial.minutes > budget.minutes:
                 continue
-            gain = worth(ground.with_run(gram), questions, budget.enough) - now
+            gain = worth(ground.with_run(gram), questions, enough) - now
             by_hand = 0.0 if trial.run.fixture in fitted else HANDS_MIN
             if gain > LEAST_GAIN and gain / (trial.minutes + by_hand) > most:
                 best, most = (trial, gram), gain / (trial.minutes + by_hand)
+        if best is None and budget.spent_whole and enough < UNBOUNDED:
+            enough = UNBOUNDED
+            continue
         if best is None:
             break
         trial, gram = best
         after = ground.with_run(gram)
-        chosen.append((trial, *_decided(ground, after, questions, budget.enough)))
+        chosen.append((trial, *_decided(ground, after, questions, enough)))
         ground, spent = after, spent + trial.minutes
         fitted.add(trial.run.fixture)
     return chosen
