@@ -1,7 +1,7 @@
 """What the force channel shows of a capsule that sticks, slides or touches nothing, by the friction model."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +64,10 @@ def acquisition_of(experiment: Experiment) -> Acquisition:
     )
 
 
+def _unnamed(acquisition: Acquisition) -> Acquisition:
+    return replace(acquisition, run_id="", order=0)
+
+
 @dataclass(frozen=True, eq=False)
 class NoForce(Predictor):
     """A blank run: nothing but the sensor's zero and noise."""
@@ -99,6 +103,11 @@ class StickingPredictor(Predictor):
     def events_s(self) -> FloatArray:
         """Where the motion bends."""
         return self.experiment.motion.breaks_s
+
+    @property
+    def likeness(self) -> Hashable:
+        """All but which run it is."""
+        return _unnamed(self.acquisition), self.experiment.followed, self.settings, self.names
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict the shear force, all of which is stiffness."""
@@ -157,6 +166,11 @@ class SlidingPredictor(Predictor):
             nominal = self.settings.contact_angle_offset_deg
             found += [self._begins(nominal + turn * ANGLE_SD_DEG) for turn in (-2.0, 0.0, 2.0)]
         return np.unique(np.concatenate(found))
+
+    @property
+    def likeness(self) -> Hashable:
+        """All but which run it is."""
+        return _unnamed(self.acquisition), self.motion, self.settings, self.names, self.obeyed
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict f_e + f_v + f_c as the force channel shows them."""

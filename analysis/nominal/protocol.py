@@ -5,7 +5,7 @@ defaults. Values of parameters travel as arrays in the order of `NominalModel.pa
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
@@ -97,6 +97,14 @@ class Predictor(Protocol):
     def events_s(self) -> FloatArray:
         """Times within the run at which the prediction may jump or bend, shape `(K,)`."""
         ...
+
+    @property
+    def likeness(self) -> Hashable:
+        """What is equal where the same is predicted whatever the values and times; unless said, each is its own.
+
+        Of predictors that are alike one is asked for all, as of repeats whose motion is the same bit for bit.
+        """
+        return id(self)
 
     @abstractmethod
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:

@@ -73,7 +73,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileMotion:
-    """A motion profile, its pieces divided where they turn round."""
+    """A motion profile, its pieces divided where they turn round; equal to another of the same pieces."""
 
     breaks_s: FloatArray
     signs: SignArray
@@ -81,6 +81,19 @@ class ProfileMotion:
     start_mm: FloatArray
     velocity_mm_s: FloatArray
     acceleration_mm_s2: FloatArray
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all pieces are the same, bit for bit."""
+        return self is other or (isinstance(other, ProfileMotion) and self._bits == other._bits)
+
+    def __hash__(self) -> int:
+        """Follow `==`."""
+        return hash(self._bits)
+
+    @property
+    def _bits(self) -> tuple[bytes, ...]:
+        state = (self.breaks_s, self.signs, self.uniform, self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
+        return tuple(one.tobytes() for one in state)
 
     @classmethod
     def of(cls, profile: MotionProfile) -> "ProfileMotion":

@@ -1,6 +1,6 @@
 """The friction of one acquisition, from settings to force."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -9,7 +9,7 @@ import numpy as np
 from dragrig.config.errors import AnalysisError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import FloatArray, read_only
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
@@ -22,6 +22,8 @@ BARE = MappingProxyType({"effects": (), "identified": None, "diagnosed": None})
 """What of a model has no part in the nominal force, and would make it no key."""
 LATELY = 128
 """What a prediction prepared for each run of a campaign, the effects' scenes of the same parameters ask for again."""
+FEW = 4096
+"""Of so many times at most the parts are kept too: block means ask for these, a simulated run for far more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,8 @@ class PreparedForce:
                 f"The capsule sticks to the wall in run {self.friction.run_id!r}, so that its force has no parts "
                 "f_e, f_v and f_c; ask for the force"
             )
+        if time_s.ndim == 1 and time_s.size <= FEW:
+            return _parts(self.friction, time_s.astype(np.float64, copy=False).tobytes())
         return self.friction.components(time_s)
 
     def by_element(self, time_s: FloatArray) -> FloatArray:
@@ -97,7 +101,18 @@ def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Moti
     SettingsError
         Where the published wall parameters do not reach the strain of the contact or of the shear.
     """
-    return _prepared(acquisition, model.model_copy(update=BARE), motion)
+    # Repeats are one and the same to the force; the run is named only where a capsule sticks, in what is told of it.
+    named = acquisition.contact is Contact.STICKING
+    alike = acquisition if named else replace(acquisition, run_id="", order=0)
+    return _prepared(alike, model.model_copy(update=BARE), motion)
+
+
+@lru_cache(maxsize=LATELY)
+def _parts(friction: SlidingForce | NoFriction, time_s: bytes) -> Components:
+    found = friction.components(np.frombuffer(time_s))
+    for one in (found.f_e, found.f_v, found.f_c):
+        read_only(one)
+    return found
 
 
 @lru_cache(maxsize=LATELY)

@@ -57,6 +57,18 @@ class RecordedMotion:
     uniform: BoolArray
     fine: ProfileMotion
 
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same, bit for bit, as those of repeats that obeyed one command are."""
+        return self is other or (isinstance(other, RecordedMotion) and self._bits == other._bits)
+
+    def __hash__(self) -> int:
+        """Follow `==`."""
+        return hash(self._bits)
+
+    @property
+    def _bits(self) -> tuple[object, ...]:
+        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.fine
+
     @classmethod
     def of(cls, time_s: npt.ArrayLike, position_mm: npt.ArrayLike, jitter_mm: float = JITTER_MM) -> "RecordedMotion":
         """Prepare a measured position.

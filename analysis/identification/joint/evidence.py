@@ -1,6 +1,6 @@
 """What each run contributes to a joint fit: block means, their covariance, and what differs from run to run."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,13 @@ class Evidence:
     channel: str
     predictor: Predictor
     blocks: Blocks
+
+    @property
+    def likeness(self) -> Hashable:
+        """What is equal where the same is predicted of the same blocks, whatever was measured in them."""
+        blocks = self.blocks
+        layout = (blocks.start_s, blocks.end_s, blocks.samples, blocks.nodes_s)
+        return self.channel, self.predictor.likeness, tuple(one.tobytes() for one in layout)
 
     def predict(self, values: FloatArray) -> Prediction:
         """Predict the means of the blocks."""

@@ -1,8 +1,9 @@
 """Everything that a joint fit is made of, prepared: evidence, noise, priors."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,13 +15,17 @@ from dragrig.analysis.nominal.protocol import NominalModel, Prediction
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 
+Found = TypeVar("Found")
 WIDER = 2.0
 """A zero's standard deviation is at least this times the median distance from 0 that is seen."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """Everything that a joint fit is made of, prepared."""
+    """Everything that a joint fit is made of, prepared.
+
+    What is computed of one piece of evidence is the very same object for all that are alike.
+    """
 
     nominal: NominalModel
     scales: Scales
@@ -55,13 +60,25 @@ class Problem:
             np.array([one.sd for one in nominal.variations], dtype=np.float64),
         )
 
+    @cached_property
+    def alike(self) -> tuple[int, ...]:
+        """For each piece of evidence the first one of which the same is predicted, with the same noise: itself or a repeat."""
+        first: dict[Hashable, int] = {}
+        pieces = enumerate(zip(self.evidence, self.noises, self.zero_sds, strict=True))
+        return tuple(first.setdefault((one.likeness, noise, zero), number) for number, (one, noise, zero) in pieces)
+
+    def _once(self, found: Callable[[int], Found]) -> list[Found]:
+        """Return something of each piece of evidence by its number, computed once for those that are alike."""
+        known = {number: found(number) for number in sorted(set(self.alike))}
+        return [known[number] for number in self.alike]
+
     def predictions(self, z: FloatArray) -> list[Prediction]:
         """Return the predicted block means, one for each piece of evidence.
 
         Raises `AnalysisError`, as `uncertainties` and `derivatives` do, where the model gives no finite number.
         """
         values = self.scales.values(z)
-        found = [one.predict(values) for one in self.evidence]
+        found = self._once(lambda number: self.evidence[number].predict(values))
         for one, predicted in zip(self.evidence, found, strict=True):
             self._require_numbers(one, predicted.total, predicted.varying)
         return found
@@ -69,7 +86,7 @@ class Problem:
     def uncertainties(self, z: FloatArray) -> list[FloatArray]:
         """Return how well block means can be predicted, one standard deviation."""
         values = self.scales.values(z)
-        found = [one.uncertainty(values) for one in self.evidence]
+        found = self._once(lambda number: self.evidence[number].uncertainty(values))
         for one, uncertainty in zip(self.evidence, found, strict=True):
             self._require_numbers(one, uncertainty)
         return found
@@ -84,19 +101,20 @@ class Problem:
 
         `near` are those of the same uncertainties around another prediction, where there are any.
         """
-        known = [None] * len(self.evidence) if near is None else near
-        noisy = zip(self.evidence, self.noises, strict=True)
-        parts = zip(noisy, predictions, uncertainties, self.zero_sds, known, strict=True)
-        return tuple(
-            whitening(partial(_covariance, *noise), predicted, uncertainty, zero, self.sds, before)
-            for noise, predicted, uncertainty, zero, before in parts
-        )
+
+        def one(number: int) -> Whitening:
+            noise = partial(_covariance, self.evidence[number], self.noises[number])
+            before = None if near is None else near[number]
+            predicted, uncertainty = predictions[number], uncertainties[number]
+            return whitening(noise, predicted, uncertainty, self.zero_sds[number], self.sds, before)
+
+        return tuple(self._once(one))
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
         """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence."""
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
-        found = [(one.sensitivities(values) * slopes[:, None]).T for one in self.evidence]
+        found = self._once(lambda number: (self.evidence[number].sensitivities(values) * slopes[:, None]).T)
         for one, derivatives in zip(self.evidence, found, strict=True):
             self._require_numbers(one, derivatives)
         return found
