@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.candidate import Candidate, added, chain_of, slopes
+from dragrig.analysis.gap.sights import Sight
 from dragrig.analysis.gap.signatures import Shape, signature
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.nominal.capsule_parameters import ANGLE
 from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.scene import Scene
 
 IndexArray = npt.NDArray[np.intp]
 SECANT = 0.6
@@ -163,9 +165,8 @@ def lay_out(
     whitenings = problem.whitenings(predictions, uncertainties, None if near is None else near.whitenings)
     by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
     kept_details = None if near is None else near.columns(Part.DETAIL)
-    parts, grams = [], []
-    for number, sight in enumerate(study.sights):
-        scene, gain = study.scene(number, z)
+    parts, grams, shown = [], [], list[FloatArray]()
+    for number, (sight, (scene, gain)) in enumerate(zip(study.sights, study.scenes(z), strict=True)):
         alone = [added(chain_of([one], study.chain), scene, gain) for one in candidates]
         before = added(study.chain, scene, gain)
         together = added(chain_of(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
@@ -180,8 +181,9 @@ def lay_out(
         if foreign:
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
         if dictionary:
-            shown = np.array([signature(one, scene, gain) for one in study.shapes])
-            rows.append(sight.of_blocks(shown.reshape(len(study.shapes), scene.time_s.size)))
+            like = problem.alike[number]
+            shown.append(_shown(study.shapes, scene, gain, sight, shown[like] if like < number else None))
+            rows.append(shown[number])
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
@@ -203,6 +205,19 @@ def lay_out(
         blocks=tuple(len(one.residual) for one in parts),
         shapes=shapes,
     )
+
+
+def _shown(
+    shapes: Sequence[Shape], scene: Scene, gain: float, sight: Sight, before: FloatArray | None
+) -> FloatArray:
+    """Return what each shape changes of the blocks of a run, shape `(S, B)`; a repeat's is mostly what it was before."""
+    new = [number for number, one in enumerate(shapes) if before is None or one.effect.of_session]
+    found = np.array([signature(shapes[one], scene, gain) for one in new]).reshape(len(new), scene.time_s.size)
+    if before is None:
+        return sight.of_blocks(found)
+    whole = before.copy()
+    whole[new] = sight.of_blocks(found)
+    return whole
 
 
 def _derivatives(study: Study, z: FloatArray) -> list[FloatArray]:

@@ -44,6 +44,18 @@ class Study(ABC):
     def scene(self, number: int, z: FloatArray) -> tuple[Scene, float]:
         """Return what effects see of a run, and the gain of the channel that shows it."""
 
+    def scenes(self, z: FloatArray) -> Iterator[tuple[Scene, float]]:
+        """Give `scene` of each run in turn; that of a repeat shares all but its place in the session with the first."""
+        first: dict[int, tuple[Scene, float]] = {}
+        for number, (sight, like) in enumerate(zip(self.sights, self.problem.alike, strict=True)):
+            if like == number:
+                first[number] = self.scene(number, z)
+                yield first[number]
+                continue
+            scene, gain = first[like]
+            order = sight.experiment.run.info.header.order
+            yield replace(scene, session_start_s=sight.session_start_s, order=order), gain
+
     @abstractmethod
     def open_questions(self) -> Iterator[str]:
         """Say what these runs and this model leave open, a sentence each."""

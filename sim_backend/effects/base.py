@@ -143,6 +143,11 @@ class Effect(ABC):
         return {one.name: one.usual for one in self.parameters}
 
     @property
+    def of_session(self) -> bool:
+        """Whether it depends on when in the session a run is made; if not, repeats of a run show it alike."""
+        return self.domain is Domain.SESSION
+
+    @property
     def channel(self) -> str:
         """Channel that it shows in."""
         return "force"
