@@ -8,7 +8,15 @@ import numpy as np
 from dragrig.config.effects import EffectSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.applied import Chain
-from dragrig.sim_backend.effects.base import Effect, EffectParameter, Role
+from dragrig.sim_backend.effects.base import (
+    Effect,
+    EffectParameter,
+    EncoderEffect,
+    ForceEffect,
+    MotorEffect,
+    Role,
+    SensorEffect,
+)
 from dragrig.sim_backend.effects.scene import Scene
 
 STEP = 0.02
@@ -92,8 +100,6 @@ class Candidate:
 
 def chain_of(candidates: Sequence[Candidate], before: Chain) -> Chain:
     """Return the chain of effects that a model has already and of those thought to act."""
-    from dragrig.sim_backend.effects.base import EncoderEffect, ForceEffect, MotorEffect, SensorEffect
-
     pairs = [(one.effect, one.values) for one in sorted(candidates, key=lambda one: one.effect.id)]
     sensor = [*before.sensor, *((effect, values) for effect, values in pairs if isinstance(effect, SensorEffect))]
     return Chain(

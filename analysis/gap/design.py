@@ -134,8 +134,11 @@ class Design:
 
     def total(self, runs: Sequence[int] | None = None) -> FloatArray:
         """Sum the Gram matrices of some runs, of all unless said."""
-        chosen = self.grams if runs is None else [self.grams[one] for one in runs]
-        return np.asarray(np.sum(chosen, axis=0))
+        chosen = range(len(self.grams)) if runs is None else runs
+        whole = np.zeros_like(self.grams[0])
+        for one in chosen:
+            whole += self.grams[one]
+        return whole
 
 
 def lay_out(

@@ -36,15 +36,16 @@ def free_gain(design: Design, nuisances: Fit, pair: Sequence[int]) -> tuple[floa
     gain, runs
         The runs in which the shapes are seen; without any such thing the gain is about their number.
     """
-    rows = 1 + design.of(Part.SHAPE)[list(pair)]
+    rows = (1 + design.of(Part.SHAPE)[list(pair)]).tolist()
     columns = 1 + nuisances.columns
     gain, runs = 0.0, 0
     for gram in design.grams:
-        own = gram[np.ix_(rows, rows)]
+        of_pair = gram[rows]
+        own = of_pair[:, rows]
         strength = float(np.trace(own))
         if strength <= 1.0:
             continue
-        along = gram[rows, 0] - gram[np.ix_(rows, columns)] @ nuisances.found
+        along = of_pair[:, 0] - of_pair[:, columns] @ nuisances.found
         gain += 0.5 * float(along @ np.linalg.solve(own + 1e-6 * strength * np.eye(2), along))
         runs += 1
     return gain, runs

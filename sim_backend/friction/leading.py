@@ -24,11 +24,21 @@ def leading_motion(motion: Motion, slack_mm: float = SLACK_MM) -> Motion:
     pieces = motion.pieces()
     times = np.append(pieces.start_s, motion.breaks_s[-1])
     position = motion.position(times)
+    if _shortest_way(position) > slack_mm:
+        return motion
     turns = _turns(position, slack_mm)
     led = _monotone(position, turns)
     if np.array_equal(led, position):
         return motion
     return _following(motion, times, position, led)
+
+
+def _shortest_way(position_mm: FloatArray) -> float:
+    """Return the least distance between two turns of a position, its ends included [mm]."""
+    steps = np.diff(position_mm)
+    steps = steps[steps != 0]
+    turns = np.flatnonzero(np.sign(steps[1:]) != np.sign(steps[:-1])) + 1
+    return float(np.add.reduceat(np.abs(steps), np.append(0, turns)).min(initial=np.inf)) if steps.size else 0.0
 
 
 def _turns(position_mm: FloatArray, slack_mm: float) -> list[int]:
