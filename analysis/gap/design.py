@@ -11,13 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.candidate import Candidate, added, chain_of, slopes
-from dragrig.analysis.gap.sights import Sight
-from dragrig.analysis.gap.signatures import Shape, signature
+from dragrig.analysis.gap.signatures import Shape, signatures
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.nominal.capsule_parameters import ANGLE
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.scene import Scene
 
 IndexArray = npt.NDArray[np.intp]
 SECANT = 0.6
@@ -168,7 +166,7 @@ def lay_out(
     whitenings = problem.whitenings(predictions, uncertainties, None if near is None else near.whitenings)
     by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
     kept_details = None if near is None else near.columns(Part.DETAIL)
-    parts, grams, shown = [], [], list[FloatArray]()
+    parts, grams, known = [], [], dict[int, FloatArray]()
     for number, (sight, (scene, gain)) in enumerate(zip(study.sights, study.scenes(z), strict=True)):
         alone = [added(chain_of([one], study.chain), scene, gain) for one in candidates]
         before = added(study.chain, scene, gain)
@@ -185,8 +183,9 @@ def lay_out(
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
         if dictionary:
             like = problem.alike[number]
-            shown.append(_shown(study.shapes, scene, gain, sight, shown[like] if like < number else None))
-            rows.append(shown[number])
+            shown = signatures(study.shapes, scene, gain, known.get(like))
+            known.setdefault(like, shown)
+            rows.append(sight.of_blocks(shown))
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
@@ -210,26 +209,13 @@ def lay_out(
     )
 
 
-def _shown(
-    shapes: Sequence[Shape], scene: Scene, gain: float, sight: Sight, before: FloatArray | None
-) -> FloatArray:
-    """Return what each shape changes of the blocks of a run, shape `(S, B)`; a repeat's is mostly what it was before."""
-    new = [number for number, one in enumerate(shapes) if before is None or one.effect.of_session]
-    found = np.array([signature(shapes[one], scene, gain) for one in new]).reshape(len(new), scene.time_s.size)
-    if before is None:
-        return sight.of_blocks(found)
-    whole = before.copy()
-    whole[new] = sight.of_blocks(found)
-    return whole
-
-
 def _derivatives(study: Study, z: FloatArray) -> list[FloatArray]:
     """Return the derivatives of block means by `z`; by a secant where they jump.
 
     With the contact angle the moment changes at which friction jumps, when a bend of the motion comes to the equator. A
     tangent leaves these jumps out, and a fit that follows it stops beside the minimum.
     """
-    found = study.problem.derivatives(z)
+    found = study.problem.derivatives(z, without=(ANGLE,))
     if ANGLE not in study.names:
         return found
     column = study.names.index(ANGLE)

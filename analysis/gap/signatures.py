@@ -68,3 +68,18 @@ def signature(shape: Shape, scene: Scene, gain: float) -> FloatArray:
         force = gain * scene.nominal
         return effect.shown(scene, force, shape.values) - force
     return np.zeros_like(scene.time_s)
+
+
+def signatures(shapes: Sequence[Shape], scene: Scene, gain: float, before: FloatArray | None = None) -> FloatArray:
+    """Return the signatures of shapes in one run, shape `(S, n)`.
+
+    Parameters
+    ----------
+    before
+        Those in a run that this one repeats, of which only what depends on the session is computed again.
+    """
+    whole = np.empty((len(shapes), scene.time_s.size)) if before is None else before.copy()
+    for row, shape in zip(whole, shapes, strict=True):
+        if before is None or shape.effect.of_session:
+            row[:] = signature(shape, scene, gain)
+    return whole

@@ -1,6 +1,6 @@
 """What the force channel shows of a capsule that sticks, slides or touches nothing, by the friction model."""
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -179,6 +179,10 @@ class SlidingPredictor(Predictor):
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return exact derivatives; differences for dwell and angle."""
+        return self.sensitivities_without((), values, time_s)
+
+    def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return `sensitivities`, zeros by the angle where it is named: its differences cost the most."""
         given = dict(zip(self.names, values.tolist(), strict=True))
         prepared = self._prepared(given)
         parts = self._split(prepared, given, time_s)
@@ -191,7 +195,8 @@ class SlidingPredictor(Predictor):
         if self.acquisition.fixture is Fixture.FOAM:
             by_element = zip(ELEMENTS, prepared.by_element(time_s), strict=True)
             rows |= {name: by_log / given[name] for name, by_log in by_element}
-            rows[ANGLE] = self._by_angle(given, time_s)
+            if ANGLE not in names:
+                rows[ANGLE] = self._by_angle(given, time_s)
             if self._knows_its_age(given):
                 rows[DWELL] = self._slope(DWELL, STEP * given[DWELL], given, time_s)
         return _stacked(self.names, rows, len(time_s))

@@ -5,7 +5,7 @@ defaults. Values of parameters travel as arrays in the order of `NominalModel.pa
 """
 
 from abc import abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
@@ -113,6 +113,11 @@ class Predictor(Protocol):
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return the derivative of the predicted total by every parameter, shape `(P, n)`; here by differences."""
         return by_differences(self, values, time_s)
+
+    def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return `sensitivities`; those by parameters of these names nobody asks for, and they mean nothing."""
+        del names
+        return self.sensitivities(values, time_s)
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return how well the channel can be predicted from the measured motion, one standard deviation, shape `(n,)`.

@@ -26,6 +26,11 @@ class MainsHum(SensorEffect):
         EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -np.pi, np.pi, "at the session's first sample"),
     )
 
+    @property
+    def of_session(self) -> bool:
+        """Its phase differs from run to run."""
+        return True
+
     def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the force with the hum on the session's clock."""
         angle = 2 * np.pi * values["frequency_hz"] * scene.session_s + values["phase_rad"]

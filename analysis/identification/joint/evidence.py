@@ -1,6 +1,6 @@
 """What each run contributes to a joint fit: block means, their covariance, and what differs from run to run."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +37,9 @@ class Evidence:
         found = self.predictor.uncertainty(values, self.blocks.nodes_s)
         return np.asarray(np.sqrt(self.blocks.of(found**2)))
 
-    def sensitivities(self, values: FloatArray) -> FloatArray:
-        """Return their derivatives, shape `(P, B)`."""
-        return self.blocks.of(self.predictor.sensitivities(values, self.blocks.nodes_s))
+    def sensitivities(self, values: FloatArray, without: Collection[str] = ()) -> FloatArray:
+        """Return their derivatives, shape `(P, B)`; those by the parameters that are left out mean nothing."""
+        return self.blocks.of(self.predictor.sensitivities_without(without, values, self.blocks.nodes_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
 """Everything that a joint fit is made of, prepared: evidence, noise, priors."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TypeVar
@@ -62,7 +62,7 @@ class Problem:
 
     @cached_property
     def alike(self) -> tuple[int, ...]:
-        """For each piece of evidence the first one of which the same is predicted, with the same noise: itself or a repeat."""
+        """For each piece of evidence the first of which the same is predicted, under the same noise."""
         first: dict[Hashable, int] = {}
         pieces = enumerate(zip(self.evidence, self.noises, self.zero_sds, strict=True))
         return tuple(first.setdefault((one.likeness, noise, zero), number) for number, (one, noise, zero) in pieces)
@@ -110,11 +110,14 @@ class Problem:
 
         return tuple(self._once(one))
 
-    def derivatives(self, z: FloatArray) -> list[FloatArray]:
-        """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence."""
+    def derivatives(self, z: FloatArray, without: Collection[str] = ()) -> list[FloatArray]:
+        """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence.
+
+        Those by parameters that are left `without` mean nothing.
+        """
         values = self.scales.values(z)
         slopes = self.scales.slopes(values)
-        found = self._once(lambda number: (self.evidence[number].sensitivities(values) * slopes[:, None]).T)
+        found = self._once(lambda number: (self.evidence[number].sensitivities(values, without) * slopes[:, None]).T)
         for one, derivatives in zip(self.evidence, found, strict=True):
             self._require_numbers(one, derivatives)
         return found
