@@ -1,0 +1,73 @@
+"""Repeats of a run are computed once: what is laid out of each is what it would be alone, and no more is shared."""
+
+import shutil
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from uuid import uuid4
+
+import h5py
+import numpy as np
+import pytest
+from effect_scenes import KINDS, scene
+
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.design import lay_out
+from dragrig.analysis.gap.signatures import shapes_of, signature
+from dragrig.analysis.gap.studies import study_of
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect
+from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.effects.scene import Scene
+
+EFFECTS = [one for one in catalogue().values() if isinstance(one, ForceEffect | SensorEffect)]
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+DWELL_S = 240.0
+
+
+def later(seen: Scene) -> Scene:
+    """The same run, made later in its session."""
+    return replace(seen, session_start_s=seen.session_start_s + 777.0, order=seen.order + 5)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    """Every drag of the campaign twice, the second time an hour later; the last of them after a longer rest."""
+    folder = tmp_path_factory.mktemp("repeats")
+    drags = sorted(CAMPAIGN.glob("*drag*.h5"))[:3]
+    for number, path in enumerate(drags):
+        shutil.copy(path, folder / path.name)
+        again = Path(shutil.copy(path, folder / f"again-{path.name}"))
+        with h5py.File(again, "r+") as file:
+            entry = file["entry"].attrs
+            start = datetime.fromisoformat(str(entry["start_time"])) + timedelta(hours=1)
+            entry.update({"run_id": str(uuid4()), "start_time": start.isoformat(), "order": 100 + number})
+            if number == len(drags) - 1:
+                entry["insertion_dwell_s"] = DWELL_S
+    return study_of(choose(folder), MODEL, EFFECTS)
+
+
+@pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.of_session], ids=lambda one: one.id)
+def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | SensorEffect) -> None:
+    for kind in KINDS:
+        seen = scene(kind, until_s=3.0)
+        for shape in shapes_of([effect]):
+            assert np.array_equal(signature(shape, seen, 0.9), signature(shape, later(seen), 0.9))
+
+
+def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) -> None:
+    alike = {sight.file: first for sight, first in zip(study.sights, study.problem.alike, strict=True)}
+    own = [sight.file for sight in study.sights if sight.experiment.insertion_dwell_s == DWELL_S]
+    assert (len(own), len(alike)) == (1, 6)
+    assert list(alike.values()).count(alike[own[0]]) == 1
+    repeats = [name for name in alike if name.startswith("again-") and name not in own]
+    assert all(alike[name] == alike[name.removeprefix("again-")] for name in repeats)
+
+
+def test_every_run_is_laid_out_as_it_would_be_alone(study: Study) -> None:
+    together = lay_out(study, study.start + 0.1, dictionary=True)
+    for number in range(len(study.sights)):
+        alone = lay_out(study.of_runs([number]), study.start + 0.1, dictionary=True)
+        assert np.array_equal(together.parts[number].columns, alone.parts[0].columns)
+        assert np.array_equal(together.grams[number], alone.grams[0])
