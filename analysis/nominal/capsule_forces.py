@@ -17,7 +17,7 @@ from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
 from dragrig.sim_backend.friction.leading import leading_motion
-from dragrig.sim_backend.friction.prepared import PreparedForce
+from dragrig.sim_backend.friction.prepared import BARE, PreparedForce
 from dragrig.sim_backend.friction.sliding import ELEMENTS, GRAVITY_M_S2
 from dragrig.sim_backend.friction.stretches import stretches
 
@@ -107,7 +107,8 @@ class StickingPredictor(Predictor):
     @property
     def likeness(self) -> Hashable:
         """All but which run it is."""
-        return _unnamed(self.acquisition), self.experiment.followed, self.settings, self.names
+        bare = self.settings.model_copy(update=BARE)
+        return _unnamed(self.acquisition), self.experiment.followed, bare, self.names
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict the shear force, all of which is stiffness."""
@@ -170,7 +171,8 @@ class SlidingPredictor(Predictor):
     @property
     def likeness(self) -> Hashable:
         """All but which run it is."""
-        return _unnamed(self.acquisition), self.motion, self.settings, self.names, self.obeyed
+        bare = self.settings.model_copy(update=BARE)
+        return _unnamed(self.acquisition), self.motion, bare, self.names, self.obeyed
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict f_e + f_v + f_c as the force channel shows them."""
