@@ -137,7 +137,7 @@ def _made(
     """Carry out a session whose state others can see, with its files mirrored where that is wanted."""
     someone, folder = person or Nobody(), terms.folder
     state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
-    announced = Announced(someone, someone, folder, state, terms.progress.done)
+    announced = Announced(someone, someone, folder, state)
     mirror = None
     if terms.mirror is not None:
         mirror = Mirror(_require_elsewhere(terms.mirror, folder), folder.resolve().name, terms.tell)

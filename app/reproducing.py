@@ -1,5 +1,6 @@
 """The paper's programme on the simulated rig, identified, and the report on it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -109,9 +110,9 @@ class _Counted(Nobody):
         self._progress = progress
         self._done, self._of = 0, IDENTIFYING + WRITING
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         del programme, real_time
-        self._of += pending
+        self._of += len(pending)
 
     def run_ends(self, run: PlannedRun, outcome: RunOutcome) -> None:
         del run, outcome

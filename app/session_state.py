@@ -4,7 +4,7 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -133,15 +133,11 @@ class Announced:
     ----------
     state
         What is said from the beginning.
-    done
-        Runs of the programme that earlier sessions made.
     """
 
-    def __init__(
-        self, person: Operator, watcher: Watcher, folder: Path, state: SessionState, done: Collection[int] = ()
-    ) -> None:
+    def __init__(self, person: Operator, watcher: Watcher, folder: Path, state: SessionState) -> None:
         self._person, self._watcher, self._folder = person, watcher, folder
-        self._state, self._done = state, done
+        self._state = state
         self._runs: tuple[PlannedRun, ...] = ()
         self._begun = False
 
@@ -152,11 +148,11 @@ class Announced:
         self._says("between", said="")
         return answer
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Say what is to be done."""
         self._begun = True
-        self._runs = tuple(run for run in programme.runs if run.index not in self._done)
-        self._says("preparing", runs=pending, real_time=real_time, after_s=sum(map(_takes, self._runs)))
+        self._runs = tuple(pending)
+        self._says("preparing", runs=len(pending), real_time=real_time, after_s=sum(map(_takes, self._runs)))
         self._watcher.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:

@@ -93,7 +93,7 @@ def carry_out(
     """
     someone: Person = person or Nobody()
     programme = setup.programme()
-    left = replace(programme, runs=tuple(run for run in programme.runs if run.index not in terms.progress.done))
+    left = replace(programme, runs=programme.pending(terms.progress.done))
     if not left.runs:
         # Nobody is asked, and no stage is sent home, for nothing.
         return SessionResult(Status.COMPLETE, "", ())

@@ -1,5 +1,6 @@
 """What a session needs of people: answers to prompts, and eyes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -51,8 +52,8 @@ class Operator(Protocol):
 class Watcher(Protocol):
     """Whoever follows a session; called on the session's thread, so it must be quick."""
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
-        """Tell that a session starts with so many runs still to make, and whether waits take their time."""
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        """Tell that a session starts, which runs it has to make, and whether waits take their time."""
         ...
 
     def waits(self, duration_s: float, why: str) -> None:
@@ -79,7 +80,7 @@ class Nobody:
         """Say done where no hands are needed, and abort where they are."""
         return Answer.ABORT if prompt.hands else Answer.DONE
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Look away."""
 
     def waits(self, duration_s: float, why: str) -> None:

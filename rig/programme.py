@@ -1,7 +1,7 @@
 """From a plan to the runs of a session, in order, with where each begins."""
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -75,6 +75,14 @@ class Programme:
     def duration_s(self) -> float:
         """Time from the first wait to the last sample, people's hands not counted."""
         return sum(run.wait_s + run.tare_s + run.duration_s for run in self.runs)
+
+    def pending(self, done: Collection[int]) -> tuple[PlannedRun, ...]:
+        """Return the runs to make when those with some indices are done.
+
+        A way back goes with the run that it follows: it is made again with that run, and never on its own.
+        """
+        ahead = {run.index for run in self.runs if run.follows < 0}.difference(done)
+        return tuple(run for run in self.runs if run.index in ahead or run.follows in ahead)
 
 
 def build(

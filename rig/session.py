@@ -85,8 +85,7 @@ class Session:
         DragrigError
             When a record cannot be opened or finished; the stage is stopped and disabled first.
         """
-        pending = [run for run in self._programme.runs if run.index not in self._done]
-        self._watcher.begins(self._programme, len(pending), real_time=self._real_time)
+        self._watcher.begins(self._programme, self._programme.pending(self._done), real_time=self._real_time)
         status, reason = Status.COMPLETE, ""
         try:
             self._prepare()

@@ -3,10 +3,12 @@
 import json
 import subprocess
 import sys
+import time
 from collections import Counter
 from hashlib import sha256
 from pathlib import Path
 
+import psutil
 import pytest
 
 from dragrig.blind.exam import BlindExam
@@ -131,6 +133,69 @@ def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_
     kept_score = json.loads((tmp_path / "whole" / "score.json").read_text("utf-8"))
     assert kept_score == json.loads(json.dumps(whole.document()))
     assert calls[0][1] == calls[-1][1]
+
+
+def frozen_while_it_writes(exam: int, out: Path) -> psutil.Process:
+    """Stop the worker of an exam's process, and leave it so, while there is a folder that it has begun."""
+    deadline = time.monotonic() + 150
+    while time.monotonic() < deadline:
+        if unfinished(out):
+            [worker] = [one for one in psutil.Process(exam).children() if "spawn_main" in " ".join(one.cmdline())]
+            worker.suspend()
+            if unfinished(out):
+                return worker
+            worker.resume()
+        time.sleep(0.005)
+    raise AssertionError("no campaign was begun")
+
+
+def unfinished(out: Path) -> list[Path]:
+    return [*out.glob("campaigns/.0001-*"), *out.glob("fresh/.0001-*")]
+
+
+@pytest.mark.timeout(300)
+def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "exam"
+    asked = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
+    with subprocess.Popen([sys.executable, "-m", "dragrig", *asked]) as exam:
+        worker = frozen_while_it_writes(exam.pid, out)
+        begun = unfinished(out)
+        assert main(asked) == 2
+        assert "another program is at work" in capsys.readouterr().err
+        assert unfinished(out) == begun
+        exam.kill()
+        worker.kill()
+        psutil.wait_procs([worker])
+    others = [begun[0].with_name(".mine"), begun[0].with_name(".0002-mine.begun")]
+    for other in others:
+        other.mkdir()
+
+    def stop_when_made(done: int, of: int) -> None:
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        gap_blind(1, 5, out, workers=1, sizes=False, progress=stop_when_made)
+    assert unfinished(out) == []
+    assert all(other.is_dir() for other in others)
+    assert len(list((out / "campaigns" / "0001").glob("*.h5"))) >= 27
+
+
+@pytest.mark.timeout(300)
+def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path: Path) -> None:
+    out = tmp_path / "exam"
+    [case] = mix(1, 5)
+    with opened(out, 1, 5, "exam") as folder:
+        first = {"hypothesis": "+".join(case.effects), "probability": 0.9}
+        put(folder.said(case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
+        put(folder.amount(case.name), {"d": 30.0})
+    asked = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
+    with subprocess.Popen([sys.executable, "-m", "dragrig", *asked], stdout=subprocess.DEVNULL) as exam:
+        frozen_while_it_writes(exam.pid, out).kill()
+        assert exam.wait() == 0
+    assert unfinished(out) == []
+    assert len(list((out / "campaigns" / "0001").glob("*.h5"))) >= 27
 
 
 @pytest.mark.timeout(900)

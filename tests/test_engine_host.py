@@ -14,6 +14,7 @@ from dragrig.engine_host.messages import (
     Abort,
     Answer,
     Asked,
+    Began,
     Device,
     Ended,
     Examine,
@@ -30,7 +31,7 @@ from dragrig.engine_host.messages import (
     Waiting,
 )  # fmt: skip
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile import campaign, read_run
+from dragrig.rig.runfile import campaign, mark_bad, read_run
 from dragrig.rig.runfile.model import Run
 
 pytestmark = pytest.mark.timeout(240)
@@ -132,6 +133,19 @@ def test_a_session_tells_its_runs_and_its_end(tmp_path: Path, heard: Listener) -
     assert [(one.order, one.status) for one in runs] == [(0, Status.COMPLETE), (1, Status.COMPLETE)]
     assert any(isinstance(one, Waiting) and one.duration_s == pytest.approx(3.0) for one in heard.heard)
     assert len(campaign(tmp_path / "c").runs) == 2
+
+
+def test_a_campaign_that_goes_on_tells_the_runs_that_are_made_again(tmp_path: Path, heard: Listener) -> None:
+    short = plan(runs=3)
+    heard.client.ask(Start(Job(1, short, out=tmp_path / "c")))
+    heard.until(Ended)
+    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    heard.client.ask(Start(Job(2, short, resume=tmp_path / "c")))
+    assert heard.until(Ended) == Ended(2, Status.COMPLETE, "", tmp_path / "c")
+    [told] = [one for one in heard.heard if isinstance(one, Began) and one.job == 2]
+    made = [one.run for one in heard.heard if isinstance(one, RunBegan)][3:]
+    assert [run.index for run in made] == [0]
+    assert told.runs == tuple(made)
 
 
 def test_an_abort_stops_the_stage_at_once_and_says_why(tmp_path: Path, heard: Listener) -> None:

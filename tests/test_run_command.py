@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -197,6 +198,27 @@ def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     assert [one["kind"] for one in made["runs"]] == ["drag", "return"]
     *before, again, _ = sorted(campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
     assert all(one.end_time is not None and one.end_time < again.header.start_time for one in before)
+
+
+SLOW_THEN_QUICK = """
+name = "two"
+[[steps]]
+kind = "blank"
+speed_mm_s = [1.8, 60.0]
+travel_mm = 10.0
+rest_s = 0.5
+hold_s = 0.5
+wait_s = 0.0
+way_back = "stay"
+"""
+
+
+def test_how_far_a_first_run_that_is_made_again_has_come_is_told(run: Runner, tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(SLOW_THEN_QUICK, "utf-8")
+    run("two.toml", "--yes", "--out", "c")
+    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    told = run.told("--resume", "c", "--yes", "--pace", "real").err
+    assert re.search(r"run 1 of 1, blank 1.8 mm/s: \d+ %, [0-9.]+ s left", told), told
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Sessions on the simulated rig: what is made, in which order, and what happens when something goes wrong."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -17,7 +18,7 @@ from dragrig.rig.acquisitions import recorded
 from dragrig.rig.backend import BackendRequest
 from dragrig.rig.memory import MemoryStore
 from dragrig.rig.people import Answer, Nobody, Prompt
-from dragrig.rig.programme import build
+from dragrig.rig.programme import PlannedRun, Programme, build
 from dragrig.rig.reading import Reading
 from dragrig.rig.record import SessionRecord
 from dragrig.rig.runfile.model import Run, RunHeader, Status
@@ -335,6 +336,39 @@ def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
     person.session = one
     assert one.run().status is Status.COMPLETE
     assert person.at_mm == pytest.approx(40.0)
+
+
+class Follows(Nobody):
+    """Notes which runs are told of beforehand, and which begin."""
+
+    def __init__(self) -> None:
+        self.pending: list[int] = []
+        self.begun: list[int] = []
+
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        self.pending = [run.index for run in pending]
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        self.begun.append(run.index)
+
+
+@pytest.mark.parametrize(
+    ("done", "left"),
+    [
+        (set(), [0, 1, 2, 3, 4, 5]),
+        ({0, 1}, [2, 3, 4, 5]),
+        ({1, 2, 3, 4, 5}, [0, 1]),
+        ({0, 1, 3, 4, 5}, [2, 3]),
+        ({0, 1, 2, 4, 5}, []),
+    ],
+    ids=["anew", "gone on with", "first marked bad", "middle marked bad", "way back marked bad"],
+)
+def test_who_follows_is_told_beforehand_of_the_runs_that_are_made(done: set[int], left: list[int]) -> None:
+    person = Follows()
+    step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
+    one, _ = session(step, person=person, progress=Progress(done=frozenset(done), next_order=6))
+    assert one.run().status is Status.COMPLETE
+    assert person.pending == person.begun == left
 
 
 def test_a_run_made_again_has_its_way_back_made_again() -> None:

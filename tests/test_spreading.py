@@ -2,16 +2,14 @@
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from clusters import dask_cluster
 from spreading_pieces import deadly, failing, loaded, product, traced
 
 from dragrig.config.errors import SettingsError, WorkerError
@@ -45,51 +43,6 @@ def require_nothing_lost_or_twice(folder: Path, found: list[bytes], told: list[i
     assert len(list(folder.glob("3-begun-*"))) == 2
     for seed in once:
         assert [path.name for path in folder.glob(f"{seed}-ended-*")] == [f"{seed}-ended-0"]
-
-
-@contextmanager
-def dask_cluster(workers: int = 2) -> Iterator[str]:
-    """Yield the address of a scheduler over loopback; its workers are processes that nobody starts again."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(Path(__file__).parent),
-        "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-    }
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
-    with open_port_file() as port_file:
-        dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-        alone = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(port_file)]
-        started = [subprocess.Popen([*dask, *alone], **quiet)]  # type: ignore[call-overload]
-        try:
-            worker = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(port_file)]
-            few = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
-            local = ["--local-directory", str(port_file.parent)]
-            commands = [[*worker, *few, *local]] * workers
-            started += [subprocess.Popen(command, **quiet) for command in commands]  # type: ignore[call-overload]
-            yield address_in(port_file)
-        finally:
-            for process in reversed(started):
-                process.kill()
-                process.wait()
-
-
-@contextmanager
-def open_port_file() -> Iterator[Path]:
-    import tempfile
-
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        yield Path(folder) / "scheduler.json"
-
-
-def address_in(port_file: Path) -> str:
-    import json
-
-    deadline = time.monotonic() + 100
-    while time.monotonic() < deadline:
-        if port_file.exists() and (text := port_file.read_text("utf-8")):
-            return str(json.loads(text)["address"])
-        time.sleep(0.02)
-    raise AssertionError("the scheduler did not start")
 
 
 def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers() -> None:

@@ -11,7 +11,7 @@ from typing import TypeVar
 from dragrig.analysis.progress import Progress, silent
 from dragrig.blind.exam import BlindExam
 from dragrig.blind.examinee import Question, Said, evaluate, examine
-from dragrig.blind.making import Order, amount, write
+from dragrig.blind.making import Order, amount, clear, write
 from dragrig.blind.mixing import EXAM, MIXES, Case, mix
 from dragrig.blind.sealing import Folder, open_answers, opened, put, seal, taken
 from dragrig.config.errors import AnalysisError, SettingsError
@@ -121,11 +121,8 @@ class _Held:
     def through(self, cases: int, seed: int, *, without_true: bool, sizes: bool) -> BlindExam:
         """Do what is not done yet, and score."""
         folder, single = self.folder, [one for one in self.planned if one.single]
-        orders = [
-            Order(one, folder.campaign(one.name), folder.fresh(one.name))
-            for one in self.planned
-            if not (folder.campaign(one.name).is_dir() and folder.fresh(one.name).is_dir())
-        ]
+        orders = [Order(one, folder.campaign(one.name), folder.fresh(one.name)) for one in self.planned]
+        unmade = [one for one in orders if not (one.campaign.is_dir() and one.fresh.is_dir())]
         asked = {folder.campaign(one.name): one.name for one in self.planned if not folder.said(one.name).exists()}
         again = {
             Question(folder.campaign(one.name), one.effects): one.name
@@ -133,11 +130,16 @@ class _Held:
             if without_true and not folder.withheld(one.name).exists()
         }
         unmeasured = [one for one in single if sizes and not folder.amount(one.name).exists()]
-        for weight, pieces in ((MAKING, orders), (DIAGNOSING, asked), (DIAGNOSING, again), (MEASURING, unmeasured)):
+        for weight, pieces in ((MAKING, unmade), (DIAGNOSING, asked), (DIAGNOSING, again), (MEASURING, unmeasured)):
             self.meter.expect(weight, len(pieces))
         self.meter.expect(EVALUATING, len(self.planned))
         digest = seal(folder, self.planned)
-        self._spread(MAKING, write, orders)
+        # Workers may have been killed in an earlier call, and in this one.
+        for order in orders:
+            clear(order)
+        self._spread(MAKING, write, unmade)
+        for order in orders:
+            clear(order)
         questions = [Question(one) for one in asked]
         self._spread(DIAGNOSING, examine, questions, lambda one, said: self._keep(asked[one.campaign], said))
         answers = open_answers(folder, self.planned)

@@ -11,6 +11,9 @@ from dragrig.sim_backend.blind import make
 if TYPE_CHECKING:
     from dragrig.blind.mixing import Case
 
+BEGUN = ".begun"
+"""How the name of a hidden folder ends in which runs are written that are not all there yet."""
+
 
 @dataclass(frozen=True, slots=True)
 class Order:
@@ -34,7 +37,7 @@ def write(order: Order) -> None:
         if folder.is_dir():
             continue
         folder.parent.mkdir(parents=True, exist_ok=True)
-        begun = Path(mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        begun = Path(mkdtemp(prefix=f".{folder.name}-", suffix=BEGUN, dir=folder.parent))
         try:
             make(secret, begun, runs=runs)
             begun.chmod(0o755)
@@ -44,6 +47,16 @@ def write(order: Order) -> None:
                 raise
         finally:
             shutil.rmtree(begun, ignore_errors=True)
+
+
+def clear(order: Order) -> None:
+    """Remove what workers have left that were killed while they wrote a campaign or a fresh session.
+
+    Nobody else may be at work in the exam's folder.
+    """
+    for folder in (order.campaign, order.fresh):
+        for left in folder.parent.glob(f".{folder.name}-*{BEGUN}"):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def amount(case: "Case") -> float:

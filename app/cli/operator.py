@@ -1,6 +1,7 @@
 """The person at the terminal: answers to prompts, and what a session shows."""
 
 import sys
+from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -25,9 +26,7 @@ class Terminal:
         # Asked here: on the session's own thread there is no command line.
         self._quiet = is_quiet()
         self._meter = Meter("", 1.0, quiet=self._quiet)
-        self._left = 0
-        self._made = 0
-        self._label = ""
+        self._pending: Sequence[PlannedRun] = ()
         self._seen_s = 0.0
 
     def __enter__(self) -> Self:
@@ -64,13 +63,11 @@ class Terminal:
                 if choice.value.startswith(said):
                     return choice
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Start the bar."""
         self._real_time = real_time
-        self._left = pending
-        runs = programme.runs[-pending:] if pending else ()
-        waits = sum(run.wait_s for run in runs) if self._real_time else 0.0
-        self._meter = Meter(programme.plan.name, sum(run.duration_s for run in runs) + waits, quiet=self._quiet)
+        self._pending = pending
+        self._meter = Meter(programme.plan.name, self._takes(pending), quiet=self._quiet)
 
     def waits(self, duration_s: float, why: str) -> None:
         """Say what is waited for, where time is real."""
@@ -80,10 +77,12 @@ class Terminal:
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Name the run that the bar is at."""
         del order
-        self._made += 1
         self._seen_s = 0.0
-        self._label = f"run {self._made} of {self._left}, {run.protocol.summary()}"
-        self._meter.advance(run.wait_s if self._real_time else 0.0, self._label)
+        # Runs before it were made or skipped, and it may be made again.
+        before = [one for one in self._pending if one.index < run.index]
+        rest_s = run.wait_s if self._real_time else 0.0
+        label = f"run {len(before) + 1} of {len(self._pending)}, {run.protocol.summary()}"
+        self._meter.to(self._takes(before) + rest_s, label)
 
     def reads(self, reading: Reading) -> None:
         """Move the bar."""
@@ -94,6 +93,9 @@ class Terminal:
     def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
         """Say how the run ended and what its checks saw."""
         self._meter.say(run_line(run, outcome))
+
+    def _takes(self, runs: Iterable[PlannedRun]) -> float:
+        return sum(run.duration_s + (run.wait_s if self._real_time else 0.0) for run in runs)
 
 
 def forget_typed() -> None:

@@ -1,5 +1,6 @@
 """The client as a session's operator and watcher."""
 
+from collections.abc import Sequence
 from itertools import count
 
 from dragrig.engine_host.listening import Ear, Mouth
@@ -29,10 +30,10 @@ class RemotePerson:
         asked = Asked(question, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
         return self._ear.await_answer(question, lambda: self._mouth.say(asked))
 
-    def begins(self, programme: Programme, pending: int, *, real_time: bool) -> None:
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Tell which runs are still to be made."""
-        runs = programme.runs[-pending:] if pending else ()
-        self._mouth.say(Began(self._job, tuple(map(_line, runs)), real_time))
+        del programme
+        self._mouth.say(Began(self._job, tuple(map(_line, pending)), real_time))
 
     def waits(self, duration_s: float, why: str) -> None:
         """Tell that nothing moves for a while."""

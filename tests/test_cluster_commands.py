@@ -1,0 +1,94 @@
+"""What commands find by a Dask cluster is what they find by processes of their own, though a worker is killed at it."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from clusters import dask_cluster, wait_for_workers, worker_killed_at_its_second
+
+from dragrig.blind.mixing import mix
+from dragrig.blind.sealing import opened, put
+from dragrig.cli import main
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+CASES, SEED = 3, 5
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    with dask_cluster() as address:
+        wait_for_workers(address, 2)
+        yield address
+
+
+@pytest.fixture
+def campaigns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return two campaigns, the second without its relaxation, and an empty folder between them."""
+    shutil.copytree(CAMPAIGN, tmp_path / "first")
+    shutil.copytree(CAMPAIGN, tmp_path / "second")
+    (tmp_path / "second" / "001-relaxation.h5").unlink()
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return ["first", "empty", "second"]
+
+
+def told(asked: list[str], capsys: pytest.CaptureFixture[str], code: int) -> list[dict[str, object]]:
+    """Return what a command says of each campaign for programs, less how long it took."""
+    assert main([*asked, "--json", "--quiet"]) == code
+    documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for one in documents:
+        one.pop("timings_s", None)
+    return documents
+
+
+def files_in(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("command", [["gap", "diagnose"], ["identify"]], ids=["diagnose", "identify"])
+def test_a_cluster_says_the_same_of_campaigns_as_workers_do(
+    command: list[str], cluster: str, campaigns: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = [*command, *campaigns]
+    here = told([*asked, "--workers", "1"], capsys, 2)
+    assert [(one["source"], "error" in one) for one in here] == [("first", False), ("empty", True), ("second", False)]
+    assert told([*asked, "--scheduler", cluster], capsys, 2) == here
+
+
+def score_in(exam: Path) -> dict[str, object]:
+    """Return an exam's score, less how long it took."""
+    score: dict[str, object] = json.loads((exam / "score.json").read_text("utf-8"))
+    del score["timings_s"]
+    return score
+
+
+@pytest.mark.timeout(600)
+def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
+    cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    for out in (here, there):
+        # To measure how large the hidden effects are takes as long as to diagnose, and is kept as any other part.
+        with opened(out, CASES, SEED, "exam") as folder:
+            for case in mix(CASES, SEED):
+                put(folder.amount(case.name), {"d": 30.0})
+    asked = ["gap", "blind", "--cases", str(CASES), "--seed", str(SEED), "--quiet", "--out"]
+    assert main([*asked, str(here), "--workers", "2"]) == 0
+    said_here = capsys.readouterr().out
+
+    def kept() -> int:
+        return len(list((there / "said").glob("*.json")))
+
+    with worker_killed_at_its_second("examine", cluster, kept) as watched:
+        assert main([*asked, str(there), "--scheduler", cluster]) == 0
+    assert watched.killed
+    assert 1 <= watched.kept < CASES
+    assert capsys.readouterr().out == said_here
+    assert score_in(there) == score_in(here)
+    assert files_in(there) == files_in(here)
+    # A campaign is made and diagnosed, and its model, where one was amended, tried on fresh runs.
+    pieces = 2 * CASES + len(list((there / "said").glob("*.toml")))
+    assert len(watched.finished) == len(set(watched.finished)) == pieces
