@@ -1,12 +1,14 @@
 """Many campaigns diagnosed side by side."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from dragrig.analysis.gap.results import Diagnosis
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import DragrigError
+from dragrig.config.library import from_anywhere
 from dragrig.diagnosing import DiagnosedCampaign, diagnosed, options_of
 from dragrig.spreading import executor, spread, spread_counted
 
@@ -58,7 +60,16 @@ class Asked:
     def diagnosed_there(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
         """Do the same on a Dask cluster; raises `SettingsError` and `WorkerError` beside."""
         with executor(scheduler=scheduler) as some:
-            return spread(some, self.diagnosed, [campaign.absolute()])[0]
+            return spread(some, self.from_anywhere().diagnosed, [campaign.absolute()])[0]
+
+    def from_anywhere(self) -> Self:
+        """Return the same for processes with other working folders."""
+        learnt = self.calibration
+        return replace(
+            self,
+            nominal=from_anywhere(self.nominal),
+            calibration=None if learnt is None else str(Path(learnt).absolute()),
+        )
 
     def diagnosed_or_told(self, campaign: Path) -> DiagnosedFolder:
         """Diagnose one of many campaigns; what is wrong with it becomes a part of the answer."""
@@ -76,6 +87,7 @@ def diagnose_many(
     without: Sequence[str] = (),
     tolerance_mN: float | None = None,
     specimen: str | None = None,
+    calibration: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress = silent,
@@ -86,7 +98,7 @@ def diagnose_many(
     ----------
     campaigns
         Their folders. On a cluster its workers must see the same ones.
-    nominal, without, tolerance_mN, specimen
+    nominal, without, tolerance_mN, specimen, calibration
         As in `dragrig.diagnose`, for all.
     workers
         Processes that share the campaigns; as many as there are cores unless given.
@@ -111,8 +123,9 @@ def diagnose_many(
     >>> found = dragrig.diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
     >>> [one.result.verdict for one in found if one.result]  # doctest: +SKIP
     """
-    options_of(without, tolerance_mN)
-    asked = Asked(str(nominal), tuple(without), tolerance_mN, specimen)
+    options_of(without, tolerance_mN, calibration)
+    learnt = None if calibration is None else str(calibration)
+    asked = Asked(str(nominal), tuple(without), tolerance_mN, specimen, learnt).from_anywhere()
     folders = [Path(one).absolute() for one in campaigns]
     with executor(workers, scheduler, most=len(folders)) as some:
         found = spread_counted(some, asked.diagnosed_or_told, folders, progress)

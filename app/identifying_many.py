@@ -8,6 +8,7 @@ from pathlib import Path
 from dragrig.analysis.identification.results import Identification
 from dragrig.analysis.progress import Progress, silent
 from dragrig.config.errors import DragrigError
+from dragrig.config.library import from_anywhere
 from dragrig.identifying import IdentifiedCampaign, Wall, identify, pictures, save_model
 from dragrig.spreading import executor, spread_counted
 
@@ -84,7 +85,7 @@ def identify_many(
     """
     folders = [Path(one).absolute() for one in campaigns]
     places = _places(folders, out) if write else [None] * len(folders)
-    asked = _Asked(str(nominal), str(model), wall, specimen, overwrite)
+    asked = _Asked(from_anywhere(str(nominal)), from_anywhere(str(model)), wall, specimen, overwrite)
     with executor(workers, scheduler, most=len(folders)) as some:
         found = spread_counted(some, asked.identified, list(zip(folders, places, strict=True)), progress)
     return tuple(

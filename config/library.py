@@ -53,6 +53,13 @@ def find(model: type[ModelT], kind: str, name_or_path: str, beside: Path | None 
     return parse(model, data, source)
 
 
+def from_anywhere(name_or_path: str) -> str:
+    """Return a name as it is, and a file so that a process with another working folder finds it."""
+    path = Path(name_or_path)
+    is_name = not path.suffix and len(path.parts) < 2
+    return str(path.absolute()) if path.is_file() and not is_name else name_or_path
+
+
 def _file(name_or_path: str, beside: Path | None) -> Path | None:
     if not name_or_path:
         return None

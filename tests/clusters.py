@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ASKED_EVERY_S = 0.05
-PATIENCE_S = 200
+PATIENCE_S = 500
 
 
 @contextmanager

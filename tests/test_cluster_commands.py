@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 from clusters import dask_cluster, wait_for_workers, worker_killed_at_its_second
 
+from dragrig.analysis.gap.calibration import FILE as CALIBRATION
 from dragrig.blind.mixing import mix
 from dragrig.blind.sealing import opened, put
 from dragrig.cli import main
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+SHIPPED = Path(__file__).parents[1] / "config" / "files"
 CASES, SEED = 3, 5
 
 
@@ -25,11 +27,16 @@ def cluster() -> Iterator[str]:
 
 @pytest.fixture
 def campaigns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return two campaigns, the second without its relaxation, and an empty folder between them."""
+    """Return two campaigns, the second without its relaxation, and an empty folder between them.
+
+    Files with a model and a calibration are beside them, in a folder that no worker works in.
+    """
     shutil.copytree(CAMPAIGN, tmp_path / "first")
     shutil.copytree(CAMPAIGN, tmp_path / "second")
     (tmp_path / "second" / "001-relaxation.h5").unlink()
     (tmp_path / "empty").mkdir()
+    shutil.copy(SHIPPED / "models" / "paper.toml", tmp_path / "mine.toml")
+    shutil.copy(CALIBRATION, tmp_path / "learnt.json")
     monkeypatch.chdir(tmp_path)
     return ["first", "empty", "second"]
 
@@ -48,7 +55,14 @@ def files_in(folder: Path) -> list[str]:
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("command", [["gap", "diagnose"], ["identify"]], ids=["diagnose", "identify"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["gap", "diagnose", "--nominal", "mine.toml", "--calibration", "learnt.json"],
+        ["identify", "--model", "mine.toml"],
+    ],
+    ids=["diagnose", "identify"],
+)
 def test_a_cluster_says_the_same_of_campaigns_as_workers_do(
     command: list[str], cluster: str, campaigns: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -88,6 +88,13 @@ def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pyte
     assert "one was given; leave it out" in capsys.readouterr().err
 
 
+def test_a_calibration_that_is_named_is_used_for_all(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (three / "learnt.json").write_text("{}", "utf-8")
+    asked = ["gap", "diagnose", "first", "second", "--calibration", "learnt.json", "--workers", "1"]
+    assert main(asked) == 2
+    assert "--calibration learnt.json: is not what" in capsys.readouterr().err
+
+
 def test_python_gives_the_same(three: Path) -> None:
     heard: list[tuple[int, int]] = []
     found = dragrig.diagnose_many(["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now))

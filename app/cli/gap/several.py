@@ -33,6 +33,7 @@ def diagnose_several(
             without=asked.without,
             tolerance_mN=asked.tolerance_mN,
             specimen=asked.specimen,
+            calibration=asked.calibration,
             workers=workers,
             scheduler=scheduler,
             progress=meter.at,
