@@ -19,8 +19,7 @@ from dragrig.analysis.gap.held_out import improvement, leave_out
 from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Judgement, judge
 from dragrig.analysis.gap.known import HUM, beyond_known, known_effects, with_known_motion
 from dragrig.analysis.gap.lines import Line, Lines, find_lines
-from dragrig.analysis.gap.planning.recommend import recommend
-from dragrig.analysis.gap.planning.results import NextExperiment
+from dragrig.analysis.gap.planning.after import next_after, nothing_further
 from dragrig.analysis.gap.planning.search import Budget
 from dragrig.analysis.gap.position.finding import PositionFinding, find_position
 from dragrig.analysis.gap.position.gap import position_gap
@@ -155,6 +154,8 @@ def _told(
     where = attributed(where, blocks, _added(study, chosen, hum))
     shrink, views = _shrunk(study, found, chosen, position, judged)
     files = tuple(one.file for one in study.sights)
+    of_force = judge(replace(evidence, position=(), strays=False), asked.tolerance_mN, _calibration(study, asked))
+    next_run = next_after(study, found, position, judged, of_force, asked.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
         nominal=nominal.name,
@@ -174,21 +175,12 @@ def _told(
         unknown=_unknown(where, blocks, judged),
         model=amended_model(study, chosen, position, lines, judged, found, shrink, selection.specimen),
         views=views,
-        cannot_answer=tuple(study.open_questions()),
+        cannot_answer=(*study.open_questions(), *nothing_further(study, position, judged, next_run)),
         remarks=selection.remarks,
         calibration=CALIBRATION,
         evidence=evidence,
-        next_experiment=_next(study, found, position, judged, asked),
+        next_experiment=next_run,
     )
-
-
-def _next(
-    study: Study, found: Findings, position: PositionFinding, judged: Judgement, asked: Options
-) -> NextExperiment | None:
-    if position.present:
-        return None
-    present = judged.verdict is not Verdict.NO_GAP
-    return recommend(study, found.nominal, found.ranked, judged.probabilities, asked.next_runs, gap=present)
 
 
 def _added(study: Study, chosen: Explanation | None, hum: Line) -> list[FloatArray]:

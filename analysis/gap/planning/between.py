@@ -10,10 +10,11 @@ from dragrig.analysis.gap.design import Design, lay_out
 from dragrig.analysis.gap.isolability.angles import Angles
 from dragrig.analysis.gap.isolability.results import CLOSE
 from dragrig.analysis.gap.planning.contests import Ground, Question, Truth
+from dragrig.analysis.gap.planning.force import search_in_force
 from dragrig.analysis.gap.planning.imagined import specimen_of
 from dragrig.analysis.gap.planning.recommend import experiment_of, limits_of
 from dragrig.analysis.gap.planning.results import NextExperiment
-from dragrig.analysis.gap.planning.search import Budget, search
+from dragrig.analysis.gap.planning.search import Budget
 from dragrig.analysis.gap.planning.trials import many
 from dragrig.analysis.gap.refit import stepped
 from dragrig.analysis.gap.study import Study
@@ -58,7 +59,7 @@ def next_between(
     limits = budget.limits or limits_of(study)
     trials = [one for one in many(specimen_of(study)) if limits.allow(one)]
     asked = _questions(wanted, design, angles, pairs)
-    return experiment_of(search(wanted, design, asked, trials, budget), len(trials))
+    return experiment_of(search_in_force(wanted, design, asked, trials, budget), len(trials))
 
 
 def _closest(angles: Angles) -> Iterator[tuple[str, str]]:

@@ -16,8 +16,6 @@ FORM = 0.12
 """Part of an effect's squares that its real form may cost it against a wrong one."""
 BY_SHARE = 14.0
 """Log odds for each share of an effect's squares that a rival leaves."""
-ENOUGH = 12.0
-"""Log odds beyond which nothing more is wanted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,12 +103,6 @@ def log_odds(one: Contest) -> float:
         return 0.5 * left
     squares = left / max(one.left, 1e-12)
     return BY_SHARE * one.left + 0.5 * left / (1.0 + 0.5 * FORM * squares)
-
-
-def worth(ground: Ground, questions: Sequence[Question], enough: float = ENOUGH) -> float:
-    """Return how well the questions are answered, the weight of each in it."""
-    gram = ground.projected()
-    return sum(one.weight * min(log_odds(contest(ground, gram, one)), enough) for one in questions)
 
 
 def _taken(ground: Ground, gram: FloatArray, along: FloatArray, form: tuple[int, ...]) -> float:

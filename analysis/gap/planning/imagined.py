@@ -29,7 +29,7 @@ def imagined(study: Study, trials: Sequence[Trial]) -> Study:
     Raises `AnalysisError` where the nominal model cannot be prepared for them.
     """
     last = max(study.sights, key=lambda one: one.session_start_s)
-    experiments = [_experiment(trial, last.experiment, number) for number, trial in enumerate(trials)]
+    experiments = experiments_after(last.experiment, trials)
     evidence = tuple(gather(experiments, study.problem.nominal, LONGEST_MM))
     count = len(evidence)
     first = last.session_start_s + float(last.experiment.time_s[-1]) + LATER_S
@@ -41,6 +41,11 @@ def imagined(study: Study, trials: Sequence[Trial]) -> Study:
         zero_sds=(max(study.problem.zero_sds),) * count,
     )
     return replace(study, problem=problem, sights=tuple(map(Sight, evidence, starts)))
+
+
+def experiments_after(last: Experiment, trials: Sequence[Trial]) -> list[Experiment]:
+    """Return runs that are yet to be made, each as the next one after the last of a campaign, at rest in force."""
+    return [_experiment(trial, last, number) for number, trial in enumerate(trials)]
 
 
 def specimen_of(study: Study) -> Specimen:

@@ -10,9 +10,10 @@ from dragrig.analysis.gap.capsule_study import CapsuleStudy
 from dragrig.analysis.gap.design import Design
 from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN
 from dragrig.analysis.gap.planning.contests import Ground, Question, Truth
+from dragrig.analysis.gap.planning.force import search_in_force
 from dragrig.analysis.gap.planning.imagined import specimen_of
 from dragrig.analysis.gap.planning.results import NextExperiment, NextRun
-from dragrig.analysis.gap.planning.search import UNBOUNDED, Budget, search
+from dragrig.analysis.gap.planning.search import UNBOUNDED, Budget
 from dragrig.analysis.gap.planning.trials import Limits, few, many
 from dragrig.analysis.gap.planning.words import why
 from dragrig.analysis.gap.ranking import Ranked
@@ -66,7 +67,7 @@ def recommend(
         return None
     sure = max((value for name, value in probabilities.items() if name not in (NO_GAP, UNKNOWN)), default=0.0) > SURE
     wanted = replace(budget, spent_whole=not sure) if gap else replace(budget, enough=UNBOUNDED)
-    return experiment_of(search(study, design, asked, trials, wanted), len(trials))
+    return experiment_of(search_in_force(study, design, asked, trials, wanted), len(trials))
 
 
 def experiment_of(found: Sequence[NextRun], tried: int) -> NextExperiment | None:
@@ -78,7 +79,7 @@ def questions(
     study: Study, design: Design, ranked: Sequence[Ranked], probabilities: Mapping[str, float], *, gap: bool
 ) -> tuple[Question, ...]:
     """Return what a campaign leaves open between its leading hypotheses."""
-    chances = {one.effect: _chance(one.effect, probabilities) for one in ranked if one.gain > 0 or not gap}
+    chances = {one.effect: chance_of(one.effect, probabilities) for one in ranked if one.gain > 0 or not gap}
     if gap:
         order = sorted(chances, key=lambda name: -chances[name])[:LEADING]
     else:
@@ -110,7 +111,8 @@ def _asked(truths: Mapping[str, Truth], weights: Mapping[str, float], *, gap: bo
             yield Question(truth, "", weights[name])
 
 
-def _chance(effect: str, probabilities: Mapping[str, float]) -> float:
+def chance_of(effect: str, probabilities: Mapping[str, float]) -> float:
+    """Return how probable an effect is, alone or with others."""
     return sum(value for name, value in probabilities.items() if effect in name.split("+"))
 
 

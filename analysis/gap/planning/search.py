@@ -2,21 +2,46 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, Self, TypeVar
 
-from dragrig.analysis.gap.design import Design, lay_out
-from dragrig.analysis.gap.planning.contests import ENOUGH, Ground, Question, columns_of, contest, log_odds, worth
-from dragrig.analysis.gap.planning.imagined import imagined
 from dragrig.analysis.gap.planning.results import Contest, NextRun
 from dragrig.analysis.gap.planning.trials import Limits, Trial
-from dragrig.analysis.gap.study import Study
 from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import FloatArray
 
+ENOUGH = 12.0
+"""Log odds beyond which nothing more is wanted."""
 LEAST_GAIN = 1e-3
 """Less than this, in log odds, is nothing."""
 UNBOUNDED = float("inf")
 HANDS_MIN = 2.0
 """What changing to another fixture counts beside the rig time."""
+
+SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """How far a contest is decided: how sure a diagnosis can be of its truth, and how much that matters."""
+
+    contest: Contest
+    log_odds: float
+    weight: float
+
+    def worth(self, enough: float) -> float:
+        """Return what it counts; what is certain enough counts no further."""
+        return self.weight * min(self.log_odds, enough)
+
+
+class Field(Protocol[SeenT_contra]):
+    """Runs with the questions that are asked of them; `SeenT_contra` is what is seen of a run."""
+
+    def with_run(self, seen: SeenT_contra) -> Self:
+        """Add a run."""
+        ...
+
+    def answers(self) -> Sequence[Answer]:
+        """Return how far each question is answered, in their order."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,78 +66,63 @@ class Budget:
 
 
 def search(
-    study: Study, design: Design, questions: Sequence[Question], trials: Sequence[Trial], budget: Budget
+    field: Field[SeenT_contra], tried: Sequence[tuple[Trial, SeenT_contra]], budget: Budget
 ) -> tuple[NextRun, ...]:
     """Return the runs that answer most, each the best after those before.
 
     Parameters
     ----------
-    study, design
-        The campaign, and its design with the dictionary around the point that nominal parameters came to.
-    questions
-        Contests with their weights; at least one.
+    field
+        The campaign, with at least one question.
+    tried
+        Runs that may be made, each with what would be seen of it.
     """
-    effects = _effects(study, questions)
-    ground = Ground.of(design, effects)
-    grams = _grams(replace(study, effects=tuple(one for one in study.effects if one.id in effects)), design, trials)
-    found = _chosen(ground, questions, list(zip(trials, grams, strict=True)), budget)
-    if not found and budget.enough < UNBOUNDED:
+    found = _chosen(field, tried, budget)
+    if not found and all(one.log_odds >= budget.enough for one in field.answers()):
         # All is answered well enough already; what would make it surer still is told all the same.
-        surer = replace(budget, enough=UNBOUNDED)
-        more = _gathered(_chosen(ground, questions, list(zip(trials, grams, strict=True)), surer))
+        more = _gathered(_chosen(field, tried, replace(budget, enough=UNBOUNDED)))
         return tuple(replace(one, surer=True) for one in more)
     return _gathered(found)
 
 
 def _chosen(
-    ground: Ground, questions: Sequence[Question], tried: Sequence[tuple[Trial, FloatArray]], budget: Budget
+    field: Field[SeenT_contra], tried: Sequence[tuple[Trial, SeenT_contra]], budget: Budget
 ) -> list[tuple[Trial, Contest, Contest]]:
     chosen: list[tuple[Trial, Contest, Contest]] = []
     spent, fitted, enough = 0.0, set[Fixture](), budget.enough
+    now = field.answers()
     while len(chosen) < budget.runs:
-        now = worth(ground, questions, enough)
         best, most = None, 0.0
-        for trial, gram in tried:
+        for trial, seen in tried:
             if spent + trial.minutes > budget.minutes:
                 continue
-            gain = worth(ground.with_run(gram), questions, enough) - now
+            after = field.with_run(seen)
+            then = after.answers()
+            gain = sum(_gains(now, then, enough))
             by_hand = 0.0 if trial.run.fixture in fitted else HANDS_MIN
             if gain > LEAST_GAIN and gain / (trial.minutes + by_hand) > most:
-                best, most = (trial, gram), gain / (trial.minutes + by_hand)
+                best, most = (trial, after, then), gain / (trial.minutes + by_hand)
         if best is None and budget.spent_whole and enough < UNBOUNDED:
             enough = UNBOUNDED
             continue
         if best is None:
             break
-        trial, gram = best
-        after = ground.with_run(gram)
-        chosen.append((trial, *_decided(ground, after, questions, enough)))
-        ground, spent = after, spent + trial.minutes
+        trial, field, then = best
+        chosen.append((trial, *_decided(now, then, enough)))
+        now, spent = then, spent + trial.minutes
         fitted.add(trial.run.fixture)
     return chosen
 
 
-def _effects(study: Study, questions: Sequence[Question]) -> list[str]:
-    named = {one.truth.effect for one in questions} | {one.rival for one in questions}
-    return [one.id for one in study.effects if one.id in named]
+def _gains(before: Sequence[Answer], after: Sequence[Answer], enough: float) -> list[float]:
+    return [then.worth(enough) - now.worth(enough) for now, then in zip(before, after, strict=True)]
 
 
-def _grams(study: Study, design: Design, trials: Sequence[Trial]) -> list[FloatArray]:
-    laid_out = lay_out(imagined(study, trials), design.z, dictionary=True)
-    rows = columns_of(laid_out, [one.id for one in study.effects]).tolist()
-    return [one[rows][:, rows] for one in laid_out.grams]
-
-
-def _decided(before: Ground, after: Ground, questions: Sequence[Question], enough: float) -> tuple[Contest, Contest]:
+def _decided(before: Sequence[Answer], after: Sequence[Answer], enough: float) -> tuple[Contest, Contest]:
     """Return the contest that a run decides most, before and after."""
-    earlier, later = before.projected(), after.projected()
-    pairs = [(contest(before, earlier, one), contest(after, later, one)) for one in questions]
-
-    def gain(place: int) -> float:
-        first, second = pairs[place]
-        return questions[place].weight * (min(log_odds(second), enough) - min(log_odds(first), enough))
-
-    return pairs[max(range(len(pairs)), key=gain)]
+    gains = _gains(before, after, enough)
+    place = gains.index(max(gains))
+    return before[place].contest, after[place].contest
 
 
 def _gathered(chosen: Sequence[tuple[Trial, Contest, Contest]]) -> tuple[NextRun, ...]:
@@ -123,6 +133,6 @@ def _gathered(chosen: Sequence[tuple[Trial, Contest, Contest]]) -> tuple[NextRun
         if known is None:
             found[id(trial)] = NextRun(trial.step, trial.minutes, before, after)
             continue
-        step = known.step.model_copy(update={"repeats": known.step.repeats + 1})
+        step = known.step.model_copy(update={"repeats": known.step.repeats + trial.step.repeats})
         found[id(trial)] = replace(known, step=step, minutes=known.minutes + trial.minutes, after=after)
     return tuple(found.values())

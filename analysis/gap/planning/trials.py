@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 from dragrig.config.plan import Plan, Step, WayBack
 from dragrig.config.specimen import Specimen
@@ -20,11 +21,14 @@ BLANKS = ((5.0, 400.0), (40.0, 100.0), (40.0, 400.0), (40.0, 2000.0))
 DWELLS_S = (10.0, 300.0)
 DWELT_MM_S = (2.0, 20.0)
 REVERSALS_MM_S = (2.0, 20.0)
+LONG_MM, TWICE = 80.0, 2
+FEW_MOVES = ((2.0, 400.0), (20.0, 400.0), (60.0, 400.0), (20.0, 2000.0), (60.0, 2000.0), (40.0, 100.0))
+MOVED_MM_S, MOVED_MM_S2, MOVED_MM = (2.0, 20.0, 60.0), (100.0, 400.0, 2000.0), (USUAL_MM, LONG_MM)
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One run with its way back, as a step of a plan."""
+    """One run with its way back, or some like it, as a step of a plan."""
 
     step: Step
     specimen: Specimen
@@ -37,7 +41,7 @@ class Trial:
 
     @property
     def run(self) -> PlannedRun:
-        """The run itself."""
+        """The run itself, the first of some that are alike."""
         return self.programme.runs[0]
 
     @property
@@ -94,6 +98,21 @@ def many(specimen: Specimen) -> tuple[Trial, ...]:
         *(_reversal(speed) for speed in REVERSALS_MM_S),
     ]
     return _trials(steps, specimen)
+
+
+def moves(specimen: Specimen, *, whole: bool = False) -> tuple[Trial, ...]:
+    """Return runs that differ in how the stage moves: blanks, which need no rest and no specimen, and a reversal.
+
+    Eight of them, or the whole grid of speed, acceleration and travel. Each is made twice: what one motion alone shows
+    cannot be judged on runs that took no part.
+    """
+    if whole:
+        tried = product(MOVED_MM_S, MOVED_MM_S2, MOVED_MM)
+        grid = [one for one in tried if one[0] ** 2 / one[1] < one[2]]
+    else:
+        grid = [*((*one, USUAL_MM) for one in FEW_MOVES), (20.0, 400.0, SHORT_MM)]
+    steps = [_stroke("blank", speed, travel, accel_mm_s2=accel) for speed, accel, travel in grid]
+    return _trials([one.model_copy(update={"repeats": TWICE}) for one in (*steps, _reversal(20.0))], specimen)
 
 
 def _trials(steps: Iterable[Step], specimen: Specimen) -> tuple[Trial, ...]:

@@ -28,16 +28,23 @@ def run_in_words(step: Step) -> str:
                 said += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
     if step.kind == "drag" and step.wait_s != 60.0:
         said += f" after {step.wait_s:g} s of rest"
-    return said if step.repeats == 1 else f"{said}, {step.repeats} times"
+    if step.repeats == 1:
+        return said
+    return f"{said}, twice" if step.repeats == 2 else f"{said}, {step.repeats} times"
 
 
 def why(run: NextRun, tried: int) -> str:
     """Say why a run is recommended, with numbers, and that it need not be where that is so."""
-    said = f"{capital(run_in_words(run.step))} {what_it_does(run.before, run.after)}"
+    said = f"{subject(run.step)} {what_it_does(run.before, run.after)}"
     return (
         f"{'What is likely is told apart well enough already. ' if run.surer else ''}{said} "
         f"in {run.minutes:.1f} min of rig time, more per minute than any other of {tried} runs that were compared."
     )
+
+
+def subject(step: Step) -> str:
+    """Let a sentence begin with a run."""
+    return capital(run_in_words(step)) + ("," if step.repeats > 1 else "")
 
 
 def what_it_does(before: Contest, after: Contest) -> str:

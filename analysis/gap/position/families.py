@@ -5,7 +5,7 @@ A free form asks whether the error can be such an effect at all, whatever its la
 another time (a latency).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,8 +49,11 @@ class Family:
     shape: float = 0.0
 
 
-def families(runs: Sequence[PositionErrors]) -> tuple[Family, ...]:
-    """Return all families, the best first."""
+FAMILIES = ("encoder_scale", "servo_lag", "channel_latency", "velocity_ripple")
+
+
+def families(runs: Sequence[PositionErrors], effects: Collection[str] = FAMILIES) -> tuple[Family, ...]:
+    """Return all families, or those of some effects, the best first."""
     last_s = max(one.session_s for one in runs) + 1.0
 
     def stretched(one: PositionErrors) -> FloatArray:
@@ -58,11 +61,18 @@ def families(runs: Sequence[PositionErrors]) -> tuple[Family, ...]:
         bent = 0.0 if one.entering_mm_s else one.command_mm**2 / 40.0
         return np.column_stack((one.command_mm, bent + 0.0 * one.command_mm, one.command_mm * one.session_s / last_s))
 
-    scale, ripple = Family("encoder_scale", _held_out(runs, stretched)), _ripple(runs)
-    if scale.held_out > BENT and ripple.shape < LONG_WAVE_PER_MM:
+    scale = Family("encoder_scale", _held_out(runs, stretched))
+
+    def ripple() -> Family:
+        found = _ripple(runs)
+        if scale.held_out <= BENT or found.shape >= LONG_WAVE_PER_MM:
+            return found
         # Waves as long as half a stroke follow any bend of a scale.
-        ripple = replace(ripple, held_out=min(ripple.held_out, scale.held_out - BEHIND))
-    return tuple(sorted((scale, _lag(runs), _latency(runs), ripple), key=lambda one: -one.held_out))
+        return replace(found, held_out=min(found.held_out, scale.held_out - BEHIND))
+
+    forms: tuple[Callable[[], Family], ...] = (lambda: scale, lambda: _lag(runs), lambda: _latency(runs), ripple)
+    found = [form() for effect, form in zip(FAMILIES, forms, strict=True) if effect in effects]
+    return tuple(sorted(found, key=lambda one: -one.held_out))
 
 
 def _lag(runs: Sequence[PositionErrors]) -> Family:
@@ -98,24 +108,40 @@ def _ripple(runs: Sequence[PositionErrors]) -> Family:
 
 def _wave(runs: Sequence[PositionErrors], before: tuple[float, ...]) -> float:
     """Return the wave number per mm that explains most of what is left beside others."""
-    weight = np.concatenate([_weight(one) for one in runs])
-    error = np.concatenate([one.error_mm for one in runs]) * weight
+    weights = [_weight(one) for one in runs]
+    errors = [one.error_mm * weight for one, weight in zip(runs, weights, strict=True)]
     if before:
-        basis = np.concatenate([one.from_zero(_waves(before)(one)) for one in runs]) * weight[:, None]
-        error = error - basis @ _fitted(basis.T @ basis, basis.T @ error)[0]
+        bases = [one.from_zero(_waves(before)(one)) * each[:, None] for one, each in zip(runs, weights, strict=True)]
+        basis = np.concatenate(bases)
+        found = _fitted(basis.T @ basis, basis.T @ np.concatenate(errors))[0]
+        errors = [error - each @ found for error, each in zip(errors, bases, strict=True)]
     places = [one.origin_mm + one.command_mm for one in runs]
     reach = max(float(one.max()) for one in places) - min(float(one.min()) for one in places)
     step = QUARTER / max(reach, STROKE_MM)
     waves_per_mm = np.arange(LOWEST_PER_MM, HIGHEST_PER_MM, step)
-    power = np.array([_power(runs, error, weight, float(wave)) for wave in waves_per_mm])
-    near = float(waves_per_mm[int(power.argmax())])
+    near = float(waves_per_mm[int(_powers(runs, errors, weights, waves_per_mm).argmax())])
     tried: list[float] = np.linspace(near - step, near + step, 9).tolist()
     return max(tried, key=lambda wave: _explained(runs, _waves((*before, wave))))
 
 
-def _power(runs: Sequence[PositionErrors], error: FloatArray, weight: FloatArray, wave: float) -> float:
-    basis = np.concatenate([one.from_zero(_periodic(one, np.array([wave]))) for one in runs]) * weight[:, None]
-    return _fitted(basis.T @ basis, basis.T @ error)[1]
+def _powers(
+    runs: Sequence[PositionErrors],
+    errors: Sequence[FloatArray],
+    weights: Sequence[FloatArray],
+    waves_per_mm: FloatArray,
+) -> FloatArray:
+    """Return what each wave takes of the squares on its own, shape `(W,)`."""
+    gram, along = np.zeros((waves_per_mm.size, 2, 2)), np.zeros((waves_per_mm.size, 2))
+    for one, error, weight in zip(runs, errors, weights, strict=True):
+        turned = one.from_zero(_periodic(one, waves_per_mm)) * weight[:, None]
+        pair = turned[:, : waves_per_mm.size], turned[:, waves_per_mm.size :]
+        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            gram[:, i, j] += np.einsum("bw,bw->w", pair[i], pair[j])
+        along += (error @ turned).reshape(2, -1).T
+    scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)) + 1e-150
+    scaled = gram / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(2)
+    found = np.linalg.solve(scaled, (along / scale)[:, :, None])[:, :, 0] / scale
+    return np.asarray(np.sum(found * along, axis=1))
 
 
 def _waves(waves_per_mm: tuple[float, ...]) -> Columns:

@@ -59,7 +59,7 @@ def find_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) 
     effect = known[found[0].effect]
     if not isinstance(effect, MotorEffect | EncoderEffect):
         return PositionFinding(runs, present=True, families=found)
-    candidate, errors = _fitted(runs, effect, found[0])
+    candidate, errors = fitted(runs, effect, found[0])
     return PositionFinding(runs, present=True, families=found, candidate=candidate, standard_errors=errors)
 
 
@@ -77,8 +77,8 @@ def strayed(candidate: Candidate, one: PositionErrors) -> FloatArray:
     return np.zeros_like(one.time_s)
 
 
-def _fitted(runs: Sequence[PositionErrors], effect: Effect, family: Family) -> tuple[Candidate, tuple[float, ...]]:
-    """Fit the catalogue's own form, from the best of the shapes that it tries."""
+def fitted(runs: Sequence[PositionErrors], effect: Effect, family: Family) -> tuple[Candidate, tuple[float, ...]]:
+    """Fit the catalogue's own form, from the best of the shapes that it tries; return it with standard errors."""
     from scipy.optimize import least_squares
 
     start = min(_starts(effect, family), key=lambda one: float(np.sum(_misfit(one, runs) ** 2)))

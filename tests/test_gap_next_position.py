@@ -1,0 +1,111 @@
+"""The next run where the position strays: whether it tells apart what the runs so far do not."""
+
+from pathlib import Path
+
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.planning.coverage import NOTHING_FURTHER
+from dragrig.analysis.gap.planning.trials import moves
+from dragrig.analysis.gap.planning.writing import plan_of
+from dragrig.analysis.gap.position.finding import PositionFinding, find_position
+from dragrig.analysis.gap.results import Diagnosis, Verdict
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.cli import main
+from dragrig.config.plan import Plan
+from dragrig.config.specimen import Specimen
+from dragrig.rig.runfile.model import Run
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+SCALE = "encoder_scale:scale_error=0.003"
+LONG_RIPPLE = "velocity_ripple:pitch_mm=20,amplitude_mm=0.03"
+THIN = {"kind": "drag", "speed_mm_s": [5.0, 20.0], "travel_mm": 6.0}
+FULL = {"kind": "drag", "speed_mm_s": [2.0, 20.0, 40.0], "travel_mm": 40.0}
+MIXED = ("velocity_ripple:pitch_mm=5,amplitude_mm=0.03", "servo_lag:lag_s=0.004", "encoder_scale")
+
+
+def plan(*steps: dict[str, object], seed: int = 3) -> Plan:
+    return Plan.model_validate({"name": "tried", "seed": seed, "steps": steps})
+
+
+def told(runs: tuple[Run, ...]) -> Diagnosis:
+    return diagnose(choose(runs), MODEL)
+
+
+def found_in(runs: tuple[Run, ...]) -> PositionFinding:
+    return find_position(choose(runs).experiments, list(catalogue().values()))
+
+
+def margin(found: PositionFinding, truth: str) -> float:
+    """By how much the truth explains more than any other effect."""
+    shares = {one.effect: one.held_out for one in found.families}
+    return shares.pop(truth) - max(shares.values())
+
+
+@pytest.mark.parametrize("effect", [SCALE, LONG_RIPPLE])
+def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str) -> None:
+    truth = effect.split(":", 1)[0]
+    thin = dragrig.simulate(plan(THIN), effects=[effect])
+    advised = told(thin).next_experiment
+    assert advised is not None
+    (one,) = advised.runs
+    assert not one.surer
+    assert {one.after.truth, one.after.rival} == {"encoder_scale", "velocity_ripple"}
+    assert one.after.left > one.before.left + 0.05
+    more = dragrig.simulate(plan_of(advised), effects=[effect])
+    again = dragrig.simulate(plan({**THIN, "repeats": 2}, seed=9), effects=[effect])
+    with_it, repeated = found_in((*thin, *more)), found_in((*thin, *again))
+    assert with_it.families[0].effect == truth
+    assert with_it.families[0].held_out > 0.99
+    assert margin(with_it, truth) > max(0.05, 2 * margin(repeated, truth))
+
+
+def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    campaign, out = tmp_path / "thin", tmp_path / "next.toml"
+    dragrig.simulate(plan(THIN), out=campaign, effects=[SCALE])
+    assert main(["gap", "next", str(campaign), "--quiet", "--minutes", "3", "--save-plan", str(out)]) == 0
+    assert "separates encoder scale from velocity ripple" in capsys.readouterr().out
+    assert main(["check", str(out)]) == 0
+
+
+def test_what_is_told_apart_already_is_said_to_be() -> None:
+    settled = told(dragrig.simulate(plan(FULL), effects=["velocity_ripple"]))
+    assert settled.effects == ("velocity_ripple",)
+    assert settled.next_experiment is not None
+    assert all(one.surer for one in settled.next_experiment.runs)
+    assert settled.next_experiment.why.startswith("What is likely is told apart well enough already.")
+
+
+def test_what_no_run_tells_apart_is_said() -> None:
+    lag = told(dragrig.simulate(plan({**FULL, "travel_mm": 10.0}), effects=["servo_lag:lag_s=0.01,frequency_hz=60"]))
+    assert {*lag.effects, *lag.confusable_with} >= {"servo_lag", "channel_latency"}
+    assert lag.next_experiment is None
+    assert any(one.startswith("No run that was compared would tell") for one in lag.cannot_answer)
+
+
+def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> None:
+    unnamed = told(dragrig.simulate(plan(FULL), effects=MIXED))
+    assert unnamed.verdict is Verdict.UNKNOWN
+    assert unnamed.next_experiment is not None
+    (one,) = unnamed.next_experiment.runs
+    assert one.settings["accel_mm_s2"] == 2000.0
+    assert "no run so far comes near its" in unnamed.next_experiment.why
+    assert "acceleration" in unnamed.next_experiment.why
+    ways = [one.step.model_copy(update={"repeats": 1}) for one in moves(Specimen(name="jejunum"))]
+    everything = Plan(name="all", seed=4, steps=tuple(ways))
+    covered = told(dragrig.simulate(everything, effects=MIXED))
+    assert covered.verdict is Verdict.UNKNOWN
+    assert covered.next_experiment is None
+    assert NOTHING_FURTHER in covered.cannot_answer
+
+
+def test_the_more_doubtful_question_comes_first() -> None:
+    steps = {**FULL, "speed_mm_s": [0.5, 1.0, 4.0, 30.0]}
+    both = told(dragrig.simulate(plan(steps), effects=["stribeck:ratio=0.4,speed_mm_s=2", SCALE]))
+    assert both.verdict is Verdict.SEVERAL
+    assert "encoder_scale" in both.effects
+    assert both.next_experiment is not None
+    (one,) = both.next_experiment.runs
+    assert "stribeck" in {one.after.truth, one.after.rival}
