@@ -4,7 +4,7 @@
 |---|---|
 | `protocol` | the protocol that a model fulfils: parameters with priors, predicted channels of a run |
 | `experiment` | one run as a model sees it: what was done, and the measured motion |
-| `capsule`, `capsule_parameters`, `capsule_forces` | the paper's friction model |
+| `capsule`, `capsule_parameters`, `capsule_forces`, `capsule_sliding` | the paper's friction model |
 | `drive`, `load` | the stage alone, from its recorded motor force, and what hangs on it |
 | `kinematics`, `velocity_chain` | velocity and acceleration from a position in counts |
 | `own` | what a model of one's own is derived from |

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from dragrig.analysis.nominal.capsule_forces import NoForce, SlidingPredictor, StickingPredictor, acquisition_of
+from dragrig.analysis.nominal.capsule_forces import NoForce, StickingPredictor, acquisition_of
 from dragrig.analysis.nominal.capsule_parameters import CHANNEL, COMBINATIONS, VARIATIONS, ZERO_SD_MN, parameters_of
+from dragrig.analysis.nominal.capsule_sliding import SlidingPredictor
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.nominal.protocol import Combination, NominalModel, Parameter, Predictor, Variation
 from dragrig.config.model import FrictionModelSettings
