@@ -91,6 +91,7 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
         (["--seed", "-1"], "whole number from 0 on"),
         (["--workers", "0"], "one worker at least"),
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "needs --out"),
         (["--report", "gone/report.html"], "there is no folder gone"),
     ],
 )

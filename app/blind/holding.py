@@ -51,7 +51,7 @@ def gap_blind(
     workers
         Processes that share the campaigns; as many as there are cores unless given.
     scheduler
-        Address of a Dask cluster that does the work in their place; its workers must see `out`.
+        Address of a Dask cluster that does the work in their place; its workers must see `out`, which must be given.
     kind
         Which mix of campaigns: `exam`, or `learning`, which has more of what is hard.
     without_true
@@ -84,6 +84,8 @@ def gap_blind(
     if kind not in MIXES:
         raise SettingsError(f"--mix {kind}: there is {' and '.join(MIXES)}.")
     require_workers(workers, scheduler)
+    if scheduler is not None and out is None:
+        raise SettingsError(f"--scheduler {scheduler}: needs --out, a folder that the cluster's workers see too.")
     began = perf_counter()
     place = tempfile.TemporaryDirectory(prefix="dragrig-blind-") if out is None else nullcontext(str(out))
     with place as root, opened(Path(root).absolute(), cases, seed, kind) as folder:
