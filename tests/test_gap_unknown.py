@@ -80,6 +80,16 @@ def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: d
             assert sd < 0.1 * abs(terms[name])
 
 
+def test_a_wave_longer_than_any_steady_motion_is_told_without_an_amplitude() -> None:
+    def slow_wave(one: ResidualBlocks) -> FloatArray:
+        return np.asarray(15.0 * np.sin(2 * np.pi * one.time_s / 5.0) * (one.kind == "relaxation"))
+
+    told = words_of([one for one in campaign(1, slow_wave) if one.kind == "relaxation"])[1]
+    assert "periodic in time" in told
+    assert "more than any run moves steadily" in told
+    assert "nan" not in told
+
+
 def test_a_law_is_looked_for_where_a_single_relaxation_comes_first() -> None:
     def drags_and_the_hold(one: ResidualBlocks) -> FloatArray:
         return rise_and_fall(one) + 40.0 * (one.phase == Phase.HOLD) * (one.kind == "relaxation")

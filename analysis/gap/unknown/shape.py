@@ -111,6 +111,10 @@ def _wave(part: Part) -> str:
     along = in_position.max() >= in_time.max()
     rate = best_wave(part.blocks) if along else float(FREQUENCIES_HZ[np.argmax(in_time)])
     waves = np.array([_amplitude(one, np.abs(one.position_mm) if along else one.time_s, rate) for one in part.blocks])
+    place, unit = ("along the stroke", "mm") if along else ("in time", "s")
+    periodic = f"It is periodic {place}, {1 / rate:.3g} {unit} long"
+    if not waves.any():
+        return f"{periodic}, which is more than any run moves steadily."
     size = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * part.scale
     step = abs(waves.sum()) / np.abs(waves).sum()
     begin = "at the same place" if along else "at the same time"
@@ -118,8 +122,7 @@ def _wave(part: Part) -> str:
     if along and len({round(one.origin_mm, 1) for one in part.blocks}) > 1:
         # Positions count from where each run begins.
         phase = ""
-    place, unit = ("along the stroke", "mm") if along else ("in time", "s")
-    return f"It is periodic {place}, {1 / rate:.3g} {unit} long, with an amplitude of {told(size)} {part.unit}{phase}."
+    return f"{periodic}, with an amplitude of {told(size)} {part.unit}{phase}."
 
 
 def _amplitude(one: ResidualBlocks, coordinate: FloatArray, rate: float) -> complex:
