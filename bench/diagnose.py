@@ -1,11 +1,10 @@
 """How long a campaign of 31 runs at 500 Hz takes to diagnose, where the time goes, and how it grows with the runs.
 
-    python bench/diagnose.py [--effects stribeck force_drift] [--seed 26] [--rounds 3] [--runs 124 1000] [--jitter-um 3]
+    python bench/diagnose.py [--effects stribeck force_drift] [--seed 26] [--rounds 3] [--runs 124 1000]
 
 The blind plant makes the campaign. Each round times the command as a process of its own and the diagnosis from folder
 to result in a fresh process, whose peak memory is told too. The stages are timed where the diagnosis calls them; one
-that calls another counts it. Longer campaigns are the same runs copied under other ids and later times. Runs in which
-the stage keeps to one command to the encoder's count share work; a jitter gives every run a motion of its own.
+that calls another counts it. Longer campaigns are the same runs copied under other ids and later times.
 """
 
 import argparse
@@ -24,7 +23,6 @@ from statistics import median
 from uuid import uuid4
 
 import h5py
-import numpy as np
 
 from dragrig.sim_backend.blind import draw, make
 
@@ -36,14 +34,13 @@ STAGES = {
     "dragrig.analysis.gap.refit": ("lay_out",),
     "dragrig.analysis.gap.diagnose": ("find_position", "find_lines", "study_of", "explain", "locate", "leave_out"),
     "dragrig.analysis.gap.capsule_study": ("details",),
-    "dragrig.analysis.gap.design": ("signature", "slopes", "_derivatives"),
+    "dragrig.analysis.gap.design": ("signatures", "slopes", "_derivatives"),
 }
 
 
-def copied(campaign: Path, folder: Path, runs: int, jitter_um: float = 0.0) -> Path:
+def copied(campaign: Path, folder: Path, runs: int) -> Path:
     """Copy a campaign's runs in turn until there are so many, each session after the one before."""
     folder.mkdir()
-    generator = np.random.default_rng(runs)
     files = sorted(campaign.glob("*.h5"))
     for number in range(runs):
         session, at = divmod(number, len(files))
@@ -52,8 +49,6 @@ def copied(campaign: Path, folder: Path, runs: int, jitter_um: float = 0.0) -> P
             entry = file["entry"].attrs
             later = datetime.fromisoformat(str(entry["start_time"])) + timedelta(hours=2 * session)
             entry.update({"run_id": str(uuid4()), "start_time": later.isoformat(), "order": number})
-            position = file["entry/trace/position"]
-            position[...] += generator.normal(0.0, jitter_um / 1000, position.shape)
     return folder
 
 
@@ -133,15 +128,14 @@ def line(name: str, found: dict[str, object]) -> str:
     )
 
 
-def report(seed: int, effects: Sequence[str], rounds: int, runs: Sequence[int], jitter_um: float) -> bool:
+def report(seed: int, effects: Sequence[str], rounds: int, runs: Sequence[int]) -> bool:
     """Print all; return whether the memory stays below its bar."""
     with tempfile.TemporaryDirectory() as place:
         made = Path(place) / "made"
         make(draw(seed, effects=effects), made)
-        campaign = copied(made, Path(place) / "campaign", RUNS, jitter_um)
+        campaign = copied(made, Path(place) / "campaign", RUNS)
         commands = [commanded(campaign) for _ in range(rounds)]
-        hidden = " and ".join(effects) or "no effect"
-        print(f"{RUNS} runs at {RATE_HZ} Hz with {hidden}, seed {seed}, jitter of the position {jitter_um:g} µm")
+        print(f"{RUNS} runs at {RATE_HZ} Hz with {' and '.join(effects) or 'no effect'}, seed {seed}")
         print(f"the command: {median(commands):.1f} s, median of {rounds}\n")
         print("        runs   used   read    wall     CPU  peak MB")
         whole = [fresh(campaign) for _ in range(rounds)]
@@ -149,7 +143,7 @@ def report(seed: int, effects: Sequence[str], rounds: int, runs: Sequence[int], 
             print(line(str(RUNS), found))
         peaks = [float(str(found["peak_MB"])) for found in whole]
         for many in runs:
-            found = fresh(copied(made, Path(place) / str(many), many, jitter_um))
+            found = fresh(copied(made, Path(place) / str(many), many))
             print(line(str(many), found))
             peaks.append(float(str(found["peak_MB"])))
         stages = fresh(campaign, "--stages")["stages"]
@@ -167,14 +161,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=26)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--runs", type=int, nargs="*", default=[124, 1000])
-    parser.add_argument("--jitter-um", type=float, default=0.0, help="of the position; above 1 no motions are alike")
     parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--stages", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.one is not None:
         one(given.one, stages=given.stages)
         return
-    sys.exit(0 if report(given.seed, given.effects, given.rounds, given.runs, given.jitter_um) else 1)
+    sys.exit(0 if report(given.seed, given.effects, given.rounds, given.runs) else 1)
 
 
 if __name__ == "__main__":

@@ -171,7 +171,7 @@ def summarise(out: Path, ways: Sequence[str]) -> None:
         held = [[one[way]["right"] and one[way]["of_truth"] > least for way in (before, after)] for one in lines]
         won, lost = held.count([False, True]), held.count([True, False])
         chance = binomtest(won, won + lost).pvalue if won + lost else 1.0
-        print(f"{key}: {won} cases with {after} only, {lost} with {before} only (sign test: p = {chance:.3f})")
+        print(f"{key}: {won} cases with {after} only, {lost} with {before} only (sign test: p = {chance:.1g})")
 
 
 @dataclass(frozen=True, slots=True)
