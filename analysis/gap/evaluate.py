@@ -9,7 +9,6 @@ from dragrig.analysis.gap.capsule_study import CapsuleStudy
 from dragrig.analysis.gap.design import lay_out
 from dragrig.analysis.gap.gaps import run_gap, shrink_of
 from dragrig.analysis.gap.position.errors import position_errors
-from dragrig.analysis.gap.position.finding import LEAST_MM
 from dragrig.analysis.gap.position.gap import closed_in_position
 from dragrig.analysis.gap.results import Shrink
 from dragrig.analysis.gap.sights import sights_of
@@ -55,7 +54,7 @@ def evaluate(selection: Selection, model: FrictionModelSettings) -> Shrink:
     shrink = shrink_of(gaps)
     moved = [one for one in switched_on(model) if isinstance(one.effect, MotorEffect | EncoderEffect)]
     errors = position_errors(selection.experiments)
-    if len(moved) == 1 and len(model.effects) == 1 and errors and max(one.rms_mm for one in errors) >= LEAST_MM:
+    if len(moved) == 1 and len(model.effects) == 1 and any(one.strays for one in errors):
         return closed_in_position(Candidate(moved[0].effect, moved[0].values), errors, shrink)
     return shrink
 

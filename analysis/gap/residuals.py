@@ -8,7 +8,7 @@ from dragrig.analysis.gap.design import Design, Part
 from dragrig.analysis.gap.gaps import own_factors, own_zero
 from dragrig.analysis.gap.lines import Line
 from dragrig.analysis.gap.phases import commanded_phase
-from dragrig.analysis.gap.position.errors import COUNT_MM, QUANTISATION_MM, PositionErrors, origin_of
+from dragrig.analysis.gap.position.errors import PositionErrors, origin_of
 from dragrig.analysis.gap.solving import fit
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.where import ResidualBlocks
@@ -58,7 +58,7 @@ def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -
 
 
 def position_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlocks]:
-    """Return the position errors; an encoder count is what does not matter."""
+    """Return the position errors; an encoder's count is what does not matter."""
     found = []
     for one in runs:
         width = np.gradient(one.time_s)
@@ -73,7 +73,7 @@ def position_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlocks]:
                 strain=experiment.shear_strain,
                 session_s=one.session_s,
                 residual=one.error_mm,
-                noise_sd=np.full_like(one.error_mm, np.hypot(QUANTISATION_MM, COUNT_MM)),
+                noise_sd=np.full_like(one.error_mm, np.linalg.norm([one.quantisation_mm, one.count_mm, one.noise_mm])),
                 width_s=np.maximum(width, 1e-6),
                 time_s=one.time_s,
                 phase=commanded_phase(experiment, one.time_s).astype(np.uint8),

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from dragrig.analysis.clipping import clipped
+from dragrig.analysis.nominal.wander import COUNT_MM, count_of, jitter_of, wander_of
 from dragrig.analysis.phases import Mask
 from dragrig.config.capsule import Capsule
 from dragrig.config.errors import AnalysisError
@@ -17,13 +18,16 @@ from dragrig.rig.runfile.model import Attribute, Run
 from dragrig.sim_backend.friction.commanded import commanded_motion
 from dragrig.sim_backend.friction.measured import measured_motion
 from dragrig.sim_backend.friction.motion import ProfileMotion
-from dragrig.sim_backend.friction.recorded import RecordedMotion
+from dragrig.sim_backend.friction.recorded import FEWEST, WINDOW_S, RecordedMotion
 
 USUAL_DWELL_S = 60.0
 """Age of the contact at the first sample where a run does not say (the paper's programme)."""
 USUAL_WALL_MM = 2.5
-FOLLOWS_MM = 0.0025
-"""A stage whose encoder of 1 µm counts stays within this of its command is where it was told to be."""
+FOLLOWS_COUNTS = 2.5
+"""A stage whose encoder stays within so many counts of its command is where it was told to be."""
+
+BY_CHANCE = 0.25
+"""The mean of a window is off by less than this part of the wander, if by noise alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +62,41 @@ class Experiment:
         return np.isfinite(self.run.trace.force) & ~clipped(self.run)
 
     @cached_property
+    def count_mm(self) -> float:
+        """The encoder's count as the run's settings tell it, at least 1 µm."""
+        return count_of(self.run.info.header.settings_toml)
+
+    @cached_property
+    def wander_mm(self) -> float:
+        """How far the recorded position wanders at rest, at least from one count to the next."""
+        time_s, position = self._seen
+        if position.size < FEWEST:
+            return jitter_of(COUNT_MM)
+        command = np.asarray(self.run.trace.command, dtype=np.float64)[np.isfinite(self.run.trace.position)]
+        known = bool(np.isfinite(command).all() and np.any(command != position))
+        return wander_of(time_s, position, command if known else None, self.count_mm)
+
+    @cached_property
     def obeyed(self) -> bool:
         """Whether the stage followed its command to the encoder's count, so that the command is the better record.
 
-        One that equals the position was made of it, as for records from elsewhere.
+        A position that wanders at rest may be off as much further, but not for long. One that equals the command was
+        made of it, as for records from elsewhere.
         """
-        position = np.asarray(self.run.trace.position, dtype=np.float64)
         command = np.asarray(self.run.trace.command, dtype=np.float64)
-        off = np.abs(position - command)[np.isfinite(position)]
-        if self.trusts_command and np.isfinite(command).all():
+        if not np.isfinite(command).all():
+            return False
+        if self.trusts_command:
             return True
-        return bool(np.isfinite(command).all() and 0 < off.max(initial=0.0) <= FOLLOWS_MM)
+        time_s, position = self._seen
+        off = position - command[np.isfinite(self.run.trace.position)]
+        furthest = float(np.abs(off).max(initial=0.0))
+        follows_mm = FOLLOWS_COUNTS * self.count_mm
+        if furthest <= follows_mm:
+            return furthest > 0
+        if furthest > follows_mm + self.wander_mm - jitter_of(self.count_mm):
+            return False
+        return _smoothed(time_s, off) <= max(follows_mm, BY_CHANCE * self.wander_mm)
 
     @cached_property
     def motion(self) -> RecordedMotion:
@@ -81,9 +109,7 @@ class Experiment:
             return RecordedMotion.exact(self.time_s, command - command[0])
         if self.obeyed:
             return commanded_motion(self.time_s, self.run.trace.command)
-        position = np.asarray(self.run.trace.position, dtype=np.float64)
-        seen = np.isfinite(position)
-        return RecordedMotion.of(self.time_s[seen], position[seen])
+        return RecordedMotion.of(*self._seen, self.wander_mm)
 
     @cached_property
     def followed(self) -> ProfileMotion:
@@ -93,9 +119,14 @@ class Experiment:
         """
         if self.obeyed:
             return self.motion.fine
+        return measured_motion(self.motion, *self._seen)
+
+    @cached_property
+    def _seen(self) -> tuple[FloatArray, FloatArray]:
+        """Times at which a position was recorded, and it."""
         position = np.asarray(self.run.trace.position, dtype=np.float64)
         seen = np.isfinite(position)
-        return measured_motion(self.motion, self.time_s[seen], position[seen])
+        return self.time_s[seen], position[seen]
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Measured position [mm], smoothed."""
@@ -162,6 +193,14 @@ class Experiment:
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
+
+
+def _smoothed(time_s: FloatArray, values: FloatArray) -> float:
+    """Return the largest mean over a window, whatever its sign."""
+    from scipy.ndimage import uniform_filter1d
+
+    window = max(FEWEST, round(WINDOW_S / float(np.median(np.diff(time_s)))))
+    return float(np.abs(uniform_filter1d(values, window)).max())
 
 
 def _number(value: Attribute | None) -> float | None:

@@ -15,8 +15,8 @@ from dragrig.analysis.nominal.velocity_chain import fit_velocity
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.recorded import JITTER_MM
 
-STRETCH_MM = 4 / 3 * JITTER_MM
-"""A count at either end, by which a ramp may seem longer or shorter."""
+STRETCHED = 4 / 3
+"""A ramp may seem longer or shorter by so much of the wander: a count at either end."""
 LONGEST_TIMING_S = 0.01
 """A joint of the slowest motion is known to this."""
 
@@ -33,11 +33,14 @@ class Kinematics:
         Velocity at the joints, shape `(K,)`.
     step_s
         Time between samples.
+    wander_mm
+        How far the recorded position wanders at rest.
     """
 
     joints_s: FloatArray
     velocity_mm_s: FloatArray
     step_s: float
+    wander_mm: float = JITTER_MM
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Velocity [mm/s] at times of shape `(n,)`."""
@@ -56,7 +59,7 @@ class Kinematics:
         """
         length, change = np.diff(self.joints_s), np.abs(np.diff(self.velocity_mm_s))
         fastest = np.maximum(np.abs(self.velocity_mm_s[1:]), np.abs(self.velocity_mm_s[:-1]))
-        stretched = STRETCH_MM / np.maximum(fastest, 1e-9) / length
+        stretched = STRETCHED * self.wander_mm / np.maximum(fastest, 1e-9) / length
         error = change / length * np.minimum(stretched, 1.0) * np.sqrt(np.maximum(length / self.step_s, 1.0))
         return np.asarray(error[self._piece(time_s)])
 
@@ -64,7 +67,7 @@ class Kinematics:
         """Return by how much what follows from this motion may be wrong near its joints, 0 elsewhere, shape `(n,)`.
 
         A sample is told to lie on the right side of a joint only up to the time in which the stage moves by the
-        encoder's jitter, and up to one sample, for position and force need not be of the same instant.
+        encoder's wander, and up to one sample, for position and force need not be of the same instant.
 
         Parameters
         ----------
@@ -75,7 +78,7 @@ class Kinematics:
         """
         speed = np.abs(self.velocity_mm_s)
         fastest = np.maximum(speed, np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1])))
-        timing = self.step_s + np.minimum(JITTER_MM / np.maximum(fastest, 1e-9), LONGEST_TIMING_S)
+        timing = self.step_s + np.minimum(self.wander_mm / np.maximum(fastest, 1e-9), LONGEST_TIMING_S)
         nearest = np.searchsorted(0.5 * (self.joints_s[1:] + self.joints_s[:-1]), time_s)
         shift = timing[nearest]
         found = np.zeros(len(time_s))
@@ -94,8 +97,9 @@ def kinematics(experiment: Experiment) -> Kinematics:
     """Fit the measured position of a run; raises `AnalysisError` where its motion cannot be used."""
     position = np.asarray(experiment.run.trace.position, dtype=np.float64)
     seen = np.isfinite(position)
-    joints, velocity = with_turns(*fit_velocity(experiment.motion, experiment.time_s[seen], position[seen]))
-    return Kinematics(joints, velocity, 1.0 / experiment.run.trace.sample_rate_hz)
+    wander_mm = experiment.wander_mm
+    fitted = fit_velocity(experiment.motion, experiment.time_s[seen], position[seen], wander_mm)
+    return Kinematics(*with_turns(*fitted), 1.0 / experiment.run.trace.sample_rate_hz, wander_mm)
 
 
 def with_turns(joints_s: FloatArray, velocity_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -26,13 +26,15 @@ SLACK = 0.45
 CLOSEST_S = 0.004
 """Joints that start out closer than this are one."""
 ROUNDING = 0.2
-"""Root mean square of what counts leave of a position, over the jitter of an encoder."""
+"""Root mean square of what counts or noise leave of a position, over how far it wanders."""
 MOST_STEPS = 30
 FITS = 4
 """Fits in a row, each of which may move the joints again."""
 
 
-def fit_velocity(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+def fit_velocity(
+    motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray, wander_mm: float = JITTER_MM
+) -> tuple[FloatArray, FloatArray]:
     """Fit a measured position.
 
     Parameters
@@ -41,6 +43,8 @@ def fit_velocity(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatA
         The same record smoothed, which says where it rests and bends.
     time_s, position_mm
         The record, from its first sample on, shape `(N,)`.
+    wander_mm
+        How far it wanders at rest.
 
     Returns
     -------
@@ -48,7 +52,7 @@ def fit_velocity(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatA
     """
     chain = _first_guess(motion)
     if len(chain.joints_s) <= MOST_JOINTS:
-        chain = _simplest(*_fine_enough(chain, time_s, position_mm), time_s, position_mm)
+        chain = _simplest(*_fine_enough(chain, time_s, position_mm, wander_mm), time_s, position_mm, wander_mm)
     return chain.joints_s, chain.velocity_mm_s
 
 
@@ -101,10 +105,10 @@ def _apart(times: FloatArray, resting: Mask) -> Mask:
     return kept
 
 
-def _fine_enough(chain: _Chain, time_s: FloatArray, position_mm: FloatArray) -> tuple[_Chain, float]:
-    """Fit a chain, with more joints where it misses the record by more than jitter."""
+def _fine_enough(chain: _Chain, time_s: FloatArray, position_mm: FloatArray, wander_mm: float) -> tuple[_Chain, float]:
+    """Fit a chain, with more joints where it misses the record by more than this wanders."""
     chain, squares = _fitted(chain, time_s, position_mm)
-    while squares > JITTER_MM**2 and len(chain.joints_s) < MOST_JOINTS:
+    while squares > wander_mm**2 and len(chain.joints_s) < MOST_JOINTS:
         off = position_mm - chain.moved(time_s)
         off = np.abs(off - off.mean())
         off[np.abs(time_s[:, None] - chain.joints_s).min(axis=1) < CLOSEST_S] = 0.0
@@ -116,12 +120,12 @@ def _fine_enough(chain: _Chain, time_s: FloatArray, position_mm: FloatArray) -> 
     return chain, squares
 
 
-def _simplest(chain: _Chain, squares: float, time_s: FloatArray, position_mm: FloatArray) -> _Chain:
+def _simplest(chain: _Chain, squares: float, time_s: FloatArray, position_mm: FloatArray, wander_mm: float) -> _Chain:
     """Take joints away as long as the record does not need them (Bayesian information criterion)."""
     while (joint := _least_bent(chain)) is not None:
         fewer, more = _fitted(chain.keep(np.arange(len(chain.joints_s)) != joint), time_s, position_mm)
         samples = SAMPLES_PER_PIECE * len(fewer.joints_s)
-        if more > max(squares, (ROUNDING * JITTER_MM) ** 2) * (1 + 2 * log(samples) / samples):
+        if more > max(squares, (ROUNDING * wander_mm) ** 2) * (1 + 2 * log(samples) / samples):
             break
         chain, squares = fewer, more
     return chain

@@ -24,6 +24,10 @@ FEWEST = 5
 JITTER_MM = 0.0015
 """How far an encoder of 1 µm counts may wander at rest: from one count to the next."""
 
+SLOWEST_MM_S = 0.05
+"""A stage that wanders further than the counts rests only where a window so much longer sees no such speed."""
+LONGEST_REST_WINDOW_S = 0.3
+
 CREEP_MM_S = 1e-4
 """A computed position that goes slower than this stands still: 0.2 % of the speed that turns Coulomb friction."""
 
@@ -86,8 +90,11 @@ class RecordedMotion:
             When the record is too short, its times do not rise, or a value is not finite.
         """
         grid, raw = on_a_grid(*checked(time_s, position_mm))
-        window = max(FEWEST, 2 * round(0.5 * WINDOW_S / float(grid[1])) + 1)
-        smooth, edges = smooth_between_rests(raw, window, jitter_mm)
+        step = float(grid[1])
+        window = max(FEWEST, 2 * round(0.5 * WINDOW_S / step) + 1)
+        resting_s = min(max(WINDOW_S, jitter_mm / SLOWEST_MM_S), LONGEST_REST_WINDOW_S)
+        at_rest = max(window, 2 * round(0.5 * resting_s / step) + 1)
+        smooth, edges = smooth_between_rests(raw, window, jitter_mm, at_rest)
         fine = _pieces(grid, smooth - smooth[0], edges, jitter_mm)
         breaks = with_bends(fine, grid[edges])
         first = np.searchsorted(fine.breaks_s, breaks[:-1])

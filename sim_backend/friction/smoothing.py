@@ -19,14 +19,27 @@ TURN_JITTERS = 5.0
 """A way back shorter than this many times the jitter is not a turn."""
 
 
-def smooth_between_rests(position_mm: FloatArray, window: int, jitter_mm: float) -> tuple[FloatArray, IndexArray]:
+def smooth_between_rests(
+    position_mm: FloatArray, window: int, jitter_mm: float, rest_window: int | None = None
+) -> tuple[FloatArray, IndexArray]:
     """Make rests exactly still and each way between turns monotone, smoothed without looking beyond a rest.
 
-    Returns the smoothed position, and the edges of rests and of ways from turn to turn.
+    Parameters
+    ----------
+    window
+        Samples that are smoothed together.
+    jitter_mm
+        How far the position wanders within a window at rest.
+    rest_window
+        Samples of the shortest rest, as many as the window unless given.
+
+    Returns
+    -------
+    The smoothed position, and the edges of rests and of ways from turn to turn.
     """
     from scipy.signal import savgol_filter
 
-    still = _still(position_mm, window, jitter_mm)
+    still = _still(position_mm, rest_window or window, jitter_mm)
     changes = np.flatnonzero(np.diff(still))
     edges = np.unique(np.concatenate(([0], np.where(still[changes], changes, changes + 1), [still.size - 1])))
     smooth = position_mm.copy()

@@ -16,7 +16,7 @@ from dragrig.analysis.gap.isolability.results import Pair, Visibility, pairs_of
 from dragrig.analysis.gap.judging import LEAST_POSITION
 from dragrig.analysis.gap.position.errors import PositionErrors, position_errors
 from dragrig.analysis.gap.position.families import families
-from dragrig.analysis.gap.position.finding import LEAST_MM, strayed
+from dragrig.analysis.gap.position.finding import strayed
 from dragrig.analysis.gap.seen import SEEN
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.sim_backend.effects.base import Effect, EncoderEffect, MotorEffect
@@ -57,9 +57,9 @@ def _candidates(effect: Effect) -> Iterator[Candidate]:
 
 def _try(candidate: Candidate, runs: Sequence[PositionErrors]) -> _Tried:
     errors = [strayed(candidate, one) for one in runs]
-    largest = max(float(np.sqrt(np.mean(one**2))) for one in errors)
+    clearest = max(float(np.sqrt(np.mean(more**2))) / one.least_mm for one, more in zip(runs, errors, strict=True))
     strays = [replace(one, error_mm=one.error_mm + more) for one, more in zip(runs, errors, strict=True)]
-    return _Tried(largest / LEAST_MM, {one.effect: 1.0 - one.held_out for one in families(strays)})
+    return _Tried(clearest, {one.effect: 1.0 - one.held_out for one in families(strays)})
 
 
 def _visibility(effect: Effect, tried: Sequence[_Tried]) -> Visibility:

@@ -11,7 +11,7 @@ from dragrig.analysis.gap.planning.search import HANDS_MIN, Budget
 from dragrig.analysis.gap.planning.trials import Trial
 from dragrig.analysis.gap.planning.words import subject
 from dragrig.analysis.gap.position.errors import PositionErrors
-from dragrig.analysis.gap.position.finding import LEAST_MM, PositionFinding
+from dragrig.analysis.gap.position.finding import PositionFinding
 from dragrig.analysis.gap.seen import SEEN
 from dragrig.analysis.gap.sentences import listed
 from dragrig.rig.arrays import FloatArray
@@ -74,8 +74,8 @@ def _beyond(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
 def _now(position: PositionFinding) -> Contest:
     """Return what the best form leaves of what strays."""
     left = 1.0 - max((one.held_out for one in position.families), default=0.0)
-    largest = max(one.rms_mm for one in position.runs)
-    return Contest(UNKNOWN, "", SEEN * largest / LEAST_MM * float(np.sqrt(min(left, 1.0))), min(left, 1.0))
+    seen = max(one.rms_mm / one.least_mm for one in position.runs)
+    return Contest(UNKNOWN, "", SEEN * seen * float(np.sqrt(min(left, 1.0))), min(left, 1.0))
 
 
 def _why(trial: Trial, by: FloatArray, tried: int) -> str:

@@ -20,9 +20,9 @@ from dragrig.analysis.gap.planning.recommend import LEADING, LEAST_WEIGHT, chanc
 from dragrig.analysis.gap.planning.results import Contest, NextExperiment
 from dragrig.analysis.gap.planning.search import ENOUGH, Answer, Budget, search
 from dragrig.analysis.gap.planning.trials import moves
-from dragrig.analysis.gap.position.errors import COUNT_MM, PositionErrors, position_errors
+from dragrig.analysis.gap.position.errors import PositionErrors, position_errors
 from dragrig.analysis.gap.position.families import Family, families
-from dragrig.analysis.gap.position.finding import LEAST_MM, PositionFinding, fitted, strayed
+from dragrig.analysis.gap.position.finding import PositionFinding, fitted, strayed
 from dragrig.analysis.gap.seen import SEEN
 from dragrig.analysis.gap.study import Study
 from dragrig.rig.arrays import FloatArray
@@ -89,7 +89,7 @@ class PositionField:
         explained = {one.effect: one.held_out for one in families(runs, (truth.effect, *rivals))}
         for rival in rivals:
             left = min(max(explained[truth.effect] - explained[rival], 0.0), 1.0)
-            contest = Contest(truth.effect, rival, SEEN * size / LEAST_MM * float(np.sqrt(left)), left)
+            contest = Contest(truth.effect, rival, SEEN * size / self.runs[0].least_mm * float(np.sqrt(left)), left)
             yield Answer(contest, _log_odds(contest, explained[truth.effect]), self.weights[truth.effect, rival])
 
 
@@ -149,8 +149,10 @@ def _straying(position: PositionFinding, family: Family) -> Straying | None:
     runs = position.runs
     candidate = fitted(runs, effect, family)[0] if by_form else None
     found = Straying(family.effect, candidate, family.shape)
-    left = [float(np.mean((one.error_mm - found.error_of(one)) ** 2)) / (one.rms_mm + COUNT_MM) ** 2 for one in runs]
-    whole = [float(np.mean(one.error_mm**2)) / (one.rms_mm + COUNT_MM) ** 2 for one in runs]
+    left = [
+        float(np.mean((one.error_mm - found.error_of(one)) ** 2)) / (one.rms_mm + one.count_mm) ** 2 for one in runs
+    ]
+    whole = [float(np.mean(one.error_mm**2)) / (one.rms_mm + one.count_mm) ** 2 for one in runs]
     return found if sum(left) < (1.0 - LEAST_TAKEN) * sum(whole) else None
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.analysis.nominal.load import EXTERNAL
+from dragrig.analysis.nominal.wander import COUNT_MM, noise_of
 from dragrig.rig.arrays import FloatArray
 
 MOST_BLOCKS = 400
@@ -15,9 +16,8 @@ BEFORE_S, AFTER_S = 0.05, 1.5
 ROUNDING = 1e-9
 ENTERING = 0.5
 """A record whose first speed is above this part of its highest begins in motion; a ramp starts at next to none."""
-COUNT_MM = 0.001
-"""An encoder count; differences smaller than this do not matter."""
-QUANTISATION_MM = COUNT_MM / np.sqrt(12)
+LEAST_COUNTS = 0.7
+"""Errors of a run below so many counts are the encoder's."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +41,11 @@ class PositionErrors:
         Where it begins, from where the first run does.
     entering_mm_s
         How fast the stage was told to go already as the record begins; 0 for one that begins at rest.
+    count_mm
+        The encoder's count; differences smaller than this do not matter.
+    noise_mm
+        By how much the record wanders at rest, one standard deviation; 0 where it is from one count to the next. What a
+        servo dithers by is not less in the mean of a block.
     """
 
     experiment: Experiment
@@ -52,11 +57,29 @@ class PositionErrors:
     session_s: float
     origin_mm: float = 0.0
     entering_mm_s: float = 0.0
+    count_mm: float = COUNT_MM
+    noise_mm: float = 0.0
 
     @property
     def rms_mm(self) -> float:
-        """Its size beyond the encoder's quantisation."""
-        return float(np.sqrt(max(float(np.mean(self.error_mm**2)) - QUANTISATION_MM**2 / 2, 0.0)))
+        """Its size beyond the encoder's quantisation and noise."""
+        squares = float(np.mean(self.error_mm**2)) - self.quantisation_mm**2 / 2 - self.noise_mm**2
+        return float(np.sqrt(max(squares, 0.0)))
+
+    @property
+    def strays(self) -> bool:
+        """Whether it is more than the encoder's counts and noise."""
+        return self.rms_mm >= self.least_mm
+
+    @property
+    def least_mm(self) -> float:
+        """The least error that is seen."""
+        return max(LEAST_COUNTS * self.count_mm, self.noise_mm)
+
+    @property
+    def quantisation_mm(self) -> float:
+        """What its counts make a single position differ by, one standard deviation."""
+        return self.count_mm / float(np.sqrt(12))
 
     @property
     def top_speed_mm_s(self) -> float:
@@ -138,4 +161,6 @@ def _errors(experiment: Experiment, session_s: float, origin_mm: float) -> Posit
         session_s,
         origin_mm,
         entering,
+        experiment.count_mm,
+        noise_of(experiment.wander_mm, experiment.count_mm),
     )

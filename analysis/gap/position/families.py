@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.gap.position.errors import COUNT_MM, PositionErrors
+from dragrig.analysis.gap.position.errors import PositionErrors
 from dragrig.rig.arrays import FloatArray
 
 DELAYS_S = (0.002, 0.004, 0.008, 0.016, 0.03, 0.05, 0.08, 0.12, 0.2, 0.35, 0.6)
@@ -161,7 +161,7 @@ def _periodic(one: PositionErrors, waves_per_mm: FloatArray) -> FloatArray:
 def _weight(one: PositionErrors) -> FloatArray:
     """Let runs count alike, whatever their speed, but those without an error for little."""
     rms = float(np.sqrt(np.mean(one.error_mm**2)))
-    return np.full_like(one.error_mm, 1.0 / ((rms + COUNT_MM) * np.sqrt(one.error_mm.size)))
+    return np.full_like(one.error_mm, 1.0 / ((rms + one.count_mm) * np.sqrt(one.error_mm.size)))
 
 
 def _grams(runs: Sequence[PositionErrors], columns: Columns) -> Iterator[tuple[FloatArray, FloatArray, float]]:

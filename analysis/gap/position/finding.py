@@ -12,8 +12,6 @@ from dragrig.analysis.nominal.experiment import Experiment
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Effect, EncoderEffect, MotorEffect, Role
 
-LEAST_MM = 0.0007
-"""Errors of a run below this are the encoder's counts."""
 STEPS = 60
 
 
@@ -50,7 +48,7 @@ class PositionFinding:
 def find_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) -> PositionFinding:
     """Look at the position errors of a campaign; `effects` are the candidates."""
     runs = position_errors(experiments)
-    if not runs or max(one.rms_mm for one in runs) < LEAST_MM:
+    if not any(one.strays for one in runs):
         return PositionFinding(runs, present=False)
     known = {one.id: one for one in effects}
     found = tuple(one for one in families(runs) if one.effect in known)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dragrig.analysis.gap.candidate import Candidate
-from dragrig.analysis.gap.position.errors import QUANTISATION_MM, PositionErrors
+from dragrig.analysis.gap.position.errors import PositionErrors
 from dragrig.analysis.gap.position.finding import PositionFinding, strayed
 from dragrig.analysis.gap.results import Shrink
 
@@ -22,12 +22,12 @@ def position_gap(found: PositionFinding, force: Shrink) -> Shrink:
 
 def closed_in_position(candidate: Candidate, runs: Sequence[PositionErrors], force: Shrink, seed: int = 0) -> Shrink:
     """Do the same for an effect and runs that took no part in its fit."""
-    floor = QUANTISATION_MM**2
-    before = np.array([float(np.mean(one.error_mm**2)) for one in runs])
-    after = np.array([float(np.mean((one.error_mm - strayed(candidate, one)) ** 2)) for one in runs])
+    floor = np.array([one.quantisation_mm**2 + one.noise_mm**2 for one in runs])
+    before = np.array([float(np.mean(one.error_mm**2)) for one in runs]) - floor
+    after = np.array([float(np.mean((one.error_mm - strayed(candidate, one)) ** 2)) for one in runs]) - floor
 
     def share(rows: Sequence[int] | np.ndarray) -> float:
-        return float(1.0 - (after[rows].mean() - floor) / max(before[rows].mean() - floor, 1e-12))
+        return float(1.0 - after[rows].mean() / max(before[rows].mean(), 1e-12))
 
     everything = np.arange(len(runs))
     drawn = np.random.default_rng(seed).integers(len(runs), size=(RESAMPLED, len(runs)))

@@ -1,0 +1,157 @@
+"""How fine a record of the position is and how far it wanders at rest decide what is a motion and what is not."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from friction_cases import moves
+from hidden import hidden
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dragrig
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.position.errors import position_errors
+from dragrig.analysis.gap.results import Verdict
+from dragrig.analysis.identification.selection import Selection
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.nominal.wander import COUNT_MM, MOST_MM, count_of, wander_of
+from dragrig.rig.arrays import FloatArray
+
+RATE_HZ = 500.0
+STROKE = moves((20.0, 5.0), (-20.0, 40.0), between=2.0)
+
+Change = Callable[[FloatArray, np.random.Generator], FloatArray]
+
+
+def stroke() -> tuple[FloatArray, FloatArray]:
+    time = np.arange(STROKE.samples(RATE_HZ)) / RATE_HZ
+    return time, STROKE.position(time)
+
+
+def noisy(sd_mm: float) -> Change:
+    return lambda position, random: position + random.normal(0.0, sd_mm, position.size)
+
+
+def counted(count_mm: float) -> Change:
+    return lambda position, random: np.round(position / count_mm) * count_mm
+
+
+def dithering(amplitude_mm: float) -> Change:
+    """Swing as a servo does that hunts for its place, at 23 Hz."""
+
+    def changed(position: FloatArray, random: np.random.Generator) -> FloatArray:
+        time = np.arange(position.size) / RATE_HZ
+        return counted(COUNT_MM)(position + amplitude_mm * np.sin(2 * np.pi * (23 * time + random.random())), random)
+
+    return changed
+
+
+def with_position(selection: Selection, folder: Path, change: Change, count_mm: float = COUNT_MM) -> Selection:
+    """Record the same campaign with another encoder, of counts of `count_mm`."""
+    folder.mkdir()
+    random = np.random.default_rng(1)
+    for experiment in selection.experiments:
+        path = Path(shutil.copy(experiment.run.info.path, folder))
+        with h5py.File(path, "r+") as file:
+            position = file["entry/trace/position"]
+            position[...] = change(np.asarray(position[...], dtype=np.float64), random)
+            file["entry/settings"] = f"[rig.encoder]\nresolution_um = {1e3 * count_mm}\n"
+    return choose(folder)
+
+
+@pytest.mark.parametrize(
+    ("settings_toml", "count_mm"),
+    [
+        ("[rig.encoder]\nresolution_um = 5.0\n", 0.005),
+        ("[rig.encoder]\nresolution_um = 0.1\n", COUNT_MM),
+        ("[rig.encoder]\nresolution_um = -5\n", COUNT_MM),
+        ("[rig.encoder]\nresolution_um = 'coarse'\n", COUNT_MM),
+        ("rig = 3\n", COUNT_MM),
+        ("[rig]\nname = 'ours'\n", COUNT_MM),
+        ("[rig", COUNT_MM),
+        ("", COUNT_MM),
+    ],
+)
+def test_the_encoders_count_is_what_the_settings_of_the_run_say(settings_toml: str, count_mm: float) -> None:
+    assert count_of(settings_toml) == count_mm
+
+
+def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
+    fine, coarse = (
+        choose(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
+    )
+    assert {one.count_mm for one in fine.experiments} == {0.001}
+    assert {one.count_mm for one in coarse.experiments} == {0.005}
+    assert all(one.obeyed for one in coarse.experiments)
+
+
+@given(st.floats(0.0005, 0.003), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_the_wander_is_six_standard_deviations_of_noise(sd_mm: float, knows_command: bool) -> None:
+    time, command = stroke()
+    position = noisy(sd_mm)(command, np.random.default_rng(3))
+    assert wander_of(time, position, command if knows_command else None) == pytest.approx(6 * sd_mm, rel=0.15)
+
+
+def test_what_a_stage_does_as_it_comes_to_rest_is_no_wander() -> None:
+    time, command = stroke()
+    ringing = 0.1 * np.exp(-np.maximum(time - 5.5, 0.0) / 0.3) * np.sin(60 * np.maximum(time - 5.5, 0.0))
+    position = counted(COUNT_MM)(command + ringing, np.random.default_rng())
+    assert wander_of(time, position, command) == wander_of(
+        time, counted(COUNT_MM)(command, np.random.default_rng()), command
+    )
+    assert wander_of(time, noisy(0.1)(command, np.random.default_rng(0)), command) == MOST_MM
+
+
+@pytest.fixture(scope="module")
+def stribeck(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+    return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
+
+
+ENCODERS = {
+    "0.5 µm": (noisy(0.0005), COUNT_MM),
+    "1 µm": (noisy(0.001), COUNT_MM),
+    "2 µm": (noisy(0.002), COUNT_MM),
+    "3 µm": (noisy(0.003), COUNT_MM),
+    "dither": (dithering(0.004), COUNT_MM),
+    "5 µm counts": (counted(0.005), 0.005),
+    "10 µm counts": (counted(0.01), 0.01),
+}
+
+
+@pytest.mark.parametrize("encoder", ENCODERS)
+def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(stribeck: Selection, tmp_path: Path, encoder: str) -> None:
+    selection = with_position(stribeck, tmp_path / "other", *ENCODERS[encoder])
+    moved = [one for one in selection.experiments if one.obeyed]
+    assert len(moved) == len(selection.experiments)
+    assert not any(one.strays for one in position_errors(selection.experiments))
+
+
+@pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
+def test_such_an_encoder_does_not_change_the_verdict(stribeck: Selection, tmp_path: Path, encoder: str) -> None:
+    found = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL)
+    assert (found.verdict, found.effects) == (Verdict.EFFECT, ("stribeck",))
+
+
+@pytest.mark.parametrize("encoder", ["1 µm", "3 µm", "10 µm counts"])
+def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, encoder: str) -> None:
+    """Every wobble that counts as a turn has a contact of its own, which costs time and memory without end."""
+    selection = hidden(tmp_path / "lag", 14, "servo_lag")
+    before, after = selection.experiments, with_position(selection, tmp_path / "other", *ENCODERS[encoder]).experiments
+    assert any(one.strays for one in position_errors(after))
+    straying = [(one, other) for one, other in zip(before, after, strict=True) if not other.obeyed]
+    assert len(straying) > len(before) / 2
+    for one, other in straying:
+        assert other.motion.breaks_s.size <= one.motion.breaks_s.size + 4
+        assert other.motion.fine.breaks_s.size <= one.motion.fine.breaks_s.size + 4
+        assert rests_of(other) == pytest.approx(rests_of(one), abs=0.3)
+
+
+def rests_of(one: Experiment) -> float:
+    return float(np.diff(one.motion.breaks_s)[one.motion.signs == 0].sum())
