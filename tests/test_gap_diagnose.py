@@ -78,6 +78,16 @@ def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> N
     assert "drag" in told.unknown.lives_in
 
 
+def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: Path) -> None:
+    """Noise is measured at rest, where the table shakes too: it must not pass for noise of the sensor."""
+    shaken = diagnose(hidden(tmp_path, 29, "table_vibration"), MODEL)
+    assert shaken.verdict is Verdict.UNKNOWN
+    assert shaken.unknown is not None
+    assert "swing at about 3.5 Hz" in shaken.unknown.shape
+    assert "stands still" in shaken.unknown.lives_in
+    assert shaken.where.location("channel").shares["force"] > 0.9
+
+
 def test_a_wrong_encoder_is_found_in_the_position(tmp_path: Path) -> None:
     told = diagnose(hidden(tmp_path, 14, "encoder_scale"), MODEL)
     assert told.effects == ("encoder_scale",)

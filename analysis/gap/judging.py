@@ -118,7 +118,7 @@ def _with_lines(found: Evidence, force: _Force) -> Judgement:
     if found.line_gain > 0.5 * found.mains_gain:
         # Where all frequencies are loud, those of the mains are no finding.
         hum = min(hum, 0.2)
-    foreign = _logistic((found.line_gain - 0.02 * found.mains_gain - LEAST_OTHER_LINE) / OTHER_LINE_WIDTH)
+    foreign = _foreign(found)
     if "mains_hum" in found.without:
         foreign = max(foreign, seen)
     if hum > 0.5:
@@ -129,6 +129,16 @@ def _with_lines(found: Evidence, force: _Force) -> Judgement:
     if foreign > 0.5 and foreign > force.all_named:
         return _judged({}, foreign, 1.0 - foreign, force)
     return _judged(force.named, force.unknown, 1.0 - force.unknown - force.all_named, force)
+
+
+def _foreign(found: Evidence) -> float:
+    """Return how likely a line is that is not the mains'."""
+    return _logistic((found.line_gain - 0.02 * found.mains_gain - LEAST_OTHER_LINE) / OTHER_LINE_WIDTH)
+
+
+def tells_unknown(found: Evidence, judged: Judgement) -> bool:
+    """Return whether it is a line that no effect of the catalogue explains which made a verdict `unknown`."""
+    return judged.verdict is Verdict.UNKNOWN and not found.strays and _foreign(found) > 0.5
 
 
 def _with_position(found: Evidence, force: _Force) -> Judgement:

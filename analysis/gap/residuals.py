@@ -14,6 +14,8 @@ from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.where import ResidualBlocks
 from dragrig.rig.arrays import FloatArray
 
+LEAST_BESIDE = 0.3
+"""Noise beside a line is at least this part of all noise."""
 USUAL_SCATTER = 6.0
 """A run that differs from the others by more standard deviations than this does so for a reason."""
 
@@ -24,14 +26,16 @@ def nominal_residuals(design: Design) -> list[FloatArray]:
     return [one.residual - one.columns[:, solution.columns] @ solution.found for one in design.parts]
 
 
-def force_blocks(study: Study, design: Design, tolerance_mN: float, hum: Line) -> list[ResidualBlocks]:
-    """Return the force's residuals; noise that is a line of the mains counts as a gap."""
+def force_blocks(study: Study, design: Design, tolerance_mN: float, line: Line) -> list[ResidualBlocks]:
+    """Return the force's residuals; noise that is a line counts as a gap."""
     found = []
     for number, (sight, left) in enumerate(zip(study.sights, nominal_residuals(design), strict=True)):
         part, noise = design.parts[number], study.problem.noises[number]
         blocks, at = sight.evidence.blocks, sight.coordinates
-        white = np.sqrt(max(noise.white**2 - hum.amplitude**2 / 2, (0.3 * noise.white) ** 2))
-        spread = white**2 / blocks.samples + noise.slow**2 + part.motion_sd**2 + tolerance_mN**2
+        white = np.sqrt(max(noise.white**2 - line.amplitude**2 / 2, (LEAST_BESIDE * noise.white) ** 2))
+        # What swings at any other frequency is not of one frequency alone, and is nearly all of the slow noise.
+        slow = noise.slow if line.mains or not line.amplitude else LEAST_BESIDE * noise.slow
+        spread = white**2 / blocks.samples + slow**2 + part.motion_sd**2 + tolerance_mN**2
         zero_sd = study.problem.zero_sds[number]
         rest = left - own_factors(left, part.whitening, zero_sd, USUAL_SCATTER)
         residual = rest - own_zero(rest, part.whitening, zero_sd)

@@ -146,8 +146,10 @@ def _straying(position: PositionFinding, family: Family) -> Straying | None:
     """Return an effect as it was fitted; None where it cannot be what strays, for it takes hardly any of it."""
     effect = catalogue()[family.effect]
     by_form = isinstance(effect, MotorEffect | EncoderEffect)
-    runs = position.runs
-    candidate = fitted(runs, effect, family)[0] if by_form else None
+    runs = _distinct(position.runs)
+    candidate = position.candidate
+    if candidate is None or candidate.effect.id != family.effect:
+        candidate = fitted(runs, effect, family)[0] if by_form else None
     found = Straying(family.effect, candidate, family.shape)
     left = [
         float(np.mean((one.error_mm - found.error_of(one)) ** 2)) / (one.rms_mm + one.count_mm) ** 2 for one in runs

@@ -88,8 +88,12 @@ class PositionErrors:
 
     def delayed(self, delay_s: float) -> FloatArray:
         """Return the command at the blocks' middles, so much later, shape `(B,)`."""
+        return self.late(np.array([delay_s]))[:, 0]
+
+    def late(self, delays_s: FloatArray) -> FloatArray:
+        """Return the command at the blocks' middles, later by each of the delays, shape `(B, D)`."""
         trace = self.experiment.run.trace
-        at = self.time_s - delay_s
+        at = self.time_s[:, None] - delays_s
         command = np.interp(at, self.experiment.time_s, np.asarray(trace.command, dtype=np.float64))
         return np.asarray(command + self.entering_mm_s * np.minimum(at - self.experiment.time_s[0], 0.0))
 

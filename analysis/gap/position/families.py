@@ -81,8 +81,7 @@ def _lag(runs: Sequence[PositionErrors]) -> Family:
     def response(power: float) -> Columns:
         def columns(one: PositionErrors) -> FloatArray:
             slower = (max(one.top_speed_mm_s, LEAST_SPEED_MM_S) / SPEED_MM_S) ** power
-            now = one.delayed(0.0)
-            return np.column_stack([one.delayed(delay * slower) - now for delay in DELAYS_S])
+            return one.late(slower * np.array(DELAYS_S)) - one.late(np.zeros(1))
 
         return columns
 
@@ -90,12 +89,19 @@ def _lag(runs: Sequence[PositionErrors]) -> Family:
 
 
 def _latency(runs: Sequence[PositionErrors]) -> Family:
-    def late(latency_s: float) -> Columns:
-        return lambda one: (one.delayed(latency_s) - one.delayed(0.0))[:, None]
+    """Try the command at other times, one at a time."""
 
-    tried = [(_explained(runs, late(float(one))), float(one)) for one in LATENCIES_S]
-    best = max(tried)[1]
-    return Family("channel_latency", _held_out(runs, late(best)), best)
+    def late(latencies_s: FloatArray) -> Columns:
+        return lambda one: one.late(latencies_s) - one.late(np.zeros(1))
+
+    squares, along = np.zeros(LATENCIES_S.size), np.zeros(LATENCIES_S.size)
+    for one in runs:
+        weight = _weight(one)
+        column = one.from_zero(late(LATENCIES_S)(one)) * weight[:, None]
+        squares += np.einsum("bl,bl->l", column, column)
+        along += (one.error_mm * weight) @ column
+    best = float(LATENCIES_S[int((along**2 / (squares + 1e-300)).argmax())])
+    return Family("channel_latency", _held_out(runs, late(np.array([best]))), best)
 
 
 def _ripple(runs: Sequence[PositionErrors]) -> Family:
@@ -135,9 +141,10 @@ def _powers(
     for one, error, weight in zip(runs, errors, weights, strict=True):
         turned = one.from_zero(_periodic(one, waves_per_mm)) * weight[:, None]
         pair = turned[:, : waves_per_mm.size], turned[:, waves_per_mm.size :]
-        for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        for i, j in ((0, 0), (0, 1), (1, 1)):
             gram[:, i, j] += np.einsum("bw,bw->w", pair[i], pair[j])
         along += (error @ turned).reshape(2, -1).T
+    gram[:, 1, 0] = gram[:, 0, 1]
     scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)) + 1e-150
     scaled = gram / (scale[:, :, None] * scale[:, None, :]) + RIDGE * np.eye(2)
     found = np.linalg.solve(scaled, (along / scale)[:, :, None])[:, :, 0] / scale

@@ -5,6 +5,7 @@
 | `part` | which blocks the gap is in |
 | `place` | where it is, as a sentence |
 | `trend`, `shape` | what it is a function of and how, as a sentence |
+| `swing` | the same of a swing that is there also while the stage stands still |
 | `terms` | the library that a law is put together from |
 | `selecting` | few terms by what they predict of runs that took no part |
 | `law` | the law with its coefficients, if one holds up |
@@ -14,5 +15,6 @@ from dragrig.analysis.gap.unknown.law import Law, find_law
 from dragrig.analysis.gap.unknown.part import Part, part_of
 from dragrig.analysis.gap.unknown.place import place
 from dragrig.analysis.gap.unknown.shape import shape
+from dragrig.analysis.gap.unknown.swing import swinging
 
-__all__ = ["Law", "Part", "find_law", "part_of", "place", "shape"]
+__all__ = ["Law", "Part", "find_law", "part_of", "place", "shape", "swinging"]
