@@ -16,10 +16,15 @@ from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.joint.evidence import Whitening
 from dragrig.analysis.nominal.capsule_parameters import ANGLE
 from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
+from dragrig.sim_backend.effects.applied import Chain
+from dragrig.sim_backend.effects.base import Place
 
 IndexArray = npt.NDArray[np.intp]
 SECANT = 0.6
 """Half its width, in prior standard deviations of the contact angle."""
+OF_WALL = (Place.WALL, Place.SPECIMEN)
+"""What acts there is stiffness where a capsule sticks, and differs from run to run as the wall's stiffness does."""
 FOREIGN_SD = 0.2
 """Prior of each modulation: how much a real effect differs from the catalogue's form, relative."""
 
@@ -167,6 +172,7 @@ def lay_out(
     by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
     kept_details = None if near is None else near.columns(Part.DETAIL)
     parts, grams, known = [], [], dict[int, FloatArray]()
+    wall = _of_wall(chain_of(candidates, study.chain))
     for number, (sight, (scene, gain)) in enumerate(zip(study.sights, study.scenes(z), strict=True)):
         alone = [added(chain_of([one], study.chain), scene, gain) for one in candidates]
         before = added(study.chain, scene, gain)
@@ -186,12 +192,16 @@ def lay_out(
             shown = signatures(study.shapes, scene, gain, known.get(like))
             known.setdefault(like, shown)
             rows.append(sight.of_blocks(shown))
+        whitening = whitenings[number]
+        if wall.gut and sight.acquisition.contact is Contact.STICKING:
+            stiff = sight.of_blocks(added(wall, scene, gain))
+            whitening = problem.stiffened(number, predictions[number], stiff, whitening)
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
         varying = problem.sds[:, None] * predictions[number].varying
         spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
-        parts.append(RunPart(residual, columns, beside, predictions[number].total, *spread, whitenings[number]))
-        white = whitenings[number].whole(np.column_stack((residual, columns)))
+        parts.append(RunPart(residual, columns, beside, predictions[number].total, *spread, whitening))
+        white = whitening.whole(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
     priors = _priors(z, len(details), candidates, len(study.modulations[0]) if foreign else 0)
     shapes = study.shapes if dictionary else ()
@@ -207,6 +217,11 @@ def lay_out(
         blocks=tuple(len(one.residual) for one in parts),
         shapes=shapes,
     )
+
+
+def _of_wall(chain: Chain) -> Chain:
+    """Return what of a chain acts on the wall itself."""
+    return Chain((), tuple(one for one in chain.gut if one[0].place in OF_WALL), (), ())
 
 
 def _derivatives(study: Study, z: FloatArray) -> list[FloatArray]:

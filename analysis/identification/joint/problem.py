@@ -16,6 +16,8 @@ from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 
 Found = TypeVar("Found")
+STIFFNESS = "stiffness"
+"""The variation of what is stiffness."""
 WIDER = 2.0
 """A zero's standard deviation is at least this times the median distance from 0 that is seen."""
 
@@ -109,6 +111,21 @@ class Problem:
             return whitening(noise, predicted, uncertainty, self.zero_sds[number], self.sds, before)
 
         return tuple(self._once(one))
+
+    def stiffened(self, number: int, predicted: Prediction, more: FloatArray, near: Whitening) -> Whitening:
+        """Lay out a run's covariance anew where a part of its force that is not predicted is stiffness too.
+
+        Parameters
+        ----------
+        more
+            That part of its block means, shape `(B,)`.
+        near
+            Its covariance without.
+        """
+        stiff = np.array([one.name == STIFFNESS for one in self.nominal.variations])
+        varying = predicted.varying + np.outer(stiff, more)
+        stiffer = Prediction(predicted.total, varying)
+        return whitening(lambda: near.noise_root, stiffer, more, self.zero_sds[number], self.sds, near)
 
     def derivatives(self, z: FloatArray, without: Collection[str] = ()) -> list[FloatArray]:
         """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence.
