@@ -79,6 +79,23 @@ def test_clear_cases(found: Evidence, verdict: Verdict, effects: tuple[str, ...]
     assert max(judged.probabilities, key=lambda name: judged.probabilities[name]) == best
 
 
+def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share() -> None:
+    """None of three explanations is likely enough on its own, but all have the tether."""
+    tether = Tried(("mesentery_tether",), 12_000.0, 9500.0, 50.0, gain=50_000.0, left=110_000.0)
+    further = [
+        Tried(("mesentery_tether", other), 10_000.0, 9000.0, 50.0, gain=1500.0, left=12_000.0, rival_gain=1450.0)
+        for other in ("folds", "force_hysteresis")
+    ]
+    found = case(110_000.0, tether, *further, position=(("servo_lag", 0.99),), strays=True)
+    alone = judge(replace(found, position=(), strays=False), TOLERANCE_MN)
+    assert max(alone.probabilities.values()) < 0.6
+    judged = judge(found, TOLERANCE_MN)
+    assert judged.effects == ("servo_lag", "mesentery_tether")
+    both, one_alone = (judged.probabilities[name] for name in ("servo_lag+mesentery_tether", "servo_lag"))
+    assert 0.6 < both < 0.99
+    assert both + one_alone + judged.probabilities[UNKNOWN] == pytest.approx(1.0)
+
+
 def test_an_effect_too_small_to_matter_is_no_gap() -> None:
     clear = one("stribeck", NOISE, changed_mN=0.2, before=9000.0)
     assert judge(case(9000.0, clear), 0.5).verdict is Verdict.NO_GAP

@@ -23,8 +23,9 @@ LEAST_POSITION, POSITION_WIDTH = 0.7, 0.04
 POSITION_RIVAL = 400.0
 """Weight of a rival: e to the minus this times by how much less of the errors it explains."""
 SURE_BESIDE, CLEAR_BESIDE = 0.6, 60.0
-"""Beside an effect on the position, one on the force is named from this probability and this gain on: where a stage
-strays, what is uncertain of its motion passes for small effects."""
+"""Beside an effect on the position, one on the force is named from this probability and this gain on, whatever other
+effects of the force may be there too: where a stage strays, what is uncertain of its motion passes for small effects.
+"""
 LEFT_OVER, LEFT_SHARE = 0.15, 0.9
 """Something is left beside named effects that have less than this share, from so many squares over blocks on."""
 NEARLY = 1.2
@@ -72,6 +73,16 @@ class _Force:
     def best(self) -> tuple[str, ...]:
         """The likeliest explanation."""
         return max(self.named, key=lambda one: self.named[one], default=())
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """All effects of the explanations, those of the likeliest first."""
+        ordered = sorted(self.named, key=lambda one: -self.named[one])
+        return tuple(dict.fromkeys(name for one in ordered for name in one))
+
+    def marginal(self, name: str) -> float:
+        """Probability of all explanations that an effect is a part of."""
+        return sum(each for one, each in self.named.items() if name in one)
 
     @property
     def all_named(self) -> float:
@@ -131,6 +142,11 @@ def _with_lines(found: Evidence, force: _Force) -> Judgement:
     return _judged(force.named, force.unknown, 1.0 - force.unknown - force.all_named, force)
 
 
+def _clear(name: str, found: Evidence) -> bool:
+    """Return whether an effect takes much away, alone or beside those taken up before it."""
+    return max((one.gain for one in found.tried if one.effects[-1] == name), default=0.0) > CLEAR_BESIDE
+
+
 def _foreign(found: Evidence) -> float:
     """Return how likely a line is that is not the mains'."""
     return _logistic((found.line_gain - 0.02 * found.mains_gain - LEAST_OTHER_LINE) / OTHER_LINE_WIDTH)
@@ -142,15 +158,15 @@ def tells_unknown(found: Evidence, judged: Judgement) -> bool:
 
 
 def _with_position(found: Evidence, force: _Force) -> Judgement:
-    clear = max((one.gain for one in found.tried if one.effects == force.best), default=0.0) > CLEAR_BESIDE
-    beside = force.best if clear and force.named[force.best] > SURE_BESIDE else ()
-    if found.mains_gain > LEAST_LINE and "mains_hum" not in found.without:
-        beside = (*beside, "mains_hum")
+    beside = tuple(name for name in force.members if _clear(name, found) and force.marginal(name) > SURE_BESIDE)
+    sure = min((force.marginal(name) for name in beside), default=1.0)
+    hum = ("mains_hum",) if found.mains_gain > LEAST_LINE and "mains_hum" not in found.without else ()
     share = found.position[0][1] if found.position else 0.0
     named = min(max(_logistic((share - LEAST_POSITION) / POSITION_WIDTH), LEAST), MOST)
     rivals = {name: exp(-POSITION_RIVAL * max(share - each, 0.0)) for name, each in found.position}
     whole = sum(rivals.values())
-    families = {(name, *beside): named * weight / whole for name, weight in rivals.items()}
+    families = {(name, *hum): (1.0 - sure) * named * weight / whole for name, weight in rivals.items() if sure < 1.0}
+    families |= {(name, *beside, *hum): sure * named * weight / whole for name, weight in rivals.items()}
     return _judged(families, 1.0 - named if families else 1.0, 0.0, force)
 
 

@@ -21,6 +21,10 @@ FORM = 0.12
 """How much less, relative, the right effect may take away than a wrong one because its form is another."""
 CLEAR = 0.37, 55.0
 """Between these the excess over what may be chance says more, the larger it is."""
+ABRUPT = frozenset({"arm_compliance", "channel_latency", "payload_inertia"})
+"""Effects that act where the force is steepest, of which another form leaves much; of any other it leaves little."""
+MUCH = 1.0, 100.0
+"""Squares above noise per block from which on what is left of a gap is more than a form makes."""
 SOFT = 0.02
 """Shares within this of 0 and 1 are not told from them."""
 
@@ -52,8 +56,12 @@ def chance(found: Evidence) -> float:
 def share(squares: float, found: Evidence) -> float:
     """Return the share of the excess that is explained when so many squares remain, chance not counted as left."""
     gained = max(found.squares - squares, 0.0)
-    left = max(squares - found.blocks - chance(found), 0.0)
-    return gained / max(gained + left, 1.0)
+    return gained / max(gained + _left(squares, found), 1.0)
+
+
+def _left(squares: float, found: Evidence) -> float:
+    """Return the squares that remain above what may be chance."""
+    return max(squares - found.blocks - chance(found), 0.0)
 
 
 def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
@@ -70,6 +78,7 @@ def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
         "flexible, below half": min(by_form, 0.0),
         "flexible, in a clear gap": clear * by_form,
         "left elsewhere": log(1.0 + max(one.elsewhere, 0.0)),
+        "left, much": 0.0 if ABRUPT & set(one.effects) else _log(_left(one.flexible, found) / found.blocks, *MUCH),
     }
     features |= {f"{OF_EFFECT}{name}": 1.0 for name in one.effects}
     if len(one.effects) == 1:
