@@ -26,7 +26,7 @@ def next_after(
     """
     if position.present:
         beside = set(judged.effects) & set(of_force.effects) - {HUM}
-        if not beside or _doubt(of_force) <= _doubt(judged):
+        if not beside or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _doubt(judged, position):
             return recommend_in_position(study, position, judged.probabilities, budget)
         judged = of_force
     gap = judged.verdict is not Verdict.NO_GAP
@@ -48,5 +48,8 @@ def nothing_further(
         yield f"No run that was compared would tell {name_of('+'.join(named))} from {name_of('+'.join(rivals))} either."
 
 
-def _doubt(judged: Judgement) -> float:
-    return 1.0 - judged.probabilities["+".join(judged.effects)]
+def _doubt(judged: Judgement, position: PositionFinding) -> float:
+    """Return how doubtful the effect of the position is that was named, whatever is named beside it."""
+    families = {one.effect for one in position.families}
+    named = {one for one in judged.effects if one in families}
+    return 1.0 - sum(each for one, each in judged.probabilities.items() if named & set(one.split("+")))
