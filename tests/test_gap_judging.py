@@ -28,6 +28,12 @@ def case(squares: float, *tried: Tried, **more: object) -> Evidence:
     return replace(Evidence(BLOCKS, squares, tried), **more)
 
 
+def pulled_by_a_cable(name: str) -> Evidence:
+    """Another form takes most of a very large gap, and what it leaves is still twenty times the noise."""
+    whole = 333.0 * BLOCKS
+    return case(whole, one(name, 154.0 * BLOCKS, 50.0, flexible=20.0 * BLOCKS, before=whole))
+
+
 def beside(first: str, second: str, gain: float, left: float) -> Tried:
     return Tried((first, second), NOISE, NOISE, 5.0, gain=gain, left=left, rival_gain=10.0)
 
@@ -45,6 +51,7 @@ def test_what_was_left_out_although_it_resembles_what_is_named_stays_in_doubt() 
         (case(NOISE, one("folds", NOISE - 12, before=NOISE)), Verdict.NO_GAP, ()),
         (case(LOUD), Verdict.UNKNOWN, ()),
         (case(LOUD, one("folds", 0.9 * LOUD)), Verdict.UNKNOWN, ()),
+        (pulled_by_a_cable("force_drift"), Verdict.UNKNOWN, ()),
         (case(LOUD, one("stribeck", NOISE), one("adhesion", 14_000.0)), Verdict.EFFECT, ("stribeck",)),
         (case(LOUD, one("stribeck", 9000.0, flexible=NOISE)), Verdict.EFFECT, ("stribeck",)),
         (

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from effect_scenes import KINDS, scene
 
+from dragrig.analysis.gap.candidate import Candidate
 from dragrig.analysis.gap.choosing import choose
 from dragrig.analysis.gap.design import lay_out
 from dragrig.analysis.gap.signatures import shapes_of, signature
@@ -54,6 +55,26 @@ def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | Sen
         seen = scene(kind, until_s=3.0)
         for shape in shapes_of([effect]):
             assert np.array_equal(signature(shape, seen, 0.9), signature(shape, later(seen), 0.9))
+
+
+def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -> None:
+    """Else a stiffer run is a misfit of the effect, and the fit gives it up for the specimen's own stiffness."""
+    relaxing = study_of(choose(CAMPAIGN), MODEL, EFFECTS)
+    candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].usual)
+    plain, stiffer = (lay_out(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
+    seen = 0
+    for sight, one, other in zip(relaxing.sights, plain.parts, stiffer.parts, strict=True):
+        before, after = one.whitening.own, other.whitening.own
+        if sight.experiment.kind != "relaxation":
+            assert np.array_equal(before, after)
+            continue
+        share = np.linalg.norm(other.added) / np.linalg.norm(one.predicted)
+        stiff = -len(relaxing.problem.sds)
+        more = one.whitening.of_noise(relaxing.problem.sds[0] * other.added)
+        assert after[:, stiff] == pytest.approx(before[:, stiff] + more)
+        assert share > 0.01
+        seen += 1
+    assert seen
 
 
 def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) -> None:
