@@ -90,7 +90,7 @@ def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share(
     """None of three explanations is likely enough on its own, but all have the tether."""
     tether = Tried(("mesentery_tether",), 12_000.0, 9500.0, 50.0, gain=50_000.0, left=110_000.0)
     further = [
-        Tried(("mesentery_tether", other), 10_000.0, 9000.0, 50.0, gain=1500.0, left=12_000.0, rival_gain=1450.0)
+        Tried(("mesentery_tether", other), 10_000.0, 9000.0, 50.0, gain=500.0, left=12_000.0, rival_gain=450.0)
         for other in ("folds", "force_hysteresis")
     ]
     found = case(110_000.0, tether, *further, position=(("servo_lag", 0.99),), strays=True)

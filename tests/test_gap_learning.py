@@ -1,7 +1,7 @@
 """Weights that are learnt from campaigns whose hidden effects are known, and the file that they are kept in."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +64,27 @@ def test_probabilities_are_as_often_right_as_they_say() -> None:
     chances = [max(judged.probabilities.values()) for judged, _ in told]
     right = [set(judged.effects) == one.effects for judged, one in told]
     assert np.mean(chances) == pytest.approx(np.mean(right), abs=0.05)
+
+
+def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
+    """However few campaigns teach it, and even where these teach the contrary."""
+    astray = []
+    for one in lessons(4):
+        best, worst = (
+            sorted(one.evidence.tried, key=lambda tried: tried.gain)[::-1][:2] if one.effects else (None, None)
+        )
+        if best is not None and worst is not None:
+            astray.append(replace(one, effects=frozenset(worst.effects)))
+    weights = learn_weights(astray, TOLERANCE_MN)
+    assert all(weight >= 0 for name, weight in weights.items() if name.startswith(("plain", "flexible")))
+    assert all(weight <= 0 for name, weight in weights.items() if name.startswith(("behind", "left", "nameless")))
+
+
+def test_beside_hum_no_campaign_teaches_which_effect_it_is() -> None:
+    made = lessons(1)
+    lowest = Tried(("folds",), LOUD, LOUD - 50, 5.0, gain=20.0, left=LOUD)
+    humming = Lesson(Evidence(BLOCKS, LOUD, (lowest,)), frozenset({"folds", "mains_hum"}))
+    assert learn_weights([*made, *[humming] * 20], TOLERANCE_MN) == learn_weights(made, TOLERANCE_MN)
 
 
 def test_nothing_is_learnt_from_nothing() -> None:

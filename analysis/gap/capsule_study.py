@@ -4,8 +4,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from dragrig.analysis.gap.known import with_known_hum, without_hum
-from dragrig.analysis.gap.nuisances import details
+from dragrig.analysis.gap.nuisances import details, doubt
 from dragrig.analysis.gap.open_questions import of_any, of_capsule
 from dragrig.analysis.gap.sights import LONGEST_MM, sights_of
 from dragrig.analysis.gap.study import Study
@@ -14,6 +16,7 @@ from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.nominal.capsule import CapsuleModel
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
 from dragrig.sim_backend.effects.applied import NOMINAL, Chain
 from dragrig.sim_backend.effects.base import Effect
 from dragrig.sim_backend.effects.scene import Scene
@@ -49,6 +52,15 @@ class CapsuleStudy(Study):
     def details(self, number: int, scene: Scene) -> FloatArray:
         """Return what each of `DETAILS` changes of the true force, shape `(D, n)`."""
         return details(scene, self.sights[number].condition[1])
+
+    def doubts(self, z: FloatArray) -> list[FloatArray]:
+        """Return what the motion leaves uncertain, and of sheared walls what steps of a programme do."""
+        found = super().doubts(z)
+        for number, sight in enumerate(self.sights):
+            if sight.acquisition.contact is Contact.STICKING:
+                scene, gain = self.scene(number, z)
+                found[number] = np.hypot(found[number], gain * sight.of_blocks(doubt(scene)))
+        return found
 
     def open_questions(self) -> Iterator[str]:
         """Say what these runs leave open, a sentence each."""

@@ -54,7 +54,8 @@ class RunPart:
     predicted
         Nominal prediction, shape `(B,)`.
     repeat_sd, motion_sd
-        What repeats differ by, and what the motion leaves uncertain, one standard deviation, shape `(B,)`.
+        What repeats differ by, and what the motion and a programme's steps leave uncertain, one standard deviation,
+        shape `(B,)`.
     whitening
         What makes its blocks independent.
     """
@@ -158,8 +159,8 @@ def lay_out(
     Parameters
     ----------
     near
-        The campaign around a point nearby, whose derivatives by nuisances and whose doubts about the motion are taken
-        over; computed anew unless given.
+        The campaign around a point nearby, whose derivatives by nuisances and whose doubts are taken over; computed
+        anew unless given.
     foreign
         Whether the candidates' contributions may be modulated.
     dictionary
@@ -167,7 +168,7 @@ def lay_out(
     """
     problem = study.problem
     predictions = problem.predictions(z)
-    uncertainties = problem.uncertainties(z) if near is None else [one.motion_sd for one in near.parts]
+    uncertainties = study.doubts(z) if near is None else [one.motion_sd for one in near.parts]
     whitenings = problem.whitenings(predictions, uncertainties, None if near is None else near.whitenings)
     by_nominal = _derivatives(study, z) if near is None else near.columns(Part.NOMINAL)
     kept_details = None if near is None else near.columns(Part.DETAIL)

@@ -1,6 +1,6 @@
 """A diagnosis from one end to the other: where, which, how much."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 
@@ -24,13 +24,13 @@ from dragrig.analysis.gap.planning.search import Budget
 from dragrig.analysis.gap.position.finding import PositionFinding, find_position
 from dragrig.analysis.gap.position.gap import position_gap
 from dragrig.analysis.gap.residuals import force_blocks, position_blocks
-from dragrig.analysis.gap.results import Diagnosis, Ranked, RunView, Shrink, UnknownGap, Verdict
+from dragrig.analysis.gap.results import Diagnosis, Ranked, RunView, Shrink, Verdict
 from dragrig.analysis.gap.seen import TOLERANCE_MN, would_have_seen
 from dragrig.analysis.gap.studies import study_of
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.gap.tables import parameters_of, views_of
-from dragrig.analysis.gap.unknown import find_law, part_of, place, shape, swinging
-from dragrig.analysis.gap.where import ResidualBlocks, Where, attributed, locate
+from dragrig.analysis.gap.unknown import unknown_gap
+from dragrig.analysis.gap.where import attributed, locate
 from dragrig.analysis.identification.selection import Selection
 from dragrig.analysis.identification.threads import one_thread
 from dragrig.analysis.nominal.protocol import NominalModel
@@ -174,7 +174,7 @@ def _told(
         tolerance_mN=asked.tolerance_mN,
         where=where,
         shrink=shrink,
-        unknown=_unknown(where, blocks, judged, swing),
+        unknown=unknown_gap(where, blocks, judged, swing, evidence),
         model=amended_model(study, chosen, position, lines, judged, found, shrink, selection.specimen),
         views=views,
         cannot_answer=(*study.open_questions(), *nothing_further(study, position, judged, next_run)),
@@ -190,23 +190,6 @@ def _added(study: Study, chosen: Explanation | None, hum: Line) -> list[FloatArr
     if chosen is not None:
         return [part.added for part in chosen.design.parts]
     return [np.full(one.coordinates.width_s.size, hum.amplitude / np.sqrt(2.0)) for one in study.sights]
-
-
-def _unknown(
-    where: Where, blocks: Sequence[ResidualBlocks], judged: Judgement, swing: Line | None
-) -> UnknownGap | None:
-    if judged.verdict is not Verdict.UNKNOWN and not judged.residual_unknown:
-        return None
-    if swing is not None:
-        return UnknownGap(*swinging(swing, blocks[0].channel))
-    part = part_of(where, blocks)
-    law = find_law(part)
-    return UnknownGap(
-        lives_in=place(where, blocks),
-        shape=shape(where, part),
-        expression="" if law is None else law.text,
-        held_out=None if law is None else law.held_out,
-    )
 
 
 def _shrunk(

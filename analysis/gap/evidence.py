@@ -4,6 +4,25 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
+class Nameless:
+    """A law that bears no name: a force that is any function of one coordinate.
+
+    Attributes
+    ----------
+    law
+        What it is a function of.
+    squares
+        Whitened squares that remain, and what so many free values cost: twice the logarithm of the evidence.
+    changed_mN
+        By how much it changes what is predicted: root mean square where it does.
+    """
+
+    law: str
+    squares: float
+    changed_mN: float
+
+
+@dataclass(frozen=True, slots=True)
 class Tried:
     """Effects that were refitted together, and what they leave.
 
@@ -23,6 +42,8 @@ class Tried:
         Squares that remain without the last one, foreign forms of the others allowed.
     rival_gain
         What the best other effect takes away in its place; 0 where there is no other.
+    laws
+        Beside the others: the laws without a name that leave least in the place of the last of them.
     elsewhere
         What is left in runs where they add nothing, in standard deviations of chance.
     at_limit
@@ -40,6 +61,7 @@ class Tried:
     gain: float = 0.0
     left: float = 0.0
     rival_gain: float = 0.0
+    laws: tuple[Nameless, ...] = ()
     elsewhere: float = 0.0
     at_limit: bool = False
     untold: int = 0
@@ -63,6 +85,8 @@ class Evidence:
         Whether there are such errors at all.
     without
         Effects that were not to be considered.
+    nameless
+        Laws of one coordinate that bear no name, the best first.
     """
 
     blocks: int
@@ -73,6 +97,7 @@ class Evidence:
     position: tuple[tuple[str, float], ...] = ()
     strays: bool = False
     without: tuple[str, ...] = ()
+    nameless: tuple[Nameless, ...] = ()
 
     @property
     def excess(self) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dragrig.analysis.gap.acting import rms_where_acting
 from dragrig.analysis.gap.design import Design, Part, lay_out
 from dragrig.analysis.gap.periodic import free_gain, tied
 from dragrig.analysis.gap.ranking import Ranked, rank
@@ -21,8 +22,6 @@ MOST_OWN, LEAST_OWN = 3, 8.0
 """So many further shapes of its own effect a candidate may have, each of which must take away so much."""
 REACHED = 1.0
 """Whitened squares that effects add to a run that they act in."""
-ACTING = 0.1
-"""An effect acts where it changes the force by this share of the most that it does."""
 SEARCHED = 26.0
 """Half squares that the best of some hundred periods, in any form, takes away by chance."""
 
@@ -121,8 +120,7 @@ def _changed(study: Study, design: Design, nominal: Design) -> float:
         [one.predicted + one.added - two.predicted for one, two in zip(design.parts, nominal.parts, strict=True)]
     )
     weights = np.concatenate([one.coordinates.width_s for one in study.sights])
-    weights = np.where(np.abs(more) > ACTING * np.abs(more).max(initial=1e-12), weights, 0.0)
-    return float(np.sqrt(weights @ more**2 / max(float(weights.sum()), 1e-12)))
+    return rms_where_acting(more, weights)
 
 
 def _elsewhere(design: Design, plain: Fit) -> float:

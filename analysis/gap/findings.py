@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from dragrig.analysis.gap.design import Design
+from dragrig.analysis.gap.evidence import Nameless
 from dragrig.analysis.gap.explanation import Explanation, in_time
 from dragrig.analysis.gap.ranking import Ranked
 from dragrig.analysis.gap.study import Study
@@ -71,6 +72,8 @@ class Step:
         What the next best takes away in its place.
     left
         Squares that remain without it, foreign forms allowed.
+    laws
+        What laws without a name leave in its place, the best first.
     together
         The refit; None where the gain was not worth one.
     """
@@ -79,4 +82,5 @@ class Step:
     gain: float
     rival_gain: float
     left: float
+    laws: tuple[Nameless, ...]
     together: Explanation | None

@@ -1,10 +1,14 @@
 """Further effects beside those that explain most of a gap."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from dragrig.analysis.gap.design import Design
+import numpy as np
+
+from dragrig.analysis.gap.design import Design, Part
 from dragrig.analysis.gap.explanation import Explanation, explained, refitted, with_free_phases
 from dragrig.analysis.gap.findings import Findings, Step
+from dragrig.analysis.gap.nameless import nameless
 from dragrig.analysis.gap.ranking import Ranked, rank
 from dragrig.analysis.gap.refit import Point
 from dragrig.analysis.gap.solving import NUISANCES, project
@@ -40,15 +44,20 @@ def _steps(found: Findings, before: Explanation) -> list[Step]:
     own = {one.effect.id for one in point.candidates}
     everything = with_free_phases(design, rank(projected, design.shapes))
     ranked = [one for one in everything if one.effect not in own]
-    left = projected.squares + design.log_det - found.nominal.log_det
+    more_det = design.log_det - found.nominal.log_det
     steps = []
     for one in (*ranked[:1], *_of_another_kind(ranked, design, point)):
         rival = max((each.gain for each in ranked if each is not one), default=0.0)
         least = LEAST_BESIDE if one.gain < CLEAR_GAIN else LEAST_CLEAR
         worth = one.gain > LEAST_GAIN and 2 * one.gain > least * found.excess
         together = refitted(found.study, design, one, found.nominal) if worth else None
-        steps.append(Step(one.effect, one.gain, rival, left, together))
-    return steps
+        steps.append(Step(one.effect, one.gain, rival, projected.squares + more_det, (), together))
+    if all(one.together is None for one in steps):
+        return steps
+    beside = np.sort(np.concatenate((design.of(*NUISANCES), design.of(Part.SHAPE)[list(taken)])))
+    laws = nameless(design, found.study.sights, beside=beside)
+    known = tuple(replace(law, squares=law.squares + more_det) for law in laws)
+    return [replace(one, laws=known) for one in steps]
 
 
 def _of_another_kind(ranked: Sequence[Ranked], design: Design, point: Point) -> tuple[Ranked, ...]:

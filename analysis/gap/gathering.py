@@ -1,12 +1,17 @@
 """The numbers that a verdict is made of, gathered from all that was tried."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from dragrig.analysis.gap.evidence import Evidence, Tried
 from dragrig.analysis.gap.explanation import Explanation, in_time
 from dragrig.analysis.gap.findings import Findings, Step
 from dragrig.analysis.gap.lines import Lines
+from dragrig.analysis.gap.nameless import nameless
 from dragrig.analysis.gap.position.finding import PositionFinding
+
+KEPT = 3
+"""Laws without a name that are kept of those tried in the place of a further effect."""
 
 
 def evidence_of(found: Findings, position: PositionFinding, lines: Lines, without: tuple[str, ...]) -> Evidence:
@@ -24,7 +29,14 @@ def evidence_of(found: Findings, position: PositionFinding, lines: Lines, withou
         position=tuple((one.effect, one.held_out) for one in position.families) if position.present else (),
         strays=position.present,
         without=without,
+        nameless=nameless(found.nominal, found.study.sights, _period_s(found.singles)),
     )
+
+
+def _period_s(singles: Sequence[Explanation]) -> float:
+    """Return the period of what swings on the session's clock; 0 where nothing does."""
+    swinging = (each for one in singles for each in one.point.candidates if in_time(each.effect))
+    return next((value for each in swinging for name, value in each.values.items() if name.startswith("period")), 0.0)
 
 
 def _single(one: Explanation, squares: float) -> Tried:
@@ -33,7 +45,7 @@ def _single(one: Explanation, squares: float) -> Tried:
 
 
 def _joint(step: Step, one: Explanation) -> Tried:
-    return replace(_tried(one), gain=step.gain, left=step.left, rival_gain=step.rival_gain)
+    return replace(_tried(one), gain=step.gain, left=step.left, rival_gain=step.rival_gain, laws=step.laws[:KEPT])
 
 
 def _tried(one: Explanation) -> Tried:

@@ -11,7 +11,7 @@ from math import exp
 from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
 from dragrig.analysis.gap.evidence import Evidence
 from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.gap.weighing import Hypothesis, hypotheses
+from dragrig.analysis.gap.weighing import Hypothesis, hypotheses, largest_gain
 from dragrig.sim_backend.effects.catalogue import near_aliases
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
@@ -94,7 +94,7 @@ def _of_force(found: Evidence, tolerance_mN: float, weights: Calibration) -> _Fo
     tried = hypotheses(found, tolerance_mN)
     gate = weights.gate
     over = found.excess / max(found.blocks, 1)
-    gain = max((one.gain for one in found.tried if one.changed_mN >= tolerance_mN), default=0.0)
+    gain = largest_gain(found, tolerance_mN)
     left_alone = _logistic((over - gate.least_left) / gate.left_width)
     gap = max(_logistic((gain - gate.least_gain) / gate.gain_width), left_alone)
     if not tried:

@@ -7,22 +7,27 @@ import numpy as np
 
 from dragrig.analysis.gap.calibration import OF_EFFECT, Gate
 from dragrig.analysis.gap.evidence import Evidence
-from dragrig.analysis.gap.weighing import hypotheses
+from dragrig.analysis.gap.weighing import hypotheses, largest_gain
 from dragrig.rig.arrays import FloatArray
 
-ELSEWHERE = frozenset({"servo_lag", "velocity_ripple", "encoder_scale", "mains_hum"})
+HUM = "mains_hum"
+ELSEWHERE = frozenset({"servo_lag", "velocity_ripple", "encoder_scale", HUM})
 """Effects that the weights know nothing of: they are found on the position, or as a line."""
 RIDGE, RIDGE_OF_EFFECT = 0.02, 0.5
 """Prior precisions of a weight: of a feature, and of a single effect's, of which there are few campaigns each."""
 OF_SEVERAL = 0.6
 """Weight of a campaign with several effects, of which those to learn from have more than rigs and guts have."""
-GATE = Gate(least_gain=25.0, gain_width=4.0, least_left=0.075, left_width=0.012)
-"""What is thought of the thresholds beforehand: the best of all shapes reaches a gain of 8 in noise alone, and of 20 to
-30 where the nominal model is a little wrong."""
+GATE = Gate(least_gain=18.0, gain_width=3.0, least_left=0.075, left_width=0.012)
+"""What is thought of the thresholds beforehand: the best of all shapes reaches a gain of 8 in noise alone, and seldom
+more than 15 where the nominal model is a little wrong."""
 GATE_SD = 0.03
 """How well that is known, relative."""
 WORTH = 11.0
 """A campaign teaches which effect it is if any takes away so many half squares."""
+
+SPEAKS_FOR = ("plain", "flexible", "further: share", "further: over", "further: gain", "further: worse")
+SPEAKS_AGAINST = ("known, in", "behind", "left", "nameless", "further: akin", "third")
+"""How features begin whose sense is known beforehand: what explains more is never the less likely for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +94,14 @@ def learn_weights(lessons: Sequence[Lesson], tolerance_mN: float) -> dict[str, f
             slope = slope + one.weight * one.features.T @ pulled
         return total, slope
 
-    best = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
+    bounds = [_bounds(name) for name in names]
+    best = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000})
     return {name: round(float(weight), 4) for name, weight in zip(names, best.x, strict=True)}
+
+
+def _bounds(feature: str) -> tuple[float | None, float | None]:
+    """Return between what the weight of a feature may be."""
+    return 0.0 if feature.startswith(SPEAKS_FOR) else None, 0.0 if feature.startswith(SPEAKS_AGAINST) else None
 
 
 def learn_gate(lessons: Sequence[Lesson], tolerance_mN: float, least_size: float = 0.2) -> Gate:
@@ -127,8 +138,7 @@ def _values(gate: Gate) -> tuple[float, ...]:
 
 
 def _signs(found: Evidence, tolerance_mN: float) -> tuple[float, float]:
-    gains = [one.gain for one in found.tried if one.changed_mN >= tolerance_mN]
-    return max(gains, default=0.0), found.excess / max(found.blocks, 1)
+    return largest_gain(found, tolerance_mN), found.excess / max(found.blocks, 1)
 
 
 def _logistic(values: FloatArray) -> FloatArray:
@@ -136,7 +146,12 @@ def _logistic(values: FloatArray) -> FloatArray:
 
 
 def _teaches_choice(one: Lesson, tolerance_mN: float) -> bool:
-    """Whether it is the force that is to be explained, and anything explains some of it."""
+    """Whether it is the force that is to be explained, and anything explains some of it.
+
+    Hum makes blocks noisier than noise, so that the right effect may explain next to nothing of what is above it.
+    """
+    if HUM in one.effects:
+        return False
     of_force = one.effects - ELSEWHERE
     tried = [each.gain for each in one.evidence.tried if each.changed_mN >= tolerance_mN]
     return (bool(of_force) or (one.outside and not one.evidence.strays)) and max(tried, default=0.0) > WORTH

@@ -98,16 +98,31 @@ class Projected:
 
 def project(design: Design, total: FloatArray, *parts: Part) -> Projected:
     """Take the columns of these kinds out of residual and dictionary."""
-    columns, shapes = design.of(*parts), 1 + design.of(Part.SHAPE)
+    left = taken_out(design, total, design.of(*parts), 1 + design.of(Part.SHAPE))
+    return Projected(float(left[0, 0]), left[0, 1:], left[1:, 1:])
+
+
+def taken_out(
+    design: Design, total: FloatArray, columns: IndexArray, kept: IndexArray, rows: IndexArray | None = None
+) -> FloatArray:
+    """Return what columns of a design leave of the products of residual and others, the residual first.
+
+    Parameters
+    ----------
+    total
+        Gram matrix of the residual, which comes first, those columns, and others.
+    columns
+        Those that take what they can, within their priors.
+    kept
+        The others' `k` rows in `total`; the result has shape `(1 + k, 1 + k)`.
+    rows
+        Those of the columns; as the design counts them unless given.
+    """
     mean, precision = design.prior_mean[columns], design.prior_precision[columns]
-    rows = 1 + columns
-    gram = total[np.ix_(rows, rows)]
-    along = total[rows, 0] + precision * mean
-    whole = gram + np.diag(precision + TINY * np.diag(gram))
-    solved = np.linalg.solve(whole, np.column_stack((along, total[np.ix_(rows, shapes)])))
-    squares = float(total[0, 0] + np.sum(precision * mean**2) - along @ solved[:, 0])
-    return Projected(
-        squares,
-        total[0, shapes] - along @ solved[:, 1:],
-        total[np.ix_(shapes, shapes)] - total[np.ix_(shapes, rows)] @ solved[:, 1:],
-    )
+    own, others = 1 + columns if rows is None else rows, np.concatenate(([0], kept))
+    gram, along = total[np.ix_(own, own)], total[np.ix_(own, others)]
+    along[:, 0] += precision * mean
+    solved = np.linalg.solve(gram + np.diag(precision + TINY * np.diag(gram)), along)
+    left = total[np.ix_(others, others)] - along.T @ solved
+    left[0, 0] += np.sum(precision * mean**2)
+    return np.asarray(left)

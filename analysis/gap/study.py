@@ -75,6 +75,10 @@ class Study(ABC):
         del number
         return np.zeros((0, scene.time_s.size))
 
+    def doubts(self, z: FloatArray) -> list[FloatArray]:
+        """Return what is not known of each run's block means beside its noise, one standard deviation, shape `(B,)`."""
+        return self.problem.uncertainties(z)
+
     def counted(self, number: int, motion_sd: FloatArray) -> BoolArray | None:
         """Return the blocks of a run that say how large a gap is, shape `(B,)`; None, all of them, unless said.
 

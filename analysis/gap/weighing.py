@@ -1,11 +1,12 @@
 """The features by which explanations of a force are weighed against each other and against the unknown."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import log, sqrt
+from types import MappingProxyType
 
 from dragrig.analysis.gap.calibration import OF_EFFECT
-from dragrig.analysis.gap.evidence import Evidence, Tried
+from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
 
 KIN = (
     frozenset({"stribeck", "adhesion", "breakaway", "wall_lift_off", "wall_inertia"}),
@@ -15,6 +16,14 @@ KIN = (
     frozenset({"extra_relaxation", "hyperelastic_wall", "tissue_ageing", "preconditioning"}),
 )
 """Effects that act on the same: what a foreign form of one leaves, another of its kin may pass for."""
+SAME_LAW: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "place in the gut": frozenset({"mesentery_tether"}),
+        "load": frozenset({"force_nonlinearity"}),
+        "session": frozenset({"force_drift"}),
+    }
+)
+"""Effects that are such a law without a name themselves: it says nothing against them."""
 CHANCE, NOISE_SHARE = 2.5, 0.06
 """Squares above noise that are chance: standard deviations of χ², and the share to which noise is known at all."""
 FORM = 0.12
@@ -23,8 +32,12 @@ CLEAR = 0.37, 55.0
 """Between these the excess over what may be chance says more, the larger it is."""
 ABRUPT = frozenset({"arm_compliance", "channel_latency", "payload_inertia"})
 """Effects that act where the force is steepest, of which another form leaves much; of any other it leaves little."""
+ABRUPT_COUNTS = 0.4
+"""Part of what they take away that counts for a gap: jerk of a motion and steps of a programme resemble them there."""
 MUCH = 1.0, 100.0
 """Squares above noise per block from which on what is left of a gap is more than a form makes."""
+NAMELESS = 10.0
+"""Half squares that a law without a name takes away by chance."""
 SOFT = 0.02
 """Shares within this of 0 and 1 are not told from them."""
 
@@ -80,6 +93,7 @@ def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
         "left elsewhere": log(1.0 + max(one.elsewhere, 0.0)),
         "left, much": 0.0 if ABRUPT & set(one.effects) else _log(_left(one.flexible, found) / found.blocks, *MUCH),
     }
+    features |= _nameless(one, found)
     features |= {f"{OF_EFFECT}{name}": 1.0 for name in one.effects}
     if len(one.effects) == 1:
         features["behind"] = (best - one.gain) / (1.0 + FORM * best)
@@ -88,16 +102,46 @@ def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
     return Hypothesis(one.effects, features, 0.5 * (plain + flexible))
 
 
+def counts(effect: str) -> float:
+    """Return the part of what an effect takes away that counts for a gap."""
+    return ABRUPT_COUNTS if effect in ABRUPT else 1.0
+
+
+def largest_gain(found: Evidence, tolerance_mN: float) -> float:
+    """Return half the squares that the best explanation takes away, with a name or without, of those that matter."""
+    named = [one.gain * counts(one.effects[-1]) for one in found.tried if one.changed_mN >= tolerance_mN]
+    nameless = [0.5 * (found.squares - one.squares) for one in found.nameless if one.changed_mN >= tolerance_mN]
+    return max((*named, *nameless, 0.0))
+
+
+def _nameless(one: Tried, found: Evidence) -> dict[str, float]:
+    """Return by how much a law without a name does better, or worse, than the effects in any form."""
+    squares = min(_squares_of(found.nameless, one.effects), default=found.squares)
+    gain, nameless = (0.5 * max(found.squares - each, 0.0) for each in (one.flexible, squares))
+    over = _log((nameless + NAMELESS) / (gain + NAMELESS), 0.1, 10.0)
+    fewer = (_left(one.flexible, found) + chance(found)) / (_left(min(squares, found.squares), found) + chance(found))
+    return {"nameless": over, "nameless, better": max(over, 0.0), "nameless, leaves less": _log(fewer, 1.0, 100.0)}
+
+
+def _squares_of(laws: Iterable[Nameless], effects: Sequence[str]) -> list[float]:
+    """Return the squares that laws without a name leave, of those that none of the effects is."""
+    return [law.squares for law in laws if not SAME_LAW.get(law.law, frozenset()) & set(effects)]
+
+
 def _further(one: Tried, found: Evidence) -> dict[str, float]:
     """Return what tells a further effect from what a foreign form of those before leaves."""
     *before, last = one.effects
     akin = any({name, last} <= group for name in before for group in KIN)
+    by_law = 0.5 * (one.left - min(_squares_of(one.laws, [last]), default=one.left))
+    over_law = _log(one.gain / max(by_law, NAMELESS), 0.1, 10.0) if one.laws else 0.0
     return {
         "further": 1.0,
         "third": float(len(one.effects) > 2),
         "further: share of excess": _log(2 * one.gain / max(found.excess, 1.0), 1e-3, 1.0),
         "further: share of what is left": _log(2 * one.gain / max(one.left - found.blocks, 1.0), 0.02, 3.0),
         "further: over its rival": _log(one.gain / max(one.rival_gain, 1.0), 0.3, 20.0),
+        "further: over a law": over_law,
+        "further: worse than a law": min(over_law, 0.0),
         "further: gain": _log(one.gain, 5.0, 3000.0),
         "further: akin": float(akin),
     }

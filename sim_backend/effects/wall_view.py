@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact
@@ -66,6 +67,15 @@ class WallView:
         """Elements of the wall at the equator."""
         return model_wall(self.contact.model, np.asarray(self.strain_at_equator))
 
+    def coarse_resistance(self, panels: int) -> FloatArray:
+        """Return f_e [mN] without sign, `(n,)`, by midpoints of so many panels each on fresh wall and on that found."""
+        length = self.contact.length_mm
+        fresh = np.minimum(self._renewed_mm, length)[:, None]
+        middle = (np.arange(panels) + 0.5) / panels
+        x_mm = np.hstack((fresh * middle, fresh + (length - fresh) * middle))
+        panel = np.repeat(np.hstack((fresh, length - fresh)) / panels, panels, axis=1)
+        return np.asarray(np.sum(self.contact.axial_load(x_mm, self._ages(x_mm)) * panel, axis=1))
+
     def resistance(self, stress_kPa: FloatArray) -> FloatArray:
         """f_e [mN], without sign, of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
         weights = self._nodes[1] * self._slope / self._local_radius
@@ -85,22 +95,37 @@ class WallView:
     def _slope(self) -> FloatArray:
         return np.asarray((2 * np.pi * self.contact.wall_thickness_mm) * (self.contact.length_mm - self.x_mm))
 
-    def _ages(self, x_mm: FloatArray) -> FloatArray:
+    @cached_property
+    def _time(self) -> FloatArray:
+        return np.clip(self.time_s, 0.0, float(self.history.motion.breaks_s[-1]))
+
+    @cached_property
+    def _of_stroke(self) -> npt.NDArray[np.intp]:
+        """Number of the stroke at each time."""
+        ends = [float(self.history.motion.breaks_s[one.last + 1]) for one in self.history.strokes]
+        return np.minimum(np.searchsorted(ends, self._time, side="left"), len(ends) - 1)
+
+    @property
+    def _renewed_mm(self) -> FloatArray:
+        """Way since the stroke began: so much of the contact is fresh wall."""
         motion = self.history.motion
-        time = np.clip(self.time_s, 0.0, float(motion.breaks_s[-1]))
-        begun = np.full((time.size, x_mm.size), -self.history.dwell_s)
-        ends = [float(motion.breaks_s[one.last + 1]) for one in self.history.strokes]
-        of_stroke = np.minimum(np.searchsorted(ends, time, side="left"), len(ends) - 1)
+        began = motion.position(np.array([float(motion.breaks_s[one.first]) for one in self.history.strokes]))
+        return np.abs(motion.position(self._time) - began[self._of_stroke])
+
+    def _ages(self, x_mm: FloatArray) -> FloatArray:
+        """Return contact ages at the same points at all times, shape `(m,)`, or at others each time, shape `(n, m)`."""
+        motion = self.history.motion
+        x_mm = np.broadcast_to(x_mm, (self._time.size, x_mm.shape[-1]))
+        begun = np.full(x_mm.shape, -self.history.dwell_s)
         for number, stroke in enumerate(self.history.strokes):
-            rows = np.flatnonzero(of_stroke == number)
-            position = motion.position(time[rows])
-            z = np.stack([self.history.wall_at(stroke, float(x), position) for x in x_mm], axis=1)
+            rows = np.flatnonzero(self._of_stroke == number)
+            z = self.history.wall_at(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
             came = np.full(z.shape, -self.history.dwell_s)
             for segment in (*stroke.found, stroke.fresh):
                 inside = (z >= segment.rear_mm) & (z <= segment.front_mm)
                 came[inside] = self.history.begin(segment, z[inside])
             begun[rows] = came
-        return np.asarray(np.maximum(time[:, None] - begun, 0.0))
+        return np.asarray(np.maximum(self._time[:, None] - begun, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,7 +76,7 @@ class ContactHistory:
             return np.asarray(position_mm - np.asarray(z_mm))
         return np.asarray(np.asarray(z_mm) - position_mm + self.reach_mm)
 
-    def wall_at(self, stroke: Stroke, x_mm: float, position_mm: FloatArray) -> FloatArray:
+    def wall_at(self, stroke: Stroke, x_mm: FloatArray | float, position_mm: FloatArray) -> FloatArray:
         """Wall point z at a contact coordinate x, the inverse of `travelled`."""
         if stroke.direction > 0:
             return np.asarray(position_mm - x_mm)

@@ -15,7 +15,7 @@ from dragrig.analysis.gap.judging import LEAST_LINE
 from dragrig.analysis.gap.known import HUM
 from dragrig.analysis.gap.lines import least_line
 from dragrig.analysis.gap.refit import stepped
-from dragrig.analysis.gap.seen import SEEN, TOLERANCE_MN, acting_rms
+from dragrig.analysis.gap.seen import SEEN, TOLERANCE_MN, acting_rms, needed
 from dragrig.analysis.gap.studies import study_of
 from dragrig.analysis.gap.study import Study
 from dragrig.analysis.identification.selection import Selection
@@ -94,16 +94,16 @@ def _pair(angles: Angles, pair: tuple[str, str]) -> Pair:
 def _visibility(study: Study, design: Design, angles: Angles, name: str) -> Visibility:
     size = next(one for one in study.effects if one.id == name).size
     forms = [angles.forms[one] for one in angles.of_effect(name)]
-    found = [_least(study, design, one) for one in forms]
+    found = [_least(study, design, one, needed(name)) for one in forms]
     share, least_mN = median(one[0] for one in found), median(one[1] for one in found)
     d_prime = median(one.d_prime for one in forms)
     return Visibility(name, "force", d_prime, size.usual, share * abs(size.usual), size.unit, least_mN)
 
 
-def _least(study: Study, design: Design, form: Form) -> tuple[float, float]:
-    """Return the smallest size that would be seen over the usual one, and its root mean square [mN]."""
+def _least(study: Study, design: Design, form: Form, d_prime: float) -> tuple[float, float]:
+    """Return the smallest size, with such a d′, over the usual one, and its root mean square [mN]."""
     rms = acting_rms(study, design, form.shapes[0])
-    share = max(SEEN / form.d_prime, TOLERANCE_MN / rms if rms > 0 else 0.0)
+    share = max(d_prime / form.d_prime, TOLERANCE_MN / rms if rms > 0 else 0.0)
     return share, share * rms
 
 

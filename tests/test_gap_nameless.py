@@ -1,0 +1,153 @@
+"""Laws that bear no name: what they are found by, what they say against a name, and in which words."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden import hidden
+
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.design import Design, RunPart, lay_out
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
+from dragrig.analysis.gap.judging import judge
+from dragrig.analysis.gap.nameless import nameless
+from dragrig.analysis.gap.results import Verdict
+from dragrig.analysis.gap.seen import TOLERANCE_MN
+from dragrig.analysis.gap.sights import Sight
+from dragrig.analysis.gap.studies import study_of
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.gap.unknown.any_law import any_law
+from dragrig.analysis.gap.weighing import SAME_LAW
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+PERIOD_S = 13.0
+Law = Callable[[Sight], FloatArray | float]
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return study_of(choose(CAMPAIGN), MODEL, ())
+
+
+@pytest.fixture(scope="module")
+def nominal(study: Study) -> Design:
+    return lay_out(study, study.start)
+
+
+def planted(study: Study, design: Design, law: Law, seed: int = 5) -> Design:
+    """The same campaign with nothing in it but noise and a force [mN]."""
+    random = np.random.default_rng(seed)
+
+    def run(part: RunPart, sight: Sight) -> RunPart:
+        noise = part.whitening.noise_root @ random.standard_normal(part.residual.size)
+        return replace(part, residual=noise + law(sight))
+
+    return replace(design, parts=tuple(run(*one) for one in zip(design.parts, study.sights, strict=True)))
+
+
+def in_the_gut(sight: Sight) -> bool:
+    return sight.experiment.contact is Contact.SLIDING and sight.experiment.kind == "drag"
+
+
+def creeping(sight: Sight) -> FloatArray:
+    """What gives way while the stage moves, and comes back once it stands."""
+    time = sight.coordinates.time_s
+    start, stop = sight.experiment.motion.breaks_s[[1, -2]].tolist()
+    grown = 1.0 - np.exp(-np.clip(time - start, 0.0, stop - start) / 0.5)
+    return np.asarray(20.0 * grown * np.exp(-np.maximum(time - stop, 0.0) / 0.8))
+
+
+LAWS: dict[str, Law] = {
+    "speed": lambda one: 15.0 * one.coordinates.speed_mm_s / 60.0,
+    "speed in the gut": lambda one: (
+        in_the_gut(one) * 12.0 * np.exp(-(((np.log(one.coordinates.speed_mm_s + 1e-9) - 1.6) / 0.4) ** 2))
+    ),
+    "place in the gut": lambda one: in_the_gut(one) * 15.0 * np.exp(-(((one.coordinates.position_mm - 12) / 2.0) ** 2)),
+    "time since start and stop": creeping,
+    "swing in all runs": lambda one: 12.0 * np.sin(2 * np.pi * one.coordinates.session_s / PERIOD_S),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nominal: Design) -> None:
+    best, *others = nameless(planted(study, nominal, LAWS[law]), study.sights, PERIOD_S)
+    assert best.law == law
+    assert all(one.squares > best.squares + 20 for one in others)
+    assert 3.0 < best.changed_mN < 20.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_is_no_law(seed: int, study: Study, nominal: Design) -> None:
+    noise = planted(study, nominal, lambda _: 0.0, seed)
+    laws = {one.law: one for one in nameless(noise, study.sights, PERIOD_S)}
+    assert set(laws) >= {*LAWS, *SAME_LAW}
+    blocks = sum(nominal.blocks)
+    assert all(one.squares > blocks - 4 * np.sqrt(2 * blocks) for one in laws.values())
+
+
+BLOCKS, NOISE, LOUD = 8000, 8010.0, 20_000.0
+
+
+def case(effect: str, squares: float, law: str, left: float) -> Evidence:
+    """An effect that leaves so many squares in any form, and a law that leaves others."""
+    tried = Tried((effect,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
+    return Evidence(BLOCKS, LOUD, (tried,), nameless=(Nameless(law, left, 5.0),))
+
+
+def test_a_name_that_explains_less_than_any_speed_law_is_not_given() -> None:
+    assert judge(case("wall_lift_off", 12_000.0, "speed in the gut", 15_000.0), TOLERANCE_MN).verdict is Verdict.EFFECT
+    assert judge(case("wall_lift_off", 12_000.0, "speed in the gut", NOISE), TOLERANCE_MN).verdict is Verdict.UNKNOWN
+
+
+@pytest.mark.parametrize("law", SAME_LAW)
+def test_an_effect_that_is_such_a_law_stays_named(law: str) -> None:
+    for effect in SAME_LAW[law]:
+        assert effect in catalogue()
+        assert judge(case(effect, 8600.0, law, NOISE), TOLERANCE_MN).effects == (effect,)
+
+
+def test_a_law_opens_a_gap_that_no_effect_sees_unless_it_is_too_small_to_matter() -> None:
+    seen = Evidence(BLOCKS, NOISE + 400.0, (), nameless=(Nameless("speed", NOISE, 5.0),))
+    assert judge(seen, TOLERANCE_MN).verdict is Verdict.UNKNOWN
+    assert judge(seen, 6.0).verdict is Verdict.NO_GAP
+
+
+def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it() -> None:
+    found = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
+    assert any_law(found) == (
+        "A force that depends on the speed alone, in the gut, in whatever way, explains 97% of it; "
+        "wall_lift_off, in any form, 50%."
+    )
+    assert any_law(case("wall_lift_off", 8400.0, "speed in the gut", 8400.0)) == ""
+    assert any_law(case("wall_lift_off", 19_000.0, "speed in the gut", 16_000.0)) == ""
+
+
+def test_every_law_has_words(study: Study, nominal: Design) -> None:
+    for one in nameless(nominal, study.sights, PERIOD_S):
+        assert "A force " in any_law(case("folds", 19_000.0, one.law, NOISE))
+
+
+@pytest.mark.parametrize(
+    ("effect", "seed", "said"),
+    [
+        ("foam_resonance", 31, "depends on the speed alone, in the gut"),
+        ("current_crosstalk", 32, "depends on the speed alone, in all runs"),
+        ("fixture_creeps", 33, "time since start and stop alone, in all runs"),
+        ("gain_switches", 34, "whose gain differs from run to run"),
+        ("thermostat_zero", 35, "swings on the session's clock, in all runs"),
+    ],
+)
+def test_what_resembles_an_effect_but_is_another_law_is_unknown(
+    effect: str, seed: int, said: str, tmp_path: Path
+) -> None:
+    told = diagnose(hidden(tmp_path, seed, effect), MODEL)
+    assert (told.verdict, told.effects) == (Verdict.UNKNOWN, ())
+    assert told.unknown is not None
+    assert said in told.unknown.shape
