@@ -12,13 +12,14 @@ from dragrig.analysis.gap.choosing import choose
 from dragrig.analysis.gap.design import Design, RunPart, lay_out
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
-from dragrig.analysis.gap.judging import judge
+from dragrig.analysis.gap.judging import Judgement, judge
 from dragrig.analysis.gap.nameless import nameless
 from dragrig.analysis.gap.results import Verdict
 from dragrig.analysis.gap.seen import TOLERANCE_MN
 from dragrig.analysis.gap.sights import Sight
 from dragrig.analysis.gap.studies import study_of
 from dragrig.analysis.gap.study import Study
+from dragrig.analysis.gap.unknown import unknown_gap
 from dragrig.analysis.gap.unknown.any_law import any_law
 from dragrig.analysis.gap.weighing import SAME_LAW
 from dragrig.analysis.nominal.capsule import MODEL
@@ -123,10 +124,20 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
     found = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
     assert any_law(found) == (
         "A force that depends on the speed alone, in the gut, in whatever way, explains 97% of it; "
-        "wall_lift_off, in any form, 50%."
+        "wall lift-off, in any form, 50%."
     )
     assert any_law(case("wall_lift_off", 8400.0, "speed in the gut", 8400.0)) == ""
     assert any_law(case("wall_lift_off", 19_000.0, "speed in the gut", 16_000.0)) == ""
+
+
+def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
+    quiet = diagnose(choose(CAMPAIGN), MODEL).where
+    assert not any(quiet.location("channel").shares.values())
+    judged = Judgement(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
+    told = unknown_gap(quiet, (), judged, None, case("folds", 19_000.0, "speed", NOISE))
+    assert told is not None
+    assert told.lives_in == "It is too small beside noise and the scatter of repeats to say where it is."
+    assert told.shape.startswith("A force that depends on the speed alone")
 
 
 def test_every_law_has_words(study: Study, nominal: Design) -> None:
@@ -151,3 +162,5 @@ def test_what_resembles_an_effect_but_is_another_law_is_unknown(
     assert (told.verdict, told.effects) == (Verdict.UNKNOWN, ())
     assert told.unknown is not None
     assert said in told.unknown.shape
+    there, _, elsewhere = told.unknown.lives_in.partition("; not in ")
+    assert not any(kind in there and kind in elsewhere for kind in ("relaxation", "blank", "Coulomb", "drag"))

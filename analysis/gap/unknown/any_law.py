@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from dragrig.analysis.gap.evidence import Evidence
+from dragrig.sim_backend.effects.catalogue import catalogue
 
 LEAST_SHARE = 0.5
 """Part of the excess that a law must explain."""
@@ -39,8 +40,13 @@ def any_law(found: Evidence) -> str:
     gain, other = found.squares - law.squares, 0.0 if best is None else max(found.squares - best.flexible, 0.0)
     if gain < LEAST_SHARE * max(found.excess, 1.0) or gain < MORE * other:
         return ""
-    beside = "" if best is None else f"; {best.effects[0]}, in any form, {_told(other, found)}"
+    beside = "" if best is None else f"; {_called(best.effects[0])}, in any form, {_told(other, found)}"
     return f"A force {_OF[law.law]}, in whatever way, explains {_told(gain, found)} of it{beside}."
+
+
+def _called(effect: str) -> str:
+    known = catalogue()
+    return known[effect].name if effect in known else effect.replace("_", " ")
 
 
 def _told(gain: float, found: Evidence) -> str:

@@ -14,6 +14,9 @@ from dragrig.analysis.gap.unknown.shape import shape
 from dragrig.analysis.gap.unknown.swing import swinging
 from dragrig.analysis.gap.where import ResidualBlocks, Where
 
+NOWHERE = "It is too small beside noise and the scatter of repeats to say where it is."
+"""Of a gap that many runs show together, and none of its parts alone."""
+
 
 def unknown_gap(
     where: Where, blocks: Sequence[ResidualBlocks], judged: Judgement, swing: Line | None, evidence: Evidence
@@ -29,6 +32,8 @@ def unknown_gap(
         return None
     if swing is not None:
         return UnknownGap(*swinging(swing, blocks[0].channel))
+    if not any(where.location("channel").shares.values()):
+        return UnknownGap(NOWHERE, any_law(evidence))
     part = part_of(where, blocks)
     law = find_law(part)
     whole = judged.verdict is Verdict.UNKNOWN and not evidence.strays
