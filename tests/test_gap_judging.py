@@ -103,6 +103,18 @@ def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share(
     assert both + one_alone + judged.probabilities[UNKNOWN] == pytest.approx(1.0)
 
 
+def test_beside_a_wrong_scale_one_of_two_that_look_alike_is_named_and_the_other_said() -> None:
+    """Neither is likely enough on its own, but one of them acts."""
+    alike = (one("stribeck", NOISE), one("adhesion", NOISE + 6))
+    found = case(LOUD, *alike, position=(("encoder_scale", 0.99),), strays=True)
+    alone = judge(replace(found, position=(), strays=False), TOLERANCE_MN)
+    assert max(alone.probabilities.values()) < 0.6
+    judged = judge(found, TOLERANCE_MN)
+    assert judged.effects[0] == "encoder_scale"
+    assert {*judged.effects[1:], *judged.confusable_with} == {"stribeck", "adhesion"}
+    assert sum(judged.probabilities.values()) == pytest.approx(1.0)
+
+
 def test_an_effect_too_small_to_matter_is_no_gap() -> None:
     clear = one("stribeck", NOISE, changed_mN=0.2, before=9000.0)
     assert judge(case(9000.0, clear), 0.5).verdict is Verdict.NO_GAP

@@ -160,14 +160,27 @@ def tells_unknown(found: Evidence, judged: Judgement) -> bool:
 def _with_position(found: Evidence, force: _Force) -> Judgement:
     beside = tuple(name for name in force.members if _clear(name, found) and force.marginal(name) > SURE_BESIDE)
     sure = min((force.marginal(name) for name in beside), default=1.0)
+    alternatives = {beside: sure} if beside else _alike(found, force)
+    alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
     hum = ("mains_hum",) if found.mains_gain > LEAST_LINE and "mains_hum" not in found.without else ()
     share = found.position[0][1] if found.position else 0.0
     named = min(max(_logistic((share - LEAST_POSITION) / POSITION_WIDTH), LEAST), MOST)
     rivals = {name: exp(-POSITION_RIVAL * max(share - each, 0.0)) for name, each in found.position}
     whole = sum(rivals.values())
-    families = {(name, *hum): (1.0 - sure) * named * weight / whole for name, weight in rivals.items() if sure < 1.0}
-    families |= {(name, *beside, *hum): sure * named * weight / whole for name, weight in rivals.items()}
+    families = {(name, *hum): alone * named * weight / whole for name, weight in rivals.items() if alone > 0.0}
+    for others, each in alternatives.items():
+        families |= {(name, *others, *hum): each * named * weight / whole for name, weight in rivals.items()}
     return _judged(families, 1.0 - named if families else 1.0, 0.0, force)
+
+
+def _alike(found: Evidence, force: _Force) -> dict[tuple[str, ...], float]:
+    """Return effects that are hardly told from each other, one of which acts, with their probabilities; else none."""
+    for name in force.members:
+        group = [name, *sorted(near_aliases(name) & set(force.members))]
+        shares: dict[tuple[str, ...], float] = {(one,): force.marginal(one) for one in group if _clear(one, found)}
+        if len(shares) > 1 and SURE_BESIDE < sum(shares.values()) <= 1.0:
+            return shares
+    return {}
 
 
 def _judged(named: Mapping[tuple[str, ...], float], unknown: float, no_gap: float, force: _Force) -> Judgement:

@@ -32,7 +32,7 @@ def unknown_gap(
         return None
     if swing is not None:
         return UnknownGap(*swinging(swing, blocks[0].channel))
-    if not any(where.location("channel").shares.values()):
+    if where.runs > 1 and not any(where.location("channel").shares.values()):
         return UnknownGap(NOWHERE, any_law(evidence))
     part = part_of(where, blocks)
     law = find_law(part)
