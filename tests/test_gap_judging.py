@@ -105,7 +105,7 @@ def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share(
 
 def test_beside_a_wrong_scale_one_of_two_that_look_alike_is_named_and_the_other_said() -> None:
     """Neither is likely enough on its own, but one of them acts."""
-    alike = (one("stribeck", NOISE), one("adhesion", NOISE + 6))
+    alike = (one("stribeck", NOISE), one("adhesion", NOISE + 700))
     found = case(LOUD, *alike, position=(("encoder_scale", 0.99),), strays=True)
     alone = judge(replace(found, position=(), strays=False), TOLERANCE_MN)
     assert max(alone.probabilities.values()) < 0.6
