@@ -1,5 +1,6 @@
 """Campaigns with hidden effects, as run files, for what diagnoses them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +23,9 @@ PLAN = {
 }
 
 
-def hidden(folder: Path, seed: int, *effects: str) -> Selection:
+def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> Selection:
     """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
-    make(draw(seed, effects=effects), folder)
+    make(draw(seed, effects=effects, size=size), folder)
     return thinned(choose(folder))
 
 

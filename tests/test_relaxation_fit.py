@@ -76,6 +76,21 @@ def test_time_constants_from_milliseconds_to_minutes(
     assert fit.times[1].half_width < 0.03
 
 
+def test_noise_beside_a_known_hum_is_what_it_is_without() -> None:
+    def humming(seed: int) -> Experiment:
+        run = relaxation(seed=seed, slow_mN=1.0, correlation_s=0.4)
+        force = np.asarray(run.trace.channels["force"])
+        time = np.arange(force.size) / run.trace.sample_rate_hz
+        return Experiment(changed(run, "force", force + 6.0 * np.sin(2 * np.pi * 50.03 * time + seed)))
+
+    runs = [humming(seed) for seed in range(4)]
+    assert estimate_noise(runs, "force").white > 2.2
+    noise = estimate_noise(runs, "force", hum=6.0, hum_hz=50.0)
+    assert (noise.hum, noise.hum_hz) == (6.0, 50.0)
+    assert noise.white == pytest.approx(1.5, rel=0.03)
+    assert noise.slow == pytest.approx(1.0, rel=0.25)
+
+
 def test_slow_noise_of_the_sensor_widens_the_intervals_as_it_must() -> None:
     quiet = fitted(relaxation(seed=1, slow_mN=0.5))
     inside = 0

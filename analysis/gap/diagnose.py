@@ -15,8 +15,9 @@ from dragrig.analysis.gap.explanation import Explanation
 from dragrig.analysis.gap.findings import Findings
 from dragrig.analysis.gap.gaps import RunGap, run_gap, shrink_of
 from dragrig.analysis.gap.gathering import evidence_of
+from dragrig.analysis.gap.hearing import with_heard_hum
 from dragrig.analysis.gap.held_out import improvement, leave_out
-from dragrig.analysis.gap.judging import NO_GAP, UNKNOWN, Judgement, judge, tells_unknown
+from dragrig.analysis.gap.judging import CLEAR_BESIDE, NO_GAP, UNKNOWN, Judgement, judge, tells_unknown
 from dragrig.analysis.gap.known import HUM, beyond_known, known_effects, with_known_motion
 from dragrig.analysis.gap.lines import Line, Lines, find_lines
 from dragrig.analysis.gap.planning.after import next_after, nothing_further
@@ -43,8 +44,9 @@ SLOW_LINE_HZ, LEAST_SLOW_LINE = 4.9, 300.0
 """Slow noise passes for lines below this frequency, with gains below that: 38 at most in 500 simulated campaigns."""
 CALIBRATION = "calibrated on simulated campaigns"
 STEPS = 6
-BESIDE_MOTION = 0.3
-"""Where the stage strays, what its motion leaves uncertain is no effect unless one explains this share of it."""
+BESIDE_MOTION = 0.5 * CLEAR_BESIDE, 0.3
+"""Where the stage strays, what its motion leaves uncertain is no effect unless one takes away so many half squares
+beforehand, and this share of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,8 @@ def diagnose(
     study = study_of(_trusting(selection, position), nominal, [one for one in effects if _in_force(one)])
     lines = beyond_known(_audible(find_lines(selection.experiments, study.channel)), known)
     prepared = perf_counter()
-    found = explain(study, BESIDE_MOTION if position.present else 0.0)
+    heard = with_heard_hum(study, selection.experiments, lines)
+    found = explain(heard, *BESIDE_MOTION) if position.present else explain(heard)
     progress(4, STEPS)
     evidence = evidence_of(found, position, lines, asked.without)
     judged = judge(evidence, asked.tolerance_mN, _calibration(study, asked))

@@ -20,13 +20,13 @@ LEAST_GAIN = 7.0
 """Half squares below this are noise for any candidate."""
 
 
-def explain(study: Study, least_share: float = 0.0) -> Findings:
+def explain(study: Study, least_gain: float = LEAST_GAIN, least_share: float = 0.0) -> Findings:
     """Try every effect on the force of a campaign.
 
     Parameters
     ----------
-    least_share
-        An effect is refitted only if the best takes away this share of the excess beforehand.
+    least_gain, least_share
+        An effect is refitted only if it takes away so many half squares beforehand, and this share of the excess.
     """
     first = stepped(lay_out(study, study.start))
     second = lay_out(study, first.z)
@@ -35,7 +35,7 @@ def explain(study: Study, least_share: float = 0.0) -> Findings:
     projected = project(nominal, nominal.total(), *NUISANCES)
     ranked = with_free_phases(nominal, rank(projected, nominal.shapes))
     found = Findings(study, nominal, projected.squares, ranked, (), ())
-    least = max(LEAST_GAIN, NEAR_BEST * ranked[0].gain, 0.5 * least_share * found.excess) if ranked else 0.0
+    least = max(least_gain, NEAR_BEST * ranked[0].gain, 0.5 * least_share * found.excess) if ranked else 0.0
     likely = [one for one in ranked[:SHORTLIST] if one.gain > least]
     singles = [refitted(study, nominal, one, nominal) for one in likely]
     singles.sort(key=found.merit, reverse=True)

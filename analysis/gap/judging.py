@@ -123,11 +123,20 @@ def _softmax(utilities: Sequence[float]) -> list[float]:
     return [one / sum(within) for one in within]
 
 
+def hears_hum(mains_gain: float, line_gain: float) -> bool:
+    """Return whether a line at the mains' frequency is one of the mains, the strongest elsewhere being what it is."""
+    return mains_gain > LEAST_LINE and _stands_out(mains_gain, line_gain)
+
+
+def _stands_out(mains_gain: float, line_gain: float) -> bool:
+    """Return whether the mains' frequency is louder than others: where all are loud, it is no finding."""
+    return line_gain <= 0.5 * mains_gain
+
+
 def _with_lines(found: Evidence, force: _Force) -> Judgement:
     seen = _logistic((found.mains_gain - LEAST_LINE) / LINE_WIDTH)
     hum = 0.0 if "mains_hum" in found.without else seen
-    if found.line_gain > 0.5 * found.mains_gain:
-        # Where all frequencies are loud, those of the mains are no finding.
+    if not _stands_out(found.mains_gain, found.line_gain):
         hum = min(hum, 0.2)
     foreign = _foreign(found)
     if "mains_hum" in found.without:

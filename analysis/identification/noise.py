@@ -5,7 +5,7 @@ relaxations' holds, from which a cubic is taken.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,8 @@ USUAL_WHITE = 2.0
 """White noise where no run shows any [mN], at the upper end of what such sensors have."""
 IN_STEP_S = 1.0
 """So long a line is taken to keep the frequency that is known of it."""
+FITTED_S = 0.5
+"""A line that is taken out of a stretch has an amplitude and a phase of its own in pieces of this length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,18 +108,30 @@ class _Layout:
     degree: int
 
 
-def estimate_noise(experiments: Iterable[Experiment], channel: str) -> Noise:
+def estimate_noise(experiments: Iterable[Experiment], channel: str, hum: float = 0.0, hum_hz: float = 0.0) -> Noise:
     """Estimate a channel's noise from all stretches at which it should stay the same, or merely relaxes.
 
     Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
     short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
     noise is what neighbouring samples of steady motion differ by beyond a straight line, and `USUAL` where there is no
     steady motion either; both count as assumed.
+
+    Parameters
+    ----------
+    hum, hum_hz
+        Amplitude and frequency of a line that is known to be there: it is kept apart. 0 for none.
     """
+    runs = tuple(experiments)
+    if hum > 0:
+        stretches = [_without_line(one, hum_hz) for one in _quiet(runs, channel)]
+        return replace(_estimated(stretches, runs, channel), hum=hum, hum_hz=hum_hz)
+    return _estimated(_quiet(runs, channel), runs, channel)
+
+
+def _estimated(stretches: Iterable[_Stretch], runs: Sequence[Experiment], channel: str) -> Noise:
     squares, count, largest = 0.0, 0, 0.0
     groups: dict[_Layout, list[FloatArray]] = {}
-    runs = tuple(experiments)
-    for stretch in _quiet(runs, channel):
+    for stretch in stretches:
         squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
         count += len(stretch.values) - 1
         largest = max(largest, float(np.abs(stretch.values).max()))
@@ -167,6 +181,22 @@ def _quiet(experiments: Iterable[Experiment], channel: str) -> Iterator[_Stretch
             for start, stop in _stretches(part & usable):
                 if stop - start > 2:
                     yield _Stretch(values[start:stop], trace.sample_rate_hz, degree)
+
+
+def _without_line(stretch: _Stretch, hertz: float) -> _Stretch:
+    """Take a line out of a stretch, piece by piece, beside a straight line in each."""
+    size = max(round(FITTED_S * stretch.rate_hz), FEWEST_DIFFERENCES)
+    pieces = np.array_split(stretch.values, max(stretch.values.size // size, 1))
+    return replace(stretch, values=np.concatenate([one - _line(one, hertz / stretch.rate_hz) for one in pieces]))
+
+
+def _line(values: FloatArray, turns: float) -> FloatArray:
+    """Return the sine of so many turns per sample that fits best beside a straight line, shape `(n,)`."""
+    sample = np.arange(values.size, dtype=np.float64)
+    angle = 2 * np.pi * turns * sample
+    columns = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(sample), sample))
+    found = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return np.asarray(columns[:, :2] @ found[:2])
 
 
 def _stretches(mask: Mask) -> list[tuple[int, int]]:
