@@ -86,12 +86,20 @@ def test_clear_cases(found: Evidence, verdict: Verdict, effects: tuple[str, ...]
     assert max(judged.probabilities, key=lambda name: judged.probabilities[name]) == best
 
 
+def test_an_effect_as_large_as_it_can_be_is_named_only_if_it_explains_all_there_is() -> None:
+    def at_its_limit(squares: float) -> Evidence:
+        return case(LOUD, replace(one("stribeck", squares, flexible=NOISE), at_limit=True))
+
+    assert judge(at_its_limit(NOISE + 200.0), TOLERANCE_MN).effects == ("stribeck",)
+    assert judge(at_its_limit(11_000.0), TOLERANCE_MN).verdict is Verdict.UNKNOWN
+
+
 def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share() -> None:
     """None of three explanations is likely enough on its own, but all have the tether."""
     tether = Tried(("mesentery_tether",), 12_000.0, 9500.0, 50.0, gain=50_000.0, left=110_000.0)
     further = [
-        Tried(("mesentery_tether", other), 10_000.0, 9000.0, 50.0, gain=500.0, left=12_000.0, rival_gain=450.0)
-        for other in ("folds", "force_hysteresis")
+        Tried(("mesentery_tether", other), 10_000.0, 9000.0, 50.0, gain=60.0, left=12_000.0, rival_gain=55.0)
+        for other in ("stribeck", "force_hysteresis")
     ]
     found = case(110_000.0, tether, *further, position=(("servo_lag", 0.99),), strays=True)
     alone = judge(replace(found, position=(), strays=False), TOLERANCE_MN)
@@ -105,7 +113,7 @@ def test_beside_a_lagging_stage_an_effect_is_named_that_most_explanations_share(
 
 def test_beside_a_wrong_scale_one_of_two_that_look_alike_is_named_and_the_other_said() -> None:
     """Neither is likely enough on its own, but one of them acts."""
-    alike = (one("stribeck", NOISE), one("adhesion", NOISE + 700))
+    alike = (one("stribeck", NOISE), one("adhesion", NOISE + 500))
     found = case(LOUD, *alike, position=(("encoder_scale", 0.99),), strays=True)
     alone = judge(replace(found, position=(), strays=False), TOLERANCE_MN)
     assert max(alone.probabilities.values()) < 0.6

@@ -80,13 +80,6 @@ def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
     assert all(weight <= 0 for name, weight in weights.items() if name.startswith(("behind", "left", "nameless")))
 
 
-def test_beside_hum_no_campaign_teaches_which_effect_it_is() -> None:
-    made = lessons(1)
-    lowest = Tried(("folds",), LOUD, LOUD - 50, 5.0, gain=20.0, left=LOUD)
-    humming = Lesson(Evidence(BLOCKS, LOUD, (lowest,)), frozenset({"folds", "mains_hum"}))
-    assert learn_weights([*made, *[humming] * 20], TOLERANCE_MN) == learn_weights(made, TOLERANCE_MN)
-
-
 def test_nothing_is_learnt_from_nothing() -> None:
     with pytest.raises(ValueError, match="no campaign"):
         learn_weights([], TOLERANCE_MN)

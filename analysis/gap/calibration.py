@@ -14,13 +14,14 @@ BY_HAND = MappingProxyType(
         "flexible": 0.4,
         "behind": -0.7,
         "further": -2.0,
-        "further: akin": -2.0,
+        "further: alike": -2.0,
         "third": -3.0,
     }
 )
 """How an effect explains as it stands counts for more where nothing is known of how foreign forms can be."""
 OF_EFFECT = "is "
-"""Features that say no more than which effect it is begin so."""
+OF_FURTHER = f"{OF_EFFECT}further: "
+"""Features that say no more than which effect it is begin so: of the first, and of those beside it."""
 FILE = Path(__file__).with_name("calibration.json")
 
 

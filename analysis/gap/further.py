@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dragrig.analysis.gap.design import Design, Part
+from dragrig.analysis.gap.doubting import doubting
 from dragrig.analysis.gap.explanation import Explanation, explained, refitted, with_free_phases
 from dragrig.analysis.gap.findings import Findings, Step
 from dragrig.analysis.gap.nameless import nameless
@@ -14,10 +15,8 @@ from dragrig.analysis.gap.refit import Point
 from dragrig.analysis.gap.solving import NUISANCES, project
 
 MOST_EFFECTS = 3
-LEAST_GAIN = 14.0
+LEAST_GAIN = 11.0
 """Half squares below this are noise beside other effects."""
-LEAST_BESIDE, LEAST_CLEAR, CLEAR_GAIN = 0.005, 0.002, 200.0
-"""Share of the excess that a further effect must take away to be tried, and the one where its gain is clear."""
 NEAR_SECOND = 0.2
 """Beside the best further effect, one of another kind is tried that takes away this share of what it does."""
 
@@ -37,27 +36,23 @@ def _steps(found: Findings, before: Explanation) -> list[Step]:
     """Try the best further effect beside those before, and the best of those that act on something else."""
     point = before.point
     _, design, taken = explained(found.study, point, found.nominal, before.design, everything=True)
-    total = design.total()
-    projected = project(design, total, *NUISANCES)
+    doubted = doubting(design)
+    projected = project(doubted, doubted.total(), *NUISANCES)
     for number in range(len(taken)):
         projected = projected.without((taken[number],))
     own = {one.effect.id for one in point.candidates}
-    everything = with_free_phases(design, rank(projected, design.shapes))
+    everything = with_free_phases(doubted, rank(projected, doubted.shapes))
     ranked = [one for one in everything if one.effect not in own]
-    more_det = design.log_det - found.nominal.log_det
     steps = []
-    for one in (*ranked[:1], *_of_another_kind(ranked, design, point)):
+    for one in (*ranked[:1], *_of_another_kind(ranked, doubted, point)):
         rival = max((each.gain for each in ranked if each is not one), default=0.0)
-        least = LEAST_BESIDE if one.gain < CLEAR_GAIN else LEAST_CLEAR
-        worth = one.gain > LEAST_GAIN and 2 * one.gain > least * found.excess
-        together = refitted(found.study, design, one, found.nominal) if worth else None
-        steps.append(Step(one.effect, one.gain, rival, projected.squares + more_det, (), together))
+        together = refitted(found.study, design, one, found.nominal) if one.gain > LEAST_GAIN else None
+        steps.append(Step(one.effect, one.gain, rival, projected.squares, (), together))
     if all(one.together is None for one in steps):
         return steps
-    beside = np.sort(np.concatenate((design.of(*NUISANCES), design.of(Part.SHAPE)[list(taken)])))
-    laws = nameless(design, found.study.sights, beside=beside)
-    known = tuple(replace(law, squares=law.squares + more_det) for law in laws)
-    return [replace(one, laws=known) for one in steps]
+    beside = np.sort(np.concatenate((doubted.of(*NUISANCES), doubted.of(Part.SHAPE)[list(taken)])))
+    laws = nameless(doubted, found.study.sights, beside=beside)
+    return [replace(one, laws=laws) for one in steps]
 
 
 def _of_another_kind(ranked: Sequence[Ranked], design: Design, point: Point) -> tuple[Ranked, ...]:

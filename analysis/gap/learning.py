@@ -10,13 +10,10 @@ from dragrig.analysis.gap.evidence import Evidence
 from dragrig.analysis.gap.weighing import hypotheses, largest_gain
 from dragrig.rig.arrays import FloatArray
 
-HUM = "mains_hum"
-ELSEWHERE = frozenset({"servo_lag", "velocity_ripple", "encoder_scale", HUM})
+ELSEWHERE = frozenset({"servo_lag", "velocity_ripple", "encoder_scale", "mains_hum"})
 """Effects that the weights know nothing of: they are found on the position, or as a line."""
 RIDGE, RIDGE_OF_EFFECT = 0.02, 0.5
 """Prior precisions of a weight: of a feature, and of a single effect's, of which there are few campaigns each."""
-OF_SEVERAL = 0.6
-"""Weight of a campaign with several effects, of which those to learn from have more than rigs and guts have."""
 GATE = Gate(least_gain=18.0, gain_width=3.0, least_left=0.075, left_width=0.012)
 """What is thought of the thresholds beforehand: the best of all shapes reaches a gain of 8 in noise alone, and seldom
 more than 15 where the nominal model is a little wrong."""
@@ -26,7 +23,7 @@ WORTH = 11.0
 """A campaign teaches which effect it is if any takes away so many half squares."""
 
 SPEAKS_FOR = ("plain", "flexible", "further: share", "further: over", "further: gain", "further: worse")
-SPEAKS_AGAINST = ("known, in", "behind", "left", "nameless", "further: akin", "third")
+SPEAKS_AGAINST = ("known, in", "behind", "left", "nameless", "further: alike", "third")
 """How features begin whose sense is known beforehand: what explains more is never the less likely for it."""
 
 
@@ -52,11 +49,10 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Choice:
-    """Features of the hypotheses of one campaign, shape `(H, F)`, which is right (H where none is), and its weight."""
+    """Features of the hypotheses of one campaign, shape `(H, F)`, and which is right (H where none is)."""
 
     features: FloatArray
     right: int
-    weight: float
 
 
 def learn_weights(lessons: Sequence[Lesson], tolerance_mN: float) -> dict[str, float]:
@@ -77,8 +73,7 @@ def learn_weights(lessons: Sequence[Lesson], tolerance_mN: float) -> dict[str, f
     choices = []
     for lesson, found in tried:
         rows = [[one.features.get(name, 0.0) for name in names] for one in found]
-        weight = OF_SEVERAL if len(lesson.effects) > 1 else 1.0
-        choices.append(_Choice(np.array(rows), _right(lesson, [one.effects for one in found]), weight))
+        choices.append(_Choice(np.array(rows), _right(lesson, [one.effects for one in found])))
     ridge = np.array([RIDGE_OF_EFFECT if name.startswith(OF_EFFECT) else RIDGE for name in names])
 
     def loss(weights: FloatArray) -> tuple[float, FloatArray]:
@@ -87,11 +82,11 @@ def learn_weights(lessons: Sequence[Lesson], tolerance_mN: float) -> dict[str, f
             utilities = np.append(one.features @ weights, 0.0)
             shares = np.exp(utilities - utilities.max())
             shares /= shares.sum()
-            total -= one.weight * float(np.log(shares[one.right] + 1e-300))
+            total -= float(np.log(shares[one.right] + 1e-300))
             pulled = shares[:-1].copy()
             if one.right < len(pulled):
                 pulled[one.right] -= 1.0
-            slope = slope + one.weight * one.features.T @ pulled
+            slope = slope + one.features.T @ pulled
         return total, slope
 
     bounds = [_bounds(name) for name in names]
@@ -146,12 +141,7 @@ def _logistic(values: FloatArray) -> FloatArray:
 
 
 def _teaches_choice(one: Lesson, tolerance_mN: float) -> bool:
-    """Whether it is the force that is to be explained, and anything explains some of it.
-
-    Hum makes blocks noisier than noise, so that the right effect may explain next to nothing of what is above it.
-    """
-    if HUM in one.effects:
-        return False
+    """Whether it is the force that is to be explained, and anything explains some of it."""
     of_force = one.effects - ELSEWHERE
     tried = [each.gain for each in one.evidence.tried if each.changed_mN >= tolerance_mN]
     return (bool(of_force) or (one.outside and not one.evidence.strays)) and max(tried, default=0.0) > WORTH

@@ -5,17 +5,31 @@ from dataclasses import dataclass
 from math import log, sqrt
 from types import MappingProxyType
 
-from dragrig.analysis.gap.calibration import OF_EFFECT
+from dragrig.analysis.gap.calibration import OF_EFFECT, OF_FURTHER
 from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
 
-KIN = (
-    frozenset({"stribeck", "adhesion", "breakaway", "wall_lift_off", "wall_inertia"}),
-    frozenset({"film_depletion", "folds", "mesentery_tether", "force_drift", "peristalsis"}),
-    frozenset({"presliding", "breakaway", "channel_latency", "arm_compliance", "payload_inertia"}),
-    frozenset({"force_hysteresis", "force_nonlinearity", "presliding"}),
-    frozenset({"extra_relaxation", "hyperelastic_wall", "tissue_ageing", "preconditioning"}),
+ALIKE = frozenset(
+    frozenset(pair)
+    for pair in (
+        ("arm_compliance", "channel_latency"),
+        ("arm_compliance", "payload_inertia"),
+        ("channel_latency", "payload_inertia"),
+        ("payload_inertia", "stribeck"),
+        ("payload_inertia", "wall_lift_off"),
+        ("stribeck", "adhesion"),
+        ("stribeck", "breakaway"),
+        ("stribeck", "wall_inertia"),
+        ("presliding", "breakaway"),
+        ("wall_lift_off", "wall_inertia"),
+        ("wall_lift_off", "peristalsis"),
+        ("mesentery_tether", "folds"),
+        ("mesentery_tether", "peristalsis"),
+        ("force_drift", "peristalsis"),
+        ("folds", "peristalsis"),
+        ("force_hysteresis", "force_nonlinearity"),
+    )
 )
-"""Effects that act on the same: what a foreign form of one leaves, another of its kin may pass for."""
+"""Effects that act on the same: what another form of one leaves, the other may pass for."""
 SAME_LAW: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         "place in the gut": frozenset({"mesentery_tether"}),
@@ -34,10 +48,14 @@ ABRUPT = frozenset({"arm_compliance", "channel_latency", "payload_inertia"})
 """Effects that act where the force is steepest, of which another form leaves much; of any other it leaves little."""
 ABRUPT_COUNTS = 0.4
 """Part of what they take away that counts for a gap: jerk of a motion and steps of a programme resemble them there."""
+ALL_BUT = 0.95
+"""An effect as large as it can be that explains more than this share, just as it is, is the right one nevertheless."""
 MUCH = 1.0, 100.0
 """Squares above noise per block from which on what is left of a gap is more than a form makes."""
 NAMELESS = 10.0
 """Half squares that a law without a name takes away by chance."""
+SEEN_BESIDE = 5.0, 60.0
+"""Half squares between which a further effect becomes sure, as far as noise goes."""
 SOFT = 0.02
 """Shares within this of 0 and 1 are not told from them."""
 
@@ -54,11 +72,15 @@ class Hypothesis:
 def hypotheses(found: Evidence, tolerance_mN: float) -> tuple[Hypothesis, ...]:
     """Return the explanations that change the force by more than what does not matter, and are no larger than can be.
 
-    What would have to be larger than it can be is something else that resembles it.
+    What would have to be larger than it can be is something else that resembles it, unless that leaves next to nothing.
     """
-    tried = [one for one in found.tried if one.changed_mN >= tolerance_mN and not one.at_limit]
+    tried = [one for one in found.tried if one.changed_mN >= tolerance_mN and _possible(one, found)]
     best = max((one.gain for one in tried if len(one.effects) == 1), default=0.0)
     return tuple(_weighed(one, found, best) for one in tried)
+
+
+def _possible(one: Tried, found: Evidence) -> bool:
+    return not one.at_limit or share(one.plain, found) > ALL_BUT
 
 
 def chance(found: Evidence) -> float:
@@ -94,7 +116,7 @@ def _weighed(one: Tried, found: Evidence, best: float) -> Hypothesis:
         "left, much": 0.0 if ABRUPT & set(one.effects) else _log(_left(one.flexible, found) / found.blocks, *MUCH),
     }
     features |= _nameless(one, found)
-    features |= {f"{OF_EFFECT}{name}": 1.0 for name in one.effects}
+    features |= {f"{OF_EFFECT}{one.effects[0]}": 1.0, **{f"{OF_FURTHER}{name}": 1.0 for name in one.effects[1:]}}
     if len(one.effects) == 1:
         features["behind"] = (best - one.gain) / (1.0 + FORM * best)
     else:
@@ -131,19 +153,17 @@ def _squares_of(laws: Iterable[Nameless], effects: Sequence[str]) -> list[float]
 def _further(one: Tried, found: Evidence) -> dict[str, float]:
     """Return what tells a further effect from what a foreign form of those before leaves."""
     *before, last = one.effects
-    akin = any({name, last} <= group for name in before for group in KIN)
+    alike = any({name, last} in ALIKE for name in before)
     by_law = 0.5 * (one.left - min(_squares_of(one.laws, [last]), default=one.left))
-    over_law = _log(one.gain / max(by_law, NAMELESS), 0.1, 10.0) if one.laws else 0.0
+    over_law = _log(one.gain / max(by_law, NAMELESS), 0.1, 1.0) if one.laws else 0.0
     return {
         "further": 1.0,
         "third": float(len(one.effects) > 2),
         "further: share of excess": _log(2 * one.gain / max(found.excess, 1.0), 1e-3, 1.0),
-        "further: share of what is left": _log(2 * one.gain / max(one.left - found.blocks, 1.0), 0.02, 3.0),
-        "further: over its rival": _log(one.gain / max(one.rival_gain, 1.0), 0.3, 20.0),
-        "further: over a law": over_law,
-        "further: worse than a law": min(over_law, 0.0),
-        "further: gain": _log(one.gain, 5.0, 3000.0),
-        "further: akin": float(akin),
+        "further: over its rival": _log(one.gain / max(one.rival_gain, 1.0), 0.3, 5.0),
+        "further: worse than a law": over_law,
+        "further: gain": _log(one.gain, *SEEN_BESIDE),
+        "further: alike": float(alike),
     }
 
 

@@ -77,6 +77,11 @@ class Whitening:
         scale = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
         return np.asarray(plain - self.left @ (scale * along))
 
+    def doubting(self, sd: FloatArray) -> "Whitening":
+        """Return what whitens where each block is uncertain by so much more, one standard deviation, shape `(B,)`."""
+        root = _factor(self.noise_root @ self.noise_root.T, sd)
+        return _whitened(root, self.noise_root @ self.own)
+
     def own_of(self, residual: FloatArray, slopes: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the run's zero and factors in prior standard deviations, and their covariance.
 
@@ -130,13 +135,18 @@ def whitening(
     near
         One with the same noise and uncertainty, whose factor is taken over.
     """
-    from scipy.linalg import solve_triangular
-
     root = _factor(noise(), uncertainty) if near is None else near.noise_root
     columns = prediction.varying * sds[:, None]
     if zero_sd > 0:
         columns = np.vstack((np.full((1, len(root)), zero_sd), columns))
-    own = np.asarray(solve_triangular(root, columns.T, lower=True))
+    return _whitened(root, columns.T)
+
+
+def _whitened(root: FloatArray, columns: FloatArray) -> Whitening:
+    """Lay out a run's covariance from its factor and from what its zero and factors change, shape `(B, k)`."""
+    from scipy.linalg import solve_triangular
+
+    own = np.asarray(solve_triangular(root, columns, lower=True))
     left, sizes, _ = np.linalg.svd(own, full_matrices=False)
     return Whitening(root, own, np.asarray(left), 1 - 1 / np.sqrt(1 + sizes**2))
 

@@ -1,0 +1,80 @@
+"""A second effect beside a strong one, and beside hum: seen where the first does little, and not made of its form."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden import hidden
+
+from dragrig.analysis.gap.candidate import Candidate
+from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.design import Design, lay_out
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.doubting import FORM_DOUBT, doubting
+from dragrig.analysis.gap.results import Verdict
+from dragrig.analysis.gap.studies import study_of
+from dragrig.analysis.gap.study import Study
+from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.sim_backend.effects.catalogue import catalogue
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+
+
+@pytest.fixture(scope="module")
+def study() -> Study:
+    return study_of(choose(CAMPAIGN), MODEL, [catalogue()["breakaway"]])
+
+
+@pytest.fixture(scope="module")
+def broken_away(study: Study) -> Design:
+    effect = catalogue()["breakaway"]
+    return lay_out(study, study.start, [Candidate(effect, effect.usual)])
+
+
+def test_what_an_effect_adds_is_doubted_block_by_block(broken_away: Design) -> None:
+    random = np.random.default_rng(8)
+    for before, after in zip(broken_away.parts, doubting(broken_away).parts, strict=True):
+        sure, doubted = before.whitening, after.whitening
+        own = sure.noise_root @ np.column_stack((sure.noise_root.T, sure.own @ sure.own.T @ sure.noise_root.T))
+        blocks = sure.noise_root.shape[0]
+        covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_DOUBT * before.added) ** 2)
+        values = random.standard_normal(blocks)
+        assert np.sum(doubted.whole(values) ** 2) == pytest.approx(values @ np.linalg.solve(covariance, values))
+        assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_DOUBT * before.added))
+
+
+def test_beside_nothing_nothing_is_doubted(study: Study) -> None:
+    nominal = lay_out(study, study.start)
+    for before, after in zip(nominal.grams, doubting(nominal).grams, strict=True):
+        assert after == pytest.approx(before, rel=1e-9, abs=1e-9)
+
+
+def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_much(broken_away: Design) -> None:
+    """A quarter of the effect, this way and that from block to block, against a wave where it does nothing."""
+    doubted = doubting(broken_away)
+    sure, unsure = np.zeros(2), np.zeros(2)
+    for before, after in zip(broken_away.parts, doubted.parts, strict=True):
+        bent = FORM_DOUBT * before.added * np.sign(np.sin(np.arange(before.added.size)))
+        elsewhere = np.where(np.abs(before.added) < 0.1, 3.0 * np.sin(np.arange(before.added.size) / 9.0), 0.0)
+        both = np.column_stack((bent, elsewhere))
+        sure += np.sum(before.whitening.whole(both) ** 2, axis=0)
+        unsure += np.sum(after.whitening.whole(both) ** 2, axis=0)
+    blocks = sum(broken_away.blocks)
+    assert sure[0] > 2 * unsure[0]
+    assert unsure[0] < blocks
+    assert unsure[1] > 0.9 * sure[1]
+
+
+@pytest.mark.parametrize(
+    ("seed", "strong", "weak"),
+    [(61, "mesentery_tether", "adhesion"), (64, "extra_relaxation", "adhesion"), (66, "film_depletion", "adhesion")],
+)
+def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, strong: str, weak: str) -> None:
+    """What the strong one's foreign form leaves is larger than the weak one, and is not called an effect."""
+    told = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL)
+    assert (told.verdict, set(told.effects)) == (Verdict.SEVERAL, {strong, weak})
+
+
+def test_an_effect_is_named_beside_hum_that_is_louder(tmp_path: Path) -> None:
+    told = diagnose(hidden(tmp_path, 43, "mains_hum", "tissue_ageing"), MODEL)
+    assert (told.verdict, set(told.effects)) == (Verdict.SEVERAL, {"mains_hum", "tissue_ageing"})
