@@ -37,9 +37,9 @@ class Tried:
     periodic
         Whether one of them is periodic on the session's clock, whose phase may be lost from run to run.
     gain
-        Half the squares that the last of them takes away beside the others, foreign forms of these allowed.
+        Half the squares that the last of them takes away; beside others, where these do little (`doubting`).
     left
-        Squares that remain without the last one, foreign forms of the others allowed.
+        Squares that remain without the last one, the form of the others in the same doubt.
     rival_gain
         What the best other effect takes away in its place; 0 where there is no other.
     laws

@@ -60,18 +60,18 @@ class Findings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A further effect beside those before.
+    """A further effect beside those before, whose form is in doubt in all of these numbers.
 
     Attributes
     ----------
     effect
         Which.
     gain
-        Half the squares that it takes away beside the others, foreign forms of these allowed.
+        Half the squares that it takes away beside the others, which may have foreign forms.
     rival_gain
         What the next best takes away in its place.
     left
-        Squares that remain without it, foreign forms allowed.
+        Squares that remain without it.
     laws
         What laws without a name leave in its place, the best first.
     together
