@@ -151,13 +151,14 @@ def test_wall_that_left_the_contact_and_comes_back_is_fresh() -> None:
 
 
 def test_the_quadrature_has_converged() -> None:
-    from dragrig.sim_backend.friction.environment import NODES
+    from dragrig.sim_backend.friction.quadrature import FINE, Rule
     from dragrig.sim_backend.friction.sliding import SlidingForce
 
     for profile in TURNING.values():
         prepared = prepare(sliding(profile), MODEL).friction
         assert isinstance(prepared, SlidingForce)
-        finer = SlidingForce.of(prepared.contact, prepared.history, ROUGH.mass_g, pressing=True, nodes=2 * NODES)
+        rule = Rule(2 * FINE.ages, FINE.times)
+        finer = SlidingForce.of(prepared.contact, prepared.history, ROUGH.mass_g, pressing=True, rule=rule)
         time = np.linspace(0.0, profile.duration_s, 2000)
         coarse, fine = prepared.total(time), finer.total(time)
         assert np.abs(coarse - fine).max() < 1e-5 * np.ptp(fine)

@@ -1,5 +1,7 @@
 """A motion known only from encoder counts gives the force of the motion itself."""
 
+from dataclasses import astuple, replace
+
 import numpy as np
 import pytest
 from friction_cases import moves, sliding, sticking
@@ -12,6 +14,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.measured import measured_motion
+from dragrig.sim_backend.friction.quadrature import COUNTED, FINE
 from dragrig.sim_backend.friction.sliding import SlidingForce
 
 MODEL = FrictionModelSettings()
@@ -48,6 +51,35 @@ def test_counts_give_the_force_of_the_motion(name: str, rate: float) -> None:
     # f_c jumps when fresh wall comes to the equator: a sample or two may fall on the other side of that.
     error = np.sort(np.abs(found - truth)[away])[:-3]
     assert error.max() < 0.005 * np.ptp(truth)
+
+
+def rippling() -> tuple[FloatArray, RecordedMotion]:
+    time = np.arange(6000) / 1000
+    position = 8.0 * np.clip(time - 1.0, 0.0, 4.0) + 0.15 * np.sin(2 * np.pi * np.clip(time - 1.0, 0.0, 4.0) / 0.25)
+    return time, RecordedMotion.of(time, np.round(position * 1000) / 1000)
+
+
+def test_the_quadrature_of_a_counted_motion_is_as_fine_as_a_sensor_can_tell() -> None:
+    time, motion = rippling()
+    coarse = prepare(sliding(moves()), MODEL, motion).friction
+    assert isinstance(coarse, SlidingForce)
+    assert coarse.rule == COUNTED
+    fine = SlidingForce.of(coarse.contact, coarse.history, 0.0, pressing=True, rule=FINE)
+    error = coarse.components(time).f_e - fine.components(time).f_e
+    assert 0.0 < np.sqrt(np.mean(error**2)) < 0.05
+    assert np.abs(error).max() < 0.4
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_stretches_that_are_evaluated_at_once_give_the_same(name: str) -> None:
+    time, position = counts(PROFILES[name], 1000.0)
+    for motion in (RecordedMotion.of(time, position), rippling()[1]):
+        force = prepare(sliding(PROFILES[name]), MODEL, motion).friction
+        assert isinstance(force, SlidingForce)
+        alone = replace(force, spans=force.stretches)
+        for one, other in zip(astuple(force.components(time)), astuple(alone.components(time)), strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert len(force.spans) < 0.2 * len(force.stretches)
 
 
 def test_a_resting_stage_makes_no_friction() -> None:

@@ -11,7 +11,7 @@ from dragrig.config.capsule import Capsule
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact
-from dragrig.sim_backend.friction.environment import gauss_legendre
+from dragrig.sim_backend.friction.quadrature import gauss_legendre
 from dragrig.sim_backend.friction.steady import steady_forces
 
 NODES = 24

@@ -2,21 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import FloatArray, read_only
+from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory, Segment, Stroke
+from dragrig.sim_backend.friction.quadrature import Rule, gauss_legendre
 
 Load: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 """Something per length of the contact, from contact coordinates and ages of one shape; may add axes in front."""
-
-NODES = 10
-"""Gauss–Legendre nodes per panel."""
 
 FIRST_PANEL = 0.5
 """Width of the freshest panel, in relaxation times of the fastest branch."""
@@ -39,11 +36,11 @@ class EnvironmentalResistance:
     weights: FloatArray
 
     @classmethod
-    def of(cls, contact: HemisphereContact, history: ContactHistory, nodes: int = NODES) -> "EnvironmentalResistance":
+    def of(cls, contact: HemisphereContact, history: ContactHistory, rule: Rule) -> "EnvironmentalResistance":
         """Lay out the panels: geometric in age, as the fast branch relaxes within milliseconds of first contact."""
         longest = float(history.motion.breaks_s[-1])
         ages = panel_ages(contact.fastest_rate, longest)
-        return cls(contact, history, ages, *gauss_legendre(nodes))
+        return cls(contact, history, ages, *gauss_legendre(rule.ages))
 
     def at(self, stroke: Stroke, time_s: FloatArray) -> FloatArray:
         """f_e [mN] at times of shape `(n,)` within a stroke, of the stroke's sign."""
@@ -120,13 +117,3 @@ def panel_ages(fastest_rate: float, longest_s: float) -> FloatArray:
     first = FIRST_PANEL / fastest_rate
     count = max(1, int(np.ceil(np.log(max(longest_s, first) / first) / np.log(PANEL_RATIO))) + 1)
     return np.concatenate(([0.0], first * PANEL_RATIO ** np.arange(count)))
-
-
-@cache
-def gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights of the quadrature on (0, 1)."""
-    at, weights = np.polynomial.legendre.leggauss(nodes)
-    at, weights = 0.5 * (1 + at), 0.5 * weights
-    read_only(at)
-    read_only(weights)
-    return at, weights

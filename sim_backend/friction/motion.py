@@ -50,6 +50,11 @@ class Motion(Protocol):
         """Whether the velocity is constant in each stretch, shape `(K,)`."""
         ...
 
+    @property
+    def counted(self) -> bool:
+        """Whether it is known from the counts of an encoder alone."""
+        ...
+
     def position(self, time_s: FloatArray) -> FloatArray:
         """Position [mm] at any times within the motion."""
         ...
@@ -110,6 +115,11 @@ class ProfileMotion:
         mean = velocity + 0.5 * acceleration * np.diff(breaks)
         signs = np.where(np.abs(mean) < STANDSTILL_MM_S, 0.0, np.sign(mean)).astype(np.int8)
         return cls(breaks, signs, acceleration == 0, profile.position(begin), velocity, acceleration)
+
+    @property
+    def counted(self) -> bool:
+        """No: a profile is known as it is."""
+        return False
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Position [mm] at any times within the motion."""

@@ -1,15 +1,12 @@
 """Piecewise polynomial interpolation of a function that relaxes after each event."""
 
 from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from scipy.interpolate import PPoly
 
-from dragrig.rig.arrays import FloatArray, read_only
-
-NODES = 8
-"""Chebyshev nodes per panel."""
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.friction.quadrature import chebyshev
 
 FIRST_PANEL = 0.3
 """Width of the first panel after an event, in relaxation times of the fastest branch."""
@@ -26,25 +23,15 @@ def graded_edges(begin_s: float, end_s: float, fastest_rate: float) -> FloatArra
     return np.concatenate(([begin_s], inner[inner < end_s], [end_s]))
 
 
-def interpolate(evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArray) -> PPoly:
+def interpolate(evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArray, nodes_per_panel: int) -> PPoly:
     """Interpolate `evaluate`, from times of shape `(n,)` to values of shape `(…, n)`, between strictly rising edges.
 
     The nodes lie inside the panels, so that a jump at an edge is never asked about.
     """
-    nodes, to_powers = _rule()
+    nodes, to_powers = chebyshev(nodes_per_panel)
     width = np.diff(edges_s)
     times = edges_s[:-1, None] + width[:, None] * nodes
     found = evaluate(times.ravel())
     values = found.reshape(*found.shape[:-1], *times.shape)
     coefficients = (values @ to_powers.T) / width[:, None] ** np.arange(nodes.size)
     return PPoly(np.moveaxis(coefficients, (-1, -2), (0, 1))[::-1], edges_s)
-
-
-@cache
-def _rule() -> tuple[FloatArray, FloatArray]:
-    """Nodes on (0, 1) and the matrix from values there to coefficients of ascending powers."""
-    nodes = 0.5 * (1 - np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES))
-    to_powers = np.linalg.inv(np.vander(nodes, increasing=True))
-    read_only(nodes)
-    read_only(to_powers)
-    return nodes, np.asarray(to_powers)

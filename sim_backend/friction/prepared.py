@@ -15,6 +15,7 @@ from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.history import ContactHistory
 from dragrig.sim_backend.friction.leading import leading_motion
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.quadrature import rule_of
 from dragrig.sim_backend.friction.sliding import Components, SlidingForce
 from dragrig.sim_backend.friction.sticking import StickingForce
 
@@ -128,4 +129,5 @@ def _prepared(acquisition: Acquisition, model: FrictionModelSettings, motion: Mo
     dwell_s = acquisition.insertion_dwell_s * model.insertion_dwell_scale
     history = ContactHistory.of(leading_motion(motion), reach, dwell_s)
     pressing, mass_g = acquisition.fixture is Fixture.FOAM, acquisition.capsule.mass_g
-    return PreparedForce(SlidingForce.of(contact, history, mass_g, pressing, motion=motion), model.force_gain)
+    friction = SlidingForce.of(contact, history, mass_g, pressing, rule_of(motion), motion)
+    return PreparedForce(friction, model.force_gain)

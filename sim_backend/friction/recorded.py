@@ -54,12 +54,15 @@ class RecordedMotion:
         As `Motion` says; breaks are the edges of rests, the turns, and where the velocity bends.
     fine
         All pieces.
+    counted
+        Whether it was measured in counts, and not computed.
     """
 
     breaks_s: FloatArray
     signs: SignArray
     uniform: BoolArray
     fine: ProfileMotion
+    counted: bool = False
 
     def __eq__(self, other: object) -> bool:
         """Whether both are the same, bit for bit, as those of repeats that obeyed one command are."""
@@ -71,7 +74,7 @@ class RecordedMotion:
 
     @property
     def _bits(self) -> tuple[object, ...]:
-        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.fine
+        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.fine, self.counted
 
     @classmethod
     def of(cls, time_s: npt.ArrayLike, position_mm: npt.ArrayLike, jitter_mm: float = JITTER_MM) -> "RecordedMotion":
@@ -99,7 +102,7 @@ class RecordedMotion:
         breaks = with_bends(fine, grid[edges])
         first = np.searchsorted(fine.breaks_s, breaks[:-1])
         signs = np.sign(np.add.reduceat(fine.signs, first)).astype(np.int8)
-        return cls(breaks, signs, signs == 0, fine)
+        return cls(breaks, signs, signs == 0, fine, counted=True)
 
     @classmethod
     def exact(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":

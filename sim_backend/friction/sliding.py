@@ -10,11 +10,12 @@ from scipy.interpolate import PPoly
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
-from dragrig.sim_backend.friction.environment import NODES, EnvironmentalResistance
+from dragrig.sim_backend.friction.environment import EnvironmentalResistance
 from dragrig.sim_backend.friction.history import ContactHistory, Stroke
 from dragrig.sim_backend.friction.motion import Motion
 from dragrig.sim_backend.friction.panels import graded_edges, interpolate
-from dragrig.sim_backend.friction.stretches import Stretch, stretches
+from dragrig.sim_backend.friction.quadrature import FINE, Rule
+from dragrig.sim_backend.friction.stretches import Stretch, joined, stretches
 from dragrig.sim_backend.friction.viscous import viscous_force
 
 GRAVITY_M_S2 = 9.80665
@@ -42,19 +43,21 @@ class Components:
 class SlidingForce:
     """Friction of a sliding run, prepared for any sample times.
 
-    `resistance` is f_e interpolated and `side` the radial force of the wall; both are None where the gut
-    is held open, so that it presses on nothing. `motion` is what friction takes its velocity from where that is not
-    the history's, which leaves the shortest ways back out.
+    `resistance` is f_e interpolated on `stretches` and `side` the radial force of the wall; both are None where the gut
+    is held open, so that it presses on nothing. `spans` are the stretches joined as far as they are evaluated at once.
+    `motion` is what friction takes its velocity from where that is not the history's, which leaves the shortest ways
+    back out.
     """
 
     contact: HemisphereContact
     history: ContactHistory
     weight_mN: float
     stretches: tuple[Stretch, ...]
-    begins_s: FloatArray
+    spans: tuple[Stretch, ...]
     resistance: PPoly | None
     side: SidePressure | None
     motion: Motion | None = None
+    rule: Rule = FINE
 
     @classmethod
     def of(
@@ -63,21 +66,22 @@ class SlidingForce:
         history: ContactHistory,
         mass_g: float,
         pressing: bool,
-        nodes: int = NODES,
+        rule: Rule = FINE,
         motion: Motion | None = None,
     ) -> "SlidingForce":
-        """Evaluate f_e on its knots, with a quadrature of so many nodes per panel."""
+        """Evaluate f_e on its knots."""
         parts = tuple(stretches(history, contact.length_mm))
-        environment = EnvironmentalResistance.of(contact, history, nodes)
+        environment = EnvironmentalResistance.of(contact, history, rule)
         return cls(
             contact=contact,
             history=history,
             weight_mN=mass_g * GRAVITY_M_S2,
             stretches=parts,
-            begins_s=np.array([part.begin_s for part in parts]),
-            resistance=_interpolated(environment.at, contact.fastest_rate, parts) if pressing else None,
+            spans=tuple(joined(parts)),
+            resistance=_interpolated(environment.at, contact.fastest_rate, parts, rule) if pressing else None,
             side=contact.side_pressure() if pressing else None,
             motion=None if motion is history.motion else motion,
+            rule=rule,
         )
 
     def total(self, time_s: FloatArray) -> FloatArray:
@@ -105,8 +109,8 @@ class SlidingForce:
         slopes = np.zeros((len(ELEMENTS), time_s.size))
         if self.side is None:
             return slopes
-        environment = EnvironmentalResistance.of(self.contact, self.history)
-        resistance = _interpolated(environment.by_element, self.contact.fastest_rate, self.stretches)
+        environment = EnvironmentalResistance.of(self.contact, self.history, self.rule)
+        resistance = _interpolated(environment.by_element, self.contact.fastest_rate, self.stretches, self.rule)
         time = np.clip(time_s, 0.0, self.history.motion.breaks_s[-1])
         for stretch, piece in self._divided(time):
             at = np.array([0.5 * (stretch.begin_s + stretch.end_s)]) if stretch.steady else time[piece]
@@ -117,9 +121,9 @@ class SlidingForce:
         return slopes
 
     def _divided(self, rising_s: FloatArray) -> Iterator[tuple[Stretch, slice]]:
-        begins = np.searchsorted(rising_s, self.begins_s[1:], side="left")
+        begins = np.searchsorted(rising_s, np.array([one.begin_s for one in self.spans[1:]]), side="left")
         edges = [0, *begins.tolist(), rising_s.size]
-        for stretch, begin, end in zip(self.stretches, edges[:-1], edges[1:], strict=True):
+        for stretch, begin, end in zip(self.spans, edges[:-1], edges[1:], strict=True):
             if end > begin:
                 yield stretch, slice(begin, end)
 
@@ -156,7 +160,7 @@ class SlidingForce:
 
 
 def _interpolated(
-    evaluate: Callable[[Stroke, FloatArray], FloatArray], rate: float, parts: tuple[Stretch, ...]
+    evaluate: Callable[[Stroke, FloatArray], FloatArray], rate: float, parts: tuple[Stretch, ...], rule: Rule
 ) -> PPoly:
     """Interpolate f_e, or what belongs to it, stroke by stroke: one panel where it is steady, graded ones elsewhere."""
     pieces: list[PPoly] = []
@@ -166,6 +170,6 @@ def _interpolated(
         for part in stroke_parts:
             ends = [part.end_s] if part.steady else graded_edges(part.begin_s, part.end_s, rate)[1:]
             edges.append(np.asarray(ends))
-        pieces.append(interpolate(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges)))
+        pieces.append(interpolate(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges), rule.times))
     edges = [piece.x if index == 0 else piece.x[1:] for index, piece in enumerate(pieces)]
     return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))

@@ -10,7 +10,8 @@ from dragrig.config.errors import SettingsError
 from dragrig.config.model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact
-from dragrig.sim_backend.friction.environment import NODES, gauss_legendre, panel_ages
+from dragrig.sim_backend.friction.environment import panel_ages
+from dragrig.sim_backend.friction.quadrature import FINE, gauss_legendre
 from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
 from dragrig.sim_backend.friction.viscous import viscous_force
 
@@ -95,7 +96,7 @@ def _skew(contact: HemisphereContact, x_mm: FloatArray, speed_mm_s: FloatArray) 
 
 def _environmental_resistance(contact: HemisphereContact, speed_mm_s: FloatArray) -> FloatArray:
     """Integrate Eq. 9 over the contact, in panels that are geometric in contact age."""
-    nodes, weights = gauss_legendre(NODES)
+    nodes, weights = gauss_legendre(FINE.ages)
     ages = panel_ages(contact.fastest_rate, float(np.max(contact.length_mm / speed_mm_s, initial=1.0)))
     edges = np.minimum(ages * speed_mm_s[:, None], contact.length_mm)
     width = np.diff(edges, axis=1)[..., None]

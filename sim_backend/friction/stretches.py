@@ -4,9 +4,9 @@ The force jumps or bends where the motion does, and again when the wall that was
 comes to the equator of the leading hemisphere.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -51,6 +51,22 @@ def stretches(history: ContactHistory, contact_mm: float) -> Iterator[Stretch]:
         for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
             sign, constant_velocity, constant_force = (int(flag) for flag in flags)
             yield Stretch(begin, end, stroke, side, sign, bool(constant_velocity), bool(constant_force))
+
+
+def joined(parts: Sequence[Stretch]) -> Iterator[Stretch]:
+    """Join neighbours that differ by nothing but where they are; those where the forces are constant stay apart."""
+    for _, group in groupby(parts, key=_joinable):
+        first, *others = group
+        if not others:
+            yield first
+        elif first.steady:
+            yield from (first, *others)
+        else:
+            yield replace(first, end_s=others[-1].end_s, uniform=False)
+
+
+def _joinable(one: Stretch) -> Hashable:
+    return one.stroke.first, one.side, one.sign, one.steady
 
 
 def _edges(history: ContactHistory, stroke: Stroke, contact_mm: float) -> FloatArray:
