@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         filter,  # noqa: A004  # the word that people look for
         gap_blind,
         gap_calibrate,
+        gap_cross_validate,
         gap_evaluate,
         home,
         identify,
@@ -66,6 +67,7 @@ __all__ = [
     "filter",
     "gap_blind",
     "gap_calibrate",
+    "gap_cross_validate",
     "gap_evaluate",
     "home",
     "identify",

@@ -8,7 +8,7 @@ from dragrig.diagnosing import diagnose, gap_evaluate
 from dragrig.diagnosing_many import diagnose_many
 from dragrig.evaluating import campaign, export, filter, load, model, table  # noqa: A004  # the word people look for
 from dragrig.examining import examine
-from dragrig.gap_calibrating import gap_calibrate
+from dragrig.gap_calibrating import gap_calibrate, gap_cross_validate
 from dragrig.handling import home, jog, touch_off
 from dragrig.identifying import IdentifiedCampaign, identify
 from dragrig.identifying_many import identify_many
@@ -38,6 +38,7 @@ __all__ = [
     "filter",
     "gap_blind",
     "gap_calibrate",
+    "gap_cross_validate",
     "gap_evaluate",
     "home",
     "identify",

@@ -1,7 +1,7 @@
-"""Learn a verdict's thresholds and weights from exams, and write them as a file that a diagnosis loads."""
+"""Learn a verdict's thresholds and weights from exams, and say how good what was learnt is."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,10 @@ from dragrig.config.errors import AnalysisError
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
+    from dragrig.analysis.gap.judging import Judgement
+    from dragrig.gap_scoring.rates import Rate
+    from dragrig.gap_scoring.records import Answer, Case
+
 VERSION = 1
 
 
@@ -23,6 +27,7 @@ class _Exam:
 
     seed: int
     made_by: str
+    answers: "Mapping[str, Answer]"
     lessons: tuple[Lesson, ...]
 
 
@@ -60,6 +65,50 @@ def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> Cal
     )
 
 
+def gap_cross_validate(exams: Sequence[str | Path], folds: int = 10, tolerance_mN: float = 0.5) -> "tuple[Rate, ...]":
+    """Say how often verdicts on the campaigns of exams are right, each learnt on the others.
+
+    Parameters
+    ----------
+    exams
+        Folders that `dragrig gap blind --out` kept.
+    folds
+        Into so many parts all campaigns are divided; each part is judged by what the others teach.
+    tolerance_mN
+        What an effect must change to matter.
+
+    Returns
+    -------
+    rates
+        With their 95 % intervals, those of an exam that ask for nothing but a verdict.
+
+    Raises
+    ------
+    AnalysisError
+        When a folder holds no exam that was held, or there are too few campaigns for so many parts.
+    """
+    from dragrig.analysis.gap.cross_validation import judged_in_turn
+    from dragrig.gap_scoring.rates import verdict_rates
+
+    read = [_read(Path(one)) for one in exams]
+    lessons = [lesson for one in read for lesson in one.lessons]
+    try:
+        judged = judged_in_turn(lessons, tolerance_mN, folds)
+    except ValueError as error:
+        raise AnalysisError(f"{error}; hold a larger exam with dragrig gap blind, or ask for fewer parts.") from error
+    answers = [pair for one in read for pair in one.answers.items()]
+    return verdict_rates([_case(*pair, said) for pair, said in zip(answers, judged, strict=True)])
+
+
+def _case(name: str, answer: "Answer", judged: "Judgement") -> "Case":
+    from dragrig.gap_scoring.records import Case, Diagnosis, Ranked
+
+    ranking = tuple(Ranked(hypothesis=one, probability=each) for one, each in judged.probabilities.items())
+    verdict, confusable = judged.verdict.value, judged.confusable_with
+    said = Diagnosis(verdict=verdict, effects=judged.effects, ranking=ranking, confusable_with=confusable)
+    return Case(name, answer, said)
+
+
 def _read(folder: Path) -> _Exam:
     from pydantic import TypeAdapter, ValidationError
 
@@ -74,12 +123,12 @@ def _read(folder: Path) -> _Exam:
         raise AnalysisError(
             f"{folder}: holds no exam from which can be learnt; hold one with dragrig gap blind --out {folder}."
         ) from error
+    told_of = {name: one for name, one in answers.items() if name in evidence}
     lessons = [
         Lesson(evidence[name], frozenset(one.effects), one.verdict == "unknown", one.least)
-        for name, one in answers.items()
-        if name in evidence
+        for name, one in told_of.items()
     ]
-    return _Exam(seed, f"dragrig gap blind {made} --out {folder.name}", tuple(lessons))
+    return _Exam(seed, f"dragrig gap blind {made} --out {folder.name}", told_of, tuple(lessons))
 
 
 def _said(folder: Path, kind: "TypeAdapter[Evidence]") -> Iterator[tuple[str, Evidence]]:

@@ -6,14 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import dragrig
 from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
+from dragrig.analysis.gap.cross_validation import judged_in_turn
 from dragrig.analysis.gap.evidence import Evidence, Tried
 from dragrig.analysis.gap.judging import judge
 from dragrig.analysis.gap.learning import Lesson, learn_gate, learn_weights
 from dragrig.analysis.gap.results import Verdict
 from dragrig.analysis.gap.seen import SEEN, TOLERANCE_MN
+from dragrig.cli.gap import command
 from dragrig.config.errors import AnalysisError, SettingsError
 
 BLOCKS, NOISE, LOUD = 8000, 8010.0, 40_000.0
@@ -107,6 +110,35 @@ def test_an_exam_becomes_a_file_that_is_as_good_as_what_was_learnt(tmp_path: Pat
     assert found.command == f"{made_by}; dragrig gap calibrate learnt"
     assert found.weights == learnt(made).weights
     assert Calibration.model_validate_json(found.model_dump_json()) == found
+
+
+def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:
+    made = lessons(6)
+    taught = [learnt(made[1::2]), learnt(made[::2])]
+    in_turn = judged_in_turn(made, TOLERANCE_MN, folds=2)
+    assert in_turn == tuple(judge(one.evidence, TOLERANCE_MN, taught[at % 2]) for at, one in enumerate(made))
+    rates = {one.name: one for one in dragrig.gap_cross_validate([exam(tmp_path / "learnt", made)], folds=2)}
+    quiet = [said for said, one in zip(in_turn, made, strict=True) if not one.effects and not one.outside]
+    right = sum(said.verdict is Verdict.NO_GAP for said in quiet)
+    assert (rates["none, no gap"].held, rates["none, no gap"].count) == (right, len(quiet))
+    assert rates["full size, right name"].share > 0.9
+    assert "full size, right channel" not in rates
+
+
+def test_more_parts_than_campaigns_are_told_in_one_sentence(tmp_path: Path) -> None:
+    folder = exam(tmp_path / "learnt", lessons(6)[:5])
+    with pytest.raises(AnalysisError, match="5 campaigns cannot be divided into 6 parts; hold a larger exam"):
+        dragrig.gap_cross_validate([folder], folds=6)
+
+
+def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -> None:
+    folder = str(exam(tmp_path / "learnt", lessons(6)))
+    told = CliRunner().invoke(command, ["calibrate", folder, "--folds", "3"])
+    assert told.exit_code == 0
+    assert "How often verdicts are right that the other campaigns taught" in told.output
+    printed = json.loads(CliRunner().invoke(command, ["calibrate", folder, "--folds", "3", "--json"]).output)
+    assert printed["cross_validated"][0]["name"] == "full size, right name"
+    assert "cross_validated" not in json.loads(CliRunner().invoke(command, ["calibrate", folder, "--json"]).output)
 
 
 def test_a_folder_without_an_exam_is_told_in_one_sentence(tmp_path: Path) -> None:

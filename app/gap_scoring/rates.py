@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from dragrig.gap_scoring.records import SMALL, Case, Verdict
 
 NAMED, SURE = 0.5, 0.8
+CHANNEL = "full size, right channel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,11 @@ def rates(cases: Sequence[Case]) -> tuple[Rate, ...]:
     return tuple(rate(name, [held(one) for one in cases if counts(one)]) for name, counts, held in _RATES)
 
 
+def verdict_rates(cases: Sequence[Case]) -> tuple[Rate, ...]:
+    """Return the rates that ask for nothing but a verdict with its probabilities."""
+    return tuple(one for one in rates(cases) if one.name != CHANNEL)
+
+
 def _single(low: float, high: float, *, rough: bool = False) -> Callable[[Case], bool]:
     def counts(case: Case) -> bool:
         one = case.answer
@@ -51,7 +57,7 @@ _ANY = float("inf")
 _RATES: tuple[tuple[str, Callable[[Case], bool], Callable[[Case], bool]], ...] = (
     ("full size, right name", _single(0.9, _ANY), lambda case: case.found),
     ("full size, right name alone", _single(0.9, _ANY), lambda case: case.answer.effects == case.said.effects),
-    ("full size, right channel", _single(0.9, _ANY), lambda case: case.channel),
+    (CHANNEL, _single(0.9, _ANY), lambda case: case.channel),
     ("a third, right name", _single(SMALL, 0.9), lambda case: case.found),
     ("a tenth, right name or no gap", _single(0.0, SMALL), lambda case: case.right),
     ("none, no gap", _without("no_gap"), lambda case: case.right),

@@ -5,6 +5,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from dragrig.cli.gap.printing import table
+from dragrig.cli.gap.rate_rows import RATE_HEADER, RATE_NUMBERS, rate_row
 from dragrig.gap_scoring.scoring import missed_cells
 from dragrig.gap_scoring.words import calibration_sentences, exam_sentences, promise_sentences
 
@@ -23,10 +24,10 @@ def exam_parts(exam: "BlindExam") -> "Iterator[RenderableType]":
     """Yield all that an exam says, the sentence that sums it up first."""
     found = exam.score
     yield "\n".join(exam_sentences(found, exam.cases, exam.seed, exam.answers_sha256))
-    yield table("How often the diagnosis is right", _HEADER, map(_row, found.rates), _NUMBERS)
+    yield table("How often the diagnosis is right", RATE_HEADER, map(rate_row, found.rates), RATE_NUMBERS)
     if any(one.count for one in found.withheld):
         title = "Where the true effect is taken out of the catalogue"
-        yield table(title, _HEADER, map(_row, (one for one in found.withheld if one.count)), _NUMBERS)
+        yield table(title, RATE_HEADER, map(rate_row, (one for one in found.withheld if one.count)), RATE_NUMBERS)
     if found.detection:
         yield _detection(found.detection)
     if found.calibration.bins:
@@ -67,16 +68,6 @@ def _reliability(calibration: "Calibration") -> "RenderableType":
         for one in calibration.bins
     ]
     return table("Reliability: verdicts by their probability", header, rows, (1, 2))
-
-
-_HEADER: Sequence[str] = ("", "held", "share", "95 % interval")
-_NUMBERS = (1, 2, 3)
-
-
-def _row(one: "Rate") -> tuple[str, ...]:
-    if not one.count:
-        return one.name, "no case", "", ""
-    return one.name, f"{one.held} of {one.count}", f"{one.share:.2f}", f"{one.low:.2f} to {one.high:.2f}"
 
 
 def _share(one: "Rate") -> str:
