@@ -44,6 +44,14 @@ def test_what_was_left_out_although_it_resembles_what_is_named_stays_in_doubt() 
     assert judge(case(NOISE, without=("adhesion",)), TOLERANCE_MN).confusable_with == ()
 
 
+def test_two_are_not_named_in_the_place_of_one_that_was_left_out() -> None:
+    both = case(LOUD, one("force_drift", 11_000.0), beside("force_drift", "mesentery_tether", 1400.0, 11_000.0))
+    assert set(judge(both, TOLERANCE_MN).effects) == {"force_drift", "mesentery_tether"}
+    judged = judge(replace(both, without=("film_depletion",)), TOLERANCE_MN)
+    assert (judged.effects, judged.confusable_with) == (("force_drift",), ("film_depletion",))
+    assert judge(replace(both, without=("stribeck",)), TOLERANCE_MN).effects == judge(both, TOLERANCE_MN).effects
+
+
 @pytest.mark.parametrize(
     ("found", "verdict", "effects"),
     [

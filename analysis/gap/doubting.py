@@ -17,7 +17,8 @@ def doubting(design: Design) -> Design:
     A foreign form leaves most where an effect is largest, and there a second one can hardly be told from it; where the
     first does little, the same force cannot be its own.
     """
-    found = [_doubted(one) for one in design.parts]
+    pairs = zip(design.parts, design.grams, strict=True)
+    found = [_doubted(part) if part.added.any() else (part, gram) for part, gram in pairs]
     return replace(design, parts=tuple(one for one, _ in found), grams=tuple(gram for _, gram in found))
 
 

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from dragrig.analysis.gap.calibration import OF_EFFECT, OF_FURTHER
 from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
+from dragrig.sim_backend.effects.catalogue import near_aliases
 
 ALIKE = frozenset(
     frozenset(pair)
@@ -73,6 +74,7 @@ def hypotheses(found: Evidence, tolerance_mN: float) -> tuple[Hypothesis, ...]:
     """Return the explanations that change the force by more than what does not matter, and are no larger than can be.
 
     What would have to be larger than it can be is something else that resembles it, unless that leaves next to nothing.
+    Several are not thought of where one of them resembles an effect that was left out of the search.
     """
     tried = [one for one in found.tried if one.changed_mN >= tolerance_mN and _possible(one, found)]
     best = max((one.gain for one in tried if len(one.effects) == 1), default=0.0)
@@ -80,7 +82,13 @@ def hypotheses(found: Evidence, tolerance_mN: float) -> tuple[Hypothesis, ...]:
 
 
 def _possible(one: Tried, found: Evidence) -> bool:
-    return not one.at_limit or share(one.plain, found) > ALL_BUT
+    return (not one.at_limit or share(one.plain, found) > ALL_BUT) and not _in_place_of_one(one, found)
+
+
+def _in_place_of_one(one: Tried, found: Evidence) -> bool:
+    """Return whether several effects may do together what a single one does that was left out of the search."""
+    alike = {other for name in one.effects for other in near_aliases(name)}
+    return len(one.effects) > 1 and bool(alike & set(found.without))
 
 
 def chance(found: Evidence) -> float:
