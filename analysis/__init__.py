@@ -1,38 +1,43 @@
 """What is made of run files: filters, measures, tables, exports, and foreign measurements made run files.
 
-| module | what |
+| module | content |
 |---|---|
-| `savgol`, `savgol_stream` | Savitzky–Golay smoothing of a whole trace, and of samples as they arrive |
-| `filtering` | the filter of whole runs: forces smoothed, speed from position, stored beside the raw trace |
-| `measures` | steady, rest, peak and hold force and speed of a run, each with its error or why it is missing |
-| `correlated_mean` | mean of correlated samples with an honest standard error |
-| `table` | a campaign as rows and as a data frame; means of repeated runs |
+| `savgol` | Savitzky–Golay filter: of a trace, of samples as they arrive, of run files |
+| `measures` | steady, rest, peak and hold force and speed of a run, with errors |
+| `campaign_table` | a campaign as rows and as a data frame; means of repeated runs |
 | `comparison` | two campaigns, two runs, or a campaign and the friction model, side by side |
-| `paper` | the paper beside its own model: its numbers, and where they do not fit together |
-| `export` | runs to CSV, Parquet, MATLAB and NumPy files |
-| `importing` | measurements from elsewhere to run files |
+| `models` | nominal models: the capsule's friction model, the stage, models of a user's own |
+| `inference`, `identification` | parameters of a nominal model from the runs of a specimen |
+| `gap` | the difference between runs and nominal model, and its causes |
+| `paper` | the paper checked against its own model |
+| `export`, `importing` | runs to CSV, Parquet, MATLAB and NumPy files, and measurements from elsewhere to run files |
 
-Names in `__all__` can be taken from here; libraries are loaded when one is first asked for.
+Names in `__all__` can be imported from here; each loads its module at first use.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dragrig.analysis.export import ExportFormat, export_campaign, export_run
-    from dragrig.analysis.exporting.text import CsvStyle
-    from dragrig.analysis.filtering import Filtered, filter_file, filter_run, usual_settings
+    from dragrig.analysis.campaign_table import SpeedMean, TableRow, as_frame, mean_per_speed
+    from dragrig.analysis.export import CsvStyle, ExportFormat, export_campaign, export_run
     from dragrig.analysis.importing.importer import import_file
     from dragrig.analysis.importing.mapping import ImportSettings, parse_map
     from dragrig.analysis.measures import RunMeasures, measure
-    from dragrig.analysis.savgol import SavgolSettings, smooth
-    from dragrig.analysis.savgol_stream import SavgolStream
-    from dragrig.analysis.table import SpeedMean, TableRow, as_frame, mean_per_speed
+    from dragrig.analysis.savgol import (
+        FilteredRun,
+        SavgolSettings,
+        SavgolStream,
+        default_filter_settings,
+        filter_file,
+        filter_run,
+        smooth,
+    )
 
 __all__ = [
     "CsvStyle",
     "ExportFormat",
-    "Filtered",
+    "FilteredRun",
     "ImportSettings",
     "RunMeasures",
     "SavgolSettings",
@@ -40,6 +45,7 @@ __all__ = [
     "SpeedMean",
     "TableRow",
     "as_frame",
+    "default_filter_settings",
     "export_campaign",
     "export_run",
     "filter_file",
@@ -49,30 +55,29 @@ __all__ = [
     "measure",
     "parse_map",
     "smooth",
-    "usual_settings",
 ]
 
 _HOME = {
-    "CsvStyle": "exporting.text",
+    "CsvStyle": "export",
     "ExportFormat": "export",
-    "Filtered": "filtering",
+    "FilteredRun": "savgol",
     "ImportSettings": "importing.mapping",
     "RunMeasures": "measures",
     "SavgolSettings": "savgol",
-    "SavgolStream": "savgol_stream",
-    "SpeedMean": "table",
-    "TableRow": "table",
-    "as_frame": "table",
+    "SavgolStream": "savgol",
+    "SpeedMean": "campaign_table",
+    "TableRow": "campaign_table",
+    "as_frame": "campaign_table",
     "export_campaign": "export",
     "export_run": "export",
-    "filter_file": "filtering",
-    "filter_run": "filtering",
+    "filter_file": "savgol",
+    "filter_run": "savgol",
     "import_file": "importing.importer",
-    "mean_per_speed": "table",
+    "mean_per_speed": "campaign_table",
     "measure": "measures",
     "parse_map": "importing.mapping",
     "smooth": "savgol",
-    "usual_settings": "filtering",
+    "default_filter_settings": "savgol",
 }
 
 

@@ -1,6 +1,25 @@
-"""A number with its uncertainty, or the reason why there is none."""
+"""Estimates: a value with its uncertainty, or the reason why there is none; the mean of correlated samples.
 
+The mean's noise is taken to be white noise plus first-order autoregressive noise of unknown amplitude and
+correlation time. The cosine transform of the samples makes their covariance nearly diagonal, so that
+the likelihood of (correlation time, ratio of the variances) is a product over frequencies (Whittle,
+Ark. Mat. 2, 1953); the overall variance is integrated out. The mean's error is averaged over all pairs
+by their likelihood on a grid that is refined around the likely ones, so that an unknown correlation time widens
+the interval, where a plug-in estimate would be too narrow.
+
+Measured on simulated noise (white 1.5, slow 0.5 with 0.2 s correlation, 500 Hz, correlation times up to 2 s
+allowed), the 95 % interval covers the true mean in 97 % of records of 2 s, 95 % of 8 s and 94 %
+of 40 s. A record of fewer than five correlation times is too short: at 0.5 s the coverage is 92 %.
+Without any slow noise the interval is about 1.7 times too wide: slow noise cannot be ruled out.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.rig.arrays import FloatArray
 
 NORMAL_95 = 1.959964
 """Standard errors on either side that hold 95 % of a normal distribution."""
@@ -44,3 +63,156 @@ class Estimate:
 def missing(reason: str) -> Estimate:
     """Return an estimate that is not there, and why."""
     return Estimate(reason=reason)
+
+
+MAX_REASONS = 3
+"""So many reasons are told where no run is left."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedQuantity:
+    """An identified number; `interval` holds the true one with 95 % confidence."""
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    interval: tuple[float, float]
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval, relative to the value."""
+        low, high = self.interval
+        return 0.5 * (high - low) / abs(self.value) if self.value else float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Exclusion:
+    """A run, or a part of the result, that is not used, and why."""
+
+    what: str
+    reason: str
+
+
+def summarise_exclusions(left_out: Iterable[Exclusion]) -> str:
+    """Return each reason once, with the runs that it holds for, most of them counted only."""
+    reasons: dict[str, list[str]] = {}
+    for one in left_out:
+        reasons.setdefault(one.reason, []).append(one.what)
+    told = [
+        f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
+        for reason, files in reasons.items()
+    ]
+    return "; ".join(told if len(told) <= MAX_REASONS else [*told[:MAX_REASONS], "and other reasons"])
+
+
+MIN_SAMPLES_FOR_MEAN = 8
+MAX_SPECTRUM_SAMPLES = 100_000
+"""Longer records are averaged in groups first: only slow noise matters to the mean."""
+
+GRID_POINTS = 24
+GRID_REFINEMENTS = 3
+LOG_LIKELIHOOD_RANGE = 10.0
+"""Pairs whose log-likelihood lies this far below the best are left out when the grid closes in."""
+MIN_CORRELATION_SAMPLES = 1.0
+MIN_VARIANCE_RATIO, MAX_VARIANCE_RATIO = 1e-3, 1e4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spectrum:
+    """Power of `samples` samples in bins of frequency: how many, their power, their angular frequency."""
+
+    samples: int
+    count: FloatArray
+    power: FloatArray
+    frequency: FloatArray
+
+
+def correlated_mean(values: npt.ArrayLike, longest_correlation: float = 0.0) -> Estimate:
+    """Mean of a stationary record.
+
+    Parameters
+    ----------
+    values
+        Consecutive samples, shape `(n,)`.
+    longest_correlation
+        Slowest noise that is thought possible, as a correlation time in samples; at least the length of
+        the record is taken.
+
+    Returns
+    -------
+    Estimate
+        `standard_error` is that of the normal distribution with the same 95 % interval.
+    """
+    record = np.asarray(values, dtype=np.float64)
+    if len(record) < MIN_SAMPLES_FOR_MEAN:
+        return missing(f"only {len(record)} samples, fewer than {MIN_SAMPLES_FOR_MEAN}")
+    if not np.isfinite(record).all():
+        return missing("samples are missing (NaN)")
+    mean = float(record.mean())
+    group = max(1, 2 * len(record) // MAX_SPECTRUM_SAMPLES)
+    kept = record[: len(record) // group * group].reshape(-1, group).mean(axis=1) - mean
+    rounding = np.finfo(np.float64).eps * max(abs(mean), float(np.abs(record).max()))
+    if float(np.abs(kept).max()) <= 4 * rounding:
+        return Estimate(mean, 0.0, float(len(record)))
+    weights, errors = _mixture(_spectrum(kept), max(longest_correlation / group, float(len(kept))))
+    error = _half_width(weights, errors) / NORMAL_95
+    return Estimate(mean, error, float(min(len(record), record.var() / error**2)))
+
+
+def _spectrum(deviations: FloatArray) -> _Spectrum:
+    from scipy.fft import dct
+
+    samples = len(deviations)
+    power = np.asarray(dct(deviations, norm="ortho"), dtype=np.float64)[1:] ** 2
+    edges = np.unique(np.concatenate((np.arange(1, 25), np.geomspace(24, samples, 60).astype(int))))
+    starts = edges[edges < samples] - 1
+    count = np.diff(np.append(starts, samples - 1)).astype(float)
+    mean_index = np.add.reduceat(np.arange(1.0, samples), starts) / count
+    return _Spectrum(samples, count, np.add.reduceat(power, starts), np.pi * mean_index / samples)
+
+
+def _mixture(spectrum: _Spectrum, longest: float) -> tuple[FloatArray, FloatArray]:
+    """Weights and standard errors of the mean over the grid of correlation times and variance ratios."""
+    times = np.linspace(np.log(MIN_CORRELATION_SAMPLES), np.log(longest), GRID_POINTS)
+    ratios = np.linspace(np.log(MIN_VARIANCE_RATIO), np.log(MAX_VARIANCE_RATIO), GRID_POINTS)
+    likelihood, errors = _likelihood_grid(spectrum, times, ratios)
+    for _ in range(GRID_REFINEMENTS - 1):
+        likely = likelihood > likelihood.max() - LOG_LIKELIHOOD_RANGE
+        times, ratios = _refine_axis(times, likely.any(axis=1)), _refine_axis(ratios, likely.any(axis=0))
+        likelihood, errors = _likelihood_grid(spectrum, times, ratios)
+    weights = np.exp(likelihood - likelihood.max())
+    return (weights / weights.sum()).ravel(), errors.ravel()
+
+
+def _refine_axis(axis: FloatArray, likely: npt.NDArray[np.bool_]) -> FloatArray:
+    inside = np.flatnonzero(likely)
+    low, high = axis[max(inside[0] - 1, 0)], axis[min(inside[-1] + 1, len(axis) - 1)]
+    return np.linspace(low, high, GRID_POINTS)
+
+
+def _likelihood_grid(
+    spectrum: _Spectrum, log_times: FloatArray, log_ratios: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Log-likelihood and standard error of the mean, both of shape `(times, ratios)`."""
+    n = spectrum.samples
+    slow = np.exp(log_ratios) / (1 + np.exp(log_ratios))
+    phi = np.exp(-np.exp(-log_times))[:, None]
+    lorentz = (1 - phi**2) / (1 - 2 * phi * np.cos(spectrum.frequency) + phi**2)
+    density = (1 - slow)[:, None] + slow[:, None] * lorentz[:, None, :]
+    power = (spectrum.power / density).sum(axis=-1)
+    likelihood = -0.5 * (spectrum.count * np.log(density)).sum(axis=-1) - 0.5 * (n - 1) * np.log(power)
+    mean_of_slow = (1 + phi) / (1 - phi) - 2 * phi * (1 - phi**n) / (n * (1 - phi) ** 2)
+    variance = ((1 - slow) + slow * mean_of_slow) / n * power / (n - 1)
+    return likelihood, np.sqrt(variance)
+
+
+def _half_width(weights: FloatArray, errors: FloatArray) -> float:
+    """Half the width of the mixture's 95 % interval."""
+    from scipy.optimize import brentq
+    from scipy.special import erf
+
+    def lacking(half: float) -> float:
+        return float((weights * erf(half / (np.sqrt(2) * errors))).sum()) - 0.95
+
+    return float(brentq(lacking, 0.0, 10 * float(errors.max()), xtol=1e-6 * float(errors.min())))

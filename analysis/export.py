@@ -1,16 +1,264 @@
-"""Runs out of their run files, for other programs."""
+"""Export of runs to CSV, Parquet, MATLAB and NumPy files."""
 
-from collections.abc import Iterator
+import io
+import json
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
+from typing import TypeAlias
 
-from dragrig.analysis.exporting.content import Content, content_of
-from dragrig.analysis.exporting.text import CsvStyle
-from dragrig.analysis.progress import Progress, silent
-from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.runfile.model import Run
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.analysis.computation import Progress, no_progress
+from dragrig.config.errors import AnalysisError, OutputError, RunFileError
+from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, Run
+
+EXPORT_FORMAT_KEY = "dragrig-export"
+EXPORT_FORMAT_VERSION = 1
+
+Json = str | float | int | bool | None | list["Json"] | dict[str, "Json"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportColumn:
+    """One column of an export: `dataset` and `units` are those of the run file."""
+
+    name: str
+    dataset: str
+    units: str
+    values: npt.NDArray[np.generic]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportContent:
+    """Columns, all of the same length, and metadata that any format can carry."""
+
+    columns: tuple[ExportColumn, ...]
+    metadata: Mapping[str, Json]
+
+
+def export_content(run: Run) -> ExportContent:
+    """Gather what is exported of a run: time, signal, further channels, filtered values, position, command, phase."""
+    trace = run.trace
+    others = [name for name in trace.channels if name not in {trace.signal, "position"}]
+    found = [_column("time", "s", trace.time)]
+    found += [_column(name, trace.units.get(name, ""), trace.channels[name]) for name in (trace.signal, *others)]
+    if run.filtered is not None and len(run.filtered.time) == len(trace.time):
+        for name, values in run.filtered.channels.items():
+            units = run.filtered.units.get(name) or ("mm/s" if name == "speed" else trace.units.get(name, ""))
+            label = name if name not in trace.channels else f"{name}_filtered"
+            found.append(_column(label, units, values, f"filtered/{name}"))
+    found.append(_column("position", "mm", trace.position))
+    found.append(_column("command", "mm", trace.command))
+    found.append(ExportColumn("phase", "phase", "", trace.phase))
+    return ExportContent(tuple(found), _metadata(run, found))
+
+
+def column_name(label: str, units: str) -> str:
+    """Put a unit into a column's name: force and mN become force_mN, speed and mm/s speed_mm_s."""
+    unit = re.sub(r"\W+", "_", units.replace("²", "2").replace("µ", "u").replace("°", "deg")).strip("_")
+    name = re.sub(r"\W+", "_", label).strip("_") or "column"
+    return f"{name}_{unit}" if unit else name
+
+
+def _column(label: str, units: str, values: npt.NDArray[np.generic], dataset: str = "") -> ExportColumn:
+    return ExportColumn(column_name(label, units), dataset or label, units, values)
+
+
+def _metadata(run: Run, columns: list[ExportColumn]) -> dict[str, Json]:
+    info, header = run.info, run.info.header
+    return {
+        EXPORT_FORMAT_KEY: EXPORT_FORMAT_VERSION,
+        "run_id": header.run_id,
+        "start_time": header.start_time.isoformat(),
+        "end_time": info.end_time.isoformat() if info.end_time else "",
+        "order": header.order,
+        "kind": header.kind,
+        "backend": header.backend,
+        "status": info.status.value,
+        "reason": info.reason,
+        "sample_rate_hz": header.sample_rate_hz,
+        "signal": run.trace.signal,
+        "phases": list(PHASE_NAMES),
+        "columns": {column.name: [column.dataset, column.units, column.values.dtype.name] for column in columns},
+        "entry": _finite_attributes(header.entry),
+        "protocol": _finite_attributes(header.protocol),
+        "capsule": _finite_attributes(header.capsule),
+        "specimen": _finite_attributes(header.specimen),
+        "checks": _finite_attributes(info.checks),
+        "filter": _finite_attributes(run.filtered.parameters) if run.filtered is not None else {},
+        "events": [[event.time_s, event.kind, event.message] for event in run.events],
+        "settings_toml": header.settings_toml,
+    }
+
+
+def _finite_attributes(attributes: Mapping[str, Attribute]) -> dict[str, Json]:
+    """Numbers that are not finite become None: JSON knows no others."""
+    return {
+        key: None if isinstance(value, float) and not isfinite(value) else value for key, value in attributes.items()
+    }
+
+
+CSV_CHUNK_ROWS = 1 << 16
+"""Rows that are turned into text at a time."""
+
+DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "space"}
+
+
+@dataclass(frozen=True, slots=True)
+class CsvStyle:
+    """How numbers and columns are told apart.
+
+    Attributes
+    ----------
+    decimal
+        Decimal mark, `.` or `,`.
+    delimiter
+        Comma, semicolon, tab, bar or space; comma, or semicolon with decimal commas, when left out.
+
+    Raises
+    ------
+    AnalysisError
+        When decimal mark and delimiter are the same, or not among these.
+    """
+
+    decimal: str = "."
+    delimiter: str = ""
+
+    def __post_init__(self) -> None:
+        if self.decimal not in {".", ","}:
+            raise AnalysisError(f"A decimal mark of {self.decimal!r} is not offered; choose . or ,")
+        if not self.delimiter:
+            object.__setattr__(self, "delimiter", ";" if self.decimal == "," else ",")
+        if self.delimiter not in DELIMITERS:
+            raise AnalysisError(
+                f"A delimiter of {self.delimiter!r} is not offered; choose {', '.join(DELIMITERS.values())}."
+            )
+        if self.delimiter == self.decimal:
+            raise AnalysisError(
+                "Decimal mark and delimiter are both a comma, so that columns could not be told apart; "
+                "choose ; as the delimiter."
+            )
+
+
+def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Progress) -> None:
+    """Write a CSV file, piece by piece; missing numbers are empty cells."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    names = [column.name for column in content.columns]
+    rows = len(content.columns[0].values)
+    options = csv.WriteOptions(include_header=False, delimiter=style.delimiter, quoting_style="none")
+    with part.open("wb") as file:
+        for key, value in content.metadata.items():
+            file.write(f"# {key}: {json.dumps(value, ensure_ascii=False)}\n".encode())
+        file.write((style.delimiter.join(names) + "\n").encode())
+        for start in range(0, rows, CSV_CHUNK_ROWS):
+            progress(start, rows)
+            arrays = [
+                pa.array(_native_byte_order(c.values[start : start + CSV_CHUNK_ROWS]), from_pandas=True)
+                for c in content.columns
+            ]
+            text = io.BytesIO()
+            csv.write_csv(pa.table(arrays, names=names), text, options)
+            numbers = text.getvalue()
+            file.write(numbers.replace(b".", b",") if style.decimal == "," else numbers)
+    progress(rows, rows)
+
+
+def _native_byte_order(
+    values: np.ndarray[tuple[int, ...], np.dtype[np.generic]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.generic]]:
+    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
+
+
+PARQUET_ROW_GROUP = 1 << 18
+"""Rows of a Parquet file that are written at a time."""
+PARQUET_METADATA_KEY = b"dragrig"
+MAT_LIMIT_BYTES = 1 << 31
+"""No variable of a version 5 MAT file can be larger."""
+_MAX_MATLAB_NAME = 63
+
+_Mat: TypeAlias = "str | float | int | bool | np.ndarray[tuple[int, ...], np.dtype[np.generic]] | dict[str, _Mat]"
+
+
+def write_parquet(part: Path, content: ExportContent, progress: Progress) -> None:
+    """Write a Parquet file, row group by row group; the metadata is JSON under the schema's key `dragrig`."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    rows = len(content.columns[0].values)
+    schema = pa.schema(
+        [
+            pa.field(c.name, pa.from_numpy_dtype(c.values.dtype), metadata={b"units": c.units.encode()})
+            for c in content.columns
+        ],
+        metadata={PARQUET_METADATA_KEY: json.dumps(content.metadata).encode()},
+    )
+    with parquet.ParquetWriter(part, schema, compression="zstd") as writer:
+        for start in range(0, rows, PARQUET_ROW_GROUP):
+            progress(start, rows)
+            arrays = [pa.array(c.values[start : start + PARQUET_ROW_GROUP]) for c in content.columns]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+    progress(rows, rows)
+
+
+def write_npz(part: Path, content: ExportContent) -> None:
+    """Write a compressed NumPy archive: one array for each column, and `metadata` as JSON text."""
+    arrays = {column.name: column.values for column in content.columns}
+    with part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, metadata=np.array(json.dumps(content.metadata)), **arrays)
+
+
+def write_mat(part: Path, content: ExportContent) -> None:
+    """Write a version 5 MAT file with one struct `run`: a field for each column, and the metadata.
+
+    The metadata are there twice, as the struct `metadata` and, for reading back, as JSON text.
+
+    Raises
+    ------
+    AnalysisError
+        When a column is too large for the format.
+    """
+    from scipy.io import savemat
+
+    for column in content.columns:
+        if column.values.nbytes >= MAT_LIMIT_BYTES:
+            raise AnalysisError(f"{column.name} has more than 2 GB, which a MAT file cannot hold; export to parquet.")
+    fields: dict[str, _Mat] = {_matlab_name(column.name): column.values for column in content.columns}
+    fields["metadata"] = _to_matlab(content.metadata)
+    fields["metadata_json"] = json.dumps(content.metadata)
+    savemat(str(part), {"run": fields}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
+
+
+def _to_matlab(value: "Json | object") -> _Mat:
+    if isinstance(value, dict):
+        return {_matlab_name(str(key)): _to_matlab(inner) for key, inner in value.items()}
+    if value is None:
+        return float("nan")
+    if isinstance(value, list):
+        return _to_matlab_cell(value)
+    if isinstance(value, str | bool | int | float):
+        return value
+    return str(value)
+
+
+def _to_matlab_cell(items: "list[Json]") -> "np.ndarray[tuple[int, ...], np.dtype[np.generic]]":
+    cell = np.empty(len(items), dtype=object)
+    for k, item in enumerate(items):
+        cell[k] = _to_matlab(item)
+    return cell
+
+
+def _matlab_name(name: str) -> str:
+    """Return a name that MATLAB accepts for a field."""
+    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
+    return (plain if plain[:1].isalpha() else f"x_{plain}")[:_MAX_MATLAB_NAME]
 
 
 class ExportFormat(StrEnum):
@@ -37,7 +285,7 @@ def export_run(
     style: CsvStyle | None = None,
     *,
     overwrite: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Path:
     """Export a run file.
 
@@ -64,8 +312,8 @@ def export_run(
     """
     from dragrig.rig.runfile import read_run
 
-    target = _file_of(path, target, export_format)
-    _check_free(target, overwrite=overwrite)
+    target = _target_file(path, target, export_format)
+    _require_free(target, overwrite=overwrite)
     return write_export(read_run(path), target, export_format, style, overwrite=overwrite, progress=progress)
 
 
@@ -77,7 +325,7 @@ def export_campaign(
     *,
     overwrite: bool = False,
     with_bad: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> CampaignExport:
     """Export every run of a campaign into a folder, one file each.
 
@@ -90,9 +338,9 @@ def export_campaign(
     OutputError
         When one of the files exists already (then none is written), or the folder refuses.
     """
-    from dragrig.rig.runfile import campaign
+    from dragrig.rig.runfile import read_campaign
 
-    found = campaign(folder)
+    found = read_campaign(folder)
     bad = {} if with_bad else {path: f"marked as bad: {mark.reason}" for path, mark in found.marks.items()}
     wanted = [info.path for info in found.runs if info.path not in bad]
     try:
@@ -100,7 +348,7 @@ def export_campaign(
     except OSError as error:
         raise OutputError(f"{target}: cannot be made a folder ({error.strerror}); choose another.") from error
     for path in wanted:
-        _check_free(_file_of(path, target, export_format), overwrite=overwrite)
+        _require_free(_target_file(path, target, export_format), overwrite=overwrite)
     written: list[Path] = []
     left_out = [*bad.items(), *((path, str(error)) for path, error in found.unreadable)]
     for done, path in enumerate(wanted):
@@ -120,36 +368,37 @@ def write_export(
     style: CsvStyle | None = None,
     *,
     overwrite: bool = False,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Path:
     """Export a run that was read already; otherwise as `export_run`."""
-    _check_free(target, overwrite=overwrite)
+    _require_free(target, overwrite=overwrite)
     if target.exists() and target.samefile(run.info.path):
         raise OutputError(f"{target}: is the run file itself; give the export another name.")
-    with _made_whole(target) as part:
-        _write(part, content_of(run), export_format, style or CsvStyle(), progress)
+    with _written_atomically(target) as part:
+        _write_format(part, export_content(run), export_format, style or CsvStyle(), progress)
     return target
 
 
-def _write(part: Path, content: Content, export_format: ExportFormat, style: CsvStyle, progress: Progress) -> None:
-    from dragrig.analysis.exporting import binary, text
+def _write_format(
+    part: Path, content: ExportContent, export_format: ExportFormat, style: CsvStyle, progress: Progress
+) -> None:
 
     match export_format:
         case ExportFormat.CSV:
-            text.write(part, content, style, progress)
+            write_csv(part, content, style, progress)
         case ExportFormat.PARQUET:
-            binary.write_parquet(part, content, progress)
+            write_parquet(part, content, progress)
         case ExportFormat.MAT:
-            binary.write_mat(part, content)
+            write_mat(part, content)
         case ExportFormat.NPZ:
-            binary.write_npz(part, content)
+            write_npz(part, content)
 
 
-def _file_of(path: Path, target: Path, export_format: ExportFormat) -> Path:
+def _target_file(path: Path, target: Path, export_format: ExportFormat) -> Path:
     return target / f"{path.stem}.{export_format}" if target.is_dir() else target
 
 
-def _check_free(target: Path, *, overwrite: bool) -> None:
+def _require_free(target: Path, *, overwrite: bool) -> None:
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give the name of a file.")
     if target.exists() and not overwrite:
@@ -157,17 +406,17 @@ def _check_free(target: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def _made_whole(target: Path) -> Iterator[Path]:
+def _written_atomically(target: Path) -> Iterator[Path]:
     """Give a file to write beside the target, and put it in the target's place once it is whole."""
-    from dragrig.rig.runfile.files import drop, put_in_place
+    from dragrig.rig.runfile.filesystem import move_into_place, remove_quietly
 
     part = target.with_name(f"{target.name}.part")
     try:
         yield part
-        put_in_place(part, target)
+        move_into_place(part, target)
     except OSError as error:
         raise OutputError(
             f"{target}: could not be written ({error.strerror or error}); choose another folder, or make room."
         ) from error
     finally:
-        drop(part)
+        remove_quietly(part)

@@ -1,22 +1,19 @@
-"""What one run says in a few numbers, each with its standard error or the reason why it is missing."""
+"""Measures of one run, each with its standard error or the reason why it is missing."""
 
 from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
-from dragrig.analysis.clipping import clipped
-from dragrig.analysis.correlated_mean import FEWEST_SAMPLES, correlated_mean
-from dragrig.analysis.estimates import Estimate, missing
-from dragrig.analysis.gaps import gap_starts
-from dragrig.analysis.phases import Mask, end_of_hold, in_phase, steady_stretch
+from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, correlated_mean, missing
 from dragrig.analysis.savgol import SavgolSettings, smooth
+from dragrig.analysis.segments import Mask, clipped_samples, end_of_hold, gap_starts, in_phase, steady_stretch
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import Run
 
-SLOWEST_NOISE_S = 2.0
+MAX_NOISE_CORRELATION_S = 2.0
 """Correlation time up to which slow noise of the sensor is thought possible, ten times the usual 0.2 s."""
 PEAK_WINDOW_S = 0.01
 """Window of the smoothing under which the peak is looked for; at least five samples are taken.
@@ -62,35 +59,39 @@ class RunMeasures:
 def measure(run: Run) -> RunMeasures:
     """Measure a run; what its data do not support is missing, with the reason, and nothing is raised."""
     trace = run.trace
-    bad = clipped(run)
+    bad = clipped_samples(run)
     stretch, found_by = steady_stretch(run)
     if run.info.kind in STICKING_KINDS:
         steady = missing(f"a {run.info.kind} run has no steady sliding")
     elif not stretch.any():
         steady = missing(found_by if "phase after" not in found_by else f"nothing is left of {found_by}")
     else:
-        steady = _mean(run, stretch, bad, found_by)
+        steady = _stretch_mean(run, stretch, bad, found_by)
     rest, hold = in_phase(trace, Phase.REST), end_of_hold(trace)
     peak, peak_time_s = _peak(run, bad)
     return RunMeasures(
         steady_force=steady,
-        rest_offset=_mean(run, rest, bad, "the rest") if rest.any() else missing("the run has no rest phase"),
+        rest_offset=_stretch_mean(run, rest, bad, "the rest") if rest.any() else missing("the run has no rest phase"),
         peak_force=peak,
         peak_time_s=peak_time_s,
-        hold_force=_mean(run, hold, bad, "the end of the hold") if hold.any() else missing("the run has no hold phase"),
+        hold_force=_stretch_mean(run, hold, bad, "the end of the hold")
+        if hold.any()
+        else missing("the run has no hold phase"),
         speed=_speed(run),
         steady_from=found_by,
     )
 
 
-def _mean(run: Run, stretch: Mask, bad: Mask, name: str) -> Estimate:
+def _stretch_mean(run: Run, stretch: Mask, bad: Mask, name: str) -> Estimate:
     lost = int(np.count_nonzero(stretch & bad))
     if lost:
         return missing(f"{lost} samples in {name} are clipped at the end of the sensor's range")
-    return _named(correlated_mean(run.trace.force[stretch], SLOWEST_NOISE_S * run.trace.sample_rate_hz), name)
+    return _with_context(
+        correlated_mean(run.trace.force[stretch], MAX_NOISE_CORRELATION_S * run.trace.sample_rate_hz), name
+    )
 
 
-def _named(estimate: Estimate, name: str) -> Estimate:
+def _with_context(estimate: Estimate, name: str) -> Estimate:
     return missing(f"{name}: {estimate.reason}") if estimate.reason else estimate
 
 
@@ -117,8 +118,8 @@ def _peak(run: Run, bad: Mask) -> tuple[Estimate, float | None]:
 def _speed(run: Run) -> Estimate:
     trace = run.trace
     steady = in_phase(trace, Phase.STEADY)
-    if np.count_nonzero(steady) < FEWEST_SAMPLES:
-        return missing(f"the steady phase holds fewer than {FEWEST_SAMPLES} samples")
+    if np.count_nonzero(steady) < MIN_SAMPLES_FOR_MEAN:
+        return missing(f"the steady phase holds fewer than {MIN_SAMPLES_FOR_MEAN} samples")
     position, time = np.asarray(trace.position[steady], dtype=np.float64), trace.time[steady]
     if not np.isfinite(position).all():
         return missing("positions are missing (NaN)")

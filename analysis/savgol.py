@@ -1,20 +1,105 @@
-"""Savitzky–Golay smoothing of whole traces (Savitzky and Golay, Anal. Chem. 36, 1964)."""
+"""Savitzky–Golay filter of a trace, of samples as they arrive, and of run files.
 
-from dataclasses import dataclass
+Source: Savitzky and Golay, Anal. Chem. 36, 1964.
+
+The default window of 0.05 s and order 3 is a compromise. At 500 Hz it reduces white noise by a factor of 3.3
+(at 1 kHz 4.8) and gives the speed to 0.01 mm/s from counts of 1 µm. The start-up of a drag test takes
+0.1 to 0.3 s: between 50 and 90 % of its rise, the simulated one at 20 mm/s takes 0.182 s instead of 0.188 s. A window
+of 0.1 s would reduce noise only 1.4 times further and double the time in which a start-up is blurred.
+A jump (Coulomb friction as the stage starts) is spread over the window, with an overshoot of a tenth of the
+jump. The window matters where the motion itself is short: the peak after a relaxation's ramp of
+0.04 to 0.13 s comes out 1 to 3 % low. A run's measures are taken from the raw trace for this reason.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial import legendre
 
-from dragrig.analysis.gaps import unbroken
-from dragrig.analysis.savgol_kernel import SavgolKernel
+from dragrig.analysis.segments import finite_spans, gap_starts, in_phase, unbroken_slices
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import FloatArray, read_only
-from dragrig.rig.runfile.model import Event
+from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
+from dragrig.rig.profile import Phase
+from dragrig.rig.runfile.model import Attribute, FilteredTrace, Run, RunEvent, Trace
 
-HIGHEST_ORDER = 8
+MAX_DIRECT_WINDOW = 512
+"""Beyond this the convolution goes through the Fourier transform, and nothing is convolved for the ends."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavgolKernel:
+    """Window, order and derivative at one sample rate.
+
+    `scipy.signal` fits the ends of a piece, and convolves. The weights of the middle are computed here, because
+    `scipy.signal.savgol_coeffs` solves with unscaled powers of the sample number: at 12501 samples
+    (0.05 s at 250 kHz) and order 4 or more its answer has nothing to do with the data any more.
+
+    Attributes
+    ----------
+    orthonormal
+        Polynomials on the window, orthonormal, shape `(window, order + 1)`.
+    derived
+        Their derivative at each sample, in 1/s^k.
+    weights
+        Weights of the samples in a window for its middle, in the order of a convolution.
+    """
+
+    window: int
+    order: int
+    derivative: int
+    sample_rate_hz: float
+    orthonormal: FloatArray
+    derived: FloatArray
+    weights: FloatArray
+
+    @classmethod
+    def of(cls, window: int, order: int, derivative: int, sample_rate_hz: float) -> "SavgolKernel":
+        """Work out the polynomials; Legendre's keep the fit well conditioned."""
+        at = np.linspace(-1.0, 1.0, window)
+        orthonormal, triangle = np.linalg.qr(np.asarray(legendre.legvander(at, order), dtype=np.float64))
+        rows = [legendre.legval(at, legendre.legder(row, derivative)) for row in np.eye(order + 1)]
+        per_second = (2 * sample_rate_hz / (window - 1)) ** derivative
+        derived = np.ascontiguousarray(np.linalg.solve(triangle.T, np.array(rows)).T * per_second)
+        weights = np.ascontiguousarray((orthonormal @ derived[window // 2])[::-1])
+        return cls(window, order, derivative, sample_rate_hz, orthonormal, derived, weights)
+
+    @property
+    def half(self) -> int:
+        """Samples before and after the middle of the window."""
+        return self.window // 2
+
+    def whole(self, piece: FloatArray) -> FloatArray:
+        """Filter a piece of `n >= window` samples to as many."""
+        first, last = self.ends(piece[: self.window]), self.ends(piece[-self.window :])
+        return np.concatenate((first[: self.half], self.middle(piece), last[self.half + 1 :]))
+
+    def middle(self, piece: FloatArray) -> FloatArray:
+        """Filter a piece of `n >= window` samples to the `n - window + 1` that have a full window."""
+        from scipy.ndimage import convolve1d
+        from scipy.signal import oaconvolve
+
+        if self.window > MAX_DIRECT_WINDOW:
+            return np.asarray(oaconvolve(piece, self.weights, mode="valid"), dtype=np.float64)
+        return np.asarray(convolve1d(piece, self.weights, mode="constant")[self.half : len(piece) - self.half])
+
+    def ends(self, samples: FloatArray) -> FloatArray:
+        """Evaluate the polynomial through exactly one window at each of its samples; the middle one is not used."""
+        from scipy.signal import savgol_filter
+
+        if self.window > MAX_DIRECT_WINDOW:
+            return np.asarray(self.derived @ (self.orthonormal.T @ samples))
+        fitted = savgol_filter(
+            samples, self.window, self.order, self.derivative, 1 / self.sample_rate_hz, mode="interp"
+        )
+        return np.asarray(fitted, dtype=np.float64)
+
+
+MAX_ORDER = 8
 """Beyond this the fit at the ends of a piece is no longer well conditioned."""
 
-TOO_SHORT = "filter"
+FILTER_EVENT = "filter"
 """Kind of the event that says a piece was too short to filter."""
 
 
@@ -49,8 +134,8 @@ class SavgolSettings:
             raise AnalysisError("A filter window is given either in seconds or in samples; give one of the two.")
         if self.window_s is not None and not (np.isfinite(self.window_s) and self.window_s > 0):
             raise AnalysisError(f"A filter window of {self.window_s:g} s is impossible; give a length above 0 s.")
-        if not 0 <= self.order <= HIGHEST_ORDER:
-            raise AnalysisError(f"A filter of order {self.order} is not offered; choose 0 to {HIGHEST_ORDER}.")
+        if not 0 <= self.order <= MAX_ORDER:
+            raise AnalysisError(f"A filter of order {self.order} is not offered; choose 0 to {MAX_ORDER}.")
         if not 0 <= self.derivative <= self.order:
             raise AnalysisError(
                 f"Derivative {self.derivative} of a polynomial of order {self.order} says nothing; "
@@ -100,11 +185,11 @@ class SavgolSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
+class SmoothedTrace:
     """Filtered values, shape `(N,)`, NaN where a piece was too short, and an event for each such piece."""
 
     values: FloatArray
-    events: tuple[Event, ...]
+    events: tuple[RunEvent, ...]
 
 
 def smooth(
@@ -113,7 +198,7 @@ def smooth(
     settings: SavgolSettings,
     gaps: npt.ArrayLike = (),
     time: FloatArray | None = None,
-) -> Smoothed:
+) -> SmoothedTrace:
     """Filter a trace, each unbroken piece on its own.
 
     At the ends of a piece the polynomial of its first or last full window is evaluated
@@ -145,19 +230,235 @@ def smooth(
         )
     kernel = settings.kernel(sample_rate_hz)
     result = np.full(len(source), np.nan)
-    events: list[Event] = []
-    for piece in unbroken(source, gaps):
+    events: list[RunEvent] = []
+    for piece in unbroken_slices(source, gaps):
         samples = piece.stop - piece.start
         if samples < window:
             at = float(time[piece.start]) if time is not None else piece.start / sample_rate_hz
-            events.append(too_short(at, samples, window))
+            events.append(too_short_event(at, samples, window))
             continue
         result[piece] = kernel.whole(source[piece])
     read_only(result)
-    return Smoothed(result, tuple(events))
+    return SmoothedTrace(result, tuple(events))
 
 
-def too_short(time_s: float, samples: int, window: int) -> Event:
+def too_short_event(time_s: float, samples: int, window: int) -> RunEvent:
     """Return the event that says a piece was not filtered."""
     message = f"a piece of {samples} samples is shorter than the window of {window}: not filtered"
-    return Event(time_s, TOO_SHORT, message)
+    return RunEvent(time_s, FILTER_EVENT, message)
+
+
+class SavgolStream:
+    """One channel, filtered block by block.
+
+    Every sample pushed comes out once, in order, filtered; what `push` and `flush` return, put end to
+    end, is what `smooth` gives for the same samples and gaps. Memory: one window and one block.
+    Not to be shared between threads.
+
+    Parameters
+    ----------
+    sample_rate_hz
+        Rate of the samples.
+    settings
+        Window, order and derivative.
+
+    Raises
+    ------
+    AnalysisError
+        When the window does not suit the order or the rate.
+    """
+
+    def __init__(self, sample_rate_hz: float, settings: SavgolSettings) -> None:
+        self._rate = sample_rate_hz
+        self._kernel = settings.kernel(sample_rate_hz)
+        self._window = self._kernel.window
+        self._half = self._kernel.half
+        self._next_index = 0
+        self._piece_start = 0
+        self._seen = 0
+        self._held = np.empty(0)
+        self._events: list[RunEvent] = []
+
+    @property
+    def delay_samples(self) -> int:
+        """How many samples a filtered value lags behind its raw one: half a window."""
+        return self._half
+
+    @property
+    def events(self) -> tuple[RunEvent, ...]:
+        """One event for each piece that was too short to filter, so far."""
+        return tuple(self._events)
+
+    def push(self, values: npt.ArrayLike, first_index: int | None = None) -> FloatArray:
+        """Take samples in and return those that are ready.
+
+        Parameters
+        ----------
+        values
+            Shape `(n,)`, any `n`.
+        first_index
+            Index of the first sample, counted from the run's first and including lost samples, as a
+            block carries it; a value beyond the samples so far is a gap. Left out: no gap.
+
+        Raises
+        ------
+        AnalysisError
+            When `first_index` lies before samples that were pushed already.
+        """
+        block = np.asarray(values, dtype=np.float64)
+        ready: list[FloatArray] = []
+        if first_index is not None and first_index != self._next_index:
+            if first_index < self._next_index:
+                raise AnalysisError(
+                    f"Sample {first_index} was pushed after sample {self._next_index - 1}; push blocks in order."
+                )
+            ready.append(self._end_piece())
+            self._next_index = first_index
+        at = 0
+        for start, stop in finite_spans(block):
+            if start > at:
+                ready.append(self._skip(start - at))
+            ready.append(self._extend(block[start:stop]))
+            at = stop
+        if at < len(block):
+            ready.append(self._skip(len(block) - at))
+        return np.concatenate(ready) if ready else np.empty(0)
+
+    def flush(self) -> FloatArray:
+        """End the piece and return the samples still held back; what is pushed next begins a new piece."""
+        return self._end_piece()
+
+    def _extend(self, samples: FloatArray) -> FloatArray:
+        if self._seen == 0:
+            self._piece_start = self._next_index
+        before = max(0, self._seen - self._half) if self._seen >= self._window else 0
+        self._seen += len(samples)
+        self._next_index += len(samples)
+        self._held = np.concatenate((self._held, samples))
+        if self._seen < self._window:
+            return np.empty(0)
+        held_from = self._seen - len(self._held)
+        ready = [] if before else [self._kernel.ends(self._held[: self._window])[: self._half]]
+        middle = self._kernel.middle(self._held)
+        ready.append(middle[max(0, before - held_from - self._half) :])
+        self._held = self._held[-self._window :].copy()
+        return np.concatenate(ready)
+
+    def _skip(self, samples: int) -> FloatArray:
+        ended = self._end_piece()
+        self._next_index += samples
+        return np.concatenate((ended, np.full(samples, np.nan)))
+
+    def _end_piece(self) -> FloatArray:
+        seen, held = self._seen, self._held
+        self._seen, self._held = 0, np.empty(0)
+        if seen == 0:
+            return held
+        if seen < self._window:
+            self._events.append(too_short_event(self._piece_start / self._rate, seen, self._window))
+            return np.full(seen, np.nan)
+        return self._kernel.ends(held[-self._window :])[self._half + 1 :]
+
+
+DEFAULT_WINDOW_S = 0.05
+MIN_DEFAULT_SAMPLES = 7
+"""Of the usual window; at low rates it is that much longer than `DEFAULT_WINDOW_S`."""
+MIN_MOTION_WINDOWS = 4.0
+"""A motion shorter than so many windows is blurred, which an event says."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilteredRun:
+    """What the filter made of a run, and what is to be said about it."""
+
+    trace: FilteredTrace
+    events: tuple[RunEvent, ...]
+
+
+def default_filter_settings(sample_rate_hz: float) -> SavgolSettings:
+    """Return order 3 over 0.05 s, or over seven samples where these take longer."""
+    if DEFAULT_WINDOW_S * sample_rate_hz < MIN_DEFAULT_SAMPLES:
+        return SavgolSettings(window_samples=MIN_DEFAULT_SAMPLES)
+    return SavgolSettings(window_s=DEFAULT_WINDOW_S)
+
+
+def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
+    """Filter every force of a run, and derive `speed` [mm/s] from its position.
+
+    Parameters
+    ----------
+    settings
+        `default_filter_settings` for the run's rate when left out. A derivative applies to the forces
+        (then in mN/s^k); the speed is always the first derivative of the position.
+
+    Raises
+    ------
+    AnalysisError
+        When the window is longer than the run, or does not suit the order or the rate.
+    """
+    trace = run.trace
+    settings = settings or default_filter_settings(trace.sample_rate_hz)
+    gaps = gap_starts(trace.time, trace.sample_rate_hz)
+
+    def smoothed(values: AnyFloatArray, how: SavgolSettings) -> SmoothedTrace:
+        try:
+            return smooth(values, trace.sample_rate_hz, how, gaps, trace.time)
+        except AnalysisError as error:
+            raise AnalysisError(f"{run.info.path}: {error}") from error
+
+    forces = [name for name in trace.channels if trace.units.get(name) == "mN"]
+    results = {name: smoothed(trace.channels[name], settings) for name in forces}
+    speed = replace(settings, order=max(settings.order, 1), derivative=1)
+    results["speed"] = smoothed(trace.position, speed)
+    channels = {name: result.values for name, result in results.items()}
+    force_unit = f"mN/s^{settings.derivative}" if settings.derivative else "mN"
+    units = {name: "mm/s" if name == "speed" else force_unit for name in channels} | {"time": "s"}
+    events = (*_blur_events(trace, settings), *dict.fromkeys(event for one in results.values() for event in one.events))
+    parameters = _filter_parameters(settings, trace.sample_rate_hz, channels[trace.signal], events)
+    return FilteredRun(FilteredTrace(trace.time, channels, parameters, units), events)
+
+
+def filter_file(path: Path, settings: SavgolSettings | None = None) -> FilteredRun:
+    """Filter a run file and store the result in it, beside the raw trace.
+
+    Raises
+    ------
+    AnalysisError
+        As `filter_run`.
+    RunFileError, OutputError
+        When the file cannot be read, or its changed copy cannot be put in its place.
+    """
+    from dragrig.rig.runfile import read_run, store_filtered
+
+    filtered = filter_run(read_run(path), settings)
+    store_filtered(path, filtered.trace, filtered.events)
+    return filtered
+
+
+def _filter_parameters(
+    settings: SavgolSettings, sample_rate_hz: float, signal: FloatArray, events: tuple[RunEvent, ...]
+) -> dict[str, Attribute]:
+    window = settings.samples(sample_rate_hz)
+    return {
+        "filter": "Savitzky-Golay",
+        "window_s": window / sample_rate_hz,
+        "window_samples": window,
+        "order": settings.order,
+        "derivative": settings.derivative,
+        "ends": "polynomial of the first and last window of each unbroken piece",
+        "unfiltered_samples": int(np.count_nonzero(np.isnan(signal))),
+        "remarks": "; ".join(f"{event.time_s:.3f} s: {event.message}" for event in events),
+    }
+
+
+def _blur_events(trace: Trace, settings: SavgolSettings) -> tuple[RunEvent, ...]:
+    """Say so when the motion is short beside the window."""
+    moving = ~(in_phase(trace, Phase.REST) | in_phase(trace, Phase.HOLD))
+    if not moving.any():
+        return ()
+    begin, end = float(trace.time[moving][0]), float(trace.time[moving][-1])
+    window_s = settings.samples(trace.sample_rate_hz) / trace.sample_rate_hz
+    if end - begin >= MIN_MOTION_WINDOWS * window_s:
+        return ()
+    message = f"the motion of {end - begin:.3g} s is short beside the window of {window_s:.3g} s: its force is blurred"
+    return (RunEvent(begin, FILTER_EVENT, message),)

@@ -5,14 +5,12 @@ from pathlib import Path
 
 import tomli_w
 
-from dragrig.config.base import Settings
 from dragrig.config.errors import OutputError
-from dragrig.config.lab import CALIBRATION_FILE, RIG_FILE
-from dragrig.config.library import find
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import CALIBRATION_FILE, RIG_FILE, RigSettings
+from dragrig.config.settings import Settings, find_settings
 
 
-def create(folder: Path) -> tuple[Path, ...]:
+def create_lab(folder: Path) -> tuple[Path, ...]:
     """Make a lab folder: rig settings to edit, an empty calibration history and the data root.
 
     Returns
@@ -24,7 +22,7 @@ def create(folder: Path) -> tuple[Path, ...]:
     OutputError
         When `folder` cannot be written to or already is a lab folder; nothing is written over.
     """
-    rig = find(RigSettings, "rig", "bench")
+    rig = find_settings(RigSettings, "rig", "bench")
     rig_file, history, root = folder / RIG_FILE, folder / CALIBRATION_FILE, folder / rig.data.root
     taken = next((one for one in (rig_file, history) if one.exists()), None)
     if taken is not None:
@@ -32,18 +30,18 @@ def create(folder: Path) -> tuple[Path, ...]:
     try:
         root.mkdir(parents=True, exist_ok=True)
         with history.open("x", encoding="utf-8"), rig_file.open("x", encoding="utf-8", newline="\n") as text:
-            text.write(commented(rig))
+            text.write(commented_toml(rig))
     except OSError as error:
         raise OutputError(f"{folder}: no lab folder can be made here ({error.strerror}); name another.") from error
     return rig_file, history, root
 
 
-def commented(settings: Settings) -> str:
+def commented_toml(settings: Settings) -> str:
     """Write settings as TOML, every key with what it means above it."""
-    return "\n".join(_lines(settings, (), (type(settings).__doc__ or "").splitlines()[0])) + "\n"
+    return "\n".join(_commented_lines(settings, (), (type(settings).__doc__ or "").splitlines()[0])) + "\n"
 
 
-def _lines(settings: Settings, path: tuple[str, ...], about: str) -> Iterator[str]:
+def _commented_lines(settings: Settings, path: tuple[str, ...], about: str) -> Iterator[str]:
     yield f"# {about}"
     if path:
         yield f"[{'.'.join(path)}]"
@@ -55,16 +53,16 @@ def _lines(settings: Settings, path: tuple[str, ...], about: str) -> Iterator[st
             below[key] = value
         elif key in values:
             if field.description:
-                yield f"# {_one_line(field.description)}"
-            yield _assignment({key: values[key]})
+                yield f"# {_single_line(field.description)}"
+            yield _toml_assignment({key: values[key]})
     for key, inner in below.items():
         yield ""
-        yield from _lines(inner, (*path, key), (type(inner).__doc__ or "").splitlines()[0])
+        yield from _commented_lines(inner, (*path, key), (type(inner).__doc__ or "").splitlines()[0])
 
 
-def _one_line(text: str) -> str:
+def _single_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _assignment(pair: Mapping[str, object]) -> str:
+def _toml_assignment(pair: Mapping[str, object]) -> str:
     return tomli_w.dumps(pair).strip()

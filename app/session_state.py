@@ -1,4 +1,4 @@
-"""What a session says of itself beside its run files while it is at work, for whoever follows it from elsewhere."""
+"""The state file that a running session keeps in its campaign folder, and the lock that shows it is running."""
 
 import contextlib
 import os
@@ -11,21 +11,21 @@ from typing import Literal
 
 from pydantic import AwareDatetime, Field, ValidationError
 
-from dragrig.config.base import Settings
 from dragrig.config.errors import OutputError
-from dragrig.rig.acquiring import Outcome
-from dragrig.rig.people import Answer, Operator, Prompt, Watcher
+from dragrig.config.settings import Settings
+from dragrig.rig.engine import AcquisitionOutcome
+from dragrig.rig.operator import Answer, Operator, Prompt, SessionObserver
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import files
+from dragrig.rig.runfile import filesystem as files
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
 """Held by the process that carries the session out, and let go by the system when that dies."""
-_PATIENCE_S, _PAUSE_S = 2.0, 0.02
+_LOCK_TIMEOUT_S, _LOCK_POLL_S = 2.0, 0.02
 """Who watches holds the lock too, for a moment."""
 
-Doing = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
+Activity = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
 
 
 def _now() -> datetime:
@@ -41,7 +41,7 @@ class SessionState(Settings):
     double: bool = False
     since: AwareDatetime = Field(default_factory=_now)
     """When it began to do so, by the wall's clock."""
-    doing: Doing = "preparing"
+    doing: Activity = "preparing"
     said: str = ""
     """The prompt that waits for an answer, or what is waited for."""
     wait_s: float = 0.0
@@ -70,7 +70,7 @@ def read_state(folder: Path) -> SessionState | None:
     return None
 
 
-def at_work(folder: Path) -> bool:
+def is_session_running(folder: Path) -> bool:
     """Tell whether a process is carrying out a session of this campaign; nothing is written to find out.
 
     Where the file system has no locks nobody can tell, and a lock that was left counts as held: what the session said
@@ -99,7 +99,7 @@ def at_work(folder: Path) -> bool:
 
 
 @contextlib.contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
+def session_lock(folder: Path) -> Iterator[None]:
     """Be the only session of a campaign, of all processes, until the block ends or the process dies.
 
     Raises
@@ -110,20 +110,20 @@ def alone_in(folder: Path) -> Iterator[None]:
         When the folder refuses.
     """
     busy = f"{folder}: another session of this campaign is at work; go on once it is over."
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + _LOCK_TIMEOUT_S
     with contextlib.ExitStack() as held:
         while True:
             try:
-                held.enter_context(files.locked(folder / LOCK_FILE, busy))
+                held.enter_context(files.file_lock(folder / LOCK_FILE, busy))
                 break
             except files.BusyError:
                 if time.monotonic() > until:
                     raise
-            time.sleep(_PAUSE_S)
+            time.sleep(_LOCK_POLL_S)
         yield
 
 
-class Announced:
+class StatePublisher:
     """A person, and beside them the file that says what the session is doing.
 
     The file is small, replaced at once, and written when something begins or ends, never while samples are taken; a
@@ -135,7 +135,7 @@ class Announced:
         What is said from the beginning.
     """
 
-    def __init__(self, person: Operator, watcher: Watcher, folder: Path, state: SessionState) -> None:
+    def __init__(self, person: Operator, watcher: SessionObserver, folder: Path, state: SessionState) -> None:
         self._person, self._watcher, self._folder = person, watcher, folder
         self._state = state
         self._runs: tuple[PlannedRun, ...] = ()
@@ -152,7 +152,9 @@ class Announced:
         """Say what is to be done."""
         self._begun = True
         self._runs = tuple(pending)
-        self._says("preparing", runs=len(pending), real_time=real_time, after_s=sum(map(_takes, self._runs)))
+        self._says(
+            "preparing", runs=len(pending), real_time=real_time, after_s=sum(map(_planned_duration_s, self._runs))
+        )
         self._watcher.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:
@@ -170,7 +172,7 @@ class Announced:
             order=order,
             run=run.protocol.summary(),
             run_s=run.duration_s,
-            after_s=sum(map(_takes, later)),
+            after_s=sum(map(_planned_duration_s, later)),
         )
         self._watcher.run_begins(run, order)
 
@@ -178,7 +180,7 @@ class Announced:
         """Hand the block on; the recording itself is what others look at."""
         self._watcher.reads(reading)
 
-    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Say that nothing is recorded for the moment."""
         self._says("between")
         self._watcher.run_ends(run, outcome)
@@ -188,14 +190,14 @@ class Announced:
         if self._begun:
             self._says("ended", status=status, reason=reason)
 
-    def _says(self, doing: Doing, **further: object) -> None:
+    def _says(self, doing: Activity, **further: object) -> None:
         told = {"said": "", "wait_s": 0.0, **further}
         self._state = self._state.model_copy(update={"doing": doing, "since": _now(), **told})
         part = self._folder / f".{STATE_FILE}.part"
         with contextlib.suppress(OSError, OutputError):
             part.write_text(self._state.model_dump_json(indent=1), "utf-8")
-            files.give_name(part, self._folder / STATE_FILE)
+            files.rename_into_place(part, self._folder / STATE_FILE)
 
 
-def _takes(run: PlannedRun) -> float:
+def _planned_duration_s(run: PlannedRun) -> float:
     return run.wait_s + run.tare_s + run.duration_s

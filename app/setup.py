@@ -1,29 +1,331 @@
-"""What a session runs with: plan, rig, specimen and model, each found by name or file and changed by assignments."""
+"""What a session runs with: backend, pace, rig, plan, specimen and model, found by name or file and changed by --set."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+from inspect import getattr_static
 from pathlib import Path
-from typing import Unpack
+from typing import Literal, TypedDict, TypeGuard, TypeVar, Unpack
 
-from dragrig.config.effects import EffectSettings
-from dragrig.config.errors import PlanError, SettingsError
-from dragrig.config.lab import rig_file_of
-from dragrig.config.library import table
-from dragrig.config.loading import Table, merge, nearest, parse
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.plan import Plan, Step
-from dragrig.config.rig import RigSettings
+from dragrig.config.errors import DeviceError, DragrigError, PlanError, SettingsError
+from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects
+from dragrig.config.plan import Plan, PlanStep
+from dragrig.config.rig import Calibration, RigSettings, rig_file_of
+from dragrig.config.settings import (
+    Settings,
+    Table,
+    find_table,
+    merge_tables,
+    nested_table,
+    parse,
+    parse_assignment,
+    suggestion,
+)
 from dragrig.config.specimen import Specimen
-from dragrig.rig.programme import Programme, build
-from dragrig.rig.protocols import Protocol, kinds
-from dragrig.rig.record import record_in
-from dragrig.rigs import Changes, RigChoices, RigSetup, chosen, contact_in, equipped, folder_of, found_settings
+from dragrig.rig import lab_folder as calibration
+from dragrig.rig import lab_folder as contact
+from dragrig.rig.devices import Backend, BackendRequest, StageLimits
+from dragrig.rig.programme import Programme, build_programme
+from dragrig.rig.protocols import RunProtocol, protocol_kinds
+from dragrig.rig.session import session_record_of_run
 
-PlanLike = str | Path | Plan | Protocol
+Pace = Literal["fast", "real"] | float
+"""As fast as it can, as fast as a real rig, or so many times faster; the last for doubles only."""
+_MAX_TIMES_FASTER = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Pacing:
+    """What a backend is told: whether a simulated clock keeps the wall's pace, and how much faster a double lives."""
+
+    real_time: bool
+    times_faster: float = 1.0
+
+
+def resolve_pace(pace: Pace | None, *, double: bool) -> Pacing:
+    """Return what a pace means; unless given, a simulated rig is fast and a double real.
+
+    Raises
+    ------
+    SettingsError
+        For a pace that is not there for this kind of rig.
+    """
+    if not double:
+        if pace not in {None, "fast", "real"}:
+            raise SettingsError(f"--pace {pace}: is fast or real; so many times faster is for --double.")
+        return Pacing(real_time=pace == "real")
+    times_faster = 1.0 if pace is None or pace == "real" else pace
+    if isinstance(times_faster, str) or not 0 < times_faster <= _MAX_TIMES_FASTER:
+        raise SettingsError(
+            f"--pace {pace}: a double's is real, or so many times faster, as 20, up to {_MAX_TIMES_FASTER:g}."
+        )
+    return Pacing(real_time=True, times_faster=float(times_faster))
+
+
+BACKEND_GROUP = "dragrig.setup"
+DOUBLE_GROUP = "dragrig.doubles"
+
+
+def backend_names() -> tuple[str, ...]:
+    """Return the names of all backends that are installed."""
+    return _entry_point_names(BACKEND_GROUP)
+
+
+def find_backend(name: str, *, double: bool = False) -> EntryPoint:
+    """Return the entry point of a backend, or of its double, without loading it.
+
+    Raises
+    ------
+    SettingsError
+        For an unknown one.
+    """
+    found = entry_points(group=DOUBLE_GROUP if double else BACKEND_GROUP, name=name)
+    if found:
+        return next(iter(found))
+    if double and name in backend_names():
+        raise SettingsError(
+            f"backend = {name!r}: has no double; leave out --double, or name one with --backend: "
+            f"{', '.join(_entry_point_names(DOUBLE_GROUP))}."
+        )
+    raise SettingsError(f"backend = {name!r}: no such backend is installed; {suggestion(name, backend_names())}")
+
+
+def open_backend(name: str, request: BackendRequest, *, double: bool = False) -> Backend:
+    """Load a backend, or its double, and open its devices.
+
+    Raises
+    ------
+    SettingsError
+        For an unknown backend.
+    DeviceError
+        When it cannot be loaded or what it returns is no backend.
+    """
+    entry = find_backend(name, double=double)
+    try:
+        factory: Callable[[BackendRequest], object] = entry.load()
+        backend = factory(request)
+    except DragrigError:
+        raise
+    except Exception as error:  # an add-on's own code can fail in any way
+        raise DeviceError(
+            f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed whole?"
+        ) from error
+    if not _is_backend(backend):
+        raise DeviceError(f"backend {name} ({entry.value}) returns a {type(backend).__name__}, which is no backend.")
+    return backend
+
+
+def _is_backend(candidate: object) -> TypeGuard[Backend]:
+    # Not isinstance, which in Python 3.11 asks a rig that is not connected yet for its devices.
+    wanted = [name for name in vars(Backend) if not name.startswith("_")]
+    return all(getattr_static(candidate, name, None) is not None for name in wanted)
+
+
+def _entry_point_names(group: str) -> tuple[str, ...]:
+    return tuple(sorted(entry_points(group=group).names))
+
+
+SettingsT = TypeVar("SettingsT", bound=Settings)
+
+DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+HARDWARE_BACKEND = "hardware"
+"""The backend of the real rig, whose effects are its own."""
+CALIBRATED_QUANTITIES = ("force", "encoder")
+"""What is calibrated."""
+
+
+class RigChoices(TypedDict, total=False):
+    """The keyword arguments of `resolve_rig`; none and None mean the usual."""
+
+    rig: str | Path | None
+    model: str | Path | FrictionModelSettings | None
+    backend: str | None
+    double: bool
+    assignments: Sequence[str]
+
+
+def with_allowed_effects(
+    model: FrictionModelSettings, effects: Sequence[str | EffectSettings], *, backend: str, double: bool
+) -> FrictionModelSettings:
+    """Return the model with further effects, checked where they will act.
+
+    Raises
+    ------
+    SettingsError
+        For effects that cannot be, and those for a rig that is not the simulated one.
+    """
+    if backend == HARDWARE_BACKEND and (effects or (double and model.effects)):
+        where = "its double" if double else "the rig itself"
+        raise SettingsError(
+            f"--effect: effects act in the simulated rig, and backend {backend} is {where}; leave them out, or name "
+            "--backend simulated."
+        )
+    return with_effects(model, effects)
+
+
+def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSettings]) -> FrictionModelSettings:
+    """Return the model with further effects; raises `SettingsError` for effects that cannot be."""
+    further = parse_effects(effects)
+    if further:
+        model = model.model_copy(update={"effects": (*model.effects, *further)})
+    if model.effects:
+        from dragrig.sim_backend.effects.chain import active_effects
+
+        active_effects(model)
+    return model
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigSetup:
+    """Everything that says which rig is meant.
+
+    Attributes
+    ----------
+    model
+        Friction model of a simulated rig, and of a double of the real one.
+    rig_folder
+        Folder of the rig file, with data root and calibration history; None for a shipped rig.
+    double
+        Whether the double of the backend is meant, in place of the hardware.
+    """
+
+    rig: RigSettings
+    model: FrictionModelSettings
+    rig_folder: Path | None
+    backend: str
+    double: bool = False
+
+    @property
+    def data_root(self) -> Path:
+        """Folder of the campaigns."""
+        return (self.rig_folder or Path()) / self.rig.data.root
+
+    @property
+    def limits(self) -> StageLimits:
+        """What the settings say that the stage can do."""
+        stage = self.rig.stage
+        return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
+
+    @property
+    def made_on(self) -> str:
+        """What calibrations made on this rig are kept under: those of the hardware and of its double are no others'."""
+        return f"{self.backend} double" if self.double else self.backend
+
+    def calibrations(self) -> Mapping[str, Calibration]:
+        """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history.
+
+        That of another force sensor than the rig's holds for nothing here.
+        """
+        if self.rig_folder is None:
+            return {}
+        serials = {"force": self.rig.force_sensor.serial}
+        found = {
+            one: calibration.latest_calibration(self.rig_folder, one, self.made_on, serials.get(one, ""))
+            for one in CALIBRATED_QUANTITIES
+        }
+        return {quantity: entry for quantity, entry in found.items() if entry is not None}
+
+
+def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) -> RigSetup:
+    """Find the settings of a rig and apply the assignments.
+
+    Parameters
+    ----------
+    folder
+        Where to look for the lab folder; the working folder unless given.
+    choices
+        `rig`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the shipped one outside
+        of a lab. `backend`: the rig's own unless given. `double`: whether its double is meant. `assignments`: each
+        `rig.key=value` or `model.key=value`.
+
+    Raises
+    ------
+    SettingsError
+        One sentence that names file, key and what is allowed.
+    """
+    changes = Assignments.of(choices.get("assignments", ()))
+    if changes.steps or changes.others["plan"] or changes.others["specimen"]:
+        raise SettingsError("--set: without a plan, only rig.… and model.… can be changed.")
+    settings, rig_folder = load_settings(RigSettings, "rig", choices.get("rig") or rig_file_of(folder or Path.cwd()))
+    rig = changes.laid_over(settings, "rig")
+    model = changes.laid_over(load_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model")
+    backend, double = choices.get("backend") or rig.backend, choices.get("double", False)
+    return RigSetup(
+        rig=rig,
+        model=with_allowed_effects(model, (), backend=backend, double=double),
+        rig_folder=rig_folder,
+        backend=backend,
+        double=double,
+    )
+
+
+def load_settings(
+    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None
+) -> tuple[SettingsT, Path | None]:
+    """Return settings by file or shipped name, the usual ones for none, and the folder of their file."""
+    if isinstance(given, model):
+        return given, None
+    data, source = find_table(kind, str(given or DEFAULT_SETTINGS[kind]))
+    return parse(model, data, source), settings_folder(source)
+
+
+def choose_settings(
+    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None, before: SettingsT | None
+) -> SettingsT:
+    """Return what was chosen; otherwise what a session had before, or the usual."""
+    return before if before is not None and not given else load_settings(model, kind, given)[0]
+
+
+def contact_position(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
+    """Return the absolute position of the contact that a lab keeps now, or else the one that was known before."""
+    kept = contact.read_contact(rig_folder) if rig_folder is not None else None
+    return before_mm if kept is None else kept.position_mm
+
+
+def settings_folder(source: str) -> Path | None:
+    """Return the folder of the file that settings come from; None for shipped ones."""
+    path = Path(source)
+    return path.absolute().parent if path.is_file() else None
+
+
+@dataclass(frozen=True, slots=True)
+class Assignments:
+    """Assignments by what they change; `texts` are the assignments as they were typed."""
+
+    steps: Table
+    others: Mapping[str, Table]
+    texts: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, assignments: Sequence[str]) -> "Assignments":
+        """Sort assignments; raises `SettingsError`."""
+        steps: Table = {}
+        others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
+        texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
+        for text in (assignments,) if isinstance(assignments, str) else assignments:
+            (first, *rest), value = parse_assignment(text)
+            if not rest:
+                steps[first] = value
+            elif first in others:
+                others[first] = merge_tables(others[first], nested_table(rest, value))
+                texts[first] = (*texts[first], text)
+            else:
+                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
+        return cls(steps, others, texts)
+
+    def laid_over(self, settings: SettingsT, name: str) -> SettingsT:
+        """Return the settings with the changes that are meant for them."""
+        if not self.others[name]:
+            return settings
+        data = merge_tables(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
+        return parse(type(settings), data, f"--set {' '.join(self.texts[name])}")
+
+
+PlanLike = str | Path | Plan | RunProtocol
 """A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
 
 
-class Choices(RigChoices, total=False):
+class SetupChoices(RigChoices, total=False):
     """The keyword arguments of `resolve`; none and None mean the usual."""
 
     specimen: str | Path | None
@@ -53,7 +355,7 @@ class Setup(RigSetup):
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
         """Return this with assignments to the rig applied; any other is refused with `SettingsError`."""
-        changes = Changes.of(assignments)
+        changes = Assignments.of(assignments)
         if changes.steps or any(found for name, found in changes.others.items() if name != "rig"):
             raise SettingsError(
                 f"--set {' '.join(assignments)}: a campaign goes on with its own plan, specimen and model, so only "
@@ -70,10 +372,10 @@ class Setup(RigSetup):
                     "stage.start_from = 'contact': no contact is known to this lab; find it with dragrig touch-off."
                 )
             zero_mm = self.contact_mm
-        return build(self.plan, self.specimen, stage.start_mm, self.plan_source, self.plan_folder, zero_mm)
+        return build_programme(self.plan, self.specimen, stage.start_mm, self.plan_source, self.plan_folder, zero_mm)
 
 
-def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Choices]) -> Setup:
+def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[SetupChoices]) -> Setup:
     """Find all settings of a session and apply the assignments.
 
     Parameters
@@ -93,18 +395,18 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
     SettingsError, PlanError
         One sentence that names file, key and what is allowed.
     """
-    before = record_in(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
+    before = session_record_of_run(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
-    rig_settings, rig_folder = found_settings(RigSettings, "rig", rig)
+    rig_settings, rig_folder = load_settings(RigSettings, "rig", rig)
     if before is not None and not choices.get("rig"):
         rig_settings = before.rig
-    changes = Changes.of(choices.get("assignments", ()))
+    changes = Assignments.of(choices.get("assignments", ()))
     capsule = choices.get("capsule")
     if capsule is not None:
-        changes.steps["capsule"] = _absolute(capsule)
-    base_plan, source, plan_folder = (before.plan, str(plan), before.beside) if before is not None else _plan(plan)
-    specimen = chosen(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
-    model = chosen(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
+        changes.steps["capsule"] = _absolute_path(capsule)
+    base_plan, source, plan_folder = (before.plan, str(plan), before.beside) if before is not None else _load_plan(plan)
+    specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
+    model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     rig_changed = changes.laid_over(rig_settings, "rig")
     backend = choices.get("backend") or (before.backend if before is not None else rig_changed.backend)
     double = choices.get("double", False) or (
@@ -117,27 +419,27 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Cho
         plan_folder=plan_folder,
         rig=rig_changed,
         specimen=changes.laid_over(specimen, "specimen"),
-        contact_mm=contact_in(rig_folder, before.contact_mm if before is not None else None),
-        model=equipped(changed, choices.get("effects", ()), backend=backend, double=double),
+        contact_mm=contact_position(rig_folder, before.contact_mm if before is not None else None),
+        model=with_allowed_effects(changed, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
         backend=backend,
         double=double,
     )
 
 
-def plan_of(protocol: Protocol) -> Plan:
+def single_run_plan(protocol: RunProtocol) -> Plan:
     """Return the plan of one run, without its way back."""
-    step = Step.model_validate({"kind": protocol.kind, "way_back": "stay", **protocol.model_dump(mode="json")})
+    step = PlanStep.model_validate({"kind": protocol.kind, "way_back": "stay", **protocol.model_dump(mode="json")})
     return Plan(name=protocol.kind, steps=(step,))
 
 
-def _plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
+def _load_plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
     if isinstance(plan, Plan):
         return plan, f"plan {plan.name}", None
-    if isinstance(plan, Protocol):
-        return plan_of(plan), plan.kind, None
-    data, source = table("plan", str(plan))
-    return parse(Plan, data, source), source, folder_of(source)
+    if isinstance(plan, RunProtocol):
+        return single_run_plan(plan), plan.kind, None
+    data, source = find_table("plan", str(plan))
+    return parse(Plan, data, source), source, settings_folder(source)
 
 
 def _with_step_keys(plan: Plan, changes: Table) -> Plan:
@@ -147,21 +449,21 @@ def _with_step_keys(plan: Plan, changes: Table) -> Plan:
     for key in changes:
         if not any(key in keys for keys in known):
             everything = sorted(set().union(*known))
-            raise PlanError(f"--set {key}: no step of plan {plan.name} has such a key; {nearest(key, everything)}")
+            raise PlanError(f"--set {key}: no step of plan {plan.name} has such a key; {suggestion(key, everything)}")
     steps = [
-        merge(step.model_dump(mode="json", exclude_unset=True), {k: v for k, v in changes.items() if k in keys})
+        merge_tables(step.model_dump(mode="json", exclude_unset=True), {k: v for k, v in changes.items() if k in keys})
         for step, keys in zip(plan.steps, known, strict=True)
     ]
     data = plan.model_dump(mode="json", exclude_unset=True)
     return parse(Plan, {**data, "steps": steps}, "--set")
 
 
-def _keys_of(step: Step) -> set[str]:
-    own = set(Step.model_fields) - {"kind", "parameters"}
-    protocol = kinds().get(step.kind)
+def _keys_of(step: PlanStep) -> set[str]:
+    own = set(PlanStep.model_fields) - {"kind", "parameters"}
+    protocol = protocol_kinds().get(step.kind)
     return own if protocol is None else own | set(protocol.model_fields)
 
 
-def _absolute(name_or_path: str | Path) -> str:
+def _absolute_path(name_or_path: str | Path) -> str:
     path = Path(name_or_path)
     return str(path.absolute()) if path.is_file() else str(name_or_path)

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from dragrig.blind.mixing import mix
-from dragrig.diagnosing_many import diagnose_many
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw, make
+from dragrig.api.diagnose import diagnose_many
+from dragrig.exam.blind_campaigns import draw_cases
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, write_campaign
 
 MANY = 1000
 """Campaigns that the time is extrapolated to."""
@@ -32,9 +32,9 @@ MANY = 1000
 def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> None:
     """Print how the time of diagnosing grows with campaigns and workers."""
     with tempfile.TemporaryDirectory() as root:
-        folders = [Path(root) / case.name for case in mix(max(campaigns), seed)]
-        for case, folder in zip(mix(max(campaigns), seed), folders, strict=True):
-            make(case.secret, folder)
+        folders = [Path(root) / case.name for case in draw_cases(max(campaigns), seed)]
+        for case, folder in zip(draw_cases(max(campaigns), seed), folders, strict=True):
+            write_campaign(case.secret, folder)
         print("campaigns  workers  seconds  s per campaign  times as fast  " + f"{MANY} campaigns (extrapolated)")
         for count in campaigns:
             alone = None
@@ -52,21 +52,21 @@ def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> 
 
 def diagnose(folder: Path) -> None:
     """Diagnose every campaign that has no diagnosis yet."""
-    from dragrig.gap_json import gap_document
+    from dragrig.present.diagnosis import diagnosis_json
 
     waiting = [one for one in sorted(folder.iterdir()) if one.is_dir() and not (one / "diagnosis.json").exists()]
     for one in diagnose_many(waiting):
         if one.result is None:
             print(one.why_not)
         else:
-            (Path(one.source) / "diagnosis.json").write_text(json.dumps(gap_document(one.result)), encoding="utf-8")
+            (Path(one.source) / "diagnosis.json").write_text(json.dumps(diagnosis_json(one.result)), encoding="utf-8")
 
 
 def print_score(folder: Path) -> None:
     """Print how often the diagnoses beside the campaigns are right."""
     from rich.console import Console
 
-    from dragrig.gap_scoring import score
+    from dragrig.scoring import score_exam
 
     answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
     told = {name: folder / name / "diagnosis.json" for name in answers}
@@ -74,7 +74,7 @@ def print_score(folder: Path) -> None:
     if len(there) < len(answers):
         print(f"{len(answers) - len(there)} of {len(answers)} campaigns have no diagnosis.json and are left out")
     console = Console()
-    for table in score([(name, answers[name], said) for name, said in there.items()]).tables():
+    for table in score_exam([(name, answers[name], said) for name, said in there.items()]).tables():
         console.print(table)
 
 
@@ -82,17 +82,17 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
     """Print d′ of every form at full size: median, least and largest of some draws."""
     from dataclasses import replace
 
-    from dragrig.sim_backend.blind.size import directions, size
+    from dragrig.sim_backend.blind.effect_size import effect_size, nuisance_directions
 
-    bases = [draw(7 + at) for at in range(draws)]
-    nominal = [directions(one) for one in bases]
+    bases = [draw_campaign(7 + at) for at in range(draws)]
+    nominal = [nuisance_directions(one) for one in bases]
     print(f"{'effect':20s} {'form':28s} {'force':>6s} {'least':>6s} {'most':>6s}  position")
     for name, forms in {**CATALOGUE, **OUTSIDE}.items():
         for form in forms if name in names or not names else ():
             found = []
             for base, known in zip(bases, nominal, strict=True):
                 effect = form.drawn(np.random.default_rng(base.seed), 1.0)
-                found.append(size(replace(base, effects=(effect,), sizes=(1.0,)), known))
+                found.append(effect_size(replace(base, effects=(effect,), sizes=(1.0,)), known))
             force = sorted(one.force for one in found)
             place = np.median([one.position for one in found])
             print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")

@@ -14,19 +14,17 @@ from threading import Event
 import numpy as np
 import psutil
 
-from dragrig.config.capsule import Capsule
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.clock import WallClock
-from dragrig.rig.devices import Acquisition, Contact
+from dragrig.rig.devices import Acquisition, Contact, WallClock
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
-from dragrig.rig.hardware.coupling import Coupling
-from dragrig.rig.profile import MotionProfile, Phase, still
+from dragrig.rig.hardware.sync import MotionSamplingSync
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
+from dragrig.sim_backend.doubles import c_library as c_abi
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fronts import c_abi
-from dragrig.sim_backend.doubles.world.mishaps import Mishaps
+from dragrig.sim_backend.doubles.fault_injection import FaultInjector
 
 RATE_HZ = 83_333.0
 STEP_V = 20.0 / 2**16
@@ -41,7 +39,7 @@ class CountingBench:
     def __init__(self, rig: RigSettings) -> None:
         self.rig = rig
         self.clock = _PacedWallClock()
-        self.mishaps = Mishaps()
+        self.mishaps = FaultInjector()
         self._began_s: float | None = None
         self._rate_hz = 0.0
 
@@ -119,7 +117,7 @@ def main() -> None:
     double = Stopwatch(card)
     process = psutil.Process()
     with c_abi.installed(card):
-        sampler = CardSampler(Connection(rig.hardware.card), rig, {}, Coupling(), WallClock())
+        sampler = CardSampler(Connection(rig.hardware.card), rig, {}, MotionSamplingSync(), WallClock())
         sampler.arm(_acquisition(duration_s))
         sampler.start()
         began_s, used_s, in_double_s = time.perf_counter(), time.process_time(), double.spent_s
@@ -148,7 +146,7 @@ def _acquisition(duration_s: float) -> Acquisition:
         run_id="bench",
         order=0,
         kind="blank",
-        profile=MotionProfile.from_pieces([still(duration_s, Phase.REST)]),
+        profile=MotionProfile.from_pieces([stationary_piece(duration_s, Phase.REST)]),
         capsule=Capsule(name="none", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.0),
         specimen=Specimen(name="none"),
         fixture=Fixture.NONE,

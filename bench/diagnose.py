@@ -24,16 +24,16 @@ from uuid import uuid4
 
 import h5py
 
-from dragrig.sim_backend.blind import draw, make
+from dragrig.sim_backend.blind import draw_campaign, write_campaign
 
 RATE_HZ, RUNS = 500, 31
 BAR_MB = 1000.0
 """Peak memory that no campaign may need."""
 STAGES = {
-    "dragrig.analysis.gap.explain": ("lay_out", "refitted", "_polished", "further_steps"),
-    "dragrig.analysis.gap.refit": ("lay_out",),
+    "dragrig.analysis.gap.forward_selection": ("lay_out", "refitted", "_polished", "further_steps"),
+    "dragrig.analysis.gap.linear_fit": ("lay_out",),
     "dragrig.analysis.gap.diagnose": ("find_position", "find_lines", "study_of", "explain", "locate", "leave_out"),
-    "dragrig.analysis.gap.capsule_study": ("details",),
+    "dragrig.analysis.gap.studies": ("details",),
     "dragrig.analysis.gap.design": ("signatures", "slopes", "_derivatives"),
 }
 
@@ -83,13 +83,13 @@ def one(folder: Path, *, stages: bool) -> None:
     """Diagnose a folder and print what it took as JSON."""
     import psutil
 
-    from dragrig.analysis.gap.choosing import choose
     from dragrig.analysis.gap.diagnose import diagnose
-    from dragrig.analysis.nominal.capsule import MODEL
+    from dragrig.analysis.gap.run_selection import select_runs
+    from dragrig.analysis.models.capsule_model import MODEL
 
     spent = defaultdict[str, float](float)
     began, own = time.perf_counter(), time.process_time()
-    selection = choose(folder)
+    selection = select_runs(folder)
     read = time.perf_counter() - began
     with timed(spent) if stages else nullcontext():
         found = diagnose(selection, MODEL)
@@ -132,7 +132,7 @@ def report(seed: int, effects: Sequence[str], rounds: int, runs: Sequence[int]) 
     """Print all; return whether the memory stays below its bar."""
     with tempfile.TemporaryDirectory() as place:
         made = Path(place) / "made"
-        make(draw(seed, effects=effects), made)
+        write_campaign(draw_campaign(seed, effects=effects), made)
         campaign = copied(made, Path(place) / "campaign", RUNS)
         commands = [commanded(campaign) for _ in range(rounds)]
         print(f"{RUNS} runs at {RATE_HZ} Hz with {' and '.join(effects) or 'no effect'}, seed {seed}")

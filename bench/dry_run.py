@@ -13,19 +13,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 
-from dragrig.config.library import find
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import BackendRequest
+from dragrig.rig.engine import Store
 from dragrig.rig.memory import MemoryStore
-from dragrig.rig.people import Nobody
-from dragrig.rig.programme import build
-from dragrig.rig.record import SessionRecord
+from dragrig.rig.operator import NullOperator
+from dragrig.rig.programme import build_programme
 from dragrig.rig.runfile import FolderStore
-from dragrig.rig.session import Session
-from dragrig.rig.store import Store
+from dragrig.rig.session import Session, SessionRecord
 from dragrig.sim_backend.devices import open_backend
 
 ROUNDS = 5
@@ -63,13 +62,13 @@ def _into_files() -> float:
 
 def _session(store: Store) -> float:
     rig, model, specimen = RigSettings(), FrictionModelSettings(), Specimen(name="jejunum")
-    plan = find(Plan, "plan", "paper")
-    programme = build(plan, specimen, rig.stage.start_mm, "paper")
+    plan = find_settings(Plan, "plan", "paper")
+    programme = build_programme(plan, specimen, rig.stage.start_mm, "paper")
     now = datetime.now(UTC)
     record = SessionRecord(begun_at=now, backend="simulated", plan=plan, specimen=specimen, model=model, rig=rig)
     backend = open_backend(BackendRequest(rig, model))
     began = time.perf_counter()
-    Session(backend, programme, record, store, Nobody(), Nobody()).run().require()
+    Session(backend, programme, record, store, NullOperator(), NullOperator()).run().require()
     wall_s = time.perf_counter() - began
     return sum(run.duration_s for run in programme.runs) / wall_s
 

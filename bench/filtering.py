@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dragrig.analysis.exporting.content import Column, Content
-from dragrig.analysis.exporting.text import CsvStyle, write
-from dragrig.analysis.importing.text import read_text
-from dragrig.analysis.progress import silent
-from dragrig.analysis.savgol import SavgolSettings, smooth
-from dragrig.analysis.savgol_stream import SavgolStream
+from dragrig.analysis.computation import no_progress
+from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
+from dragrig.analysis.importing.readers import read_text
+from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
 
 
 def best(action: Callable[[], object], repeats: int = 3) -> float:
@@ -53,11 +51,11 @@ def tables(rows: int = 300_000) -> None:
     rng = np.random.default_rng(2)
     names = ("time_s", "force_mN", "position_mm", "command_mm")
     values = [np.arange(rows) / 1000, *(rng.normal(size=rows).astype(np.float32) for _ in names[1:])]
-    columns = tuple(Column(name, name, "", one) for name, one in zip(names, values, strict=True))
+    columns = tuple(ExportColumn(name, name, "", one) for name, one in zip(names, values, strict=True))
     frame = pd.DataFrame(dict(zip(names, values, strict=True)))
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.csv", Path(folder) / "theirs.csv"
-        wrote = best(lambda: write(ours, Content(columns, {}), CsvStyle(",", ";"), silent))
+        wrote = best(lambda: write_csv(ours, ExportContent(columns, {}), CsvStyle(",", ";"), no_progress))
         pandas_wrote = best(lambda: frame.to_csv(theirs, sep=";", decimal=",", index=False))
         read = best(lambda: read_text(ours))
         pandas_read = best(lambda: pd.read_csv(ours, sep=";", decimal=","))

@@ -8,20 +8,18 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture
 from dragrig.config.specimen import Specimen as Described
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
-from dragrig.sim_backend.blind import Secret, draw, without_effects
-from dragrig.sim_backend.blind.effects.base import Effect as Hidden
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.sim_backend.blind import BlindCampaign, draw_campaign, without_effects
+from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, RunVariation
+from dragrig.sim_backend.blind.effects.base import HiddenEffect as Hidden
+from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run
 from dragrig.sim_backend.blind.programme import RunPlan
-from dragrig.sim_backend.blind.record import Trace, ideal
-from dragrig.sim_backend.blind.specimen import Specimen, Variation
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect
-from dragrig.sim_backend.effects.catalogue import find_effect
-from dragrig.sim_backend.effects.scene import Scene, gut_scene
+from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect, find_effect
+from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
 Floats = npt.NDArray[np.float64]
@@ -42,7 +40,7 @@ class Seen:
     """One run of the plant without effects, at chosen samples, and the catalogue's scene of it."""
 
     index: int
-    bare: Trace
+    bare: PlantRecord
     chosen: npt.NDArray[np.intp]
 
     @property
@@ -63,27 +61,29 @@ class Seen:
             return np.asarray(PchipInterpolator(self.bare.time[self.chosen], at_chosen)(self.bare.time))
 
     @cached_property
-    def scene(self) -> Scene:
+    def scene(self) -> RunState:
         """What the catalogue sees, times counted from the first sample."""
         plan = self.plan
         moves = trapezoid(plan.travel_mm, plan.speed_mm_s, plan.accel_mm_s2)
-        profile = MotionProfile.from_pieces((still(plan.rest_s, Phase.REST), *moves, still(plan.hold_s, Phase.HOLD)))
+        profile = MotionProfile.from_pieces(
+            (stationary_piece(plan.rest_s, Phase.REST), *moves, stationary_piece(plan.hold_s, Phase.HOLD))
+        )
         fixture, contact = MET[plan.kind]
         specimen = Described(name="plant")
         made = Acquisition(plan.kind, plan.order, plan.kind, profile, CAPSULE, specimen, fixture, contact, 60.0)
         made = replace(made, shear_strain=plan.strain) if plan.strain is not None else made
         times = np.minimum(self.bare.time[self.chosen], profile.duration_s)
-        return gut_scene(made, FrictionModelSettings(), ProfileMotion.of(profile), times, plan.start_s)
+        return gut_run_state(made, FrictionModelSettings(), ProfileMotion.of(profile), times, plan.start_s)
 
 
-def nominal(seed: int) -> Secret:
+def nominal(seed: int) -> BlindCampaign:
     """Return a campaign of the published specimen in which no run has anything of its own."""
-    secret = draw(seed)
-    usual = Specimen(1.0, (1.0, 1.0, 1.0, 1.0, 1.0), 0.082, 1.0, 60.0, 1.0, 60.0)
-    return replace(secret, specimen=usual, variations=tuple(Variation(1.0, 1.0, 0.0) for _ in secret.runs))
+    secret = draw_campaign(seed)
+    usual = HiddenSpecimen(1.0, (1.0, 1.0, 1.0, 1.0, 1.0), 0.082, 1.0, 60.0, 1.0, 60.0)
+    return replace(secret, specimen=usual, variations=tuple(RunVariation(1.0, 1.0, 0.0) for _ in secret.runs))
 
 
-def seen_of(secret: Secret, *, fine_s: float, shortest: int | None = None) -> list[Seen]:
+def seen_of(secret: BlindCampaign, *, fine_s: float, shortest: int | None = None) -> list[Seen]:
     """Return the runs, each condition once, at samples that are close for `fine_s` after each event.
 
     Relaxations, whose forces are large, and the runs of a choice of the `shortest` have all samples.
@@ -93,7 +93,7 @@ def seen_of(secret: Secret, *, fine_s: float, shortest: int | None = None) -> li
     bare = without_effects(secret)
     found = []
     for at in indices:
-        trace = ideal(bare, at)
+        trace = noise_free_run(bare, at)
         every = shortest is not None or secret.runs[at].kind == "relaxation"
         chosen = np.arange(trace.time.size) if every else _samples(secret.runs[at], trace.time, fine_s)
         found.append(Seen(at, trace, chosen))
@@ -127,9 +127,9 @@ def changed(effect: Effect, seen: Seen, values: Mapping[str, float]) -> Floats:
     raise AssertionError(effect)
 
 
-def hidden_change(secret: Secret, hidden: Hidden, seen: Seen) -> Floats:
+def hidden_change(secret: BlindCampaign, hidden: Hidden, seen: Seen) -> Floats:
     """Return the signature of a hidden effect in the channel that it shows in, at all `N` samples."""
-    with_it = ideal(replace(secret, effects=(hidden,), sizes=(1.0,)), seen.index)
+    with_it = noise_free_run(replace(secret, effects=(hidden,), sizes=(1.0,)), seen.index)
     channel = find_effect(hidden.name).channel
     one, other = (with_it.force, seen.bare.force) if channel == "force" else (with_it.position, seen.bare.position)
     return one - other

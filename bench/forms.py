@@ -20,11 +20,10 @@ from zlib import crc32
 import numpy as np
 from form_fits import Floats, Seen, bounds, changed, hidden_change, left, left_run_by_run, nominal, seen_of
 
-from dragrig.sim_backend.blind import CATALOGUE, Secret
-from dragrig.sim_backend.blind.effects.base import Effect as Hidden
-from dragrig.sim_backend.blind.size import Directions, directions, left_over, whiten
-from dragrig.sim_backend.effects.base import Domain, Effect
-from dragrig.sim_backend.effects.catalogue import find_effect
+from dragrig.sim_backend.blind import CATALOGUE, BlindCampaign
+from dragrig.sim_backend.blind.effect_size import NuisanceDirections, nuisance_directions, residual_chi2, whiten
+from dragrig.sim_backend.blind.effects.base import HiddenEffect as Hidden
+from dragrig.sim_backend.effects.base import Effect, EffectCoordinate, find_effect
 
 NEAR, FAR = 0.10, 0.40
 """Share of the signature that the best fit should leave at least and at most."""
@@ -35,11 +34,11 @@ MOST_STEPS = 6
 class Bench:
     """A campaign without noise, its runs at samples for slow and for ringing effects, and for hum."""
 
-    secret: Secret
+    secret: BlindCampaign
     usual: list[Seen]
     ringing: list[Seen]
     fast: list[Seen]
-    nominal: Directions
+    nominal: NuisanceDirections
 
     @classmethod
     def of(cls, seed: int) -> "Bench":
@@ -48,12 +47,12 @@ class Bench:
         usual = seen_of(secret, fine_s=0.15)
         kept = replace(secret, runs=tuple(one.plan for one in usual), variations=secret.variations[: len(usual)])
         ringing, fast = seen_of(secret, fine_s=1.0), seen_of(secret, fine_s=0.15, shortest=5)
-        return cls(secret, usual, ringing, fast, directions(kept))
+        return cls(secret, usual, ringing, fast, nuisance_directions(kept))
 
     def seen(self, residuals: dict[int, Floats]) -> float:
         """Return d′ of force residuals of some runs."""
         filled = [residuals.get(one.index, np.zeros_like(one.bare.time)) for one in self.usual]
-        return float(np.sqrt(max(left_over(self.nominal, filled), 0.0)))
+        return float(np.sqrt(max(residual_chi2(self.nominal, filled), 0.0)))
 
     def least_seen(self, effect: Effect, acting: list[Seen], marks: list[Floats], values: dict[str, float]) -> float:
         """Return d′ of what the effect leaves, moved on from a fit by steps that count nominal directions as free."""
@@ -101,8 +100,8 @@ class Bench:
     def row(self, hidden: Hidden) -> tuple[float, str]:
         """Fit one form; return the share that is left, and the rest of its line."""
         effect = find_effect(hidden.name)
-        by_run = effect.domain is Domain.FREQUENCY
-        runs = self.fast if by_run else self.ringing if effect.domain is Domain.TRANSIENT else self.usual
+        by_run = effect.domain is EffectCoordinate.FREQUENCY
+        runs = self.fast if by_run else self.ringing if effect.domain is EffectCoordinate.TRANSIENT else self.usual
         acting = [one for one in runs if one.plan.kind in hidden.kinds]
         marks = [hidden_change(self.secret, hidden, one) for one in acting]
         targets = [mark[one.chosen] for one, mark in zip(acting, marks, strict=True)]

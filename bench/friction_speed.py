@@ -9,11 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 
 RATE_HZ = 1000.0
@@ -27,10 +26,12 @@ def acquisition(
     *strokes: tuple[float, float], fixture: Fixture = Fixture.FOAM, contact: Contact = Contact.SLIDING
 ) -> Acquisition:
     """One run of trapezoids of (travel, speed), with a rest before and a hold after."""
-    pieces = [still(1.0, Phase.REST)]
+    pieces = [stationary_piece(1.0, Phase.REST)]
     for travel, speed in strokes:
         pieces += trapezoid(travel, speed, 400.0)
-    profile = MotionProfile.from_pieces([*pieces, still(20.0 if contact is Contact.STICKING else 3.0, Phase.HOLD)])
+    profile = MotionProfile.from_pieces(
+        [*pieces, stationary_piece(20.0 if contact is Contact.STICKING else 3.0, Phase.HOLD)]
+    )
     return Acquisition(
         run_id="bench",
         order=0,

@@ -14,14 +14,14 @@ import numpy as np
 
 import dragrig
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.people import Answer, Nobody, Prompt
-from dragrig.rig.runfile.model import Run, Status
+from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.runfile.model import Run, RunStatus
 
 AWAY_FROM_STEPS_S = 0.1
 """Around a change of phase a force a millisecond off in time differs by more than noise."""
 
 
-class Hands(Nobody):
+class Hands(NullOperator):
     """A person whose hands do whatever is asked for."""
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -102,7 +102,7 @@ def main() -> None:
             if one.path is not None and other.path is not None
         ]
         sampled_s = sum(float(one.trace.time[-1]) for one, _ in pairs)
-        complete = sum(one.info.status is Status.COMPLETE for one, _ in pairs)
+        complete = sum(one.info.status is RunStatus.COMPLETE for one, _ in pairs)
         print(f"{complete} of {len(pairs)} runs complete, {sampled_s:.0f} s of samples in {took:.0f} s")
         lost = sum(int(one.info.checks["lost_samples"]) for one, _ in pairs)
         same = sum(len(one.trace.time) == len(other.trace.time) for one, other in pairs)

@@ -24,16 +24,16 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 import dragrig
-from dragrig.analysis.estimates import NORMAL_95
-from dragrig.analysis.identification.results import Identified, JointFit, Quantity
-from dragrig.analysis.identification.selection import select
-from dragrig.analysis.nominal.capsule import MODEL, acquisition_of
-from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.estimates import NORMAL_95, EstimatedQuantity
+from dragrig.analysis.identification.identification import JointFit, ParameterEstimate
+from dragrig.analysis.models.capsule_model import MODEL, acquisition_of
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.selection import select_runs
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.devices.variation import draw_specimen
+from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.friction import prepare
 
 BAR_S = 3.0
@@ -89,7 +89,7 @@ def timed(action: Callable[[], object]) -> Spent:
 
 def plain_fit(folder: Path, most: int) -> Plain:
     """Fit every sample of every run with the friction model, as one would write it down."""
-    runs = [one for one in select(folder).experiments if one.contact is not Contact.NONE]
+    runs = [one for one in select_runs(folder).experiments if one.contact is not Contact.NONE]
     measured = [np.asarray(one.run.trace.force, dtype=np.float64) for one in runs]
     evaluations = 0
 
@@ -144,7 +144,7 @@ def product(values: dict[str, float], powers: FloatArray) -> float:
     return float(np.prod([values[name] ** power for name, power in zip(NAMES, powers, strict=True) if power]))
 
 
-def line(one: Identified | Quantity, true: float, plain: float, error: float) -> None:
+def line(one: ParameterEstimate | EstimatedQuantity, true: float, plain: float, error: float) -> None:
     """Print one quantity."""
     half, own = 0.5 * (one.interval[1] - one.interval[0]), NORMAL_95 * error
     print(
@@ -198,7 +198,7 @@ def main() -> None:
     )
     print(f"asked for: dragrig.identify(folder) under {BAR_S:g} s on 2 cores")
     if joint is not None:
-        report(draw_specimen(FrictionModelSettings(), chosen.seed), joint, plain)
+        report(draw_specimen_model(FrictionModelSettings(), chosen.seed), joint, plain)
 
 
 if __name__ == "__main__":

@@ -7,23 +7,26 @@ from math import inf, log, prod
 from random import Random
 
 import dragrig
-from dragrig.analysis.estimates import NORMAL_95, Estimate
-from dragrig.analysis.identification.identify import identify
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.results import Coulomb, Drag, Identification, JointFit, Quantity, Relaxation
-from dragrig.analysis.identification.selection import Selection, select_from
-from dragrig.analysis.nominal.capsule import CapsuleModel
-from dragrig.analysis.nominal.capsule_parameters import COMBINATIONS
-from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.estimates import NORMAL_95, Estimate, EstimatedQuantity
+from dragrig.analysis.identification.identification import (
+    CoulombResult,
+    DragResult,
+    Identification,
+    JointFit,
+    RelaxationResult,
+)
+from dragrig.analysis.identification.identify import identify_specimen
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, CapsuleModel
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.selection import RunSelection, select_loaded_runs
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.rig.runfile.model import Run
 from dragrig.setup import resolve
-from dragrig.sim_backend.devices.noise import Stream, generator
-from dragrig.sim_backend.devices.variation import draw_run, draw_specimen
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
-from dragrig.sim_backend.friction.steady import SteadyForces, steady_forces
+from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
+from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, SteadyForces, steady_forces
 from dragrig.sim_backend.friction.wall import model_wall
 
 SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -96,12 +99,12 @@ class Known:
     def of_run(self, file: str) -> FrictionModelSettings:
         """Return the true model of one run."""
         simulated = self.rig.simulated
-        return draw_run(self.specimen, simulated.variation, simulated.seed, self.order(file))
+        return draw_run_model(self.specimen, simulated.variation, simulated.seed, self.order(file))
 
     def zero_mN(self, file: str) -> float:
         """Return the true zero of one run."""
         simulated = self.rig.simulated
-        normal = generator(simulated.seed, Stream.ZERO, self.order(file)).standard_normal()
+        normal = random_generator(simulated.seed, RandomStream.ZERO, self.order(file)).standard_normal()
         return simulated.noise.zero_mN * float(normal)
 
 
@@ -132,7 +135,7 @@ def simulate(kind: Kind, seed: int) -> Known:
     drags = [run for run in runs if run.info.kind == "drag"]
     lost = draw.sample(drags, round((1.0 - kind.drags) * len(drags)))
     setup = resolve(plan(seed), assignments=changes)
-    return Known(tuple(run for run in runs if run not in lost), setup.rig, draw_specimen(setup.model, seed))
+    return Known(tuple(run for run in runs if run not in lost), setup.rig, draw_specimen_model(setup.model, seed))
 
 
 def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
@@ -141,8 +144,8 @@ def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
     known = simulate(kind, seed)
     made = time.perf_counter()
     nominal = CapsuleModel(FrictionModelSettings(wall=kind.wall))
-    selection = select_from(known.runs)
-    found = identify(selection, nominal) if parts else None
+    selection = select_loaded_runs(known.runs)
+    found = identify_specimen(selection, nominal) if parts else None
     joint = fit_jointly(selection, nominal) if found is None else found.joint
     assert joint is not None
     done = time.perf_counter()
@@ -158,7 +161,7 @@ def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
     true = {one.name: float(getattr(known.specimen, one.name)) for one in joint.parameters}
     for one in joint.parameters:
         yield _of_quantity("parameter", one, true[one.name], one.learnt)
-    for combination, quantity in zip(COMBINATIONS, joint.combinations, strict=True):
+    for combination, quantity in zip(CAPSULE_COMBINATIONS, joint.combinations, strict=True):
         yield _of_quantity("combination", quantity, prod(true[name] ** n for name, n in combination.powers.items()))
     for run in joint.runs:
         drawn = known.of_run(run.file)
@@ -171,7 +174,7 @@ def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
             yield _of_estimate("run", f"friction {run.kind}", run.factors["friction"], friction)
 
 
-def of_parts(known: Known, selection: Selection, found: Identification) -> Iterator[Score]:
+def of_parts(known: Known, selection: RunSelection, found: Identification) -> Iterator[Score]:
     """Compare what is derived from relaxations, Coulomb runs and drags on their own."""
     if found.relaxation:
         yield from _of_relaxation(known, found.relaxation)
@@ -181,7 +184,7 @@ def of_parts(known: Known, selection: Selection, found: Identification) -> Itera
         yield from _of_drag(known, selection, found.drag)
 
 
-def _of_relaxation(known: Known, found: Relaxation) -> Iterator[Score]:
+def _of_relaxation(known: Known, found: RelaxationResult) -> Iterator[Score]:
     for fit in found.fits:
         wall = model_wall(known.of_run(fit.file), fit.shear_strain)
         # Nobody knows the true gain: the elements are those that the force channel shows.
@@ -191,7 +194,7 @@ def _of_relaxation(known: Known, found: Relaxation) -> Iterator[Score]:
             yield _of_quantity("relaxation", one, true[one.name])
 
 
-def _of_coulomb(known: Known, selection: Selection, found: Coulomb) -> Iterator[Score]:
+def _of_coulomb(known: Known, selection: RunSelection, found: CoulombResult) -> Iterator[Score]:
     mu = known.specimen.friction_coefficient
     yield _of_estimate("coulomb", "mu_without_viscous", found.mu_without_viscous, mu)
     slowest = _steady(known, selection.of_kind("coulomb")[0], SPEEDS_MM_S[0])
@@ -199,7 +202,7 @@ def _of_coulomb(known: Known, selection: Selection, found: Coulomb) -> Iterator[
     yield _of_estimate("coulomb", "mu", found.mu, mu + float(slowest.f_v[0]) / weight)
 
 
-def _of_drag(known: Known, selection: Selection, found: Drag) -> Iterator[Score]:
+def _of_drag(known: Known, selection: RunSelection, found: DragResult) -> Iterator[Score]:
     for point in found.points:
         steady = _steady(known, selection.of_kind("drag")[0], point.speed_mm_s)
         true = known.specimen.force_gain * float(steady.total[0])
@@ -210,7 +213,7 @@ def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyFo
     return steady_forces([speed_mm_s], known.specimen, experiment.capsule, experiment.wall_thickness_mm)
 
 
-def _of_quantity(group: str, one: Quantity, true: float, learnt: float = 1.0) -> Score:
+def _of_quantity(group: str, one: EstimatedQuantity, true: float, learnt: float = 1.0) -> Score:
     # A positive quantity is lognormal.
     of = log if one.interval[0] > 0 else float
     low, value, high = map(of, (one.interval[0], one.value, one.interval[1]))

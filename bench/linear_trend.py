@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from dragrig.analysis.nominal.own import ChannelModel, Moment, Parameter
+from dragrig.analysis.models.nominal_model import ChannelModel, MotionState, Parameter
 from dragrig.rig.arrays import FloatArray
 
 
@@ -16,7 +16,7 @@ class LinearTrend(ChannelModel):
         Parameter("trend_mN_mm", "mN/mm", 0.0, 100.0, positive=False, meaning="by how much it grows with slip"),
     )
 
-    def predict(self, values: Mapping[str, float], at: Moment) -> FloatArray:
+    def predict(self, values: Mapping[str, float], at: MotionState) -> FloatArray:
         """Return level and trend."""
         return values["friction_mN"] + values["trend_mN_mm"] * at.position_mm
 

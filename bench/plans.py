@@ -20,18 +20,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.diagnose import Options, diagnose
-from dragrig.analysis.gap.planning.search import Budget
-from dragrig.analysis.gap.planning.trials import Limits
-from dragrig.analysis.gap.planning.writing import plan_of
-from dragrig.analysis.gap.results import Diagnosis
-from dragrig.analysis.nominal.capsule import CapsuleModel
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits, plan_of_next_runs
+from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
+from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.models.capsule_model import CapsuleModel
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
+from dragrig.parallel import open_executor, parallel_map
 from dragrig.setup import PlanLike, resolve
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, Listed, Secret, draw, make
-from dragrig.spreading import executor, spread
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, BlindCampaign, RunList, draw_campaign, write_campaign
 
 KINDS = ("drag", "coulomb", "relaxation", "blank")
 LATER_S = 120.0
@@ -71,12 +69,12 @@ def tables(plan: PlanLike, begin_s: float = 0.0) -> tuple[list[Mapping[str, str 
     return found, time_s
 
 
-def told(secret: Secret, listed: Listed, budget: Budget | None = None) -> Diagnosis:
+def told(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None = None) -> Diagnosis:
     """Write a campaign of the plant and diagnose it from its files alone."""
     with tempfile.TemporaryDirectory() as folder:
-        make(secret, folder, runs=listed)
-        options = Options() if budget is None else Options(next_runs=budget)
-        return diagnose(choose(Path(folder)), CapsuleModel(FrictionModelSettings(name="paper")), options)
+        write_campaign(secret, folder, runs=listed)
+        options = DiagnosisOptions() if budget is None else DiagnosisOptions(next_runs=budget)
+        return diagnose(select_runs(Path(folder)), CapsuleModel(FrictionModelSettings(name="paper")), options)
 
 
 def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> Mapping[str, object]:
@@ -105,9 +103,9 @@ def mix(cases: int, seed: int) -> list[Case]:
 
 def compared(case: Case) -> dict[str, object]:
     """Diagnose the same hidden effect by the runs of two plans."""
-    secret = draw(case.seed, effects=[case.effect] if case.effect else None, size=case.size or 1.0)
+    secret = draw_campaign(case.seed, effects=[case.effect] if case.effect else None, size=case.size or 1.0)
     truth = [case.effect] if case.effect in CATALOGUE else ["unknown" if case.effect else "no_gap"]
-    plans = {name: Listed.of(name, tables(name)[0]) for name in ("paper", "diagnose")}
+    plans = {name: RunList.of(name, tables(name)[0]) for name in ("paper", "diagnose")}
     return {name: entry(told(secret, listed), truth) for name, listed in plans.items()}
 
 
@@ -115,15 +113,15 @@ def advised(case: Case) -> dict[str, object]:
     """Diagnose first runs, then these with the same again, and with advised runs in at most as much rig time."""
     first, ends_s = tables(FIRST)
     again, _ = tables(FIRST, ends_s + LATER_S)
-    budget = Budget(ends_s / 60, 30, limits=Limits(kinds=KINDS))
-    secret = draw(case.seed, effects=[case.effect], size=case.size)
-    before = told(secret, Listed.of("first", first), budget)
+    budget = ExperimentBudget(ends_s / 60, 30, limits=RigLimits(kinds=KINDS))
+    secret = draw_campaign(case.seed, effects=[case.effect], size=case.size)
+    before = told(secret, RunList.of("first", first), budget)
     advice = before.next_experiment
-    more = [] if advice is None else tables(plan_of(advice), ends_s + LATER_S)[0]
+    more = [] if advice is None else tables(plan_of_next_runs(advice), ends_s + LATER_S)[0]
     return {
         "first": entry(before, [case.effect]),
-        "repeated": entry(told(secret, Listed.of("first", [*first, *again])), [case.effect]),
-        "advised": entry(told(secret, Listed.of("first", [*first, *more])), [case.effect]),
+        "repeated": entry(told(secret, RunList.of("first", [*first, *again])), [case.effect]),
+        "advised": entry(told(secret, RunList.of("first", [*first, *more])), [case.effect]),
         "minutes": 0.0 if advice is None else round(advice.minutes, 2),
         "runs": [] if advice is None else [f"{one.step.kind} {dict(one.settings)}" for one in advice.runs],
     }
@@ -133,8 +131,8 @@ def hold(what: str, cases: Sequence[Case], out: Path, workers: int) -> None:
     """Diagnose all cases that have no line in the results yet."""
     there = {one["seed"] for one in lines_of(out)}
     waiting = [one for one in cases if one.seed not in there]
-    with executor(workers) as here:
-        spread(here, WAYS[what].work, waiting, lambda case, found: keep(out, {**asdict(case), **found}))
+    with open_executor(workers) as here:
+        parallel_map(here, WAYS[what].work, waiting, lambda case, found: keep(out, {**asdict(case), **found}))
 
 
 def keep(out: Path, one: Mapping[str, object]) -> None:

@@ -13,16 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.devices import Acquisition, Contact
+from dragrig.config.specimen import Capsule, Fixture, Specimen
+from dragrig.rig.devices import Acquisition, BackendRequest, Contact
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.dialects.base import Command
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 
 SPEED_MM_S = 20.0
@@ -39,7 +37,7 @@ ACQUISITION = Acquisition(
     order=0,
     kind="drag",
     profile=MotionProfile.from_pieces(
-        (still(0.1, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), still(0.1, Phase.HOLD))
+        (stationary_piece(0.1, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), stationary_piece(0.1, Phase.HOLD))
     ),
     capsule=Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1),
     specimen=Specimen(name="none"),

@@ -17,11 +17,11 @@ from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QLabel, QLineEdit, QWidget
 
 import dragrig
-from dragrig.engine_host.messages import Answer, Reset, RigTerms
-from dragrig.lab import create
-from dragrig.window.application import application
-from dragrig.window.main_window import MainWindow
-from dragrig.window.remembered import Remembered
+from dragrig.engine_host.messages import ResetGuard, RigSelection
+from dragrig.lab import create_lab
+from dragrig.rig.operator import Answer
+from dragrig.window.main_window import MainWindow, qt_application
+from dragrig.window.widgets import StoredSettings
 
 PATIENCE_S = 600.0
 
@@ -30,10 +30,10 @@ class Photographer:
     """Uses a window and takes its picture."""
 
     def __init__(self, folder: Path, lab: Path) -> None:
-        self.application = application()
+        self.application = qt_application()
         self.folder, self.place = folder, lab.parent
         settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-        self.window = MainWindow(RigTerms(rig=lab / "rig.toml"), lab, Remembered(settings), PATIENCE_S)
+        self.window = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), PATIENCE_S)
         self.window.resize(1500, 1000)
         self.window.show()
 
@@ -85,7 +85,7 @@ def run_page(camera: Photographer) -> None:
     new.operator.setText("A. Person")
     camera.until(lambda: bool(window.guard.text().startswith("guard: TRIPPED")))
     camera.take("tripped")
-    window.engine.ask(Reset())
+    window.engine.ask(ResetGuard())
     camera.until(lambda: window.guard.text() == "guard: armed")
     camera.until(lambda: window.run.devices.devices.rowCount() > 0)
     for key, text in {"speed_mm_s": "5, 10, 20", "wait_s": "0", "repeats": "2"}.items():
@@ -140,7 +140,7 @@ def main(folder: Path) -> None:
     """Take all pictures."""
     with tempfile.TemporaryDirectory() as place:
         lab = Path(place) / "lab"
-        create(lab)
+        create_lab(lab)
         campaign = lab / "runs" / "stribeck"
         # Less rest than a specimen would want: nobody looks at it.
         dragrig.simulate(

@@ -13,19 +13,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dragrig.config.library import find
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.backend import Backend, BackendRequest
-from dragrig.rig.devices import Acquisition
-from dragrig.rig.programme import PlannedRun, build
+from dragrig.rig.devices import Acquisition, Backend, BackendRequest
+from dragrig.rig.programme import PlannedRun, build_programme
 from dragrig.sim_backend.devices import open_backend
+from dragrig.sim_backend.devices.channels import SimulatedChannels
 from dragrig.sim_backend.devices.faults import NO_FAULTS
-from dragrig.sim_backend.devices.noise import force_noise, motor_noise
-from dragrig.sim_backend.devices.reading import CHUNK_SAMPLES
-from dragrig.sim_backend.devices.signals import Signals
+from dragrig.sim_backend.devices.simulated_sampler import CHUNK_SAMPLES
+from dragrig.sim_backend.devices.variability import force_noise, motor_noise
 from dragrig.sim_backend.friction import prepare
 
 REPEATS = 7
@@ -94,7 +93,7 @@ def noise(programme: list[Acquisition]) -> None:
 def signals(programme: list[Acquisition]) -> None:
     """Compute all channels, without stage, clock and blocks."""
     for one in programme:
-        computed = Signals(RIG, MODEL, one, NO_FAULTS)
+        computed = SimulatedChannels(RIG, MODEL, one, NO_FAULTS)
         for first, end in chunks(one):
             computed.compute(first, end, RIG.stage.start_mm)
 
@@ -112,8 +111,8 @@ def best_of(work: Callable[[], object]) -> float:
 
 def main() -> None:
     """Print the ratio and where the time goes."""
-    plan = find(Plan, "plan", "paper")
-    runs = build(plan, find(Specimen, "specimen", "jejunum"), 0.0, "paper").runs
+    plan = find_settings(Plan, "plan", "paper")
+    runs = build_programme(plan, find_settings(Specimen, "specimen", "jejunum"), 0.0, "paper").runs
     programme = [acquisition(order, run) for order, run in enumerate(runs) if run.follows < 0]
     backend = open_backend(BackendRequest(RIG, MODEL))
     backend.stage.enable()

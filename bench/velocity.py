@@ -8,16 +8,14 @@ import threading
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
+from dragrig.rig.devices import Acquisition, BackendRequest, Contact
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
 from dragrig.sim_backend.doubles.backend import DoubleBackend
-from dragrig.sim_backend.doubles.drive.amplifier import LAG_S
+from dragrig.sim_backend.doubles.carriage import VELOCITY_LAG_S
 
 RATE = 1000.0
 NEVER = threading.Event()
@@ -25,7 +23,7 @@ RIG = RigSettings.model_validate(
     {
         "hardware": {
             "card": {"lines": {"heartbeat": "port1/line4"}},
-            "drive": {"mode": "velocity", "homing_speed_mm_s": 50.0, "velocity": {"lag_s": LAG_S}},
+            "drive": {"mode": "velocity", "homing_speed_mm_s": 50.0, "velocity": {"lag_s": VELOCITY_LAG_S}},
         },
         "stage": {"start_mm": 1.0},
     }
@@ -35,14 +33,16 @@ RIG = RigSettings.model_validate(
 def stroke(travel_mm: float, speed_mm_s: float) -> MotionProfile:
     """Return a stroke with a rest before and a hold after it."""
     pieces = trapezoid(travel_mm, speed_mm_s, 2000.0)
-    return MotionProfile.from_pieces((still(0.2, Phase.REST), *pieces, still(1.0, Phase.HOLD)))
+    return MotionProfile.from_pieces((stationary_piece(0.2, Phase.REST), *pieces, stationary_piece(1.0, Phase.HOLD)))
 
 
 def sine(speed_mm_s: float, period_s: float) -> MotionProfile:
     """Return two periods of a speed like a sine, in steps of 10 ms."""
     time_s = np.arange(0.0, 2 * period_s + 0.005, 0.01)
     changes = np.diff(speed_mm_s * np.sin(2 * np.pi * time_s / period_s)) / 0.01
-    return MotionProfile.from_pieces((*(Piece(0.01, one, Phase.STEADY) for one in changes), still(1.0, Phase.HOLD)))
+    return MotionProfile.from_pieces(
+        (*(Piece(0.01, one, Phase.STEADY) for one in changes), stationary_piece(1.0, Phase.HOLD))
+    )
 
 
 def record(backend: DoubleBackend, profile: MotionProfile, stop_s: float = np.inf) -> tuple[FloatArray, float]:

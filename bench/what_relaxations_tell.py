@@ -6,8 +6,8 @@ Simulated at 100 % strain with the paper's values and the default noise; the tim
 """
 
 import dragrig
-from dragrig.analysis.identification.relaxation import identify_relaxation
-from dragrig.analysis.identification.selection import select_from
+from dragrig.analysis.identification.relaxation_elements import identify_relaxation
+from dragrig.analysis.selection import select_loaded_runs
 
 USUAL = {"hold_s": 20.0, "ramp_speed_mm_s": 20.0, "rate_hz": 500.0}
 CHANGES: tuple[dict[str, float], ...] = (
@@ -36,7 +36,7 @@ def main() -> None:
             "relaxation",
             assignments=[*assignments, "shear_strain=1.0", f"rig.sampling.rate_hz={chosen['rate_hz']}"],
         )
-        (fit,) = identify_relaxation(select_from(run for run in runs if run.info.kind == "relaxation")).fits
+        (fit,) = identify_relaxation(select_loaded_runs(run for run in runs if run.info.kind == "relaxation")).fits
         name = ", ".join(f"{key} {value:g}" for key, value in change.items()) or "20 s, 20 mm/s, 500 Hz"
         widths = "".join(f"{100 * one.half_width:8.2g}" for one in fit.elements)
         print(f"{name:28}{widths or '  none: ' + fit.remark}")

@@ -11,10 +11,10 @@ import argparse
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import dragrig
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.results import JointFit
-from dragrig.analysis.identification.selection import select_from
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.identification.identification import JointFit
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.plan import Plan
 from dragrig.rig.runfile.model import Run
 
@@ -78,7 +78,7 @@ def main() -> None:
     seed = parser.parse_args().seed
     runs, soon = simulate((RELAXATIONS, BLANKS, COULOMB, DRAGS), seed), simulate((SOON,), seed)
     print("waits 1 s: 22 drags as the others, but 1 s after the last standstill instead of 60 s")
-    table({name: fit_jointly(select_from(chosen), MODEL) for name, chosen in parts(runs, soon)})
+    table({name: fit_jointly(select_loaded_runs(chosen), MODEL) for name, chosen in parts(runs, soon)})
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ from contextlib import contextmanager
 import numpy as np
 from PySide6.QtCore import QEvent, QObject
 
-from dragrig.engine_host.live import Fresh
-from dragrig.window.application import application
-from dragrig.window.plots.panel import Panel
-from dragrig.window.plots.pyramid import Pyramid
-from dragrig.window.run.live import LiveView
+from dragrig.engine_host.messages import LiveSamples
+from dragrig.window.live_view import LiveView
+from dragrig.window.main_window import qt_application
+from dragrig.window.plots import TimePlot
+from dragrig.window.trace_pyramid import TracePyramid
 
 FRAMES = 60
 WANTED_HZ = 30.0
@@ -34,7 +34,7 @@ RATE_HZ = 250_000.0
 class Paints(QObject):
     """Counts how often plots are painted."""
 
-    def __init__(self, *plots: Panel) -> None:
+    def __init__(self, *plots: TimePlot) -> None:
         super().__init__()
         self.count = 0
         self._views = [plot.widget.viewport() for plot in plots]
@@ -47,9 +47,9 @@ class Paints(QObject):
         return False
 
 
-def frames(draw: Callable[[int], None], *plots: Panel) -> np.ndarray:
+def frames(draw: Callable[[int], None], *plots: TimePlot) -> np.ndarray:
     """Return times of frames [s]; each is drawn and painted."""
-    app = application()
+    app = qt_application()
     app.processEvents()
     paints, took = Paints(*plots), []
     for number in range(FRAMES):
@@ -70,12 +70,12 @@ def told(name: str, took: np.ndarray) -> None:
 
 def still() -> None:
     """Zoom and pan over 10 million points."""
-    application()
-    panel = Panel("Force", "mN")
+    qt_application()
+    panel = TimePlot("Force", "mN")
     panel.widget.resize(1000, 600)
     panel.widget.show()
     noise = np.random.default_rng(1).normal(100.0, 3.0, POINTS).astype(np.float32)
-    pyramid = Pyramid()
+    pyramid = TracePyramid()
     begun = time.perf_counter()
     pyramid.append(noise)
     print(f"pyramid of {POINTS / 1e6:g} million points: {time.perf_counter() - begun:.2f} s, once")
@@ -95,7 +95,7 @@ def still() -> None:
 
 def live() -> None:
     """Draw what comes at 250 kS/s, as fast as it comes: the frame holds what a 30th of a second brings."""
-    application()
+    qt_application()
     view = LiveView()
     view.resize(1000, 700)
     view.show()
@@ -106,7 +106,7 @@ def live() -> None:
         first = number * per_frame
         force = rng.normal(100.0, 3.0, per_frame).astype(np.float32)
         position = (np.arange(first, first + per_frame) / RATE_HZ * 20.0).astype(np.float32)
-        view.take(Fresh(2, RATE_HZ, first, 0, force, position, np.full(per_frame, 2, np.uint8)))
+        view.take(LiveSamples(2, RATE_HZ, first, 0, force, position, np.full(per_frame, 2, np.uint8)))
 
     plots = (view.force, view.position, view.speed)
     first = frames(draw, *plots)

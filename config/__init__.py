@@ -1,1 +1,1 @@
-"""What may be set: the schema of rig, capsule, specimen, model and plan, and the files that ship."""
+"""What may be set: the schema of rig, specimen, capsule, friction model and plan, and the files that ship."""

@@ -68,6 +68,6 @@ class StaleDataError(DeviceError):
     """The sampler delivered nothing for longer than the guard allows."""
 
 
-def plain(error: DragrigError) -> str:
+def reason_of(error: DragrigError) -> str:
     """Return an error's sentence as a part of another one."""
     return str(error).rstrip(".")

@@ -1,34 +1,108 @@
-"""The real rig's wiring: what hangs on which terminal of the card, and how the drive is reached."""
+"""Wiring of the real rig: which signal is on which terminal of the card, and how the drive is reached.
 
+Terminals of the PCI-6229 are named without the device (NI 622x Specifications, pinout).
+"""
+
+import re
+from collections.abc import Iterable
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from dragrig.config.base import Settings
-from dragrig.config.terminals import (
-    AnalogInput,
-    AnalogOutput,
-    Counter,
-    InputTerminal,
-    InputTerminalOrNone,
-    LineOrNone,
-    used_twice,
-)
+from dragrig.config.settings import Settings
 
-_RANGES_V = (0.2, 1.0, 5.0, 10.0)
-_GREATEST_LOOP_GAIN = 0.75
+_LAST_LINE_OF_PORT = {0: 31, 1: 7, 2: 7}
+
+
+def _terminal_number(text: str, pattern: str, largest: int) -> int | None:
+    found = re.fullmatch(pattern + r"(\d{1,2})", text)
+    return int(found[1]) if found and int(found[1]) <= largest else None
+
+
+def _analog_input(channel: str) -> str:
+    number = _terminal_number(channel, "ai", 31)
+    if number is None or number % 16 > 7:
+        raise ValueError(
+            "must be the positive input of a differential pair, ai0 to ai7 or ai16 to ai23, without the device's name"
+        )
+    return channel
+
+
+def _analog_output(channel: str) -> str:
+    if _terminal_number(channel, "ao", 3) is None:
+        raise ValueError("must be an analog output, ao0 to ao3, without the device's name")
+    return channel
+
+
+def _counter(name: str) -> str:
+    if _terminal_number(name, "ctr", 1) is None:
+        raise ValueError("must be a counter, ctr0 or ctr1, without the device's name")
+    return name
+
+
+def _input_terminal(name: str) -> str:
+    if _terminal_number(name, "PFI", 15) is None:
+        raise ValueError("must be an input terminal, PFI0 to PFI15, without the device's name")
+    return name
+
+
+def _line(name: str) -> str:
+    port, _, number = name.removeprefix("port").partition("/line")
+    port_known = name.startswith("port") and port in {str(one) for one in _LAST_LINE_OF_PORT}
+    if not port_known or _terminal_number(number, "", _LAST_LINE_OF_PORT[int(port)]) is None:
+        raise ValueError("must be a digital line such as port1/line0, without the device's name; empty if not wired")
+    return name
+
+
+def _optional_input_terminal(name: str) -> str:
+    return name and _input_terminal(name)
+
+
+def _optional_line(name: str) -> str:
+    return name and _line(name)
+
+
+AnalogInput = Annotated[str, AfterValidator(_analog_input)]
+AnalogOutput = Annotated[str, AfterValidator(_analog_output)]
+Counter = Annotated[str, AfterValidator(_counter)]
+InputTerminal = Annotated[str, AfterValidator(_input_terminal)]
+OptionalInputTerminal = Annotated[str, AfterValidator(_optional_input_terminal)]
+OptionalLine = Annotated[str, AfterValidator(_optional_line)]
+
+
+def shared_pin(name: str) -> str:
+    """Spell a digital line as the input terminal whose pin it shares; any other name as it is.
+
+    Port 1 is PFI0 to PFI7, port 2 is PFI8 to PFI15.
+    """
+    found = re.fullmatch(r"port([12])/line(\d)", name)
+    return f"PFI{8 * (int(found[1]) - 1) + int(found[2])}" if found else name
+
+
+def find_shared_pin(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return two of the names that are one pin of the card, if there are any; empty names are not wired."""
+    seen: dict[str, str] = {}
+    for name in filter(None, names):
+        if shared_pin(name) in seen:
+            return seen[shared_pin(name)], name
+        seen[shared_pin(name)] = name
+    return None
+
+
+_INPUT_RANGES_V = (0.2, 1.0, 5.0, 10.0)
+_MAX_LOOP_GAIN = 0.75
 """Gain times dead time of a loop around an integrator: it swings for ever at 1.57, rings above about half of that."""
 
 
-def _of_the_card(range_V: float) -> float:
-    if range_V not in _RANGES_V:
+def _card_range(range_V: float) -> float:
+    if range_V not in _INPUT_RANGES_V:
         raise ValueError(
-            f"must be one of {', '.join(f'{one:g}' for one in _RANGES_V)}, the card's ranges to either side"
+            f"must be one of {', '.join(f'{one:g}' for one in _INPUT_RANGES_V)}, the card's ranges to either side"
         )
     return range_V
 
 
-InputRange = Annotated[float, AfterValidator(_of_the_card)]
+InputRange = Annotated[float, AfterValidator(_card_range)]
 """Volts to either side that an analog input of the card takes."""
 
 
@@ -78,7 +152,7 @@ class EncoderInputSettings(Settings):
     counter: Counter = "ctr0"
     a: InputTerminal = "PFI8"
     b: InputTerminal = "PFI10"
-    z: InputTerminalOrNone = "PFI9"
+    z: OptionalInputTerminal = "PFI9"
     """Index pulse; empty when it is not wired."""
     filter_ns: Literal[0, 125, 6425, 2_560_000] = 125
     """Shortest pulse that counts; 6425 limits the speed to about 0.3 m/s."""
@@ -89,15 +163,15 @@ class EncoderInputSettings(Settings):
 class LineSettings(Settings):
     """Digital lines; an empty one is not wired. A broken wire reads as pressed: switches are normally closed."""
 
-    enable: LineOrNone = "port1/line0"
+    enable: OptionalLine = "port1/line0"
     """Out: the drive's enable."""
-    e_stop: LineOrNone = "port1/line1"
+    e_stop: OptionalLine = "port1/line1"
     """In: low when pressed."""
-    limit_low: LineOrNone = "port1/line2"
+    limit_low: OptionalLine = "port1/line2"
     """In: low at the lower end of travel."""
-    limit_high: LineOrNone = "port1/line3"
+    limit_high: OptionalLine = "port1/line3"
     """In: low at the upper end of travel."""
-    heartbeat: LineOrNone = ""
+    heartbeat: OptionalLine = ""
     """Out: toggled while the program is well; an external relay takes the drive's power when it stops."""
     heartbeat_s: float = Field(default=0.05, gt=0, le=1)
     """Time between two edges of the heartbeat."""
@@ -126,7 +200,7 @@ class CardSettings(Settings):
                 raise ValueError(f"inputs: {what} = {twice!r} is there already; each input needs its own")
         lines, encoder = self.lines, self.encoder
         wired = (lines.enable, lines.e_stop, lines.limit_low, lines.limit_high, lines.heartbeat)
-        if both := used_twice((*wired, encoder.a, encoder.b, encoder.z)):
+        if both := find_shared_pin((*wired, encoder.a, encoder.b, encoder.z)):
             one, other = both
             raise ValueError(
                 f"{one} is wired to two signals under lines and encoder; give each a terminal of its own"
@@ -163,9 +237,9 @@ class VelocityOutputSettings(Settings):
     @model_validator(mode="after")
     def _settles(self) -> Self:
         dead_s = self.update_s * (self.ahead + 1) + self.lag_s
-        if self.gain_per_s * dead_s > _GREATEST_LOOP_GAIN:
+        if self.gain_per_s * dead_s > _MAX_LOOP_GAIN:
             raise ValueError(
-                f"gain_per_s must not exceed {_GREATEST_LOOP_GAIN / dead_s:.3g} with these update_s, ahead and lag_s, "
+                f"gain_per_s must not exceed {_MAX_LOOP_GAIN / dead_s:.3g} with these update_s, ahead and lag_s, "
                 "or the stage would swing about its command"
             )
         return self

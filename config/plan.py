@@ -1,8 +1,8 @@
 """Plans: what a session does, step by step.
 
-A step names a kind of run. Its own keys are here; the keys of its protocol (`speed_mm_s`, `shear_strain`, …)
-stand beside them in the file, are kept in `parameters`, and are checked by the protocol itself. Where a
-protocol's key takes one number, a list makes one run of each.
+A step names a kind of run. Its own keys are defined here; the keys of its protocol (`speed_mm_s`, `shear_strain`, …)
+stand beside them in the file, are collected in `parameters`, and are validated by the protocol. Where a key of the
+protocol takes one number, a list of numbers makes one run of each.
 """
 
 from collections.abc import Mapping
@@ -11,11 +11,11 @@ from typing import Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
-from dragrig.config.base import Settings
+from dragrig.config.settings import Settings
 from dragrig.config.specimen import Fixture
 
 
-class Order(StrEnum):
+class RunOrder(StrEnum):
     """In which order the runs of a step are made."""
 
     LISTED = "listed"
@@ -24,7 +24,7 @@ class Order(StrEnum):
     RANDOM_WITHIN_REPEAT = "random_within_repeat"
 
 
-class WayBack(StrEnum):
+class ReturnMode(StrEnum):
     """How the capsule gets back to where the step's runs begin."""
 
     DRIVEN = "driven"
@@ -35,7 +35,7 @@ class WayBack(StrEnum):
     """Not at all: the next run begins where this one ended."""
 
 
-class Step(Settings):
+class PlanStep(Settings):
     """One step of a plan."""
 
     kind: str = Field(min_length=1)
@@ -48,11 +48,11 @@ class Step(Settings):
     """What holds the gut; the protocol's usual one unless given."""
     repeats: int = Field(default=1, ge=1, le=1000)
     """How often each run of the step is made."""
-    order: Order = Order.LISTED
+    order: RunOrder = RunOrder.LISTED
     """In which order the runs of the step are made."""
     wait_s: float = Field(default=60.0, ge=0, le=86_400)
     """Rest before each run, from the last standstill on; with a capsule in the gut, the age of the contact."""
-    way_back: WayBack = WayBack.DRIVEN
+    way_back: ReturnMode = ReturnMode.DRIVEN
     """How the capsule gets back to where the step's runs begin."""
     way_back_speed_mm_s: float = Field(default=20.0, gt=0)
     """Speed of a driven way back."""
@@ -87,4 +87,4 @@ class Plan(Settings):
     description: str = ""
     seed: int = Field(default=0, ge=0, lt=2**63)
     """Seed of the random orders."""
-    steps: tuple[Step, ...] = Field(min_length=1)
+    steps: tuple[PlanStep, ...] = Field(min_length=1)

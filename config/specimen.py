@@ -1,10 +1,11 @@
-"""The piece of gut and what is noted about it."""
+"""What is tested: the piece of gut, what holds it, and the capsule dummy."""
 
 from enum import StrEnum
+from typing import Literal
 
 from pydantic import AwareDatetime, Field
 
-from dragrig.config.base import Settings
+from dragrig.config.settings import Settings
 
 
 class Fixture(StrEnum):
@@ -31,3 +32,16 @@ class Specimen(Settings):
     mounted_at: AwareDatetime | None = None
     storage: str = ""
     temperature_degC: float | None = Field(default=None, ge=-10, le=60)
+
+
+class Capsule(Settings):
+    """A cylinder with hemispherical ends."""
+
+    name: str = Field(min_length=1)
+    surface: Literal["rough", "smooth"]
+    """A rough capsule sticks to the wall (relaxation), a smooth one slides."""
+    diameter_mm: float = Field(gt=0, le=100)
+    length_mm: float = Field(gt=0, le=200)
+    mass_g: float = Field(ge=0, le=1000)
+    contact_angle_deg: float = Field(default=60.0, gt=0, lt=90)
+    """Angle of the contact on the hemisphere, the paper's α."""

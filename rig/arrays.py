@@ -1,4 +1,4 @@
-"""The array types that cross module boundaries."""
+"""Array types that cross module boundaries."""
 
 from typing import TypeAlias
 

@@ -1,29 +1,96 @@
-"""What a rig is made of: small protocols that real and simulated devices both fulfil.
+"""Device interfaces that real and simulated rigs both implement: stage, sampler, clock, and the backend that holds them.
 
-A block is immutable and passes guard, recorder and viewers in that order. Positions of the stage are
-absolute (after homing); positions inside a block are relative to where the run started.
+A block is immutable and passes guard, recorder and viewers in that order. Positions of the stage are absolute (after
+homing); positions inside a block are relative to where the run started. What every stage refuses before it moves
+(travel, speed, acceleration, an end in motion) is checked here, with run-up and run-down included.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import datetime
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timedelta
 from enum import StrEnum
 from threading import Event as Signal
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.specimen import Fixture, Specimen
+import numpy as np
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import Calibration, RigSettings, StageSettings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.raw import RawReading
 from dragrig.rig.runfile.model import Channel
-from dragrig.rig.trips import Trip
 
-LONGEST_BLOCK_S = 0.05
+
+class TripCause(StrEnum):
+    """What the guard can trip on."""
+
+    START_UP = "start-up"
+    POSITION = "position"
+    SPEED = "speed"
+    FORCE = "force"
+    FOLLOWING_ERROR = "following error"
+    STALE_DATA = "stale data"
+    NOT_A_NUMBER = "not a number"
+    DRIVE_FAULT = "drive fault"
+    CARD_FAULT = "card fault"
+    EMERGENCY_STOP = "emergency stop"
+    LIMIT_SWITCH_LOW = "lower limit switch"
+    LIMIT_SWITCH_HIGH = "upper limit switch"
+    SENSOR_OVERLOAD = "sensor overload"
+    SENSOR_OPEN = "sensor open circuit"
+    ENCODER_SILENT = "encoder silent"
+    OVERRUN = "overrun"
+    WATCHDOG = "watchdog"
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A condition that forbids motion: its kind, and a person's words for it, without a full stop."""
+
+    cause: TripCause
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class RawReading:
+    """A stretch of samples that nobody has scaled.
+
+    Attributes
+    ----------
+    force_V, force_V_sd
+        Mean and standard deviation of the force input [V].
+    samples
+        How many samples they are of.
+    counts_begin, counts_end
+        The encoder's count at the first and the last sample, upwards where the stage goes up.
+    """
+
+    force_V: float
+    force_V_sd: float
+    samples: int
+    counts_begin: int
+    counts_end: int
+
+    @classmethod
+    def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray) -> "RawReading":
+        """Sum up volts and counts, both of shape `(n,)`."""
+        return cls(
+            force_V=float(np.mean(force_V, dtype=np.float64)),
+            force_V_sd=float(np.std(force_V, dtype=np.float64)),
+            samples=len(force_V),
+            counts_begin=round(float(counts[0])),
+            counts_end=round(float(counts[-1])),
+        )
+
+
+MAX_BLOCK_S = 0.05
 """No block spans more than this, so that the guard never sees older data than this."""
 
 
-class Side(StrEnum):
+class TravelEnd(StrEnum):
     """An end of the stage's travel."""
 
     LOW = "low"
@@ -164,7 +231,7 @@ class Stage(Protocol):
         """Brake to a standstill now, whatever is under way. Must be safe to call at any time, twice too."""
         ...
 
-    def override_limit(self, side: Side) -> None:
+    def override_limit(self, side: TravelEnd) -> None:
         """Let the next motion begin, away from it, although the limit switch of this side is pressed.
 
         `fault` does not tell of that switch until the motion is over, of everything else as ever, and a position
@@ -213,7 +280,7 @@ class Sampler(Protocol):
         ...
 
     def read(self, cancel: Signal) -> Block | None:
-        """Return the next block, at most `LONGEST_BLOCK_S` long; None once the profile is over or `cancel` is set.
+        """Return the next block, at most `MAX_BLOCK_S` long; None once the profile is over or `cancel` is set.
 
         After `Stage.stop` a sampler still yields what was sampled until the stage stood still, then None.
         Raises `StaleDataError` when no sample arrives in time, another `DeviceError` when the device fails.
@@ -230,3 +297,176 @@ class Sampler(Protocol):
         Raises `DeviceError` while an acquisition is armed, and when the device fails.
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class RigCheck:
+    """What a look at one device found, in a person's words."""
+
+    what: str
+    fine: bool
+    detail: str
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """A rig: its devices, its clock and its name in run files."""
+
+    @property
+    def name(self) -> str:
+        """Name that the run files carry: simulated, hardware, …."""
+        ...
+
+    @property
+    def stage(self) -> Stage:
+        """The axis."""
+        ...
+
+    @property
+    def sampler(self) -> Sampler:
+        """The acquisition."""
+        ...
+
+    @property
+    def needs_hands(self) -> bool:
+        """Whether a person has to be at the rig: one has to look before the guard is reset, and hands do the rest."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The time that this rig lives in."""
+        ...
+
+    def description(self) -> Mapping[str, str | float | int | bool]:
+        """Return what run files say of the devices, as attributes of `/entry`: sensor_serial, seed, …."""
+        ...
+
+    def examine(self) -> Iterator[RigCheck]:
+        """Look at every device in turn without moving anything; what a finding needs before it is connected for it."""
+        ...
+
+    def close(self) -> None:
+        """Release every device. Must be safe to call twice."""
+        ...
+
+
+@runtime_checkable
+class SupportsBenchActions(Protocol):
+    """A backend without a bench, which has to be told what hands do there: doubles of the hardware."""
+
+    def hang(self, load_mN: float) -> None:
+        """Take a load to hang on the force sensor, in place of the one before."""
+        ...
+
+    def push(self, distance_mm: float, within_s: float) -> None:
+        """Take the carriage, switched off, to be pushed by a signed distance during the next measurement."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BackendRequest:
+    """What a backend's factory is given.
+
+    A factory is what an entry point of the group `dragrig.setup` names: a callable that takes one of
+    these and returns a `Backend`, raising `SettingsError` or `DeviceError`.
+    """
+
+    rig: RigSettings
+    model: FrictionModelSettings
+    real_time: bool = False
+    """Whether a simulated clock runs at the pace of the wall's."""
+    origin: datetime | None = None
+    """Time of day at which a simulated session begins; now unless given."""
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
+    """The calibration that holds now, by quantity (force, encoder)."""
+    connect: bool = True
+    """Whether the devices are to be connected at once; `Backend.examine` connects those that it looks at."""
+    pace: float = 1.0
+    """How many times faster than the wall's clock a double of the hardware lives."""
+    first_run_at: datetime | None = None
+    """When the campaign's first run began, in a session that goes on with it."""
+
+
+def with_utc_offset(origin: datetime | None) -> datetime:
+    """Return `origin`, or now, as a time with its offset from UTC; a time without one is local."""
+    if origin is None:
+        return datetime.now().astimezone()
+    return origin if origin.tzinfo is not None else origin.astimezone()
+
+
+class WallClock:
+    """A clock at the pace of the wall's, whose time of day may begin elsewhere."""
+
+    def __init__(self, origin: datetime | None = None) -> None:
+        self._origin = with_utc_offset(origin)
+        self._begun_s = time.perf_counter()
+
+    def now(self) -> datetime:
+        """Time of day, with offset."""
+        return self._origin + timedelta(seconds=self.monotonic())
+
+    def monotonic(self) -> float:
+        """Seconds since the clock was made."""
+        return time.perf_counter() - self._begun_s
+
+    def sleep(self, duration_s: float, cancel: Signal) -> bool:
+        """Wait; return False within milliseconds when `cancel` is set before the time is over."""
+        return not (cancel.wait(duration_s) if duration_s > 0 else cancel.is_set())
+
+
+STANDSTILL_SPEED_MM_S = 1e-6
+
+
+def stage_limits(settings: StageSettings) -> StageLimits:
+    """Return what the settings allow the stage."""
+    return StageLimits(
+        lowest_mm=settings.lowest_mm,
+        highest_mm=settings.highest_mm,
+        speed_mm_s=settings.max_speed_mm_s,
+        acceleration_mm_s2=settings.max_accel_mm_s2,
+    )
+
+
+def limits_with_override(limits: StageLimits, override: TravelEnd | None, origin_mm: float) -> StageLimits:
+    """Return the limits of a move off an overridden limit switch: it begins outside the soft ones."""
+    match override:
+        case TravelEnd.LOW:
+            return replace(limits, lowest_mm=min(limits.lowest_mm, origin_mm))
+        case TravelEnd.HIGH:
+            return replace(limits, highest_mm=max(limits.highest_mm, origin_mm))
+        case None:
+            return limits
+
+
+def require_within_limits(profile: MotionProfile, origin_mm: float, limits: StageLimits, tolerance_mm: float) -> None:
+    """Refuse a profile from an absolute position that the stage must not follow.
+
+    Parameters
+    ----------
+    tolerance_mm
+        So far beyond its travel counts as at its end: a count or two of an encoder.
+
+    Raises
+    ------
+    DeviceError
+        When it leaves the stage's travel, exceeds its speed or acceleration, or does not end at a standstill.
+    """
+    extremes = profile.extremes()
+    lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
+    # Written so that a NaN is refused too.
+    if not (lowest >= limits.lowest_mm - tolerance_mm and highest <= limits.highest_mm + tolerance_mm):
+        raise DeviceError(
+            f"the stage refuses a move from {origin_mm:g} mm that reaches {lowest:g} to {highest:g} mm: its travel is "
+            f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
+        )
+    for what, unit, value, most, key in (
+        ("speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
+        ("acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
+    ):
+        if not value <= most * (1 + 1e-9):
+            raise DeviceError(
+                f"the stage refuses a {what} of {value:g} {unit}: it goes up to {most:g} {unit} "
+                f"(stage.{key} of the rig file)."
+            )
+    if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_SPEED_MM_S:
+        raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")

@@ -6,29 +6,323 @@
                         │                 │ abort, trip, fault, full disk           ▲
                         └─────────────────┴──▶ STOPPING ──stage stands, or 1 s──────┘
 
-Whatever happens, the stage is stopped first; every step of the clean-up stands on its own, so that one that
-fails keeps no other from being made; and the reason is written.
+Each block passes guard, record, checks and viewer. Whatever happens, the stage is stopped first; each step of the
+clean-up is independent, so that a failing step prevents no other; and the reason is written.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from enum import StrEnum
+from pathlib import Path
 from threading import Event as Signal
 from threading import Lock
+from typing import Protocol
 
-from dragrig.config.errors import DeviceError, RecordingError, TrippedError
+import numpy as np
+
+from dragrig.config.errors import (
+    AbortedError,
+    DeviceError,
+    DragrigError,
+    RecordingError,
+    StaleDataError,
+    TrippedError,
+    reason_of,
+)
 from dragrig.config.rig import RigSettings
-from dragrig.rig.acquiring import Acquiring, Outcome, attempt
-from dragrig.rig.backend import Backend
-from dragrig.rig.devices import Acquisition
+from dragrig.rig.arrays import AnyFloatArray, PhaseArray
+from dragrig.rig.devices import Acquisition, Backend, Block, Contact, Trip, TripCause
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
-from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import Status
-from dragrig.rig.store import Sink
+from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
+from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
 
 
-class State(StrEnum):
+class Sink(Protocol):
+    """Where readings are recorded."""
+
+    def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
+        """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
+        ...
+
+    def event(self, event: RunEvent) -> None:
+        """Take an event."""
+        ...
+
+    def annotate(self, entry: Mapping[str, Attribute]) -> None:
+        """Take attributes of `/entry` that become known while the run goes on."""
+        ...
+
+    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+        """Finish the record; return its file."""
+        ...
+
+
+class Store(Protocol):
+    """Opens a record for each run and looks after the finished ones."""
+
+    def open(self, header: RunHeader, expected_samples: int) -> Sink:
+        """Begin a record; raises `RecordingError` or `OutputError` when it cannot be."""
+        ...
+
+    def mark_bad(self, order: int, reason: str) -> None:
+        """Note that a run of this session is not to be used."""
+        ...
+
+    def settle(self) -> None:
+        """Wait until every finished run is in its final place; raises `RecordingError` when one cannot be put there."""
+        ...
+
+
+_REST = int(Phase.REST)
+_MAX_BRAKING_S = 1.0
+"""How long a stage that stands after a stop is still recorded at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class AcquisitionOutcome:
+    """How an acquisition ended. `mean_force_mN` is over all samples, before any tare."""
+
+    status: RunStatus
+    reason: str
+    samples: int
+    checks: CheckReport
+    mean_force_mN: float
+    path: Path | None = None
+
+
+class RunningAcquisition:
+    """One acquisition under way; owned by the engine's thread."""
+
+    def __init__(
+        self,
+        backend: Backend,
+        rig: RigSettings,
+        guard: Guard,
+        acquisition: Acquisition,
+        sink: Sink | None,
+        view: Callable[[Reading], None] | None,
+        tare_mN: float,
+    ) -> None:
+        self._stage, self._sampler, self._clock = backend.stage, backend.sampler, backend.clock
+        self._guard, self._acquisition, self._sink, self._view = guard, acquisition, sink, view
+        self._rate_hz = self._sampler.sample_rate_hz
+        self._stop_accel = rig.stage.stop_accel_mm_s2
+        self._tape = SetpointSampler(acquisition.profile, self._rate_hz, tare_mN)
+        self._checks = RunChecks(
+            self._rate_hz,
+            self._sampler.force_range_mN,
+            rig.force_sensor.accuracy_mN,
+            sticking=acquisition.contact is Contact.STICKING,
+        )
+        self._expected = acquisition.profile.samples(self._rate_hz)
+        self._began_s = self._clock.monotonic()
+        self._settle_until_s = 0.0
+        self._samples = 0
+        self._end_index = 0
+        self._force_sum = 0.0
+        self._phase = -1
+        self._uncertainty_s: float | None = None
+        self._ended = False
+        self._status = RunStatus.COMPLETE
+        self._reason = ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether it was ended before the profile was over."""
+        return self._ended
+
+    def start(self, cancel: Signal) -> bool:
+        """Arm the sampler, start the stage, take the first sample; return False when `cancel` is set before.
+
+        A stop that comes after the arming drops the motion; one before it is forgotten, but has set `cancel`.
+        """
+        self._sampler.arm(self._acquisition)
+        if cancel.is_set():
+            return False
+        self._stage.move(self._acquisition.profile)
+        self._sampler.start()
+        self._began_s = self._clock.monotonic()
+        self._note("start", self._acquisition.kind)
+        return True
+
+    def step(self, cancel: Signal) -> Reading | None:
+        """Take the next block through guard, record and viewer; None when there is none, or the guard tripped."""
+        block = self._sampler.read(cancel)
+        if block is None:
+            if not cancel.is_set() and self._end_index < self._expected:
+                self._ended_unasked()
+            return None
+        reading = self._tape.join(block)
+        look = BlockExtremes.at(block, reading.command)
+        if fault := self._fault() or self._unpermitted(block.fault):
+            trip = self._guard.latch(fault)
+        else:
+            trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
+        # The stage brakes from the end of this block, so the command has to as well.
+        self._end_index = block.end_index
+        self.trip(trip)
+        self._take(block, reading, look)
+        if reading.phase[-1] != _REST:
+            self._tell_uncertainty()
+        return None if self._ended else reading
+
+    def trip(self, trip: Trip | None) -> None:
+        """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
+        if trip is None:
+            return
+        if trip.cause is TripCause.CARD_FAULT:
+            # Whoever meets it first, the lines or the samples, it is told as the one failure that it is.
+            self.end(RunStatus.FAILED, trip.message)
+        else:
+            self.end(RunStatus.TRIPPED, f"{trip.cause}: {trip.message}")
+
+    def fail(self, error: DragrigError) -> None:
+        """Stop because of an error; one that only follows from the watchdog's stop is told after it."""
+        fault = self._fault()
+        if fault is not None and fault.cause is TripCause.WATCHDOG:
+            self.trip(self._guard.latch(Trip(fault.cause, f"{fault.message}; {reason_of(error)}")))
+        elif isinstance(error, StaleDataError):
+            self.trip(self._guard.latch(Trip(TripCause.STALE_DATA, reason_of(error))))
+        else:
+            self.end(RunStatus.FAILED, reason_of(error))
+
+    def end(self, status: RunStatus, reason: str, stopped_at_s: float | None = None) -> None:
+        """Stop the stage at once; what the first call says stands.
+
+        Parameters
+        ----------
+        status
+            `Status.COMPLETE` when what was sought is reached, so that the rest is not wanted.
+        stopped_at_s
+            Reading of the clock when the stage was told to stop already; now unless given.
+        """
+        now_s = self._clock.monotonic() if stopped_at_s is None else stopped_at_s
+        if refusal := attempt(self._stage.stop):
+            reason = "; and ".join(part for part in (reason, f"the stage did not take the stop ({refusal})") if part)
+            status = RunStatus.FAILED if status is RunStatus.COMPLETE else status
+        if not self._ended:
+            self._ended, self._status, self._reason = True, status, reason
+            braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
+            stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _MAX_BRAKING_S)
+            self._settle_until_s = stopped.duration_s
+            self._tape.replace(stopped)
+            with suppress(RecordingError):
+                self._note("trip" if status is RunStatus.TRIPPED else "stop", reason or "reached", braking_from)
+
+    def settle(self) -> None:
+        """Keep what is sampled until the stage stands still."""
+        go_on = Signal()
+        # The reason of the end is known; a device that fails again adds nothing to it.
+        with suppress(Exception):
+            while self._end_index < self._settle_until_s * self._rate_hz:
+                block = self._sampler.read(go_on)
+                if block is None:
+                    return
+                reading = self._tape.join(block)
+                with suppress(RecordingError):
+                    self._take(block, reading, BlockExtremes.at(block, reading.command))
+
+    def finish(self) -> AcquisitionOutcome:
+        """Stop sampling, close the record, and say how it ended; each step is made whatever becomes of the others."""
+        failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := attempt(step))]
+        if failures and self._status is RunStatus.COMPLETE:
+            self._status = RunStatus.FAILED
+        report = self._checks.report()
+        paths: list[Path] = []
+        if (sink := self._sink) is not None:
+            failures.append(attempt(self._tell_uncertainty))
+            now, reason = self._clock.now(), self._all_reasons(failures)
+            failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
+            failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
+        if any(failures) and self._status is RunStatus.COMPLETE:
+            self._status = RunStatus.FAILED
+        mean = self._force_sum / self._samples if self._samples else float("nan")
+        return AcquisitionOutcome(self._status, self._all_reasons(failures), self._samples, report, mean, *paths)
+
+    def _all_reasons(self, failures: list[str]) -> str:
+        return "; ".join(part for part in (self._reason, *failures) if part)
+
+    def _ended_unasked(self) -> None:
+        if fault := self._fault():
+            self.trip(self._guard.latch(fault))
+        else:
+            self.end(RunStatus.FAILED, f"sampling ended after {self._end_index} of {self._expected} samples")
+
+    def _fault(self) -> Trip | None:
+        try:
+            return self._unpermitted(self._stage.fault)
+        except DeviceError as error:
+            return Trip(TripCause.DRIVE_FAULT, reason_of(error))
+
+    def _unpermitted(self, fault: Trip | None) -> Trip | None:
+        return None if fault is None or self._guard.permits(fault) else fault
+
+    def _tell_uncertainty(self) -> None:
+        uncertainty_s = self._stage.start_uncertainty_s
+        if self._sink is not None and uncertainty_s != self._uncertainty_s:
+            self._uncertainty_s = uncertainty_s
+            self._sink.annotate({"command_t0_uncertainty_s": uncertainty_s})
+
+    def _take(self, block: Block, reading: Reading, look: BlockExtremes) -> None:
+        raw = block.channels["force"]
+        self._checks.add(reading, look, raw, commanded=not self._ended)
+        self._samples += block.samples
+        self._end_index = block.end_index
+        self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
+        self._mark_phases(reading)
+        if self._view is not None:
+            self._show(reading)
+        if self._sink is not None:
+            self._sink.offer(reading.first_index, reading.arrays())
+
+    def _show(self, reading: Reading) -> None:
+        try:
+            if self._view is not None:
+                self._view(reading)
+        except Exception as error:  # noqa: BLE001  # whoever looks must not get in the way of the run
+            self._view = None
+            self._note("view", f"nobody watches any more: {error}")
+
+    def _mark_phases(self, reading: Reading) -> None:
+        phase = reading.phase
+        if phase[0] == self._phase and phase[-1] == self._phase:
+            return
+        changes = np.flatnonzero(np.diff(phase, prepend=np.uint8(255) if self._phase < 0 else np.uint8(self._phase)))
+        for place in changes:
+            self._note("phase", Phase(int(phase[place])).name.lower(), float(reading.time[place]))
+        self._phase = int(phase[-1])
+
+    def _note(self, kind: str, message: str, time_s: float | None = None) -> None:
+        if self._sink is not None:
+            self._sink.event(RunEvent(self._end_index / self._rate_hz if time_s is None else time_s, kind, message))
+
+
+def attempt(step: Callable[[], object]) -> str:
+    """Make a step of a clean-up; return what went wrong, whatever kind of error a driver raises, empty if nothing."""
+    try:
+        step()
+    except DragrigError as error:
+        return reason_of(error)
+    except Exception as error:  # noqa: BLE001  # the steps after this one have to be made
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def early_end_error(status: RunStatus, reason: str) -> DragrigError:
+    """Return the error that stands for an early end."""
+    return {RunStatus.ABORTED: AbortedError, RunStatus.TRIPPED: TrippedError}.get(status, DeviceError)(reason)
+
+
+def require_complete(outcome: AcquisitionOutcome) -> None:
+    """Raise the error that stands for the early end of an acquisition, if it ended early."""
+    if outcome.status is not RunStatus.COMPLETE:
+        raise early_end_error(outcome.status, outcome.reason)
+
+
+class EngineState(StrEnum):
     """What the engine is doing."""
 
     IDLE = "idle"
@@ -42,7 +336,7 @@ class State(StrEnum):
 class EngineStatus:
     """A snapshot that any thread may take."""
 
-    state: State = State.IDLE
+    state: EngineState = EngineState.IDLE
     run_id: str = ""
     samples: int = 0
     expected_samples: int = 0
@@ -109,7 +403,7 @@ class Engine:
         view: Callable[[Reading], None] | None = None,
         tare_mN: float = 0.0,
         until: Callable[[Reading], bool] | None = None,
-    ) -> Outcome:
+    ) -> AcquisitionOutcome:
         """Make one acquisition, guarded, recorded in `sink` and shown to `view`.
 
         Parameters
@@ -127,44 +421,44 @@ class Engine:
             raise TrippedError(f"the guard is tripped: {self._guard.trip.message}; clear the cause and reset it.")
         try:
             self._guard.watch(acquisition.profile.extremes())
-            run = Acquiring(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
+            run = RunningAcquisition(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
             expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
         except Exception as error:
             if sink is not None:
-                sink.close(Status.FAILED, str(error), self._backend.clock.now(), {})
+                sink.close(RunStatus.FAILED, str(error), self._backend.clock.now(), {})
             raise
-        status = EngineStatus(State.ARMED, acquisition.run_id, expected_samples=expected)
+        status = EngineStatus(EngineState.ARMED, acquisition.run_id, expected_samples=expected)
         self._latest = None
         self._set(status)
         try:
             self._drive(run, status, until)
         finally:
-            self._set(replace(status, state=State.FINISHING))
+            self._set(replace(status, state=EngineState.FINISHING))
             try:
                 outcome = run.finish()
             finally:
                 self._set(EngineStatus())
         return outcome
 
-    def _drive(self, run: Acquiring, status: EngineStatus, until: Callable[[Reading], bool] | None) -> None:
+    def _drive(self, run: RunningAcquisition, status: EngineStatus, until: Callable[[Reading], bool] | None) -> None:
         try:
             if run.start(self._cancel):
-                self._set(replace(status, state=State.RUNNING))
+                self._set(replace(status, state=EngineState.RUNNING))
                 while (reading := run.step(self._cancel)) is not None:
                     self._latest = reading
                     if until is not None and until(reading):
-                        run.end(Status.COMPLETE, "")
+                        run.end(RunStatus.COMPLETE, "")
                         return
             if self._cancel.is_set():
-                run.end(Status.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
+                run.end(RunStatus.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:
             run.fail(error)
         except BaseException as error:
-            run.end(Status.FAILED, f"{type(error).__name__}: {error}")
+            run.end(RunStatus.FAILED, f"{type(error).__name__}: {error}")
             raise
         finally:
             if run.ended:
-                self._set(replace(status, state=State.STOPPING))
+                self._set(replace(status, state=EngineState.STOPPING))
                 run.settle()
 
     def _set(self, status: EngineStatus) -> None:

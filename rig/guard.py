@@ -1,25 +1,97 @@
-"""The guard: a latch that stops the stage once, and stays tripped until it is reset.
+"""The guard: an interlock that stops the stage once and stays tripped until it is reset.
 
-It starts tripped, so that nothing moves before somebody has looked, and it trips once: whatever follows a
-trip does not replace its reason.
+It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: whatever follows a
+trip does not replace its reason. It watches force, position, speed, following error and an encoder that shows no
+counts while the setpoint moves (a cable off, a broken wire, a stuck stage).
 """
 
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite, isnan, nan
 
 import numpy as np
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.devices import Block, Side, StageState
-from dragrig.rig.profile import Extremes
-from dragrig.rig.reading import Look
-from dragrig.rig.silence import SilenceWatch
-from dragrig.rig.trips import Cause, Trip
+from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
+from dragrig.rig.profile import MotionExtremes
+from dragrig.rig.reading import BlockExtremes
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderSilence:
+    """How far and for how long the command went while the encoder showed not a single count."""
+
+    travel_mm: float
+    duration_s: float
+
+
+NO_SILENCE = EncoderSilence(0.0, 0.0)
+
+
+@dataclass(slots=True)
+class EncoderSilenceMonitor:
+    """Follows the blocks of one motion.
+
+    Parameters
+    ----------
+    dither_mm
+        What an encoder may show without having counted: with one wire broken, its count goes to and fro by one.
+    """
+
+    dither_mm: float
+    _counting: tuple[Block, AnyFloatArray] | None = None
+    _lowest_mm: float = inf
+    _highest_mm: float = -inf
+    _command_mm: float = nan
+    _moved_index: int | None = None
+    _travel_mm: float = 0.0
+
+    def look(self, block: Block, command: AnyFloatArray, look: BlockExtremes, rate_hz: float) -> EncoderSilence:
+        """Take the next block, shape `(n,)` as its command [mm], and return the silence at its end.
+
+        A silence within a block in which something was counted is told with the block after it.
+        """
+        if look.highest_mm - look.lowest_mm > self.dither_mm:
+            self._counting = (block, command)
+            return NO_SILENCE
+        if self._counting is not None:
+            self._begin_after_last_count(*self._counting, rate_hz)
+            self._counting = None
+        lowest, highest = min(self._lowest_mm, look.lowest_mm), max(self._highest_mm, look.highest_mm)
+        if highest - lowest > self.dither_mm or isnan(self._command_mm):
+            self._begin(look.lowest_mm, look.highest_mm, float(command[0]))
+        else:
+            self._lowest_mm, self._highest_mm = lowest, highest
+        return self._go_on(block.first_index, command, rate_hz)
+
+    def _begin_after_last_count(self, block: Block, command: AnyFloatArray, rate_hz: float) -> None:
+        position = block.channels["position"]
+        counted = np.flatnonzero(np.abs(position - position[-1]) > self.dither_mm)
+        first = int(counted[-1]) + 1 if counted.size else 0
+        left = position[first:]
+        self._begin(float(left.min()), float(left.max()), float(command[first]))
+        self._go_on(block.first_index + first, command[first:], rate_hz)
+
+    def _begin(self, lowest_mm: float, highest_mm: float, command_mm: float) -> None:
+        self._lowest_mm, self._highest_mm, self._command_mm = lowest_mm, highest_mm, command_mm
+        self._moved_index, self._travel_mm = None, 0.0
+
+    def _go_on(self, first_index: int, command: AnyFloatArray, rate_hz: float) -> EncoderSilence:
+        if self._travel_mm == 0 and command[0] == self._command_mm == command[-1]:
+            # Told to stand, as for most of a session.
+            return NO_SILENCE
+        away = np.abs(command - self._command_mm)
+        self._travel_mm = max(self._travel_mm, float(away.max()))
+        if self._travel_mm == 0:
+            return NO_SILENCE
+        if self._moved_index is None:
+            self._moved_index = first_index + int((away > 0).argmax())
+        return EncoderSilence(self._travel_mm, (first_index + len(command) - self._moved_index) / rate_hz)
+
 
 _SPEED_WINDOW_S = 0.01
-_DITHER_COUNTS = 1.5
-SWITCHES = {Side.LOW: Cause.LIMIT_SWITCH_LOW, Side.HIGH: Cause.LIMIT_SWITCH_HIGH}
+_MAX_DITHER_COUNTS = 1.5
+LIMIT_SWITCH_CAUSES = {TravelEnd.LOW: TripCause.LIMIT_SWITCH_LOW, TravelEnd.HIGH: TripCause.LIMIT_SWITCH_HIGH}
 """What a pressed limit switch of each side trips as."""
 
 
@@ -32,7 +104,7 @@ class Envelope:
     speed_mm_s: float
 
     @classmethod
-    def around(cls, extremes: Extremes, settings: GuardSettings) -> "Envelope":
+    def around(cls, extremes: MotionExtremes, settings: GuardSettings) -> "Envelope":
         """Return the motion's own extremes plus the margins that the rig allows."""
         return cls(
             lowest_mm=extremes.lowest_mm - settings.position_margin_mm,
@@ -52,13 +124,13 @@ class Guard:
 
     def __init__(self, settings: GuardSettings, count_mm: float = 0.0) -> None:
         self._settings = settings
-        self._dither_mm = _DITHER_COUNTS * count_mm
-        self._trip: Trip | None = Trip(Cause.START_UP, "the guard starts tripped and needs a reset")
+        self._dither_mm = _MAX_DITHER_COUNTS * count_mm
+        self._trip: Trip | None = Trip(TripCause.START_UP, "the guard starts tripped and needs a reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._last: tuple[int, float] | None = None
         self._before: AnyFloatArray | None = None
-        self._silence = SilenceWatch(self._dither_mm)
-        self._freed: Cause | None = None
+        self._silence = EncoderSilenceMonitor(self._dither_mm)
+        self._freed: TripCause | None = None
         self._freed_next = False
 
     @property
@@ -72,12 +144,12 @@ class Guard:
         self._freed, self._freed_next = None, False
         return self._trip
 
-    def override(self, side: Side, state: StageState) -> Trip | None:
+    def override(self, side: TravelEnd, state: StageState) -> Trip | None:
         """Release the latch for one motion although the limit switch of this side is pressed.
 
         Everything else stays watched, and has to be clear now; return what it is still latched on.
         """
-        freed = SWITCHES[side]
+        freed = LIMIT_SWITCH_CAUSES[side]
         self._trip = state.fault if state.fault is not None and state.fault.cause is not freed else None
         self._freed, self._freed_next = (freed, True) if self._trip is None else (None, False)
         return self._trip
@@ -86,16 +158,16 @@ class Guard:
         """Whether a fault is the limit switch that an override freed for the motion under way."""
         return fault.cause is self._freed
 
-    def watch(self, extremes: Extremes) -> None:
+    def watch(self, extremes: MotionExtremes) -> None:
         """Set the envelope for the motion about to begin; an override of the motion before is over."""
         self._envelope = Envelope.around(extremes, self._settings)
         self._last, self._before = None, None
-        self._silence = SilenceWatch(self._dither_mm)
+        self._silence = EncoderSilenceMonitor(self._dither_mm)
         if not self._freed_next:
             self._freed = None
         self._freed_next = False
 
-    def inspect(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
+    def inspect(self, block: Block, command: AnyFloatArray, look: BlockExtremes, rate_hz: float) -> Trip | None:
         """Look at a block; return the trip that it causes, None when it is fine or the guard is latched already."""
         if self._trip is not None:
             return None
@@ -109,10 +181,10 @@ class Guard:
         self._trip = trip
         return trip
 
-    def _judge(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
+    def _judge(self, block: Block, command: AnyFloatArray, look: BlockExtremes, rate_hz: float) -> Trip | None:
         strongest = max(look.greatest_mN, -look.least_mN)
         if not isfinite(strongest + look.highest_mm):
-            return Trip(Cause.NOT_A_NUMBER, "a sample of force or position is not a number")
+            return Trip(TripCause.NOT_A_NUMBER, "a sample of force or position is not a number")
         trip = (
             self._judge_force(strongest)
             or self._judge_position(look.lowest_mm, look.highest_mm)
@@ -127,7 +199,7 @@ class Guard:
         limit = self._settings.force_limit_mN
         if strongest <= limit:
             return None
-        return Trip(Cause.FORCE, f"force of {strongest:.0f} mN is over the limit of {limit:.0f} mN")
+        return Trip(TripCause.FORCE, f"force of {strongest:.0f} mN is over the limit of {limit:.0f} mN")
 
     def _judge_position(self, lowest: float, highest: float) -> Trip | None:
         allowed = self._envelope
@@ -135,7 +207,7 @@ class Guard:
             return None
         seen = lowest if lowest < allowed.lowest_mm else highest
         return Trip(
-            Cause.POSITION,
+            TripCause.POSITION,
             f"position {seen:.3f} mm from the run's start is outside {allowed.lowest_mm:.3f} to "
             f"{allowed.highest_mm:.3f} mm",
         )
@@ -153,9 +225,9 @@ class Guard:
         limit = self._envelope.speed_mm_s
         if speed <= limit:
             return None
-        return Trip(Cause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
+        return Trip(TripCause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
-    def _judge_silence(self, block: Block, command: AnyFloatArray, look: Look, rate_hz: float) -> Trip | None:
+    def _judge_silence(self, block: Block, command: AnyFloatArray, look: BlockExtremes, rate_hz: float) -> Trip | None:
         silence, settings = self._silence.look(block, command, look, rate_hz), self._settings
         if silence.travel_mm <= settings.encoder_silent_mm or silence.duration_s <= settings.encoder_silent_s:
             return None
@@ -163,7 +235,7 @@ class Guard:
         if silence.travel_mm <= settings.encoder_silent_mm + lag_mm:
             return None
         return Trip(
-            Cause.ENCODER_SILENT,
+            TripCause.ENCODER_SILENT,
             f"the encoder showed not one count in {1000 * silence.duration_s:.0f} ms, while the command went "
             f"{silence.travel_mm:.2f} mm; look at its cable, and whether the stage is held",
         )
@@ -176,7 +248,7 @@ class Guard:
         if error <= limit:
             return None
         return Trip(
-            Cause.FOLLOWING_ERROR, f"position is {error:.3f} mm off the command, where {limit:.3f} mm are allowed"
+            TripCause.FOLLOWING_ERROR, f"position is {error:.3f} mm off the command, where {limit:.3f} mm are allowed"
         )
 
     def _commanded_speed(self, command: AnyFloatArray, rate_hz: float) -> float:

@@ -1,4 +1,4 @@
-"""A store that keeps runs in memory: for notebooks, benchmarks and what needs no files."""
+"""A store that holds runs in memory: for notebooks, benchmarks and whatever needs no files."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray, read_only
-from dragrig.rig.runfile.model import Attribute, Event, Run, RunHeader, RunInfo, Status, Trace
+from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.rig.runfile.schema import FORMAT_VERSION
 
 ScalarT = TypeVar("ScalarT", bound=np.generic)
@@ -42,7 +42,7 @@ class MemorySink:
     def __init__(self, header: RunHeader, runs: list[Run]) -> None:
         self._header, self._runs = header, runs
         self._pieces: list[Mapping[str, AnyFloatArray | PhaseArray]] = []
-        self._events: list[Event] = []
+        self._events: list[RunEvent] = []
         self._next_index = 0
 
     def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
@@ -50,12 +50,12 @@ class MemorySink:
         if first_index > self._next_index:
             lost, rate_hz = first_index - self._next_index, self._header.sample_rate_hz
             self._events.append(
-                Event(self._next_index / rate_hz, "gap", f"{lost} samples lost, {lost / rate_hz:.6g} s")
+                RunEvent(self._next_index / rate_hz, "gap", f"{lost} samples lost, {lost / rate_hz:.6g} s")
             )
         self._next_index = first_index + len(arrays["time"])
         self._pieces.append(arrays)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Take an event."""
         self._events.append(event)
 
@@ -63,7 +63,7 @@ class MemorySink:
         """Take attributes of `/entry` that become known while the run goes on."""
         self._header = replace(self._header, entry={**self._header.entry, **entry})
 
-    def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record; the path is a name only."""
         time = _joined([np.asarray(piece["time"], np.float64) for piece in self._pieces], np.float64)
         path = Path(f"{self._header.run_id}.h5")

@@ -36,7 +36,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Extremes:
+class MotionExtremes:
     """What a motion reaches at most; positions are relative to its start."""
 
     lowest_mm: float
@@ -134,13 +134,13 @@ class MotionProfile:
         index, _ = self._locate(np.asarray(time_s, dtype=float) + TIME_TOLERANCE_S)
         return np.asarray(self.phase[index])
 
-    def extremes(self) -> Extremes:
+    def extremes(self) -> MotionExtremes:
         """Return what the motion reaches at most, run-up and run-down included."""
         ends = np.append(self.start_s, self.duration_s)
         turning = self._turning_times()
         times = np.concatenate((ends, turning))
         positions = self.position(times)
-        return Extremes(
+        return MotionExtremes(
             lowest_mm=float(positions.min()),
             highest_mm=float(positions.max()),
             speed_mm_s=float(np.abs(self.velocity(ends)).max()),
@@ -194,6 +194,6 @@ def trapezoid(travel_mm: float, speed_mm_s: float, accel_mm_s2: float) -> tuple[
     )
 
 
-def still(duration_s: float, phase: Phase) -> Piece:
+def stationary_piece(duration_s: float, phase: Phase) -> Piece:
     """Return a stretch of standing still."""
     return Piece(duration_s, 0.0, phase)

@@ -1,20 +1,19 @@
-"""From a plan to the runs of a session, in order, with where each begins."""
+"""From a plan to the runs of a session, in order, with where each run begins."""
 
 import random
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dragrig.config.capsule import Capsule
 from dragrig.config.errors import PlanError, SettingsError
-from dragrig.config.library import find
-from dragrig.config.plan import Order, Plan, Step, WayBack
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
+from dragrig.config.settings import find_settings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.protocols import Protocol, swept
-from dragrig.rig.protocols.catalogue import MOST_RUNS
-from dragrig.rig.protocols.way_back import Return
+from dragrig.rig.protocols import RunProtocol, expand_sweep
+from dragrig.rig.protocols.return_stroke import ReturnProtocol
+from dragrig.rig.protocols.run_protocol import MAX_RUNS
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class PlannedRun:
 
     index: int
     step: int
-    protocol: Protocol
+    protocol: RunProtocol
     profile: MotionProfile
     capsule: Capsule
     specimen: Specimen
@@ -85,7 +84,7 @@ class Programme:
         return tuple(run for run in self.runs if run.index in ahead or run.follows in ahead)
 
 
-def build(
+def build_programme(
     plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: Path | None = None, zero_mm: float = 0.0
 ) -> Programme:
     """Lay out a plan's runs.
@@ -112,29 +111,29 @@ def build(
     for number, step in enumerate(plan.steps):
         where = f"{source}: steps[{number}]"
         home = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
-        if step.way_back is not WayBack.STAY or step.start_mm is not None:
+        if step.way_back is not ReturnMode.STAY or step.start_mm is not None:
             position = home
         for template in _step_runs(step, number, specimen, where, beside, rng.random):
             run = replace(template, index=len(runs), start_mm=position)
             runs.append(run)
             position = run.end_mm
-            if step.way_back is WayBack.DRIVEN and position != run.start_mm:
-                runs.append(_way_back(run, step, len(runs)))
-            if step.way_back is not WayBack.STAY:
+            if step.way_back is ReturnMode.DRIVEN and position != run.start_mm:
+                runs.append(_return_stroke(run, step, len(runs)))
+            if step.way_back is not ReturnMode.STAY:
                 position = run.start_mm
     return Programme(plan, tuple(runs))
 
 
 def _step_runs(
-    step: Step, number: int, specimen: Specimen, where: str, beside: Path | None, draw: Callable[[], float]
+    step: PlanStep, number: int, specimen: Specimen, where: str, beside: Path | None, draw: Callable[[], float]
 ) -> Iterator[PlannedRun]:
-    if step.kind == Return.kind:
+    if step.kind == ReturnProtocol.kind:
         raise PlanError(f"{where}: a plan has no steps of kind return; say way_back = 'driven' in the step before.")
-    protocols = swept(step.kind, step.parameters, where, tuple(Step.model_fields))
-    if len(protocols) * step.repeats > MOST_RUNS:
-        raise PlanError(f"{where}: makes more than {MOST_RUNS} runs; lower repeats or shorten the lists.")
-    for count, protocol in enumerate(_ordered(protocols, step, draw)):
-        by_hand = step.way_back is WayBack.BY_HAND and count > 0
+    protocols = expand_sweep(step.kind, step.parameters, where, tuple(PlanStep.model_fields))
+    if len(protocols) * step.repeats > MAX_RUNS:
+        raise PlanError(f"{where}: makes more than {MAX_RUNS} runs; lower repeats or shorten the lists.")
+    for count, protocol in enumerate(_in_order(protocols, step, draw)):
+        by_hand = step.way_back is ReturnMode.BY_HAND and count > 0
         asks = step.prompt if count == 0 or step.prompt_each else ""
         back = "Bring the capsule back to its start by hand, outside of the gut" if by_hand else ""
         yield PlannedRun(
@@ -142,7 +141,7 @@ def _step_runs(
             step=number,
             protocol=protocol,
             profile=protocol.profile(specimen),
-            capsule=_capsule(step.capsule or protocol.capsule, where, beside),
+            capsule=_find_capsule(step.capsule or protocol.capsule, where, beside),
             specimen=specimen,
             fixture=step.fixture or protocol.fixture,
             contact=Contact.NONE if step.fixture is Fixture.NONE else protocol.contact,
@@ -156,29 +155,29 @@ def _step_runs(
         )
 
 
-def _ordered(protocols: tuple[Protocol, ...], step: Step, draw: Callable[[], float]) -> list[Protocol]:
+def _in_order(protocols: tuple[RunProtocol, ...], step: PlanStep, draw: Callable[[], float]) -> list[RunProtocol]:
     repeats = [list(protocols) for _ in range(step.repeats)]
     match step.order:
-        case Order.LISTED:
+        case RunOrder.LISTED:
             pass
-        case Order.REVERSED:
+        case RunOrder.REVERSED:
             repeats = [one[::-1] for one in repeats]
-        case Order.RANDOM:
+        case RunOrder.RANDOM:
             repeats = [_shuffled([protocol for one in repeats for protocol in one], draw)]
-        case Order.RANDOM_WITHIN_REPEAT:
+        case RunOrder.RANDOM_WITHIN_REPEAT:
             repeats = [_shuffled(one, draw) for one in repeats]
     return [protocol for one in repeats for protocol in one]
 
 
-def _shuffled(items: list[Protocol], draw: Callable[[], float]) -> list[Protocol]:
+def _shuffled(items: list[RunProtocol], draw: Callable[[], float]) -> list[RunProtocol]:
     # Sorting by draws of random(), the one method whose stream Python promises to keep.
     keyed = [(draw(), place, item) for place, item in enumerate(items)]
     return [item for _, _, item in sorted(keyed, key=lambda one: one[:2])]
 
 
-def _way_back(run: PlannedRun, step: Step, index: int) -> PlannedRun:
-    back = Return(
-        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=_way_back_accel(run)
+def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
+    back = ReturnProtocol(
+        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=_return_acceleration(run)
     )
     return replace(
         run,
@@ -196,12 +195,12 @@ def _way_back(run: PlannedRun, step: Step, index: int) -> PlannedRun:
     )
 
 
-def _way_back_accel(run: PlannedRun) -> float:
+def _return_acceleration(run: PlannedRun) -> float:
     return min(run.profile.extremes().acceleration_mm_s2, 400.0)
 
 
-def _capsule(name: str, where: str, beside: Path | None) -> Capsule:
+def _find_capsule(name: str, where: str, beside: Path | None) -> Capsule:
     try:
-        return find(Capsule, "capsule", name, beside)
+        return find_settings(Capsule, "capsule", name, beside)
     except SettingsError as error:
         raise SettingsError(f"{where}.capsule: {error}") from error

@@ -1,45 +1,225 @@
-"""A session: the runs of a programme one after the other, with prompts, tares, waits and ways back between them."""
+"""A session: the runs of a programme one after the other, with prompts, tares, waits and return strokes between them.
 
-from dataclasses import dataclass
-from datetime import datetime
+The session's settings are recorded beside its run files, so that it can be resumed or repeated.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
 from math import isfinite
+from pathlib import Path
+from uuid import uuid4
 
-from dragrig.config.errors import AbortedError, DeviceError, TrippedError, plain
-from dragrig.config.loading import to_toml
-from dragrig.rig.acquiring import attempt
-from dragrig.rig.acquisitions import recorded, unrecorded
-from dragrig.rig.backend import Backend
-from dragrig.rig.devices import Contact
-from dragrig.rig.endings import early_end, require_complete
-from dragrig.rig.engine import Engine
+from pydantic import AwareDatetime
+
+from dragrig.config.errors import AbortedError, DeviceError, RunFileError, SettingsError, TrippedError, reason_of
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.plan import Plan
+from dragrig.config.rig import RigSettings
+from dragrig.config.settings import Settings, load_settings, parse, to_toml
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.devices import Acquisition, Backend, Contact
+from dragrig.rig.engine import Engine, Store, attempt, early_end_error, require_complete
 from dragrig.rig.guard import Guard
-from dragrig.rig.header import header_of
-from dragrig.rig.people import Answer, Operator, Prompt, RunResult, Watcher
-from dragrig.rig.profile import MotionProfile, Phase, still
+from dragrig.rig.operator import (
+    START_TOLERANCE_MM,
+    Answer,
+    Operator,
+    Prompt,
+    RunResult,
+    SessionObserver,
+    await_standstill,
+    enable_and_home,
+    park,
+    positioning_profile,
+    reset_guard,
+)
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.readiness import IN_PLACE_MM, await_standstill, make_ready, park, positioning, reset
-from dragrig.rig.record import SessionRecord
-from dragrig.rig.runfile.model import Attribute, Status
-from dragrig.rig.store import Store
+from dragrig.rig.runfile import read_info
+from dragrig.rig.runfile.model import Attribute, RunHeader, RunStatus
+
+
+def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:
+    """Return the acquisition of a run whose contact is `dwell_s` old at its first sample."""
+    return Acquisition(
+        run_id=str(uuid4()),
+        order=order,
+        kind=run.protocol.kind,
+        profile=run.profile,
+        capsule=run.capsule,
+        specimen=run.specimen,
+        fixture=run.fixture,
+        contact=run.contact,
+        insertion_dwell_s=dwell_s,
+        shear_strain=run.shear_strain,
+        sheared_from=run.sheared_from,
+    )
+
+
+def auxiliary_acquisition(order: int, kind: str, run: PlannedRun, profile: MotionProfile) -> Acquisition:
+    """Return what is made for a run beside it, with the capsule clear of the gut: a tare, the way to its start."""
+    free = replace(run, profile=profile, contact=Contact.NONE, fixture=Fixture.NONE)
+    return replace(run_acquisition(order, free, 0.0), kind=kind, recorded=False)
+
+
+_RECORD_PATTERN = "session-*.toml"
+
+
+class SessionRecord(Settings):
+    """The full settings of a session."""
+
+    begun_at: AwareDatetime
+    backend: str
+    double: bool = False
+    """Whether it is the backend's double."""
+    operator: str = ""
+    note: str = ""
+    calibration_id: str = ""
+    """Of the force sensor."""
+    encoder_calibration_id: str = ""
+    contact_mm: float | None = None
+    """Absolute position of the contact that touch-off found; none where it is not known."""
+    beside: Path | None = None
+    """Folder that files named in the plan are relative to."""
+    plan: Plan
+    specimen: Specimen
+    model: FrictionModelSettings
+    rig: RigSettings
+
+    def file_name(self) -> str:
+        """Name of the record in the campaign's folder, in UTC, so that names stay in order when clocks are put back."""
+        return f"session-{self.begun_at.astimezone(UTC):%Y%m%d-%H%M%SZ}.toml"
+
+
+def write_session_record(record: SessionRecord, folder: Path) -> Path:
+    """Put the record into the campaign's folder; raises `OSError`."""
+    path = folder / record.file_name()
+    with path.open("x", encoding="utf-8", newline="\n") as file:
+        file.write(to_toml(record))
+    return path
+
+
+def session_record_of_run(run_file: Path) -> SessionRecord:
+    """Read the record that a run carries of the session it belongs to.
+
+    Raises
+    ------
+    RunFileError
+        When the file is no run file, or one that was not made by this software.
+    SettingsError
+        When its settings cannot be used.
+    """
+    settings = read_info(run_file).header.settings_toml
+    if not settings:
+        raise RunFileError(f"{run_file}: carries no settings of a session, so that it cannot be made again.")
+    try:
+        return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
+    except tomllib.TOMLDecodeError as error:
+        raise RunFileError(f"{run_file}: its settings are damaged ({error}).") from error
+
+
+def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple[str, ...]]:
+    """Read every record of a campaign, the earliest first, and say what is wrong with those that are damaged."""
+    found: list[SessionRecord] = []
+    damaged: list[str] = []
+    for path in sorted(folder.glob(_RECORD_PATTERN)):
+        try:
+            found.append(load_settings(SessionRecord, path))
+        except SettingsError as error:
+            damaged.append(reason_of(error))
+    return tuple(found), tuple(damaged)
+
+
+def latest_session_record(folder: Path) -> SessionRecord:
+    """Read the newest record of a campaign; raises `RunFileError` when there is none, `SettingsError` when damaged."""
+    records = sorted(folder.glob(_RECORD_PATTERN))
+    if not records:
+        raise RunFileError(f"{folder}: holds no session-….toml, so there is no session to go on with.")
+    return load_settings(SessionRecord, records[-1])
+
+
+def run_header(
+    run: PlannedRun,
+    acquisition: Acquisition,
+    record: SessionRecord,
+    backend: Backend,
+    settings_toml: str,
+    facts: Mapping[str, Attribute],
+) -> RunHeader:
+    """Gather the header of a run about to be made.
+
+    Parameters
+    ----------
+    settings_toml
+        The session's record as text, written once for all its runs.
+    facts
+        Further attributes of `/entry`.
+    """
+    now = backend.clock.now()
+    entry: dict[str, Attribute] = {
+        "software": software_version(),
+        "plan": record.plan.name,
+        "plan_run": run.index,
+        "origin_mm": backend.stage.state().position_mm,
+        "insertion_dwell_s": acquisition.insertion_dwell_s,
+        "operator": record.operator,
+        "note": "; ".join(part for part in (record.note, run.note) if part),
+        "calibration_id": record.calibration_id,
+        "encoder_calibration_id": record.encoder_calibration_id,
+        **({"double": record.backend} if record.double else {}),
+        **({"contact_mm": record.contact_mm} if record.contact_mm is not None else {}),
+        **({"way_back_of": run.follows} if run.follows >= 0 else {}),
+        **backend.description(),
+        **facts,
+    }
+    return RunHeader(
+        run_id=acquisition.run_id,
+        start_time=now,
+        order=acquisition.order,
+        backend=backend.name,
+        kind=run.protocol.kind,
+        sample_rate_hz=backend.sampler.sample_rate_hz,
+        channels=backend.sampler.channels,
+        entry={key: value for key, value in entry.items() if value != ""},
+        protocol={key: value for key, value in run.protocol.attributes().items() if key != "kind"},
+        capsule=_as_attributes(run.capsule),
+        specimen={**_as_attributes(run.specimen), "fixture": acquisition.fixture.value},
+        settings_toml=f"# run {run.index} of this session, order {acquisition.order}\n{settings_toml}",
+    )
+
+
+@cache
+def software_version() -> str:
+    """Return name and version of this software."""
+    return f"dragrig {version('dragrig')}"
+
+
+def _as_attributes(settings: Settings) -> dict[str, Attribute]:
+    values = settings.model_dump(mode="json", exclude_none=True)
+    return {key: value for key, value in values.items() if value != ""}
 
 
 @dataclass(frozen=True, slots=True)
 class SessionResult:
     """How a session ended: `complete` when every pending run was made or skipped."""
 
-    status: Status
+    status: RunStatus
     reason: str
     runs: tuple[RunResult, ...]
 
     def require(self) -> None:
         """Raise the error, with its exit code, that stands for an early end."""
-        if self.status is Status.COMPLETE:
+        if self.status is RunStatus.COMPLETE:
             return
-        raise early_end(self.status, f"the session ended early: {self.reason}.")
+        raise early_end_error(self.status, f"the session ended early: {self.reason}.")
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class CampaignProgress:
     """What earlier sessions of the same campaign did."""
 
     done: frozenset[int] = frozenset()
@@ -56,8 +236,8 @@ class Session:
         record: SessionRecord,
         store: Store,
         operator: Operator,
-        watcher: Watcher,
-        progress: Progress = Progress(),
+        watcher: SessionObserver,
+        progress: CampaignProgress = CampaignProgress(),
         *,
         real_time: bool = False,
     ) -> None:
@@ -86,29 +266,29 @@ class Session:
             When a record cannot be opened or finished; the stage is stopped and disabled first.
         """
         self._watcher.begins(self._programme, self._programme.pending(self._done), real_time=self._real_time)
-        status, reason = Status.COMPLETE, ""
+        status, reason = RunStatus.COMPLETE, ""
         try:
             self._prepare()
             self._make_all()
         except TrippedError as error:
-            status, reason = Status.TRIPPED, plain(error)
+            status, reason = RunStatus.TRIPPED, reason_of(error)
         except AbortedError as error:
-            status, reason = Status.ABORTED, self.engine.abort_reason or plain(error)
+            status, reason = RunStatus.ABORTED, self.engine.abort_reason or reason_of(error)
         except DeviceError as error:
             # What a stop from elsewhere interrupted, homing above all, tells of it as a failure.
-            status = Status.ABORTED if self.engine.cancelled.is_set() else Status.FAILED
-            reason = self.engine.abort_reason or plain(error)
+            status = RunStatus.ABORTED if self.engine.cancelled.is_set() else RunStatus.FAILED
+            reason = self.engine.abort_reason or reason_of(error)
         finally:
             failures = [*park(self._backend, reason), attempt(self._store.settle)]
         reason = "; ".join(part for part in (reason, *failures) if part)
-        if status is Status.COMPLETE and any(failures):
-            status = Status.FAILED
+        if status is RunStatus.COMPLETE and any(failures):
+            status = RunStatus.FAILED
         return SessionResult(status, reason, tuple(self._results))
 
     def _prepare(self) -> None:
-        reset(self._backend, self._guard, self._operator)
+        reset_guard(self._backend, self._guard, self._operator)
         self._stop_if_cancelled()
-        make_ready(self._backend, self._operator)
+        enable_and_home(self._backend, self._operator)
         self._contact_since = self._backend.clock.monotonic()
 
     def _make_all(self) -> None:
@@ -163,7 +343,7 @@ class Session:
 
     def _clear_the_way(self, run: PlannedRun) -> Answer:
         in_gut = bool(self._results) and self._results[-1].run.contact is not Contact.NONE
-        if not in_gut or abs(self._way_to(run)) <= IN_PLACE_MM:
+        if not in_gut or abs(self._way_to(run)) <= START_TOLERANCE_MM:
             return Answer.DONE
         text = f"Take the capsule out of the gut: the stage goes to {run.start_mm:g} mm"
         self._inserted_at = None
@@ -192,11 +372,11 @@ class Session:
         self._go_to(run)
         self._wait(run)
         clock = self._backend.clock
-        acquisition = recorded(self._order, run, clock.monotonic() - self._contact_since)
+        acquisition = run_acquisition(self._order, run, clock.monotonic() - self._contact_since)
         facts: dict[str, Attribute] = {} if tare is None else {"tare_mN": tare}
         if self._inserted_at is not None:
             facts["inserted_at"] = self._inserted_at.isoformat()
-        header = header_of(run, acquisition, self._record, self._backend, self._settings, facts)
+        header = run_header(run, acquisition, self._record, self._backend, self._settings, facts)
         self._watcher.run_begins(run, self._order)
         sink = self._store.open(header, run.profile.samples(header.sample_rate_hz))
         outcome = self.engine.acquire(acquisition, sink, self._watcher.reads, tare or 0.0)
@@ -211,8 +391,8 @@ class Session:
         if not run.tare_s:
             return None
         self._must(self._ask_plainly("Hold the capsule clear of the gut: the sensor's zero is taken", run))
-        rest = MotionProfile.from_pieces([still(run.tare_s, Phase.REST)])
-        outcome = self.engine.acquire(unrecorded(self._order, "tare", run, rest))
+        rest = MotionProfile.from_pieces([stationary_piece(run.tare_s, Phase.REST)])
+        outcome = self.engine.acquire(auxiliary_acquisition(self._order, "tare", run, rest))
         require_complete(outcome)
         if not isfinite(outcome.mean_force_mN):
             raise DeviceError(f"a tare of {run.tare_s:g} s is too short for a sample.")
@@ -222,10 +402,10 @@ class Session:
 
     def _go_to(self, run: PlannedRun) -> None:
         way = self._way_to(run)
-        if abs(way) <= IN_PLACE_MM:
+        if abs(way) <= START_TOLERANCE_MM:
             return
-        profile = positioning(way, self._backend.stage.limits)
-        require_complete(self.engine.acquire(unrecorded(self._order, "positioning", run, profile)))
+        profile = positioning_profile(way, self._backend.stage.limits)
+        require_complete(self.engine.acquire(auxiliary_acquisition(self._order, "positioning", run, profile)))
         await_standstill(self._backend)
         self._contact_since = self._backend.clock.monotonic()
 

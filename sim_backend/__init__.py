@@ -1,1 +1,1 @@
-"""The stand-in for rig and gut: the friction model and the simulated devices."""
+"""The simulated rig and gut: friction model, candidate effects, simulated devices, and a plant for blind checks."""

@@ -42,7 +42,7 @@ def install(site: Path, monkeypatch: pytest.MonkeyPatch, code: str = CODE) -> Pa
     (site / "handed-1.dist-info").mkdir(parents=True)
     (site / "handed-1.dist-info" / "METADATA").write_text("Name: handed\nVersion: 1\n", "utf-8")
     (site / "handed-1.dist-info" / "entry_points.txt").write_text(
-        "[dragrig.backends]\nhanded = handed_rig:hardware\n[dragrig.doubles]\nhanded = handed_rig:double\n", "utf-8"
+        "[dragrig.setup]\nhanded = handed_rig:hardware\n[dragrig.doubles]\nhanded = handed_rig:double\n", "utf-8"
     )
     (site / "handed_rig.py").write_text(code, "utf-8")
     (site / "findings.json").write_text('[["card", true, "there"]]', "utf-8")

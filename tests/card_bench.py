@@ -8,23 +8,21 @@ from dataclasses import dataclass, field
 import numpy as np
 from simulated import NEVER, acquire
 
-from dragrig.config.lab import Calibration
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import Block
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
-from dragrig.rig.hardware.coupling import Coupling
+from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.doubles import c_library as c_abi
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fronts import c_abi
-from dragrig.sim_backend.doubles.fronts.grpc_server import CardServer
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.remote_server import CardServer
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 
-class Witness(World):
+class Witness(SimulatedBench):
     """A bench that keeps every sample that it was asked for."""
 
     seen: dict[str, dict[int, float]]
@@ -51,7 +49,7 @@ class CardRig:
     world: Witness
     connection: Connection
     sampler: CardSampler
-    coupling: Coupling
+    coupling: MotionSamplingSync
     _stages: list[threading.Thread] = field(default_factory=list)
 
     def begin(self, profile: MotionProfile, *, moves: bool = True) -> None:
@@ -96,7 +94,7 @@ class CardRig:
 def card_rig(
     rig: RigSettings,
     calibrations: Mapping[str, Calibration] | None = None,
-    card: Callable[[World], Card] | None = None,
+    card: Callable[[SimulatedBench], Card] | None = None,
     pace: float = 1.0,
     *,
     remote: bool = False,
@@ -108,7 +106,7 @@ def card_rig(
             rig = served(rig, stack.enter_context(CardServer(made)).port)
         else:
             stack.enter_context(c_abi.installed(made))
-        coupling = Coupling()
+        coupling = MotionSamplingSync()
         connection = Connection(rig.hardware.card)
         stack.callback(connection.close)
         sampler = CardSampler(connection, rig, calibrations or {}, coupling, world.clock)

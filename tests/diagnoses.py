@@ -4,18 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from dragrig.analysis.gap.results import (
-    BeforeAfter,
+from dragrig.analysis.estimates import EstimatedQuantity, Exclusion
+from dragrig.analysis.gap.diagnosis import (
+    AxisBin,
+    AxisLocation,
     Diagnosis,
-    Ranked,
-    RunView,
-    Shrink,
-    UnknownGap,
+    GapLocation,
+    GapReduction,
+    PhaseCell,
+    R2BeforeAfter,
+    RankedHypothesis,
+    RunTraces,
+    UnexplainedGap,
     Verdict,
 )
-from dragrig.analysis.gap.where.results import Bin, Cell, Location, Where
-from dragrig.analysis.identification.results import LeftOut, Quantity
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 
 KINDS = ("drag", "coulomb", "relaxation", "blank")
 PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")
@@ -23,44 +26,48 @@ SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 FILES = tuple(f"{number:03d}-drag.h5" for number in range(18))
 
 
-def quantity(name: str, unit: str, value: float, error: float) -> Quantity:
-    return Quantity(name, unit, value, error, (value - 1.96 * error, value + 1.96 * error))
+def quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuantity:
+    return EstimatedQuantity(name, unit, value, error, (value - 1.96 * error, value + 1.96 * error))
 
 
-def named(name: str, shares: dict[str, float], p: float = 0.001) -> Location:
-    bins = tuple(Bin(key, None, None, share, 3.0 * share, p if share > 0.5 else 1.0) for key, share in shares.items())
-    return Location(name, bins, 1.0, None, None, 0.0, 1.0, p)
+def named(name: str, shares: dict[str, float], p: float = 0.001) -> AxisLocation:
+    bins = tuple(
+        AxisBin(key, None, None, share, 3.0 * share, p if share > 0.5 else 1.0) for key, share in shares.items()
+    )
+    return AxisLocation(name, bins, 1.0, None, None, 0.0, 1.0, p)
 
 
-def ranged(name: str, edges: list[tuple[float, float]], shares: list[float], p: float = 0.002) -> Location:
-    bins = tuple(Bin("", low, high, share, 4.0 * share, p if share > 0.2 else 1.0)
+def ranged(name: str, edges: list[tuple[float, float]], shares: list[float], p: float = 0.002) -> AxisLocation:
+    bins = tuple(AxisBin("", low, high, share, 4.0 * share, p if share > 0.2 else 1.0)
                  for (low, high), share in zip(edges, shares, strict=True))  # fmt: skip
     inside = [at for at, share in enumerate(shares) if share > 0.1]
     if not inside:
-        return Location(name, bins, 1.0, None, None, 0.0, 1.0, 1.0)
+        return AxisLocation(name, bins, 1.0, None, None, 0.0, 1.0, 1.0)
     low, high = edges[inside[0]][0], edges[inside[-1]][1]
-    return Location(name, bins, 0.95, low, high, sum(shares[inside[0] : inside[-1] + 1]), p, p)
+    return AxisLocation(name, bins, 0.95, low, high, sum(shares[inside[0] : inside[-1] + 1]), p, p)
 
 
-def cells(loud: bool) -> tuple[Cell, ...]:
+def cells(loud: bool) -> tuple[PhaseCell, ...]:
     rms = {"rest": 0.1, "accelerate": 1.0, "steady": 4.2, "decelerate": 0.9, "hold": 0.2}
     quiet = {"drag": 1.0, "coulomb": 0.5, "relaxation": 0.05, "blank": 0.0}
     return tuple(
-        Cell(channel, kind, phase, (rms[phase] * quiet[kind] if loud else 0.1) * (1.0 if channel == "force" else 0.1))
+        PhaseCell(
+            channel, kind, phase, (rms[phase] * quiet[kind] if loud else 0.1) * (1.0 if channel == "force" else 0.1)
+        )
         for channel in ("force", "position")
         for kind in KINDS
         for phase in PHASES
     )
 
 
-def where(present: bool = True) -> Where:
+def where(present: bool = True) -> GapLocation:
     part = 1.0 if present else 0.0
     speeds = [share * part for share in (0.4, 0.25, 0.14, 0.09, 0.05, 0.03, 0.02, 0.01, 0.01)]
     tenth = [(4.0 * at, 4.0 * at + 4.0) for at in range(10)]
     eighth = [(400.0 * at, 400.0 * at + 400.0) for at in range(8)]
     strains = [(one, one) for one in (0.5, 1.0, 1.5, 2.0)]
     bands = [(0.1, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 100.0)]
-    return Where(
+    return GapLocation(
         present=present,
         p=0.0005 if present else 0.62,
         rms=3.1 if present else 0.2,
@@ -82,21 +89,21 @@ def where(present: bool = True) -> Where:
     )
 
 
-def shrink(closed: float | None = 0.993) -> Shrink:
-    return Shrink(
+def shrink(closed: float | None = 0.993) -> GapReduction:
+    return GapReduction(
         gap_before_mN=9.1 if closed is not None else 1.5,
         gap_after_mN=1.6 if closed is not None else 1.5,
         noise_floor_mN=1.4,
         closed=closed,
         closed_95ci=None if closed is None else (0.985, 0.998),
         boundary_mm_s=20.0,
-        r2_eq15=BeforeAfter(0.7, 0.4, 0.98, 0.97),
-        r2_corr=BeforeAfter(0.8, None, 0.99, None),
+        r2_eq15=R2BeforeAfter(0.7, 0.4, 0.98, 0.97),
+        r2_corr=R2BeforeAfter(0.8, None, 0.99, None),
         runs=FILES[:8],
     )
 
 
-def view(file: str, kind: str, speed_mm_s: float, level_mN: float, gap_mN: float) -> RunView:
+def view(file: str, kind: str, speed_mm_s: float, level_mN: float, gap_mN: float) -> RunTraces:
     travel, rest, hold = (5.0, 1.0, 20.0) if kind == "relaxation" else (40.0, 1.0, 3.0)
     duration = travel / speed_mm_s
     resting, sliding, holding = np.linspace(0.05, 1, 10), np.linspace(0.002, 1, 90), np.linspace(0.01, 1, 50)
@@ -108,7 +115,7 @@ def view(file: str, kind: str, speed_mm_s: float, level_mN: float, gap_mN: float
     measured = after + np.random.default_rng(int(10 * speed_mm_s)).normal(0.0, 0.8, time.size)
     label = {"drag": f"drag at {speed_mm_s:g} mm/s", "coulomb": f"Coulomb friction at {speed_mm_s:g} mm/s",
              "relaxation": "relaxation at 200 %", "blank": f"blank run at {speed_mm_s:g} mm/s"}[kind]  # fmt: skip
-    return RunView(file, kind, label, "force", "mN", time, position, measured, before, after)
+    return RunTraces(file, kind, label, "force", "mN", time, position, measured, before, after)
 
 
 VIEWS = (
@@ -128,15 +135,15 @@ STRIBECK = Diagnosis(
     runs=19,
     used_for_fit=FILES,
     held_out=FILES[:8],
-    left_out=(LeftOut("018-drag.h5", "it is marked bad: the gut slipped off the foam"),),
+    left_out=(Exclusion("018-drag.h5", "it is marked bad: the gut slipped off the foam"),),
     verdict=Verdict.EFFECT,
     effects=("stribeck",),
     ranking=(
-        Ranked("stribeck", 0.93, (RATIO, SPEED), 0.71),
-        Ranked("adhesion", 0.04, (quantity("force_mN", "mN", 21.0, 4.0),), 0.55),
-        Ranked("film_depletion", 0.02, (), 0.31),
-        Ranked("unknown", 0.009),
-        Ranked("no_gap", 0.001),
+        RankedHypothesis("stribeck", 0.93, (RATIO, SPEED), 0.71),
+        RankedHypothesis("adhesion", 0.04, (quantity("force_mN", "mN", 21.0, 4.0),), 0.55),
+        RankedHypothesis("film_depletion", 0.02, (), 0.31),
+        RankedHypothesis("unknown", 0.009),
+        RankedHypothesis("no_gap", 0.001),
     ),
     confusable_with=("adhesion", "film_depletion"),
     residual_unknown=False,
@@ -160,9 +167,9 @@ NO_GAP = replace(
     verdict=Verdict.NO_GAP,
     effects=(),
     ranking=(
-        Ranked("no_gap", 0.971),
-        Ranked("unknown", 0.02),
-        Ranked("stribeck", 0.009, (quantity("ratio", "1", 0.01, 0.03),), -0.02),
+        RankedHypothesis("no_gap", 0.971),
+        RankedHypothesis("unknown", 0.02),
+        RankedHypothesis("stribeck", 0.009, (quantity("ratio", "1", 0.01, 0.03),), -0.02),
     ),
     confusable_with=(),
     where=where(present=False),
@@ -176,11 +183,15 @@ UNKNOWN = replace(
     STRIBECK,
     verdict=Verdict.UNKNOWN,
     effects=(),
-    ranking=(Ranked("unknown", 0.88), Ranked("stribeck", 0.08, (RATIO, SPEED), 0.2), Ranked("no_gap", 0.04)),
+    ranking=(
+        RankedHypothesis("unknown", 0.88),
+        RankedHypothesis("stribeck", 0.08, (RATIO, SPEED), 0.2),
+        RankedHypothesis("no_gap", 0.04),
+    ),
     confusable_with=(),
     shrink=None,
     model=None,
-    unknown=UnknownGap(
+    unknown=UnexplainedGap(
         "It lives in the steady force of drag runs, from 0.5 to 5 mm/s",
         "It falls with speed and grows along the stroke",
         "4.1 mN · x / 40 mm − 1.2 mN · ln(v / 1 mm/s)",
@@ -193,12 +204,14 @@ TOGETHER = replace(
     verdict=Verdict.SEVERAL,
     effects=("stribeck", "velocity_ripple"),
     ranking=(
-        Ranked("velocity_ripple+stribeck", 0.9996, (RATIO, SPEED, quantity("period_mm", "mm", 20.0, 0.1)), 0.83),
-        Ranked("stribeck", 0.0004, (RATIO, SPEED), 0.5),
+        RankedHypothesis(
+            "velocity_ripple+stribeck", 0.9996, (RATIO, SPEED, quantity("period_mm", "mm", 20.0, 0.1)), 0.83
+        ),
+        RankedHypothesis("stribeck", 0.0004, (RATIO, SPEED), 0.5),
     ),
     confusable_with=("adhesion",),
     residual_unknown=True,
-    unknown=UnknownGap("It lives in the hold after the stop", "It decays with time"),
+    unknown=UnexplainedGap("It lives in the hold after the stop", "It decays with time"),
 )
 
 ALL = {"effect": STRIBECK, "no_gap": NO_GAP, "unknown": UNKNOWN, "several": TOGETHER}

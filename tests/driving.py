@@ -9,19 +9,18 @@ from dataclasses import dataclass
 import pytest
 from simulated import settings
 
-from dragrig.config.model import FrictionModelSettings
-from dragrig.rig.hardware.coupling import Coupling, FirstSample
-from dragrig.rig.hardware.deadman import Deadman
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.stage import SerialStage
-from dragrig.rig.hardware.lines import Lines, NoLines, Pressed
+from dragrig.rig.hardware.drive.monitor import Watchdog
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage
+from dragrig.rig.hardware.lines import DigitalLines, NoDigitalLines, SwitchStates
+from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles.drive.drive import DriveDouble
-from dragrig.sim_backend.doubles.drive.ports import Port, PtyPort, SocketPort
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.drive_double import DriveDouble
+from dragrig.sim_backend.doubles.serial_ports import DrivePort, PtyPort, SocketPort
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
@@ -41,14 +40,14 @@ def until(condition: Callable[[], bool], within_s: float = 10.0) -> float:
 class WorldLines:
     """The lines of the bench, without a card in between."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SimulatedBench) -> None:
         self.world = world
         self.names = world.rig.hardware.card.lines
         self.beats = 0
 
-    def pressed(self) -> Pressed:
-        low = {name: not self.world.read_line(getattr(self.names, name)) for name in Pressed.__dataclass_fields__}
-        return Pressed(**low)
+    def pressed(self) -> SwitchStates:
+        low = {name: not self.world.read_line(getattr(self.names, name)) for name in SwitchStates.__dataclass_fields__}
+        return SwitchStates(**low)
 
     def enable(self, on: bool) -> None:
         self.world.write_line(self.names.enable, on)
@@ -61,14 +60,14 @@ class WorldLines:
 class Driven:
     """A drive's double and everything on the program's side of the cable."""
 
-    world: World
+    world: SimulatedBench
     drive: DriveDouble
     link: DriveLink
-    stage: SerialStage
-    coupling: Coupling
-    deadman: Deadman
-    lines: Lines
-    port: Port
+    stage: PositionModeStage
+    coupling: MotionSamplingSync
+    deadman: Watchdog
+    lines: DigitalLines
+    port: DrivePort
 
     def sample(self, profile: MotionProfile) -> None:
         """Move with a first sample, as the engine does."""
@@ -85,10 +84,12 @@ class Driven:
 
 
 @contextmanager
-def linked(kind: type[Port] = ANY_PORT, pace: float = 1.0, **drive: object) -> Iterator[tuple[DriveDouble, DriveLink]]:
+def linked(
+    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, **drive: object
+) -> Iterator[tuple[DriveDouble, DriveLink]]:
     """A drive's double whose enable line is not wired, and a link to it."""
     rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
-    world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
     with DriveDouble(world, DIALECT) as double, kind(double) as port:
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
         try:
@@ -99,7 +100,7 @@ def linked(kind: type[Port] = ANY_PORT, pace: float = 1.0, **drive: object) -> I
 
 @contextmanager
 def driven(
-    kind: type[Port] = ANY_PORT, pace: float = 1.0, wired: bool = False, hang_s: float = 5.0, **drive: object
+    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, wired: bool = False, hang_s: float = 5.0, **drive: object
 ) -> Iterator[Driven]:
     """A stage on a drive's double; `wired` to the bench's switches and enable, or to nothing."""
     wires = {} if wired else {"enable": ""}
@@ -107,7 +108,7 @@ def driven(
     # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
     patient = {"homing_speed_mm_s": 50, "reply_s": 0.5, "silence_s": 2.0}
     rig = settings(hardware={"drive": {**patient, **drive}, "card": card, "hang_s": hang_s})
-    world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
     # The gut's first samples take seconds of imports, in which no thread would answer.
     world.begin_sampling(RATE)
     world.end_sampling()
@@ -117,8 +118,8 @@ def driven(
         port = stack.enter_context(kind(double))
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
         stack.callback(link.close)
-        lines = WorldLines(world) if wired else NoLines()
-        coupling, deadman = Coupling(), Deadman()
-        stage = SerialStage(rig, link, lines, coupling, world.clock, deadman)
+        lines = WorldLines(world) if wired else NoDigitalLines()
+        coupling, deadman = MotionSamplingSync(), Watchdog()
+        stage = PositionModeStage(rig, link, lines, coupling, world.clock, deadman)
         stack.callback(stage.close)
         yield Driven(world, double, link, stage, coupling, deadman, lines, port)

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect
-from dragrig.sim_backend.effects.scene import Scene, gut_scene
+from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
 KINDS = ("drag", "coulomb", "relaxation", "blank")
@@ -32,7 +31,7 @@ def acquisition(kind: str, stopped_s: float | None = None) -> Acquisition:
     """A run of a kind; at `stopped_s` the stage brakes to a standstill for the rest of its time."""
     travel, speed, hold = (2.5, 20.0, 6.0) if kind == "relaxation" else (15.0, 10.0, 2.0)
     profile = MotionProfile.from_pieces(
-        (still(1.0, Phase.REST), *trapezoid(travel, speed, 400.0), still(hold, Phase.HOLD))
+        (stationary_piece(1.0, Phase.REST), *trapezoid(travel, speed, 400.0), stationary_piece(hold, Phase.HOLD))
     )
     if stopped_s is not None:
         profile = profile.stopped(stopped_s, 3000.0, hold_s=profile.duration_s)
@@ -41,14 +40,14 @@ def acquisition(kind: str, stopped_s: float | None = None) -> Acquisition:
     return replace(made, shear_strain=1.0) if kind == "relaxation" else made
 
 
-def scene(kind: str, stopped_s: float | None = None, until_s: float | None = None) -> Scene:
+def scene(kind: str, stopped_s: float | None = None, until_s: float | None = None) -> RunState:
     """The scene of a run of a kind, every 2 ms of the first `until_s`."""
     made = acquisition(kind, stopped_s)
     time = np.arange(0.0, made.profile.duration_s if until_s is None else until_s, 0.002)
-    return gut_scene(made, FrictionModelSettings(), ProfileMotion.of(made.profile), time, SESSION_S)
+    return gut_run_state(made, FrictionModelSettings(), ProfileMotion.of(made.profile), time, SESSION_S)
 
 
-def changed(effect: Effect, seen: Scene, values: Mapping[str, float]) -> FloatArray:
+def changed(effect: Effect, seen: RunState, values: Mapping[str, float]) -> FloatArray:
     """What an effect changes in the channel that it shows in."""
     time, position = seen.time_s, seen.position_mm
     match effect:

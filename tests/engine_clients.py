@@ -14,20 +14,20 @@ from pathlib import Path
 from dragrig.config.plan import Plan
 from dragrig.engine_host.client import EngineClient
 from dragrig.engine_host.messages import (
-    SILENCE_S,
-    Answer,
-    Asked,
-    Began,
-    Ended,
+    SILENCE_TIMEOUT_S,
     Event,
-    Job,
-    Latched,
-    Reply,
-    Reset,
-    RigTerms,
-    RunBegan,
-    Start,
-)  # fmt: skip
+    GuardState,
+    PromptReply,
+    PromptShown,
+    ResetGuard,
+    RigSelection,
+    RunStarted,
+    SessionFinished,
+    SessionJob,
+    SessionStarted,
+    StartSession,
+)
+from dragrig.rig.operator import Answer  # fmt: skip
 
 PATIENCE_S = 120.0
 """Machines that test are busy."""
@@ -58,8 +58,8 @@ class Listener:
 
     def armed(self) -> "Listener":
         """Forget what was heard and seen, and reset the guard."""
-        self.client.ask(Reset())
-        self.until(Latched, lambda event: event == Latched(""))
+        self.client.ask(ResetGuard())
+        self.until(GuardState, lambda event: event == GuardState(""))
         self.heard, self.answer = [], Answer.DONE
         self.client.live.read()
         return self
@@ -71,8 +71,8 @@ class Listener:
             self.client.beat()
             for event in self.client.events():
                 self.heard.append(event)
-                if isinstance(event, Asked) and self.answer is not None:
-                    self.client.ask(Reply(event.question, self.answer))
+                if isinstance(event, PromptShown) and self.answer is not None:
+                    self.client.ask(PromptReply(event.question, self.answer))
                 if isinstance(event, kind) and wanted(event):
                     return event
             time.sleep(0.005)
@@ -91,12 +91,12 @@ class Listener:
 
 
 @contextmanager
-def listening(rig: RigTerms | None = None, silence_s: float = SILENCE_S) -> Iterator[Listener]:
+def listening(rig: RigSelection | None = None, silence_s: float = SILENCE_TIMEOUT_S) -> Iterator[Listener]:
     """A host, and a client that hears it; the guard is reset."""
-    client = EngineClient(rig or RigTerms(backend="simulated"), silence_s)
+    client = EngineClient(rig or RigSelection(backend="simulated"), silence_s)
     try:
         listener = Listener(client)
-        listener.until(Latched)
+        listener.until(GuardState)
         yield listener.armed()
     finally:
         client.close()
@@ -113,16 +113,16 @@ def hold_the_interpreter(duration_s: float) -> None:
 def main(folder: Path, seconds: float, hold_s: float) -> None:
     """Be the client that is held or killed."""
     with listening() as listener:
-        listener.client.ask(Start(Job(1, plan(10.0 / seconds, 10.0), pace="real", out=folder)))
-        listener.until(Began)
-        listener.until(RunBegan)
+        listener.client.ask(StartSession(SessionJob(1, plan(10.0 / seconds, 10.0), pace="real", out=folder)))
+        listener.until(SessionStarted)
+        listener.until(RunStarted)
         listener.until_samples(400)
         print("moving", listener.client.pid, flush=True)
         begun = time.monotonic()
         hold_the_interpreter(hold_s)
         print("held", time.monotonic() - begun, flush=True)
-        ended = listener.until(Ended)
-        assert isinstance(ended, Ended)
+        ended = listener.until(SessionFinished)
+        assert isinstance(ended, SessionFinished)
         print("ended", ended.status, flush=True)
 
 

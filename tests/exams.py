@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dragrig.gap_scoring import Score, score
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.scoring import ExamScore, score_exam
+from dragrig.sim_backend.effects.base import catalogue
 
 Document = dict[str, object]
 
@@ -37,7 +37,7 @@ def said(
     }
 
 
-def large_exam(cases: int = 160, seed: int = 4) -> Score:
+def large_exam(cases: int = 160, seed: int = 4) -> ExamScore:
     """Return the score of an exam in which most verdicts are right, some are not, and small effects are not seen."""
     random = np.random.default_rng(seed)
     names = sorted(catalogue())
@@ -63,4 +63,4 @@ def large_exam(cases: int = 160, seed: int = 4) -> Score:
             withheld[name] = said(verdict="unknown", p=p) if number % 5 else said(other, p=p)
             achieved[name] = {"shrink": {"closed": closed + float(random.normal(0.0, 0.03)), "closed_95ci": None}}
         pairs.append((name, hidden, told))
-    return score(pairs, withheld=withheld, achieved=achieved, amounts=amounts)
+    return score_exam(pairs, withheld=withheld, achieved=achieved, amounts=amounts)

@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 
@@ -16,10 +15,10 @@ SMOOTH = Capsule(name="smooth", surface="smooth", diameter_mm=13.0, length_mm=15
 def moves(*strokes: tuple[float, float], acceleration: float = 400.0, rest: float = 1.0, hold: float = 3.0,
           between: float = 0.0) -> MotionProfile:  # fmt: skip
     """Trapezoids of (travel, speed), with a rest before, pauses between and a hold after."""
-    pieces: list[Piece] = [still(rest, Phase.REST)]
+    pieces: list[Piece] = [stationary_piece(rest, Phase.REST)]
     for travel, speed in strokes:
-        pieces += [*trapezoid(travel, speed, acceleration), still(between, Phase.HOLD)]
-    return MotionProfile.from_pieces([*pieces, still(hold, Phase.HOLD)])
+        pieces += [*trapezoid(travel, speed, acceleration), stationary_piece(between, Phase.HOLD)]
+    return MotionProfile.from_pieces([*pieces, stationary_piece(hold, Phase.HOLD)])
 
 
 def sliding(profile: MotionProfile, capsule: Capsule = ROUGH, fixture: Fixture = Fixture.FOAM,

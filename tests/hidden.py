@@ -5,11 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import dragrig
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.identification.selection import Selection
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.selection import RunSelection
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
-from dragrig.sim_backend.blind import draw, make
+from dragrig.sim_backend.blind import draw_campaign, write_campaign
 
 PLAN = {
     "name": "short",
@@ -23,13 +23,13 @@ PLAN = {
 }
 
 
-def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> Selection:
+def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> RunSelection:
     """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
-    make(draw(seed, effects=effects, size=size), folder)
-    return thinned(choose(folder))
+    write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
+    return thinned(select_runs(folder))
 
 
-def thinned(whole: Selection) -> Selection:
+def thinned(whole: RunSelection) -> RunSelection:
     seen: dict[tuple[str, object], int] = {}
     kept = []
     for one in whole.experiments:
@@ -41,6 +41,6 @@ def thinned(whole: Selection) -> Selection:
     return replace(whole, experiments=tuple(kept))
 
 
-def simulated(model: FrictionModelSettings) -> Selection:
+def simulated(model: FrictionModelSettings) -> RunSelection:
     """Return the runs of a short plan on the simulated rig, with its noise and with specimens that vary."""
-    return choose(dragrig.simulate(Plan.model_validate(PLAN), model=model))
+    return select_runs(dragrig.simulate(Plan.model_validate(PLAN), model=model))

@@ -18,8 +18,13 @@ from pathlib import Path
 import numpy as np
 from runfiles import START, arrays, header
 
-from dragrig.rig.runfile import files, finish, naming, read_run, recording, recover, repack, writing
-from dragrig.rig.runfile.model import Event, Status
+from dragrig.rig.runfile import filesystem as files
+from dragrig.rig.runfile import finish, read_run, recover
+from dragrig.rig.runfile import finisher as repack
+from dragrig.rig.runfile import recorder as recording
+from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile import writer as writing
+from dragrig.rig.runfile.model import RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 
 BLOCK_S = 0.005
@@ -67,9 +72,9 @@ def victim(path: Path, rate_hz: float, seconds: float, die_at: str, times: int) 
             time.sleep(max(0.0, begun + (number + 1) * BLOCK_S - time.monotonic()))
             recorder.offer(number * per_block, arrays(number * per_block, per_block, rate_hz))
             if number % 10 == 0:
-                recorder.event(Event(number * BLOCK_S, "tick", str(number)))
+                recorder.event(RunEvent(number * BLOCK_S, "tick", str(number)))
             _say((number + 1) * per_block)
-        left = recorder.close(Status.COMPLETE, "as planned", START)
+        left = recorder.close(RunStatus.COMPLETE, "as planned", START)
     finish(left)
 
 

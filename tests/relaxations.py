@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.analysis.identification.selection import Selection, select_from
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
-from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, Status, Trace
-from dragrig.sim_backend.devices.noise import SlowNoise
+from dragrig.analysis.selection import RunSelection, select_loaded_runs
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.sim_backend.devices.variability import SlowNoise
 from dragrig.sim_backend.friction import ProfileMotion
-from dragrig.sim_backend.friction.maxwell import MaxwellBranches, strain_at
+from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
 
 AREA_MM2 = np.pi * 12.9 * 15.2
 COUNT_MM, STEP_MN = 1e-3, 20_000 / 65_536
@@ -36,13 +36,15 @@ def relaxation(
     branches = [(E1, eta1 / E1), (E2, eta2 / E2), *([third] if third else [])]
     moduli, times = np.array(branches).T
     ramp = trapezoid(2.5 * strain, ramp_mm_s, 2000.0)
-    profile = MotionProfile.from_pieces([still(rest_s, Phase.REST), *ramp, still(hold_s, Phase.HOLD)])
+    profile = MotionProfile.from_pieces(
+        [stationary_piece(rest_s, Phase.REST), *ramp, stationary_piece(hold_s, Phase.HOLD)]
+    )
     time = np.arange(profile.samples(rate_hz)) / rate_hz
     motion = ProfileMotion.of(profile)
     wall = MaxwellBranches.through(1 / times, motion.pieces(), 2.5)
     parts = np.array_split(time, 1 + time.size // 100_000)
     force = AREA_MM2 * np.concatenate(
-        [E3 * strain_at(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.at(part), 1) for part in parts]
+        [E3 * shear_strain(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.at(part), 1) for part in parts]
     )
     random = np.random.default_rng(seed)
     force += zero_mN + 1.5 * random.standard_normal(time.size)
@@ -68,8 +70,8 @@ def _run(strain, seed, rate_hz, time, phase, channels) -> Run:
     )
     units = {"force": "mN", "position": "mm"}
     trace = Trace(rate_hz, "force", time, channels["position"], phase, channels, units)
-    return Run(RunInfo(Path(name), 1, Status.COMPLETE, header, len(time)), trace)
+    return Run(RunInfo(Path(name), 1, RunStatus.COMPLETE, header, len(time)), trace)
 
 
-def selected(*runs: Run) -> Selection:
-    return select_from(runs)
+def selected(*runs: Run) -> RunSelection:
+    return select_loaded_runs(runs)

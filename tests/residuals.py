@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dragrig.analysis.gap.where import ResidualBlocks
+from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase

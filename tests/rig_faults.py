@@ -21,19 +21,18 @@ from typing import Any
 import numpy as np
 from simulated import settings
 
-from dragrig import api
-from dragrig.campaigns import Made
+import dragrig as api
+from dragrig.campaign_session import Made
 from dragrig.config.errors import DragrigError
-from dragrig.config.loading import to_toml
+from dragrig.config.settings import to_toml
 from dragrig.rig.hardware.dialects.base import Halt
-from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import campaign, read_run
-from dragrig.rig.runfile.model import Run, Status
-from dragrig.sim_backend.doubles.remote.client import RemoteDoubles
-from dragrig.sim_backend.doubles.remote.messages import StageLook
-from dragrig.sim_backend.doubles.world.mishaps import Trouble
+from dragrig.rig.runfile import read_campaign, read_run
+from dragrig.rig.runfile.model import Run, RunStatus
+from dragrig.sim_backend.doubles.fault_injection import ActiveFaults
+from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles, StageStatus
 
 START_MM = 5.0
 TRAVEL_MM = 6.0
@@ -83,7 +82,7 @@ def sentence(fault: str) -> re.Pattern[str]:
     return re.compile(".+?".join(re.escape(part) for part in shown.split("…")), re.DOTALL)
 
 
-class Person(Nobody):
+class Person(NullOperator):
     """Does at once whatever is asked, and knows how far the run is."""
 
     def __init__(self) -> None:
@@ -113,16 +112,16 @@ class Bench:
         self._folders += 1
         return self.lab / f"campaign-{self._folders}"
 
-    def look(self) -> StageLook:
+    def look(self) -> StageStatus:
         return self.doubles.control.stage()
 
     def strike(self, **mishaps: Any) -> None:
         self.doubles.control.set_mishaps(**mishaps)
 
     def repair(self) -> None:
-        self.strike(**asdict(Trouble()))
+        self.strike(**asdict(ActiveFaults()))
 
-    def until(self, true: Callable[[StageLook], bool], while_: Callable[[], bool] = lambda: True) -> StageLook:
+    def until(self, true: Callable[[StageStatus], bool], while_: Callable[[], bool] = lambda: True) -> StageStatus:
         """Look at the stage until something is true of it."""
         until_s, pause = time.monotonic() + _PATIENCE_S, threading.Event()
         while time.monotonic() < until_s:
@@ -133,7 +132,9 @@ class Bench:
             pause.wait(_LOOK_S)
         raise AssertionError(f"the stage never got there: {look}")
 
-    def until_under_way(self, while_: Callable[[], bool] = lambda: True, from_mm: float = STRUCK_FROM_MM) -> StageLook:
+    def until_under_way(
+        self, while_: Callable[[], bool] = lambda: True, from_mm: float = STRUCK_FROM_MM
+    ) -> StageStatus:
         """Wait until the stage is in the middle of the drag."""
         return self.until(lambda look: look.speed_mm_s > 0 and look.position_mm >= from_mm, while_)
 
@@ -151,11 +152,11 @@ class Ended:
     """How a session ended, and how the stage was then."""
 
     folder: Path
-    status: Status
+    status: RunStatus
     reason: str
     exit_code: int
     told: str
-    stage: StageLook
+    stage: StageStatus
 
 
 class Running:
@@ -173,13 +174,13 @@ class Running:
     def alive(self) -> bool:
         return self._thread.is_alive()
 
-    def until_under_way(self) -> StageLook:
+    def until_under_way(self) -> StageStatus:
         return self.bench.until_under_way(lambda: self.alive or self.told())
 
     def told(self) -> bool:
         raise AssertionError(self.end())
 
-    def strike(self, **mishaps: Any) -> StageLook:
+    def strike(self, **mishaps: Any) -> StageStatus:
         look = self.until_under_way()
         self.bench.strike(**mishaps)
         return look
@@ -190,7 +191,7 @@ class Running:
         if self._raised:
             error = self._raised[0]
             assert isinstance(error, DragrigError), error
-            return Ended(self.folder, Status.FAILED, str(error), error.exit_code, str(error), self.bench.look())
+            return Ended(self.folder, RunStatus.FAILED, str(error), error.exit_code, str(error), self.bench.look())
         session = self._made[0].session
         try:
             session.require()
@@ -236,7 +237,7 @@ class Program:
     def alive(self) -> bool:
         return self.process.poll() is None
 
-    def until_under_way(self, from_mm: float = STRUCK_FROM_MM) -> StageLook:
+    def until_under_way(self, from_mm: float = STRUCK_FROM_MM) -> StageStatus:
         return self.bench.until_under_way(lambda: self.alive or self.told(), from_mm)
 
     def told(self) -> bool:
@@ -263,7 +264,7 @@ class Program:
 
 
 def only_run(folder: Path) -> Run:
-    (info,) = campaign(folder).runs
+    (info,) = read_campaign(folder).runs
     return read_run(info.path)
 
 
@@ -274,7 +275,7 @@ def assert_kept(run: Run, samples: int) -> None:
     assert float(run.trace.position.max()) > 0.1
 
 
-def assert_stopped(struck: StageLook, stage: StageLook, halt: Halt) -> None:
+def assert_stopped(struck: StageStatus, stage: StageStatus, halt: Halt) -> None:
     """It stands, short of its target, for this reason."""
     assert not stage.moving
     assert stage.speed_mm_s == 0
@@ -286,9 +287,9 @@ def assert_goes_on(bench: Bench, folder: Path) -> None:
     """With the fault repaired, the campaign goes on to its end."""
     bench.repair()
     ended = resume(bench, folder).end()
-    assert (ended.status, ended.exit_code) == (Status.COMPLETE, 0), ended.told
-    (made,) = (info for info in campaign(folder).runs if info.status is Status.COMPLETE)
-    assert made.header.order == len(campaign(folder).runs) - 1
+    assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.told
+    (made,) = (info for info in read_campaign(folder).runs if info.status is RunStatus.COMPLETE)
+    assert made.header.order == len(read_campaign(folder).runs) - 1
     assert made.checks["lost_samples"] == 0
 
 
@@ -298,4 +299,4 @@ def assert_told(fault: str, ended: Ended, run: Run) -> None:
     assert ended.reason.startswith(run.info.reason)
     assert ended.told.count("\n") == 0
     kinds = {event.kind: event.message for event in run.events}
-    assert run.info.reason.startswith(kinds["trip" if ended.status is Status.TRIPPED else "stop"].rstrip("…"))
+    assert run.info.reason.startswith(kinds["trip" if ended.status is RunStatus.TRIPPED else "stop"].rstrip("…"))

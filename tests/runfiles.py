@@ -9,7 +9,7 @@ from uuid import uuid4
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.runfile.model import Channel, RunHeader, Status
+from dragrig.rig.runfile.model import Channel, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 
 Arrays = dict[str, npt.NDArray[np.generic]]
@@ -54,7 +54,7 @@ def blocks(total: int, size: int) -> Iterator[tuple[int, Arrays]]:
         yield first, arrays(first, min(size, total - first))
 
 
-def record(path: Path, samples: int, order: int = 0, status: Status = Status.COMPLETE) -> Path:
+def record(path: Path, samples: int, order: int = 0, status: RunStatus = RunStatus.COMPLETE) -> Path:
     """Record a run to its end and return the recording."""
     with Recorder(path, replace(header(order)), reserve_bytes=0) as recorder:
         for first, block in blocks(samples, 500):

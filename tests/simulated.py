@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.effects import effects_of
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.backend import Backend, BackendRequest
-from dragrig.rig.devices import Acquisition, Block, Contact
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.devices import Acquisition, Backend, BackendRequest, Block, Contact
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.devices import Faults, SimulatedBackend, open_backend
 
 CAPSULE = Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1)
@@ -26,7 +23,11 @@ def stroke(
     hold_s: float = 0.05,
 ) -> MotionProfile:  # fmt: skip
     return MotionProfile.from_pieces(
-        (still(rest_s, Phase.REST), *trapezoid(travel_mm, speed_mm_s, accel_mm_s2), still(hold_s, Phase.HOLD))
+        (
+            stationary_piece(rest_s, Phase.REST),
+            *trapezoid(travel_mm, speed_mm_s, accel_mm_s2),
+            stationary_piece(hold_s, Phase.HOLD),
+        )
     )
 
 
@@ -39,7 +40,7 @@ class Handed(SimulatedBackend):
 
 
 def rest(duration_s: float) -> MotionProfile:
-    return MotionProfile.from_pieces([still(duration_s, Phase.REST)])
+    return MotionProfile.from_pieces([stationary_piece(duration_s, Phase.REST)])
 
 
 def acquire(
@@ -59,7 +60,7 @@ def session(
     rig: RigSettings | None = None, faults: Faults | None = None, real_time: bool = False, effects: Sequence[str] = ()
 ) -> Backend:
     """A simulated rig, switched on and homed."""
-    model = FrictionModelSettings(effects=effects_of(effects))
+    model = FrictionModelSettings(effects=parse_effects(effects))
     request = BackendRequest(rig or settings(), model, real_time=real_time)
     backend = open_backend(request, faults or Faults())
     backend.stage.enable()

@@ -9,13 +9,12 @@ import numpy as np
 from friction_cases import SMOOTH, sliding
 from scipy.signal import lfilter
 
-from dragrig.analysis.identification.selection import Selection, select_from
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture
+from dragrig.analysis.selection import RunSelection, select_loaded_runs
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
-from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, Status, Trace
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.sim_backend.friction import prepare
 
 RATE_HZ = 500.0
@@ -44,7 +43,7 @@ def slid(
     """Return a run; without a seed it has no zero, no stiffness and friction of its own, and hardly any noise."""
     fixture = fixture or (Fixture.FOAM if kind == "drag" else Fixture.VACUUM)
     profile = MotionProfile.from_pieces(
-        (still(1.0, Phase.REST), *trapezoid(travel_mm, speed_mm_s, 400.0), still(1.0, Phase.HOLD))
+        (stationary_piece(1.0, Phase.REST), *trapezoid(travel_mm, speed_mm_s, 400.0), stationary_piece(1.0, Phase.HOLD))
     )
     time = np.arange(profile.samples(RATE_HZ)) / RATE_HZ
     disturbed = 1e-3 * np.random.default_rng(0).normal(size=len(time))
@@ -67,7 +66,7 @@ def slid(
         capsule={key: getattr(capsule, key) for key in ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")},
         specimen={"name": "test", "fixture": fixture.value, "wall_thickness_mm": 2.5},
     )  # fmt: skip
-    info = RunInfo(Path(f"{kind}-{speed_mm_s:g}-{travel_mm:g}-{repeat}.h5"), 1, Status.COMPLETE, header, len(time))
+    info = RunInfo(Path(f"{kind}-{speed_mm_s:g}-{travel_mm:g}-{repeat}.h5"), 1, RunStatus.COMPLETE, header, len(time))
     position = np.round(profile.position(time), 3)
     channels: dict[str, AnyFloatArray] = {"force": force, "position": position}
     units = {"time": "s", "command": "mm", "force": "mN", "position": "mm"}
@@ -94,5 +93,5 @@ def with_capsule(run: Run, **changes: float | None) -> Run:
     return replace(run, info=replace(run.info, header=header))
 
 
-def selected(runs: Iterable[Run]) -> Selection:
-    return select_from(runs)
+def selected(runs: Iterable[Run]) -> RunSelection:
+    return select_loaded_runs(runs)

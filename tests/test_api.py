@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig import evaluating, measuring
+from dragrig.api import evaluate as evaluating
+from dragrig.api import measure as measuring
 from dragrig.config.errors import AnalysisError, OutputError, PlanError
-from dragrig.config.model import FrictionModelSettings
-from dragrig.rig.protocols.drag import Drag
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.protocols.drag import DragProtocol
 
 ROOT = Path(__file__).parents[1]
-DRAG = Drag(speed_mm_s=10, travel_mm=15, hold_s=0.5)
+DRAG = DragProtocol(speed_mm_s=10, travel_mm=15, hold_s=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +99,7 @@ def test_the_model_is_what_the_simulator_shows(run: dragrig.Run) -> None:
 
 def test_what_cannot_be_is_raised_in_words(run: dragrig.Run, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="where the stage may go"):
-        dragrig.simulate(Drag(speed_mm_s=10, travel_mm=500))
+        dragrig.simulate(DragProtocol(speed_mm_s=10, travel_mm=500))
     with pytest.raises(AnalysisError, match="odd number"):
         dragrig.filter(run, window_samples=10)
     dragrig.simulate(DRAG, out=tmp_path / "c")

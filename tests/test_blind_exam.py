@@ -11,13 +11,17 @@ from pathlib import Path
 import psutil
 import pytest
 
-from dragrig.blind.exam import BlindExam
-from dragrig.blind.holding import gap_blind
-from dragrig.blind.making import Order, write
-from dragrig.blind.mixing import mix
-from dragrig.blind.sealing import opened, put, seal
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
+from dragrig.exam.blind_campaigns import (
+    CampaignOrder,
+    draw_cases,
+    open_exam_folder,
+    seal_answers,
+    simulate_campaign,
+    write_json,
+)
+from dragrig.exam.blind_exam import BlindExam, gap_blind
 from dragrig.sim_backend.blind import CATALOGUE
 
 SEED = 611_203
@@ -25,7 +29,7 @@ SEED = 611_203
 
 
 def test_the_mix_is_balanced() -> None:
-    cases = mix(240, 5)
+    cases = draw_cases(240, 5)
     kinds = Counter(case.kind for case in cases)
     assert [kinds[kind] for kind in ("full", "third", "tenth", "none", "outside")] == [96, 36, 24, 24, 24]
     assert kinds["pair"] + kinds["rough"] + kinds["rough none"] == 36
@@ -33,37 +37,37 @@ def test_the_mix_is_balanced() -> None:
     assert set(singles) == set(CATALOGUE)
     assert max(singles.values()) - min(singles.values()) <= 3
     assert len({case.seed for case in cases}) == len(cases)
-    assert mix(240, 5) == cases
-    assert mix(240, 6) != cases
+    assert draw_cases(240, 5) == cases
+    assert draw_cases(240, 6) != cases
 
 
 @pytest.mark.timeout(180)
 def test_who_diagnoses_does_not_load_the_plant() -> None:
-    code = "import sys, dragrig.blind.examinee as one; one.examine(one.Question(one.Path('gone')));" + (
-        "print([name for name in sys.modules if name.startswith(('dragrig.sim_backend.blind', 'dragrig.blind.m'))])"
+    code = "import sys, dragrig.exam.examinee as one; one.examine(one.Question(one.Path('gone')));" + (
+        "print([name for name in sys.modules if name.startswith(('dragrig.sim_backend.blind', 'dragrig.exam.m'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
 def test_answers_are_sealed_and_a_changed_plant_is_noticed(tmp_path: Path) -> None:
-    planned = mix(3, 8)
-    with opened(tmp_path / "exam", 3, 8, "exam") as folder:
-        digest = seal(folder, planned)
-        assert seal(folder, planned) == digest
+    planned = draw_cases(3, 8)
+    with open_exam_folder(tmp_path / "exam", 3, 8, "exam") as folder:
+        digest = seal_answers(folder, planned)
+        assert seal_answers(folder, planned) == digest
         assert not (folder.root / "answers.json").exists()
         with pytest.raises(AnalysisError, match="other answers than were sealed"):
-            seal(folder, mix(3, 9))
+            seal_answers(folder, draw_cases(3, 9))
 
 
 def test_a_campaign_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
-    [case] = mix(1, 8)
-    order = Order(case, tmp_path / "campaigns" / "0001", tmp_path / "fresh" / "0001")
-    write(order)
+    [case] = draw_cases(1, 8)
+    order = CampaignOrder(case, tmp_path / "campaigns" / "0001", tmp_path / "fresh" / "0001")
+    simulate_campaign(order)
     assert len(list(order.campaign.glob("*.h5"))) >= 27
     assert sorted(path.name for path in tmp_path.rglob("0001*")) == ["0001", "0001"]
     before = {path: path.stat().st_mtime_ns for path in order.campaign.iterdir()}
-    write(order)
+    simulate_campaign(order)
     assert {path: path.stat().st_mtime_ns for path in order.campaign.iterdir()} == before
     assert [path.name for path in (tmp_path / "campaigns").iterdir()] == ["0001"]
 
@@ -73,7 +77,7 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
 ) -> None:
     out = tmp_path / "exam"
     busy = pytest.raises(OutputError, match="another program is at work")
-    with opened(out, 12, 3, "exam"), busy, opened(out, 12, 3, "exam"):
+    with open_exam_folder(out, 12, 3, "exam"), busy, open_exam_folder(out, 12, 3, "exam"):
         pass
     with pytest.raises(SettingsError, match="exam of 12 cases with seed 3; give --cases 12 --seed 3"):
         gap_blind(13, 3, out)
@@ -186,11 +190,11 @@ def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
 @pytest.mark.timeout(300)
 def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path: Path) -> None:
     out = tmp_path / "exam"
-    [case] = mix(1, 5)
-    with opened(out, 1, 5, "exam") as folder:
+    [case] = draw_cases(1, 5)
+    with open_exam_folder(out, 1, 5, "exam") as folder:
         first = {"hypothesis": "+".join(case.effects), "probability": 0.9}
-        put(folder.said(case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
-        put(folder.amount(case.name), {"d": 30.0})
+        write_json(folder.said(case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
+        write_json(folder.amount(case.name), {"d": 30.0})
     asked = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
     with subprocess.Popen([sys.executable, "-m", "dragrig", *asked], stdout=subprocess.DEVNULL) as exam:
         frozen_while_it_writes(exam.pid, out).kill()
@@ -218,17 +222,19 @@ def test_the_command_prints_what_the_exam_says_and_writes_its_page(
 ) -> None:
     """An exam that was held already, as its folder has it."""
     out, said = tmp_path / "exam", {"timings_s": {}}
-    planned = mix(2, 5)
-    with opened(out, 2, 5, "exam") as folder:
-        seal(folder, planned)
+    planned = draw_cases(2, 5)
+    with open_exam_folder(out, 2, 5, "exam") as folder:
+        seal_answers(folder, planned)
         for case in planned:
             for place in (folder.campaign(case.name), folder.fresh(case.name)):
                 place.mkdir(parents=True)
             verdict = "effect" if len(case.effects) == 1 else "no_gap"
             first = {"hypothesis": "+".join(case.effects) or "no_gap", "probability": 0.9}
-            put(folder.said(case.name), {**said, "verdict": verdict, "effects": case.effects, "ranking": [first]})
-            put(folder.amount(case.name), {"d": 30.0})
-        put(folder.said("0002"), {"failed": "it broke"})
+            write_json(
+                folder.said(case.name), {**said, "verdict": verdict, "effects": case.effects, "ranking": [first]}
+            )
+            write_json(folder.amount(case.name), {"d": 30.0})
+        write_json(folder.said("0002"), {"failed": "it broke"})
     report = tmp_path / "exam.html"
     asked = ["gap", "blind", "--cases", "2", "--seed", "5", "--out", str(out), "--quiet"]
     assert main([*asked, "--report", str(report)]) == 2

@@ -14,21 +14,21 @@ from dragrig.rig.runfile.reader import read_run
 from dragrig.sim_backend.blind import (
     CATALOGUE,
     OUTSIDE,
-    Secret,
-    another_session,
-    answer,
-    draw,
-    make,
-    signature,
+    BlindCampaign,
+    draw_campaign,
+    effect_signatures,
+    parallel_session,
+    true_answer,
     without_effects,
+    write_campaign,
 )
-from dragrig.sim_backend.blind.effects.base import Effect
+from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, NoiseLevels, NominalErrors, RunVariation
+from dragrig.sim_backend.blind.effects.base import HiddenEffect
+from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run, recorded_run
 from dragrig.sim_backend.blind.programme import RunPlan
-from dragrig.sim_backend.blind.record import Trace, ideal, recorded
-from dragrig.sim_backend.blind.specimen import Noise, Rough, Specimen, Variation
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
-PUBLISHED = Specimen(1.0, (1.0,) * 5, 0.082, 1.0, 60.0, 1.0, 60.0)
+PUBLISHED = HiddenSpecimen(1.0, (1.0,) * 5, 0.082, 1.0, 60.0, 1.0, 60.0)
 NAMES = sorted({*CATALOGUE, *OUTSIDE})
 KINDS = ("drag", "coulomb", "relaxation", "blank")
 
@@ -41,13 +41,15 @@ def ramp(strain: float) -> RunPlan:
     return RunPlan("relaxation", 0, 0.0, 20.0, 2.5 * strain, 2000.0, 1.0, 20.0, strain)
 
 
-def published(run: RunPlan, rough: Rough | None = None) -> Trace:
+def published(run: RunPlan, rough: NominalErrors | None = None) -> PlantRecord:
     """The run on the published specimen, with nothing hidden in it."""
-    quiet, same = Noise(1.0, 0.3, 0.2), Variation(1.0, 1.0, 0.0)
-    return ideal(Secret(1, PUBLISHED, quiet, rough or Rough(), (), (), "practice", (run,), (same,)), 0)
+    quiet, same = NoiseLevels(1.0, 0.3, 0.2), RunVariation(1.0, 1.0, 0.0)
+    return noise_free_run(
+        BlindCampaign(1, PUBLISHED, quiet, rough or NominalErrors(), (), (), "practice", (run,), (same,)), 0
+    )
 
 
-def short(secret: Secret) -> Secret:
+def short(secret: BlindCampaign) -> BlindCampaign:
     """A few of its runs: one of each kind and the fastest and the slowest of the drags above 5 mm/s."""
     kept: dict[tuple[str, float], int] = {}
     for at, run in enumerate(secret.runs):
@@ -59,7 +61,7 @@ def short(secret: Secret) -> Secret:
     )
 
 
-def forms() -> Iterator[type[Effect]]:
+def forms() -> Iterator[type[HiddenEffect]]:
     for group in (*CATALOGUE.values(), *OUTSIDE.values()):
         yield from group
 
@@ -97,13 +99,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Pa
         return sha256(b"".join(file.read_bytes() for file in sorted(folder.glob("*.h5")))).hexdigest()
 
     for name, seed in (("a", 4), ("b", 4), ("c", 5)):
-        make(short(draw(seed, effects=["table_vibration", "stribeck"])), tmp_path / name)
+        write_campaign(short(draw_campaign(seed, effects=["table_vibration", "stribeck"])), tmp_path / name)
     assert digest(tmp_path / "a") == digest(tmp_path / "b") != digest(tmp_path / "c")
 
 
 def test_the_files_are_read_as_runs_and_say_nothing_of_what_is_hidden(tmp_path: Path) -> None:
-    secret = draw(11, effects=["stribeck"])
-    make(secret, tmp_path)
+    secret = draw_campaign(11, effects=["stribeck"])
+    write_campaign(secret, tmp_path)
     files = sorted(tmp_path.glob("*.h5"))
     assert 27 <= len(files) == len(secret.runs) <= 31
     kinds = [read_run(file).info.kind for file in files]
@@ -117,12 +119,12 @@ def test_the_files_are_read_as_runs_and_say_nothing_of_what_is_hidden(tmp_path: 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_form_acts_where_it_says_and_scales_with_size(name: str) -> None:
-    plain = short(draw(3))
+    plain = short(draw_campaign(3))
     for form in CATALOGUE.get(name) or OUTSIDE[name]:
         whole, third, none = (form.drawn(np.random.default_rng(8), size) for size in (1.0, 1 / 3, 0.0))
         strength = {}
         for effect in (whole, third, none):
-            found = signature(replace(plain, effects=(effect,), sizes=(1.0,)))
+            found = effect_signatures(replace(plain, effects=(effect,), sizes=(1.0,)))
             strength[effect.amplitude] = sum(
                 float(np.abs(one.force).sum() + np.abs(one.position).sum()) for one in found
             )
@@ -136,35 +138,36 @@ def test_every_form_acts_where_it_says_and_scales_with_size(name: str) -> None:
 
 
 def test_position_effects_show_in_the_position_and_force_effects_do_not() -> None:
-    plain = short(draw(3))
+    plain = short(draw_campaign(3))
     for form in forms():
         effect = form.drawn(np.random.default_rng(2), 1.0)
         moved = any(
-            np.abs(one.position).max() > 1e-6 for one in signature(replace(plain, effects=(effect,), sizes=(1.0,)))
+            np.abs(one.position).max() > 1e-6
+            for one in effect_signatures(replace(plain, effects=(effect,), sizes=(1.0,)))
         )
         assert moved == (form.channel == "position"), form
 
 
 def test_a_campaign_without_noise_has_only_its_effect_beyond_the_same_without_effects() -> None:
-    secret = short(draw(9, effects=["folds"]))
-    for index, one in enumerate(signature(secret)):
-        both = ideal(secret, index).force - ideal(without_effects(secret), index).force
+    secret = short(draw_campaign(9, effects=["folds"]))
+    for index, one in enumerate(effect_signatures(secret)):
+        both = noise_free_run(secret, index).force - noise_free_run(without_effects(secret), index).force
         assert np.array_equal(one.force, both)
 
 
 def test_the_fresh_campaign_has_the_same_specimen_and_effect_at_other_speeds() -> None:
-    first, second = (draw(21, effects=["adhesion"], runs=name) for name in ("practice", "fresh"))
+    first, second = (draw_campaign(21, effects=["adhesion"], runs=name) for name in ("practice", "fresh"))
     assert (first.specimen, first.effects, first.noise) == (second.specimen, second.effects, second.noise)
-    assert another_session(first) == second
+    assert parallel_session(first) == second
     speeds = [{run.speed_mm_s for run in one.runs if run.kind == "drag"} for one in (first, second)]
     assert not speeds[0] & speeds[1]
     assert {run.strain for run in second.runs if run.kind == "relaxation"} == {0.75, 1.25}
 
 
 def test_noise_is_as_large_and_as_slow_as_drawn() -> None:
-    secret = draw(13)
+    secret = draw_campaign(13)
     at = next(index for index, run in enumerate(secret.runs) if run.speed_mm_s == 0.5 and run.kind == "coulomb")
-    rest = recorded(secret, at).force - ideal(secret, at).force - secret.variations[at].zero_mN
+    rest = recorded_run(secret, at).force - noise_free_run(secret, at).force - secret.variations[at].zero_mN
     white = float(np.std(np.diff(rest)) / np.sqrt(2))
     assert white == pytest.approx(secret.noise.white_mN, rel=0.05)
     slow = float(np.std(rest[: rest.size // 25 * 25].reshape(-1, 25).mean(axis=1)))
@@ -175,25 +178,25 @@ def test_rough_campaigns_differ_slightly_from_the_nominal_equations() -> None:
     runs = (ramp(1.5), stroke("drag", 20.0))
     plain = [published(run).force for run in runs]
     for seed in range(12):
-        rough = draw(seed, rough=True).rough
+        rough = draw_campaign(seed, rough=True).rough
         bent = [published(run, rough).force for run in runs]
         off = [np.sqrt(np.mean((one - other) ** 2)) / np.ptp(one) for one, other in zip(plain, bent, strict=True)]
         assert 5e-4 < max(off) < 0.10, rough
 
 
 def test_the_answer_says_what_is_hidden() -> None:
-    known = answer(draw(1, effects=["stribeck", "servo_lag"], size=(1.0, 1 / 3)))
+    known = true_answer(draw_campaign(1, effects=["stribeck", "servo_lag"], size=(1.0, 1 / 3)))
     assert (known["verdict"], known["effects"], known["size"]) == ("several", ["stribeck", "servo_lag"], [1.0, 1 / 3])
-    foreign = answer(draw(1, effects=["wall_seam"]))
+    foreign = true_answer(draw_campaign(1, effects=["wall_seam"]))
     assert (foreign["verdict"], foreign["effects"], foreign["truth"]) == ("unknown", [], "wall_seam")
-    assert answer(draw(1))["verdict"] == "no_gap"
+    assert true_answer(draw_campaign(1))["verdict"] == "no_gap"
 
 
 def test_a_name_or_a_size_too_many_is_refused() -> None:
     with pytest.raises(ValueError, match="is no effect; take one of"):
-        draw(1, effects=["friction"])
+        draw_campaign(1, effects=["friction"])
     with pytest.raises(ValueError, match="2 sizes for 1 effects"):
-        draw(1, effects=["folds"], size=(1.0, 0.5))
+        draw_campaign(1, effects=["folds"], size=(1.0, 0.5))
 
 
 def test_nothing_of_the_simulator_is_shared_with_the_plant() -> None:
@@ -217,9 +220,9 @@ def test_a_wall_that_comes_back_late_is_still_off_after_the_stop() -> None:
     run = stroke("drag", 60.0)
     late = next(form for form in CATALOGUE["wall_lift_off"] if form.form == "front fades, comes back late")
     effect = late.drawn(np.random.default_rng(1), 1.0)
-    quiet, same = Noise(1.0, 0.3, 0.2), Variation(1.0, 1.0, 0.0)
-    secret = Secret(1, PUBLISHED, quiet, Rough(), (effect,), (1.0,), "practice", (run,), (same,))
-    (found,) = signature(secret)
+    quiet, same = NoiseLevels(1.0, 0.3, 0.2), RunVariation(1.0, 1.0, 0.0)
+    secret = BlindCampaign(1, PUBLISHED, quiet, NominalErrors(), (effect,), (1.0,), "practice", (run,), (same,))
+    (found,) = effect_signatures(secret)
     stop = run.bounds_s[3]
     moving, after, later = (
         found.force[np.searchsorted(found.time, at)] for at in (run.bounds_s[2] - 0.05, stop + 0.02, stop + 2.5)

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
-from dragrig.lab import create
-from dragrig.rig import calibration
-from dragrig.rig.fitting import encoder_line, force_line
-from dragrig.rig.runfile import campaign
+from dragrig.lab import create_lab
+from dragrig.rig import lab_folder as calibration
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.sensor_calibration import fit_encoder, fit_force
 
 # Volts on the sensor's input, one after the other, whatever hangs on it.
 CODE = (
@@ -42,7 +42,7 @@ def _of(sampler):
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    create(tmp_path / "lab")
+    create_lab(tmp_path / "lab")
     monkeypatch.chdir(tmp_path / "lab")
     add_ons.install(tmp_path / "site", monkeypatch, CODE)
     return tmp_path / "lab"
@@ -91,7 +91,7 @@ def test_weights_make_a_line_that_is_kept(calibrate: Calibrate, lab: Path, capsy
     ]  # fmt: skip
     assert "gain 950 ±" in told.out
     assert "NOTE" not in told.out
-    kept = calibration.latest(lab, "force")
+    kept = calibration.latest_calibration(lab, "force")
     assert kept is not None
     assert (kept.operator, kept.sensor_serial, kept.points, kept.made_on) == ("Ada", "S7", 8, "handed")
     assert (kept.gain, kept.zero) == (pytest.approx(950.0), pytest.approx(-12.0))
@@ -102,15 +102,15 @@ def test_runs_refer_to_the_calibration_of_their_own_rig(
     calibrate: Calibrate, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert calibrate("force", "--weights", "0,20,50", volts=volts_of([0, 20, 50])) == 0
-    kept = calibration.latest(lab, "force")
+    kept = calibration.latest_calibration(lab, "force")
     assert kept is not None
     short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
     assert main(["run", "drag", *short, "--yes", "--out", "a"]) == 0
-    assert "calibration_id" not in campaign(lab / "a").runs[0].header.entry
+    assert "calibration_id" not in read_campaign(lab / "a").runs[0].header.entry
     assert calibrate("force", "--weights", "0,20,50", "--double", volts=volts_of([0, 20, 50], gain=1000.0)) == 0
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 9))
     assert main(["run", "drag", *short, "--out", "b", "--backend", "handed"]) == 0
-    assert campaign(lab / "b").runs[0].header.entry["calibration_id"] == kept.id
+    assert read_campaign(lab / "b").runs[0].header.entry["calibration_id"] == kept.id
 
 
 def test_a_residual_beyond_the_sensors_accuracy_is_noted(
@@ -149,7 +149,7 @@ def test_nonsense_is_refused_and_nothing_kept(
     told = capsys.readouterr()
     assert sentence in told.err
     assert told.out == ""
-    assert calibration.read(lab) == ()
+    assert calibration.read_calibrations(lab) == ()
 
 
 def test_yes_hangs_no_weight_and_an_end_keeps_nothing(
@@ -157,7 +157,7 @@ def test_yes_hangs_no_weight_and_an_end_keeps_nothing(
 ) -> None:
     assert calibrate("force", "--weights", "0,20,50", "--yes", volts=[0.0, 0.2, 0.5], typed="") == 3
     assert calibrate("force", "--weights", "0,20,50", volts=[0.0, 0.2, 0.5], typed="\n\na\n") == 3
-    assert calibration.read(lab) == ()
+    assert calibration.read_calibrations(lab) == ()
 
 
 def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +167,7 @@ def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.C
     assert told["entry"]["gain"] == pytest.approx(40.04 / 40_000, rel=1e-6)
     assert told["entry"]["residual"] == pytest.approx(0.01, rel=1e-3)
     assert told["notes"] == []
-    kept = calibration.latest(lab, "encoder", "simulated")
+    kept = calibration.latest_calibration(lab, "encoder", "simulated")
     assert kept is not None
     assert kept.points == 3
     assert main(["calibrate", "encoder", "--travel", "20", "--yes"]) == 0
@@ -180,7 +180,7 @@ def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytes
     told = capsys.readouterr()
     assert "push it 10 mm up" in told.err
     assert "push it 10 mm down" in told.err
-    kept = calibration.latest(lab, "encoder")
+    kept = calibration.latest_calibration(lab, "encoder")
     assert kept is not None
     assert kept.gain == pytest.approx(10 / 8000)
     assert "NOTE a count of 1.25 µm is not encoder.resolution_um = 1" in told.out
@@ -203,7 +203,7 @@ def test_travels_that_make_no_sense_are_refused(
 ) -> None:
     assert main(["calibrate", "encoder", *words, "--yes"]) == code
     assert sentence in capsys.readouterr().err
-    assert calibration.read(lab) == ()
+    assert calibration.read_calibrations(lab) == ()
 
 
 def test_calibrating_needs_a_lab(
@@ -227,7 +227,7 @@ def test_calibrate_alone_tells_what_there_is(capsys: pytest.CaptureFixture[str])
     loads=st.lists(st.floats(0, 5000), min_size=3, max_size=20, unique=True).filter(lambda many: np.ptp(many) > 1),
 )
 def test_a_line_without_noise_is_found_exactly(gain: float, zero: float, loads: list[float]) -> None:
-    line = force_line(loads, [(load - zero) / gain for load in loads])
+    line = fit_force(loads, [(load - zero) / gain for load in loads])
     assert line.gain == pytest.approx(gain, rel=1e-6)
     assert line.zero == pytest.approx(zero, abs=1e-3)
     assert line.residual < 1e-3
@@ -236,11 +236,11 @@ def test_a_line_without_noise_is_found_exactly(gain: float, zero: float, loads: 
 def test_standard_errors_are_what_repeated_calibrations_scatter_by() -> None:
     rng = np.random.default_rng(5)
     loads = np.repeat([0.0, 200.0, 500.0, 1000.0], 3)
-    lines = [force_line(loads, (loads + rng.normal(0, 4.0, 12)) / 1000.0) for _ in range(400)]
+    lines = [fit_force(loads, (loads + rng.normal(0, 4.0, 12)) / 1000.0) for _ in range(400)]
     assert np.std([line.gain for line in lines]) == pytest.approx(np.mean([line.gain_error for line in lines]), rel=0.1)
     assert np.std([line.zero for line in lines]) == pytest.approx(np.mean([line.zero_error for line in lines]), rel=0.1)
     assert np.mean([line.residual for line in lines]) == pytest.approx(4.0, rel=0.1)
-    counts = [encoder_line([40.0, -40.0] * 3, 4e4 * np.array([1, -1] * 3) + rng.normal(0, 20, 6)) for _ in range(400)]
+    counts = [fit_encoder([40.0, -40.0] * 3, 4e4 * np.array([1, -1] * 3) + rng.normal(0, 20, 6)) for _ in range(400)]
     assert np.std([line.gain for line in counts]) == pytest.approx(
         np.sqrt(np.mean([line.gain_error**2 for line in counts])), rel=0.1
     )
@@ -248,4 +248,4 @@ def test_standard_errors_are_what_repeated_calibrations_scatter_by() -> None:
 
 def test_counts_the_wrong_way_are_told() -> None:
     with pytest.raises(SettingsError, match="reversed"):
-        encoder_line([40.0, -40.0], [-40_000, 40_000])
+        fit_encoder([40.0, -40.0], [-40_000, 40_000])

@@ -16,20 +16,16 @@ from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
 from dragrig.config.hardware import CardSettings
-from dragrig.config.lab import Calibration
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.devices import LONGEST_BLOCK_S
-from dragrig.rig.hardware.card.connection import Connection
-from dragrig.rig.hardware.card.examine import examine
-from dragrig.rig.hardware.card.faults import in_words
-from dragrig.rig.hardware.card.lines import CardLines
+from dragrig.rig.devices import MAX_BLOCK_S, TripCause
+from dragrig.rig.hardware.backend import check_card
+from dragrig.rig.hardware.card.connection import Connection, device_error
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import SampledTasks
-from dragrig.rig.hardware.lines import Pressed
-from dragrig.rig.trips import Cause
+from dragrig.rig.hardware.lines import CardLines, SwitchStates
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
 INPUTS = [
     {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0},
@@ -69,7 +65,7 @@ def test_force_and_position_are_the_same_instants(reversed_: bool) -> None:
     assert_converted(joined(got, "motor_force"), motor, 1000.0, 0.0)
     np.testing.assert_allclose(joined(got, "temperature"), (warm - 0.5) * 10.0, atol=0.001)
     for block in got:
-        assert 0 < block.samples <= LONGEST_BLOCK_S * 1000.0
+        assert 0 < block.samples <= MAX_BLOCK_S * 1000.0
         assert block.fault is None
         assert list(block.channels) == ["force", "position", "motor_force", "temperature"]
         for name, values in block.channels.items():
@@ -119,7 +115,7 @@ def test_overrun_is_a_trip_and_a_gap_of_known_length(remote: bool) -> None:
     assert gap >= 90
     assert index[-1] == stroke(travel_mm=20.0).samples(1000.0) - 1
     faults = [block.fault for block in got if block.fault is not None]
-    assert [fault.cause for fault in faults] == [Cause.OVERRUN]
+    assert [fault.cause for fault in faults] == [TripCause.OVERRUN]
     assert f"{gap} samples" in faults[0].message
     assert got[[block.fault is not None for block in got].index(True)].first_index == index[gaps[0] + 1]
     np.testing.assert_array_equal(joined(got, "position"), counts * 0.001)
@@ -204,10 +200,10 @@ def test_without_nis_driver_one_sentence_says_what_to_install() -> None:
     script = (
         "from dragrig.config.errors import DeviceError\n"
         "from dragrig.config.rig import RigSettings\n"
-        "from dragrig.rig.clock import WallClock\n"
+        "from dragrig.rig.devices import WallClock\n"
         "from dragrig.rig.hardware.card.connection import Connection\n"
         "from dragrig.rig.hardware.card.sampler import CardSampler\n"
-        "from dragrig.rig.hardware.coupling import Coupling\n"
+        "from dragrig.rig.hardware.sync import Coupling\n"
         "rig = RigSettings()\n"
         "sampler = CardSampler(Connection(rig.hardware.card), rig, {}, Coupling(), WallClock())\n"
         "try:\n"
@@ -255,7 +251,7 @@ def test_stop_from_another_thread_ends_a_read_and_the_next_run_begins() -> None:
 class HangingCard(Card):
     """A card whose driver does not return while `hangs` is set."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: SimulatedBench) -> None:
         super().__init__(world)
         self.hangs = False
         self.released = threading.Event()
@@ -286,7 +282,7 @@ def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float) -> N
 def test_samples_that_a_slow_driver_held_back_reach_to_the_standstill() -> None:
     cards: list[HangingCard] = []
 
-    def hanging(world: World) -> Card:
+    def hanging(world: SimulatedBench) -> Card:
         cards.append(HangingCard(world))
         return cards[0]
 
@@ -316,12 +312,12 @@ def test_stage_stopped_before_the_first_sample_leaves_nothing_to_read() -> None:
 @pytest.mark.parametrize(
     ("trouble", "cause", "words"),
     [
-        ({"force_added_mN": 9950.0}, Cause.SENSOR_OVERLOAD, "ai0 .* overloaded"),
-        ({"sensor_open": True}, Cause.SENSOR_OPEN, "ai0 .* unplugged"),
+        ({"force_added_mN": 9950.0}, TripCause.SENSOR_OVERLOAD, "ai0 .* overloaded"),
+        ({"sensor_open": True}, TripCause.SENSOR_OPEN, "ai0 .* unplugged"),
     ],
 )
 def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
-    trouble: dict[str, float], cause: Cause, words: str
+    trouble: dict[str, float], cause: TripCause, words: str
 ) -> None:
     with card_rig(wired()) as under_test:
         got = under_test.record(rest(0.4), lambda _: under_test.world.mishaps.strike(**trouble))
@@ -336,7 +332,7 @@ def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
 def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> None:
     cards: list[HangingCard] = []
 
-    def hanging(world: World) -> Card:
+    def hanging(world: SimulatedBench) -> Card:
         cards.append(HangingCard(world))
         return cards[0]
 
@@ -397,12 +393,12 @@ def test_switches_are_normally_closed() -> None:
     with card_rig(wired(lines={"heartbeat": "port1/line4"})) as under_test:
         world = under_test.world
         lines = CardLines(under_test.connection)
-        assert lines.pressed() == Pressed()
+        assert lines.pressed() == SwitchStates()
         world.mishaps.strike(e_stop_pressed=True)
-        assert lines.pressed() == Pressed(e_stop=True)
+        assert lines.pressed() == SwitchStates(e_stop=True)
         world.mishaps.repair()
         world.mishaps.strike(limit_low_pressed=True, limit_high_pressed=True)
-        assert lines.pressed() == Pressed(limit_low=True, limit_high=True)
+        assert lines.pressed() == SwitchStates(limit_low=True, limit_high=True)
         world.mishaps.repair()
         lines.enable(True)
         assert world.read_line("port1/line0")
@@ -419,7 +415,7 @@ def test_switches_are_normally_closed() -> None:
         lines.close()
         assert not world.read_line("port1/line0")
         again = CardLines(under_test.connection)
-        assert again.pressed() == Pressed()
+        assert again.pressed() == SwitchStates()
         again.close()
 
 
@@ -430,7 +426,7 @@ def test_lines_that_are_not_wired_are_left_alone() -> None:
         lines = CardLines(under_test.connection)
         lines.enable(True)
         lines.beat()
-        assert lines.pressed() == Pressed(limit_high=True)
+        assert lines.pressed() == SwitchStates(limit_high=True)
         lines.close()
 
 
@@ -440,7 +436,7 @@ def test_a_look_without_moving_finds_what_is_wrong() -> None:
 
         def look() -> dict[str, tuple[bool, str]]:
             scaling = Scaling.of(rig, {})
-            found = examine(under_test.connection, rig, under_test.sampler, scaling)
+            found = check_card(under_test.connection, rig, under_test.sampler, scaling)
             return {one.what: (one.fine, one.detail) for one in found}
 
         fine = look()
@@ -465,6 +461,6 @@ def test_a_look_without_moving_finds_what_is_wrong() -> None:
 
 @pytest.mark.parametrize("code", [-200361, -200141, -200279])
 def test_samples_lost_on_their_way_are_told_as_such(code: int) -> None:
-    told = str(in_words(DaqError("The manual says more.", code), CardSettings(), "it samples"))
+    told = str(device_error(DaqError("The manual says more.", code), CardSettings(), "it samples"))
     assert "lost samples" in told
     assert str(code) in told

@@ -12,16 +12,14 @@ import pytest
 from simulated import settings
 
 from dragrig.config.errors import DeviceError
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.hardware import CardSettings
-from dragrig.config.model import FrictionModelSettings
+from dragrig.rig.hardware.backend import identify_card
 from dragrig.rig.hardware.card.connection import Connection
-from dragrig.rig.hardware.card.examine import identify
-from dragrig.rig.hardware.card.position import PositionCounter
-from dragrig.rig.hardware.card.voltage import VoltageOutput
+from dragrig.rig.hardware.card.tasks import PositionCounter, VoltageOutput
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fronts.grpc_server import CardServer
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.remote_server import CardServer
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 
 class Hanging(grpc.GenericRpcHandler):
@@ -57,7 +55,7 @@ def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
 
     def look() -> None:
         try:
-            identify(connection)
+            identify_card(connection)
         except DeviceError as error:
             failed.append(error)
 
@@ -72,7 +70,7 @@ def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
 
 
 def test_output_and_counter_of_a_killed_program_are_taken_back() -> None:
-    world = World(settings(), FrictionModelSettings(), DoubleClock(1.0))
+    world = SimulatedBench(settings(), FrictionModelSettings(), DoubleClock(1.0))
     with CardServer(Card(world, world.put_out)) as server, ExitStack() as stack:
         for _ in range(2):
             connection = Connection(CardSettings(server=f"127.0.0.1:{server.port}"))

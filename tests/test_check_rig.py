@@ -11,19 +11,19 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.config.hardware import CardSettings, EncoderInputSettings, HardwareSettings
-from dragrig.config.lab import Calibration
-from dragrig.config.rig import RigSettings
-from dragrig.lab import create
-from dragrig.rig import calibration, sanity
-from dragrig.rig.runfile import campaign
-from dragrig.rigs import resolve_rig
+from dragrig.config.rig import Calibration, RigSettings
+from dragrig.lab import create_lab
+from dragrig.rig import lab_folder as calibration
+from dragrig.rig import preflight as sanity
+from dragrig.rig.runfile import read_campaign
+from dragrig.setup import resolve_rig
 
 NOW = datetime.now().astimezone()
 
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    create(tmp_path / "lab")
+    create_lab(tmp_path / "lab")
     monkeypatch.chdir(tmp_path / "lab")
     return tmp_path / "lab"
 
@@ -42,7 +42,7 @@ def calibrated(lab: Path, *, age_days: float = 1.0, serial: str = "") -> None:
             sensor_serial=serial,
             gain=1000.0,
         )
-        calibration.append(lab, entry)
+        calibration.append_calibration(lab, entry)
 
 
 def opened(site: Path) -> list[dict[str, object]]:
@@ -94,21 +94,23 @@ def test_a_calibration_can_be_too_old_or_anothers(
     lab: Path, age_days: float, serial: str, rig: dict[str, object], word: str
 ) -> None:
     calibrated(lab, age_days=age_days, serial=serial)
-    finding = sanity.calibration("force", calibration.latest(lab), RigSettings.model_validate(rig), NOW)
+    finding = sanity.check_calibration(
+        "force", calibration.latest_calibration(lab), RigSettings.model_validate(rig), NOW
+    )
     assert not finding.fine
     assert word in finding.detail
 
 
 def test_limits_that_make_no_sense_together_are_found() -> None:
     fast = RigSettings.model_validate({"stage": {"max_speed_mm_s": 400.0}})
-    assert not sanity.limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).fine
-    assert sanity.limits(fast).fine
-    assert all(one.fine for one in sanity.wiring(fast, {}))
+    assert not sanity.check_limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).fine
+    assert sanity.check_limits(fast).fine
+    assert all(one.fine for one in sanity.check_wiring(fast, {}))
     slow_filter = HardwareSettings(card=CardSettings(encoder=EncoderInputSettings(filter_ns=6425)))
     filtered = fast.model_copy(update={"hardware": slow_filter})
-    assert [one.fine for one in sanity.wiring(filtered, {})] == [True, False]
+    assert [one.fine for one in sanity.check_wiring(filtered, {})] == [True, False]
     weak = Calibration(id="a", made_at=NOW, quantity="force", gain=-500.0)
-    assert [one.fine for one in sanity.wiring(fast, {"force": weak})] == [False, True]
+    assert [one.fine for one in sanity.check_wiring(fast, {"force": weak})] == [False, True]
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str, typed: str = "") -> int:
@@ -129,13 +131,13 @@ def test_a_double_is_told_its_pace_and_a_campaign_stays_with_it(
     assert run(monkeypatch, "--resume", "c", *raised, "--yes", typed="\n" * 9) == 0
     first, again = opened(site)
     assert (first["which"], first["pace"], again["which"], again["pace"]) == ("double", 20.0, "double", 1.0)
-    for one in campaign(lab / "c").runs:
+    for one in read_campaign(lab / "c").runs:
         entry = one.header.entry
         assert entry["double"] == "handed"
         assert (entry["calibration_id"], entry["encoder_calibration_id"]) == ("force-a", "encoder-a")
     assert run(monkeypatch, *QUICK[:-1], "d", "--backend", "handed", "--yes", typed="\n" * 9) == 0
     assert opened(site)[-1]["which"] == "hardware"
-    assert "double" not in campaign(lab / "d").runs[0].header.entry
+    assert "double" not in read_campaign(lab / "d").runs[0].header.entry
 
 
 def test_yes_does_not_stand_for_hands_at_the_double_either(
@@ -145,7 +147,7 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
     told = capsys.readouterr().err
     assert "Look at the rig" in told
     assert "hands" in told
-    assert campaign(lab / "c").runs == ()
+    assert read_campaign(lab / "c").runs == ()
 
 
 @pytest.mark.parametrize(

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.checks import CheckReport, RunChecks
 from dragrig.rig.devices import Block
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.protocols.drag import Drag
-from dragrig.rig.protocols.relaxation import Relaxation
-from dragrig.rig.reading import CommandTape, Look
+from dragrig.rig.protocols.drag import DragProtocol
+from dragrig.rig.protocols.relaxation import RelaxationProtocol
+from dragrig.rig.reading import BlockExtremes, CheckReport, RunChecks, SetpointSampler
 
 RATE = 1000.0
 SPECIMEN = Specimen(name="jejunum")
@@ -23,7 +22,7 @@ def report(
     profile: MotionProfile, force: AnyFloatArray, *, sticking: bool = False, lost: slice | None = None
 ) -> CheckReport:
     checks = RunChecks(RATE, RANGE, 5.0, sticking=sticking)
-    tape = CommandTape(profile, RATE)
+    tape = SetpointSampler(profile, RATE)
     position = profile.position(np.arange(len(force)) / RATE).astype(np.float32)
     for start in range(0, len(force), 50):
         if lost is not None and lost.start <= start < lost.stop:
@@ -31,12 +30,12 @@ def report(
         channels = {"force": force[start : start + 50], "position": position[start : start + 50]}
         block = Block(start, channels)
         reading = tape.join(block)
-        checks.add(reading, Look.at(block, reading.command), block.channels["force"])
+        checks.add(reading, BlockExtremes.at(block, reading.command), block.channels["force"])
     return checks.report()
 
 
 def relaxing(seed: int, strain: float = 1.0, slips_at_s: float = np.inf, drop: float = 0.0) -> CheckReport:
-    profile = Relaxation(shear_strain=strain).profile(SPECIMEN)
+    profile = RelaxationProtocol(shear_strain=strain).profile(SPECIMEN)
     time = np.arange(profile.samples(RATE)) / RATE
     since = np.maximum(time - 1.15, 0.0)
     held = 650 * strain * (1 + 1.1 * np.exp(-since / 0.46) + 2.9 * np.exp(-since / 0.025))
@@ -48,7 +47,7 @@ def relaxing(seed: int, strain: float = 1.0, slips_at_s: float = np.inf, drop: f
 
 
 def test_a_clean_drag_warns_of_nothing() -> None:
-    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    profile = DragProtocol(speed_mm_s=20.0).profile(SPECIMEN)
     noise = np.random.default_rng(1).normal(2.5, 1.5, profile.samples(RATE)).astype(np.float32)
     seen = report(profile, noise)
     assert seen.warnings == ()
@@ -59,7 +58,7 @@ def test_a_clean_drag_warns_of_nothing() -> None:
 
 
 def test_clipped_and_lost_samples_are_counted() -> None:
-    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    profile = DragProtocol(speed_mm_s=20.0).profile(SPECIMEN)
     force = np.zeros(profile.samples(RATE), np.float32)
     force[2000:2007] = 10_000.0
     force[2100:2103] = -10_000.0
@@ -70,7 +69,7 @@ def test_clipped_and_lost_samples_are_counted() -> None:
 
 
 def test_a_loud_sensor_is_told() -> None:
-    profile = Drag(speed_mm_s=20.0).profile(SPECIMEN)
+    profile = DragProtocol(speed_mm_s=20.0).profile(SPECIMEN)
     noise = np.random.default_rng(1).normal(0, 8.0, profile.samples(RATE)).astype(np.float32)
     assert any("noise at rest" in warning for warning in report(profile, noise).warnings)
 

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner
 
 from dragrig.cli import main
-from dragrig.cli.console import exit_code_of, result
-from dragrig.cli.lazy import SECTIONS, group
-from dragrig.plain import to_plain
+from dragrig.cli.commands import SECTIONS, dragrig_group
+from dragrig.cli.console import print_result, run_command_line
+from dragrig.present.json_values import to_json_value
 
 ALONE = "Without a plan the rig itself is looked at, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
@@ -48,19 +48,19 @@ def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
 
 @pytest.mark.parametrize(("name", "line"), COMMANDS)
 def test_the_overview_names_commands_that_exist(name: str, line: str) -> None:
-    command = group.get_command(click.Context(group), name)
+    command = dragrig_group.get_command(click.Context(dragrig_group), name)
     assert command is not None
     assert command.name == name
     assert line.endswith(".")
-    assert line in CliRunner().invoke(group, ["--help"], terminal_width=200).output
+    assert line in CliRunner().invoke(dragrig_group, ["--help"], terminal_width=200).output
 
 
 @pytest.mark.parametrize("name", ["run", "check"])
 def test_the_help_names_the_plans_that_ship(name: str) -> None:
-    from dragrig.config.library import shipped
+    from dragrig.config.settings import shipped_files
 
-    told = " ".join(CliRunner().invoke(group, [name, "--help"]).output.split())
-    assert f"Shipped plans: {', '.join(shipped('plan'))}." in told
+    told = " ".join(CliRunner().invoke(dragrig_group, [name, "--help"]).output.split())
+    assert f"Shipped plans: {', '.join(shipped_files('plan'))}." in told
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def _failing(error: BaseException) -> click.Command:
 
 
 def test_a_bug_is_told_with_where_its_details_are(capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code_of(_failing(ZeroDivisionError("division by zero")), []) == 1
+    assert run_command_line(_failing(ZeroDivisionError("division by zero")), []) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert "ZeroDivisionError" in told
@@ -112,7 +112,7 @@ def test_a_bug_is_told_with_where_its_details_are(capsys: pytest.CaptureFixture[
 def test_what_is_no_bug_has_its_own_exit_code(
     error: BaseException, code: int, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert exit_code_of(_failing(error), []) == code
+    assert run_command_line(_failing(error), []) == code
     assert words in capsys.readouterr().err
 
 
@@ -141,7 +141,7 @@ def test_a_console_that_lacks_characters_shows_stand_ins(tmp_path: Path) -> None
 def test_json_knows_no_nan() -> None:
     import numpy as np
 
-    plain = to_plain({"a": float("nan"), "b": np.array([1.0, np.inf]), "c": Path("x"), "d": (np.float64(2), True)})
+    plain = to_json_value({"a": float("nan"), "b": np.array([1.0, np.inf]), "c": Path("x"), "d": (np.float64(2), True)})
     assert plain == {"a": None, "b": [1.0, None], "c": "x", "d": [2.0, True]}
 
 
@@ -175,7 +175,7 @@ def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[st
 def test_results_go_to_standard_output_alone(capsys: pytest.CaptureFixture[str]) -> None:
     @click.command()
     def command() -> None:
-        result("42")
+        print_result("42")
 
-    assert exit_code_of(command, []) == 0
+    assert run_command_line(command, []) == 0
     assert capsys.readouterr() == ("42\n", "")

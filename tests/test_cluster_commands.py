@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 from clusters import dask_cluster, wait_for_workers, worker_killed_at_its_second
 
-from dragrig.analysis.gap.calibration import FILE as CALIBRATION
-from dragrig.blind.mixing import mix
-from dragrig.blind.sealing import opened, put
+from dragrig.analysis.gap.features import CALIBRATION_FILE as CALIBRATION
 from dragrig.cli import main
+from dragrig.exam.blind_campaigns import draw_cases, open_exam_folder, write_json
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 SHIPPED = Path(__file__).parents[1] / "config" / "files"
@@ -86,9 +85,9 @@ def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
     here, there = tmp_path / "here", tmp_path / "there"
     for out in (here, there):
         # To measure how large the hidden effects are takes as long as to diagnose, and is kept as any other part.
-        with opened(out, CASES, SEED, "exam") as folder:
-            for case in mix(CASES, SEED):
-                put(folder.amount(case.name), {"d": 30.0})
+        with open_exam_folder(out, CASES, SEED, "exam") as folder:
+            for case in draw_cases(CASES, SEED):
+                write_json(folder.amount(case.name), {"d": 30.0})
     asked = ["gap", "blind", "--cases", str(CASES), "--seed", str(SEED), "--quiet", "--out"]
     assert main([*asked, str(here), "--workers", "2"]) == 0
     said_here = capsys.readouterr().out

@@ -16,18 +16,22 @@ from matplotlib.figure import Figure
 from test_model_explains_foreign_runs import TRUE
 
 import dragrig
-from dragrig.analysis.comparison.clock import start_of_motion
-from dragrig.analysis.comparison.conditions import Condition, condition_of
-from dragrig.analysis.comparison.frame import as_frame
-from dragrig.analysis.comparison.measured import Difference, Verdict
-from dragrig.analysis.comparison.overlay import lay_over
-from dragrig.analysis.comparison.pairing import Candidate, pair_up
-from dragrig.analysis.comparison.results import Comparison, Pair
+from dragrig.analysis.comparison.compare import PairingCandidate, pair_runs
+from dragrig.analysis.comparison.comparison import (
+    Comparison,
+    DifferenceVerdict,
+    MeasureDifference,
+    RunCondition,
+    RunPair,
+    comparison_frame,
+    run_condition,
+)
+from dragrig.analysis.comparison.overlay import align_runs, start_of_motion
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.figures import comparison_figure, comparison_overview
+from dragrig.present.comparison import comparison_figure, comparison_overview_figure
 from dragrig.rig.runfile import mark_bad, read_run
-from dragrig.rig.runfile.model import Run, Status
+from dragrig.rig.runfile.model import Run, RunStatus
 
 PRACTICE = Path(__file__).parent / "data" / "campaign"
 
@@ -42,7 +46,7 @@ def drag(*assignments: str) -> Run:
     return made("drag", "speed_mm_s=10", "travel_mm=20", *assignments)[0]
 
 
-def measure(pair: Pair, name: str) -> Difference:
+def measure(pair: RunPair, name: str) -> MeasureDifference:
     return next(one for one in pair.differences if one.measure == name)
 
 
@@ -52,11 +56,11 @@ def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
 
 
 def beyond(found: Comparison) -> list[str]:
-    return [f"{one.condition}, {one.measure}" for one in found.groups if one.verdict is Verdict.BEYOND]
+    return [f"{one.condition}, {one.measure}" for one in found.groups if one.verdict is DifferenceVerdict.BEYOND]
 
 
 conditions = st.builds(
-    Condition,
+    RunCondition,
     kind=st.sampled_from(["drag", "blank"]),
     signal=st.just("force"),
     fixture=st.sampled_from(["foam", "none"]),
@@ -65,14 +69,14 @@ conditions = st.builds(
     travel_mm=st.sampled_from([-40.0, 40.0]),
     capsule=st.just((12.9, 15.2, 50.1, 60.0)),
 )
-candidates = st.lists(st.builds(Candidate, st.text(max_size=3), conditions, st.sampled_from("xy")), max_size=8)
+candidates = st.lists(st.builds(PairingCandidate, st.text(max_size=3), conditions, st.sampled_from("xy")), max_size=8)
 
 
 @given(candidates, candidates)
 def test_pairs_hold_equal_runs_each_once_and_leave_none_that_could_be_paired(
-    a: list[Candidate], b: list[Candidate]
+    a: list[PairingCandidate], b: list[PairingCandidate]
 ) -> None:
-    found = pair_up(a, b)
+    found = pair_runs(a, b)
     firsts, seconds = [one for one, _ in found.pairs], [other for _, other in found.pairs]
     assert len(set(firsts)) == len(firsts)
     assert len(set(seconds)) == len(seconds)
@@ -84,13 +88,14 @@ def test_pairs_hold_equal_runs_each_once_and_leave_none_that_could_be_paired(
 
 
 def test_repeats_are_paired_in_order_and_the_reason_of_a_lone_run_is_said() -> None:
-    base = condition_of(drag())
+    base = run_condition(drag())
     slow, back = replace(base, speed_mm_s=1.0), replace(base, travel_mm=-20.0)
-    a = [Candidate(name, condition, "s") for name, condition in (("a1", base), ("a2", base), ("a3", slow))]
+    a = [PairingCandidate(name, condition, "s") for name, condition in (("a1", base), ("a2", base), ("a3", slow))]
     b = [
-        Candidate(name, condition, "s") for name, condition in (("b1", base), ("b2", base), ("b3", base), ("b4", back))
+        PairingCandidate(name, condition, "s")
+        for name, condition in (("b1", base), ("b2", base), ("b3", base), ("b4", back))
     ]
-    found = pair_up(a, b)
+    found = pair_runs(a, b)
     assert found.pairs == ((0, 0), (1, 1))
     assert "1 against 10 mm/s" in found.alone_a[0].reason
     assert "A has only 2 runs like it" in found.alone_b[0].reason
@@ -106,7 +111,7 @@ def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_fr
     found = dragrig.compare(calm, rough)
     kinds = {one.split(",")[0].split(" at")[0] for one in beyond(found)}
     assert kinds == {"coulomb", "drag"}
-    assert all(one.value > 0 for one in found.groups if one.verdict is Verdict.BEYOND)
+    assert all(one.value > 0 for one in found.groups if one.verdict is DifferenceVerdict.BEYOND)
     assert found.groups[0].condition.kind == "coulomb"
     assert [one.times_error for one in found.groups] == sorted((one.times_error for one in found.groups), reverse=True)
     assert any("coulomb, steady force: B lies above A" in one for one in found.sentences)
@@ -130,7 +135,7 @@ def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -
 def test_a_clock_that_is_off_is_found(off: float) -> None:
     run = drag()
     moved = replace(run, trace=replace(run.trace, time=run.trace.time + off))
-    assert lay_over(run, moved).shift_s == pytest.approx(-off, abs=1e-6)
+    assert align_runs(run, moved).shift_s == pytest.approx(-off, abs=1e-6)
 
 
 def test_a_zero_is_taken_off_where_the_rest_shows_it_and_only_there() -> None:
@@ -180,7 +185,7 @@ def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: 
     named = dragrig.compare(PRACTICE / "010-drag.h5", folder / "010-drag.h5")
     assert "B: it is marked bad: capsule slipped" in named.pairs[0].remarks
     run = drag()
-    aborted = replace(run, info=replace(run.info, status=Status.ABORTED, reason="Ctrl-C"))
+    aborted = replace(run, info=replace(run.info, status=RunStatus.ABORTED, reason="Ctrl-C"))
     partly = dragrig.compare([run, drag("rig.simulated.seed=4")], [aborted, run])
     assert [one.reason for one in partly.b.left_out] == ["it is aborted, not complete (Ctrl-C)"]
     assert len(partly.pairs) == len(partly.alone_a) == 1
@@ -197,7 +202,7 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
     assert measure(pair, "steady force").value is None
     assert "NaN" in measure(pair, "steady force").reason
     assert measure(pair, "rest").value == 0
-    assert pair.verdict is Verdict.UNKNOWN
+    assert pair.verdict is DifferenceVerdict.UNKNOWN
     assert pair.phases[-1].rms_mN == pytest.approx(0, abs=0.5)
     assert any("10 samples are missing" in one for one in pair.remarks)
     empty = with_force(run, lambda force: np.full_like(force, np.nan))
@@ -263,11 +268,11 @@ def test_pictures_show_both_sides() -> None:
             labels = [one.get_label() for one in figure.axes[0].lines]
             assert {"A raw", "A", "B"} <= set(labels)
             assert figure.axes[1].get_xlabel() or figure.axes[-1].get_xlabel()
-    overview = comparison_overview(found)
+    overview = comparison_overview_figure(found)
     assert "Steady force" in texts(overview)
     assert "Difference of relaxations" in texts(overview)
     alone = dragrig.compare(PRACTICE / "001-relaxation.h5", model="paper")
-    assert "Steady force" not in texts(comparison_overview(alone))
+    assert "Steady force" not in texts(comparison_overview_figure(alone))
 
 
 def test_the_command_prints_writes_and_ends_well_when_they_differ(
@@ -286,7 +291,7 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     written = {path.name for path in folder.iterdir()}
     assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "overview.png"}
     frame = pd.read_csv(folder / "comparison.csv")
-    assert list(frame.columns) == list(as_frame(dragrig.compare("a", "b")).columns)
+    assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
     assert main(["compare", "a", "b", "--quiet"]) == 0
     assert (tmp_path / "a" / "compared-with-b-2").is_dir()
     capsys.readouterr()

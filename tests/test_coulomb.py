@@ -11,13 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sliding_runs import PAPER, selected, slid, with_capsule, with_force, without_rest
 
-from dragrig.analysis.identification.coulomb import identify_coulomb
-from dragrig.analysis.identification.pooling import pooled
-from dragrig.analysis.identification.selection import select
-from dragrig.analysis.identification.sliding import sliding
-from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.identification.coulomb_friction import identify_coulomb, pool_estimates
+from dragrig.analysis.identification.steady_sliding import measure_sliding
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.selection import select_runs
 from dragrig.config.specimen import Fixture
-from dragrig.figures import coulomb_figure
+from dragrig.present.identification_figures import coulomb_figure
 from dragrig.rig.runfile.model import Run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -60,7 +59,7 @@ def test_the_reference_runs_coefficient_comes_back() -> None:
 def test_filtering_changes_the_mean_by_nothing_that_matters() -> None:
     for speed, seed in ((2.0, 1), (5.0, 2), (40.0, 3)):
         experiment = Experiment(slid("coulomb", speed, seed))
-        raw, filtered = sliding(experiment).steady, sliding(experiment, filtered=True).steady
+        raw, filtered = measure_sliding(experiment).steady, measure_sliding(experiment, filtered=True).steady
         assert raw.value is not None
         assert filtered.value is not None
         assert raw.standard_error is not None
@@ -174,7 +173,7 @@ def test_a_coefficient_that_falls_with_speed_is_said() -> None:
 
 
 def test_the_thin_campaign_has_one_fast_run() -> None:
-    found = identify_coulomb(select(CAMPAIGN), PAPER)
+    found = identify_coulomb(select_runs(CAMPAIGN), PAPER)
     (one,) = found.runs
     assert one.speed_mm_s == pytest.approx(40.0, rel=1e-3)
     interval = found.mu_without_viscous.interval
@@ -192,7 +191,7 @@ def test_a_pooled_mean_lies_among_the_values_and_holds_the_scatter(
     runs: list[tuple[float, float]], usual: float
 ) -> None:
     values, errors = np.array(runs).T
-    found = pooled(values, np.diag(errors**2), usual)
+    found = pool_estimates(values, np.diag(errors**2), usual)
     assert found.mean.value is not None
     assert found.mean.standard_error is not None
     assert values.min() - 1e-9 <= found.mean.value <= values.max() + 1e-9
@@ -205,7 +204,7 @@ def test_a_pooled_means_interval_covers_also_when_runs_scatter_more_than_usual()
     covered = 0
     for _ in range(400):
         values = rng.normal(5.0, np.hypot(1.0, 3.0), 8)
-        interval = pooled(values, np.eye(8), 0.5).mean.interval
+        interval = pool_estimates(values, np.eye(8), 0.5).mean.interval
         assert interval is not None
         covered += interval[0] < 5.0 < interval[1]
     assert 0.88 <= covered / 400 <= 0.98

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dragrig.cli import main
-from dragrig.rig.runfile import campaign, read_run
+from dragrig.rig.runfile import read_campaign, read_run
 
 
 def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
@@ -18,7 +18,7 @@ def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
     )  # a lab's own rig is left alone
     assert main(["demo"]) == 0
     (folder,) = (tmp_path / "dragrig-demo").iterdir()
-    runs = campaign(folder).runs
+    runs = read_campaign(folder).runs
     own = [one for one in runs if one.kind != "return"]
     assert [one.kind for one in own] == ["blank", "relaxation", "coulomb", "drag", "drag", "drag"]
     for one in runs:

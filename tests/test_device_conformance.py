@@ -11,11 +11,10 @@ from simulated import NEVER, acquire, begin, blocks, record, rest, settings, str
 from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.backend import Backend, BackendRequest
-from dragrig.rig.devices import LONGEST_BLOCK_S
+from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest
 from dragrig.rig.profile import MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.doubles.backend import open_backend as open_double
@@ -108,7 +107,7 @@ def test_blocks_are_short_contiguous_and_read_only(rig: RigUnderTest, backend: B
     expected = 0
     for block in got.blocks:
         assert block.first_index == expected
-        assert 0 < block.samples <= LONGEST_BLOCK_S * backend.sampler.sample_rate_hz
+        assert 0 < block.samples <= MAX_BLOCK_S * backend.sampler.sample_rate_hz
         assert list(block.channels) == [channel.name for channel in backend.sampler.channels]
         for values in block.channels.values():
             assert values.shape == (block.samples,)

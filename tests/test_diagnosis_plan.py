@@ -7,13 +7,13 @@ import pytest
 from listed_runs import table
 
 import dragrig
-from dragrig.analysis.gap.choosing import choose
-from dragrig.config.plan import Plan, Step
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.config.plan import Plan, PlanStep
 from dragrig.rig.programme import Programme
 from dragrig.setup import resolve
-from dragrig.sim_backend.blind import Listed, another_session, draw, make
-from dragrig.sim_backend.blind.record import recorded
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.blind import RunList, draw_campaign, parallel_session, write_campaign
+from dragrig.sim_backend.blind.plant import recorded_run
+from dragrig.sim_backend.effects.base import catalogue
 
 HANDS_S = 120.0
 
@@ -47,7 +47,7 @@ def test_it_has_what_a_diagnosis_needs() -> None:
 def test_its_coulomb_runs_tell_friction_from_tack_better_than_those_of_paper() -> None:
     pair = ("stribeck", "adhesion")
     others = [name for name in catalogue() if name not in pair]
-    drags = Step(kind="drag", parameters={"speed_mm_s": [2.0, 5.0, 20.0], "travel_mm": 20.0})
+    drags = PlanStep(kind="drag", parameters={"speed_mm_s": [2.0, 5.0, 20.0], "travel_mm": 20.0})
 
     def beside_drags(name: str) -> Plan:
         plan = resolve(name, backend="simulated").plan
@@ -62,24 +62,24 @@ def test_its_coulomb_runs_tell_friction_from_tack_better_than_those_of_paper() -
 
 
 def test_the_plant_makes_a_list_of_runs(tmp_path: Path) -> None:
-    secret = draw(7, effects=["stribeck"])
-    listed = Listed.of("mine", [table("relaxation", 60.0), table("drag", 200.0, speed_mm_s=20.0, dwell_s=10.0)])
-    make(secret, tmp_path / "mine", runs=listed)
-    found = choose(tmp_path / "mine").experiments
+    secret = draw_campaign(7, effects=["stribeck"])
+    listed = RunList.of("mine", [table("relaxation", 60.0), table("drag", 200.0, speed_mm_s=20.0, dwell_s=10.0)])
+    write_campaign(secret, tmp_path / "mine", runs=listed)
+    found = select_runs(tmp_path / "mine").experiments
     assert [one.kind for one in found] == ["relaxation", "drag"]
     assert [one.insertion_dwell_s for one in found] == [60.0, 10.0]
     assert (found[1].run.info.header.start_time - found[0].run.info.header.start_time).total_seconds() == 140.0
     with pytest.raises(ValueError, match="no runs of kind motion"):
-        Listed.of("mine", [table("motion", 0.0)])
+        RunList.of("mine", [table("motion", 0.0)])
     with pytest.raises(ValueError, match="go forward"):
-        Listed.of("mine", [table("drag", 0.0, travel_mm=-40.0)])
+        RunList.of("mine", [table("drag", 0.0, travel_mm=-40.0)])
 
 
 def test_a_run_of_a_list_is_the_plants_own_with_its_rest_before(tmp_path: Path) -> None:
-    secret = draw(7)
+    secret = draw_campaign(7)
     first = next(one for one in secret.runs if one.kind == "drag")
-    aged = [Listed("mine", (replace(first, order=0, dwell_s=dwell),)) for dwell in (60.0, 60.0, 0.5)]
-    one, same, fresher = (recorded(another_session(secret, each), 0) for each in aged)
+    aged = [RunList("mine", (replace(first, order=0, dwell_s=dwell),)) for dwell in (60.0, 60.0, 0.5)]
+    one, same, fresher = (recorded_run(parallel_session(secret, each), 0) for each in aged)
     assert (one.force == same.force).all()
     # Wall that has relaxed for less pushes harder before the capsule moves on.
     start = (one.time > 1.0) & (one.time < 1.2)

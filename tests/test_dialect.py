@@ -154,7 +154,7 @@ def test_a_dialect_is_found_by_name() -> None:
     assert find_dialect("dragrig.rig.hardware.dialects.nikki") is DIALECT
     assert isinstance(DIALECT, Dialect)
     assert not DIALECT.verified
-    for name, complaint in (("nobody", "not known"), ("../x", "no module"), ("dragrig.rig.trips", "DIALECT")):
+    for name, complaint in (("nobody", "not known"), ("../x", "no module"), ("dragrig.rig.devices", "DIALECT")):
         with pytest.raises(SettingsError, match=complaint):
             find_dialect(name)
 

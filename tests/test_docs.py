@@ -12,8 +12,8 @@ import click
 import pytest
 
 from dragrig.cli import main
-from dragrig.cli.lazy import group
-from dragrig.rig.protocols.catalogue import kinds
+from dragrig.cli.commands import dragrig_group
+from dragrig.rig.protocols.run_protocol import protocol_kinds
 from dragrig.rig.runfile import schema
 
 ROOT = Path(__file__).parents[1]
@@ -67,10 +67,10 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> No
 @pytest.mark.timeout(300)
 def test_the_reference_is_that_of_the_code(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text("utf-8")
-    for name in group.list_commands(click.Context(group)):
+    for name in dragrig_group.list_commands(click.Context(dragrig_group)):
         assert f'id="{name}"' in commands or f'id="{name}-' in commands
     settings = (site / "reference" / "settings.html").read_text("utf-8")
-    assert all(f'id="{kind}"' in settings for kind in kinds())
+    assert all(f'id="{kind}"' in settings for kind in protocol_kinds())
     assert "<code>[sampling]</code>" in settings
     assert "Standing still before the motion." in settings
     run_file = (site / "reference" / "run-file.html").read_text("utf-8")

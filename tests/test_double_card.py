@@ -27,13 +27,12 @@ from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from simulated import NEVER, settings
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import trapezoid
+from dragrig.sim_backend.doubles import c_library as c_abi
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fronts import c_abi
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0
 STEP_V = 10.0 / 2**15
@@ -42,10 +41,10 @@ TEMPERATURE = {"name": "temperature", "channel": "ai1", "unit": "degC", "per_V":
 
 
 @contextmanager
-def card_on(pace: float = 10.0) -> Iterator[tuple[World, Card]]:
+def card_on(pace: float = 10.0) -> Iterator[tuple[SimulatedBench, Card]]:
     # The bench keeps its samples for as long as the card's buffer, so that a test can ask for the truth afterwards.
     rig = settings(RATE, hardware={"card": {"buffer_s": 60.0, "inputs": [TEMPERATURE]}})
-    world = World(rig, FrictionModelSettings(), DoubleClock(pace))
+    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
     card = Card(world)
     with c_abi.installed(card):
         yield world, card

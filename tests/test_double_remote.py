@@ -22,23 +22,20 @@ from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
-from dragrig.rig.hardware.coupling import Coupling
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Reply, Request, find_dialect
+from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import trapezoid
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fronts.grpc_server import UNLIMITED, CardServer
-from dragrig.sim_backend.doubles.remote.client import Control, RemoteDoubles
-from dragrig.sim_backend.doubles.remote.control import ControlServer
-from dragrig.sim_backend.doubles.remote.messages import StageLook
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.mishaps import Mishaps
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.fault_injection import FaultInjector
+from dragrig.sim_backend.doubles.remote_doubles import ControlClient, RemoteDoubles, StageStatus
+from dragrig.sim_backend.doubles.remote_server import UNLIMITED_MESSAGES, CardServer, ControlServer
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 INPUT = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
 METRES = 1e-6
@@ -50,17 +47,17 @@ def rig(rate_hz: float = 50_000.0) -> RigSettings:
 
 @contextmanager
 def connected(port: int) -> Iterator[nidaqmx.GrpcSessionOptions]:
-    with grpc.insecure_channel(f"127.0.0.1:{port}", options=UNLIMITED) as channel:
+    with grpc.insecure_channel(f"127.0.0.1:{port}", options=UNLIMITED_MESSAGES) as channel:
         yield nidaqmx.GrpcSessionOptions(channel, "")
 
 
 @pytest.fixture
-def world() -> World:
-    return World(rig(), FrictionModelSettings(), DoubleClock(2.0))
+def world() -> SimulatedBench:
+    return SimulatedBench(rig(), FrictionModelSettings(), DoubleClock(2.0))
 
 
 @pytest.fixture
-def options(world: World) -> Iterator[nidaqmx.GrpcSessionOptions]:
+def options(world: SimulatedBench) -> Iterator[nidaqmx.GrpcSessionOptions]:
     with CardServer(Card(world)) as server, connected(server.port) as options:
         yield options
 
@@ -82,7 +79,7 @@ def encoder(task: nidaqmx.Task) -> nidaqmx.Task:
 
 
 def test_a_hundred_thousand_samples_of_three_channels_are_the_worlds(
-    world: World, options: nidaqmx.GrpcSessionOptions
+    world: SimulatedBench, options: nidaqmx.GrpcSessionOptions
 ) -> None:
     block, blocks = 2500, 40
     volts, metres = np.zeros((2, block)), np.zeros(block)
@@ -106,7 +103,7 @@ def test_a_hundred_thousand_samples_of_three_channels_are_the_worlds(
 
 
 def test_a_read_may_outgrow_a_message_of_four_megabytes() -> None:
-    world = World(rig(), FrictionModelSettings(), DoubleClock(20.0))
+    world = SimulatedBench(rig(), FrictionModelSettings(), DoubleClock(20.0))
     volts = np.zeros((2, 270_000))
     with CardServer(Card(world)) as server:
         connection = Connection(world.rig.hardware.card.model_copy(update={"server": f"127.0.0.1:{server.port}"}))
@@ -124,7 +121,7 @@ def converted(volts: FloatArray) -> FloatArray:
     return np.rint(volts / step_V).clip(-(2**15), 2**15 - 1) * step_V
 
 
-def test_reads_from_an_absolute_index(world: World, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_reads_from_an_absolute_index(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     volts = np.zeros((2, 100))
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
@@ -135,7 +132,7 @@ def test_reads_from_an_absolute_index(world: World, options: nidaqmx.GrpcSession
         np.testing.assert_array_equal(volts[0], converted(world.sample(5000, 5100)["force_V"]))
 
 
-def test_what_came_before_a_timeout_is_kept(world: World, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_what_came_before_a_timeout_is_kept(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     volts = np.zeros((2, 2000))
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
@@ -157,7 +154,7 @@ def test_what_came_before_a_timeout_is_kept(world: World, options: nidaqmx.GrpcS
     [({"card_unplugged": True}, -201003), ({"card_gone": True}, -88705), ({"overwritten_samples": 5000}, -200279)],
 )
 def test_a_read_that_fails_says_which_way(
-    world: World, options: nidaqmx.GrpcSessionOptions, trouble: dict[str, float], code: int
+    world: SimulatedBench, options: nidaqmx.GrpcSessionOptions, trouble: dict[str, float], code: int
 ) -> None:
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
@@ -170,7 +167,7 @@ def test_a_read_that_fails_says_which_way(
         world.mishaps.repair()
 
 
-def test_a_card_that_is_absent_or_taken_says_so(world: World, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_a_card_that_is_absent_or_taken_says_so(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     world.mishaps.strike(card_reserved=True)
     with nidaqmx.Task(grpc_options=options) as task:
         analog(task)
@@ -184,7 +181,7 @@ def test_a_card_that_is_absent_or_taken_says_so(world: World, options: nidaqmx.G
     assert absent.value.error_code == -200220
 
 
-def test_lines_voltage_and_the_cards_own_name(world: World, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_lines_voltage_and_the_cards_own_name(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     with nidaqmx.Task(grpc_options=options) as task:
         task.di_channels.add_di_chan("Dev1/port1/line1")
         assert task.read() is True
@@ -202,7 +199,7 @@ def test_lines_voltage_and_the_cards_own_name(world: World, options: nidaqmx.Grp
     assert device.serial_num > 0
 
 
-def test_a_task_outlives_a_client_that_died(world: World) -> None:
+def test_a_task_outlives_a_client_that_died(world: SimulatedBench) -> None:
     with CardServer(Card(world)) as server:
         with connected(server.port) as options:
             left = analog(nidaqmx.Task("force", grpc_options=options))
@@ -216,7 +213,7 @@ def test_a_task_outlives_a_client_that_died(world: World) -> None:
                 analog(task).start()
 
 
-def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(world: World) -> None:
+def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(world: SimulatedBench) -> None:
     server = CardServer(Card(world))
     with server, connected(server.port) as options:
         task = analog(nidaqmx.Task(grpc_options=options))
@@ -229,7 +226,7 @@ def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(world: W
         assert not isinstance(dead.value, DaqError)
 
 
-def test_without_grpc_one_sentence_says_what_to_install(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_grpc_one_sentence_says_what_to_install(world: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "grpc", None)
     with pytest.raises(DeviceError, match=r"pip install dragrig\[grpc\]\.$"):
         CardServer(Card(world))
@@ -238,8 +235,8 @@ def test_without_grpc_one_sentence_says_what_to_install(world: World, monkeypatc
 def test_an_acquisition_is_the_same_on_the_other_side() -> None:
     given = replace(acquire(stroke()), shear_strain=0.1, sheared_from=0.3)
     presented: list[Acquisition] = []
-    with ControlServer(Mishaps(), presented.append, standing, threading.Event()) as server:
-        control = Control(server.port)
+    with ControlServer(FaultInjector(), presented.append, standing, threading.Event()) as server:
+        control = ControlClient(server.port)
         control.present(given)
         assert control.stage() == standing()
         control.close()
@@ -249,13 +246,13 @@ def test_an_acquisition_is_the_same_on_the_other_side() -> None:
     assert replace(got, profile=given.profile) == given
 
 
-def standing() -> StageLook:
-    return StageLook(position_mm=1.5, speed_mm_s=0.0, moving=False, enabled=True, homed=True, halt=Halt.STOP)
+def standing() -> StageStatus:
+    return StageStatus(position_mm=1.5, speed_mm_s=0.0, moving=False, enabled=True, homed=True, halt=Halt.STOP)
 
 
 @pytest.mark.parametrize("line", [b"\n", b"{}\n", b"[1]\n", b'{"ask": "dance"}\n', b"\xff\n", b'{"ask": "present"}\n'])
 def test_a_request_that_is_none_gets_a_sentence_back(line: bytes) -> None:
-    with ControlServer(Mishaps(), print, standing, threading.Event()) as server:
+    with ControlServer(FaultInjector(), print, standing, threading.Event()) as server:
         assert server.reply(line).error.startswith("Control of the doubles, ")
 
 
@@ -283,7 +280,7 @@ def test_the_control_socket_sets_looks_and_refuses() -> None:
 def test_the_sampler_records_through_another_process_and_says_when_that_is_gone() -> None:
     with RemoteDoubles(rig(1000.0), pace=2.0) as doubles:
         connection = Connection(doubles.rig().hardware.card)
-        sampler = CardSampler(connection, doubles.rig(), {}, Coupling(), DoubleClock(2.0))
+        sampler = CardSampler(connection, doubles.rig(), {}, MotionSamplingSync(), DoubleClock(2.0))
         sampler.arm(acquire(rest(0.5)))
         sampler.start()
         end = 0

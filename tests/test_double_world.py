@@ -6,25 +6,24 @@ import numpy as np
 import pytest
 from simulated import NEVER, acquire, record, session, settings, stroke
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Piece
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import SWITCH_MM, World
+from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, DoubleClock, SimulatedBench
 
 RATE = 1000.0
 PROFILE = stroke(travel_mm=20.0, speed_mm_s=40.0, rest_s=0.2, hold_s=0.3)
 
 
-def bench(pace: float = 5.0, **groups: object) -> World:
-    return World(settings(**groups), FrictionModelSettings(), DoubleClock(pace))
+def bench(pace: float = 5.0, **groups: object) -> SimulatedBench:
+    return SimulatedBench(settings(**groups), FrictionModelSettings(), DoubleClock(pace))
 
 
 def moving_part() -> tuple[Piece, ...]:
     return tuple(piece for piece in PROFILE.pieces() if piece.acceleration_mm_s2 or piece.phase == 2)
 
 
-def sampled(world: World, samples: int) -> dict[str, FloatArray]:
+def sampled(world: SimulatedBench, samples: int) -> dict[str, FloatArray]:
     while world.available() < samples:
         threading.Event().wait(0.01)
     return dict(world.sample(0, samples))
@@ -88,9 +87,9 @@ def test_limit_switches_open_beyond_the_soft_limits_and_wires_read_high_else() -
     world = bench()
     lines = world.rig.hardware.card.lines
     assert [world.read_line(line) for line in (lines.e_stop, lines.limit_low, lines.limit_high)] == [True] * 3
-    world.place(world.rig.stage.lowest_mm - SWITCH_MM)
+    world.place(world.rig.stage.lowest_mm - SWITCH_OFFSET_MM)
     assert not world.read_line(lines.limit_low)
-    world.place(world.rig.stage.highest_mm + SWITCH_MM)
+    world.place(world.rig.stage.highest_mm + SWITCH_OFFSET_MM)
     assert not world.read_line(lines.limit_high)
     world.mishaps.strike(e_stop_pressed=True)
     assert not world.read_line(lines.e_stop)

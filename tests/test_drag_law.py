@@ -13,19 +13,23 @@ from sliding_runs import PAPER, selected, slid, with_capsule, with_force, withou
 
 import dragrig
 from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.identification.boundary import Deviation, find_boundary
-from dragrig.analysis.identification.determination import determinations, eq15, squared_correlation
-from dragrig.analysis.identification.drag import identify_drag
-from dragrig.analysis.identification.nominal_drag import Setup, resting_force
-from dragrig.analysis.identification.results import Boundary, SpeedPoint
-from dragrig.analysis.identification.selection import Selection, select, select_from
-from dragrig.analysis.identification.speed_law import log_law
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.identification.identification import SpeedBoundary, SpeedPoint
+from dragrig.analysis.identification.speed_dependence import (
+    ForceDeviation,
+    find_boundary,
+    fit_log_law,
+    r2_by_band,
+    r2_eq15,
+    squared_correlation,
+)
+from dragrig.analysis.identification.steady_drag import DragSetup, identify_drag, resting_force
+from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
-from dragrig.figures import drag_figure
+from dragrig.present.identification_figures import drag_figure
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.devices.variation import draw_specimen
+from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.friction import steady_forces
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -43,7 +47,7 @@ def points(
     ]
 
 
-def campaign(seed: int, model: FrictionModelSettings = PAPER, speeds: tuple[float, ...] = FAST) -> Selection:
+def campaign(seed: int, model: FrictionModelSettings = PAPER, speeds: tuple[float, ...] = FAST) -> RunSelection:
     return selected(slid("drag", speed, seed, model, repeat=repeat) for repeat, speed in product((0, 1), speeds))
 
 
@@ -54,13 +58,13 @@ def true_drag(model: FrictionModelSettings, speeds: FloatArray) -> FloatArray:
 def test_r2_as_printed_is_no_share_and_the_squared_correlation_is() -> None:
     model, measured = np.array([1.0, 2.0, 3.0, 6.0]), np.array([2.0, 3.0, 4.0, 5.0])
     # About the model's mean of 3: (4 + 1 + 0 + 9) / (1 + 0 + 1 + 4).
-    assert eq15(model, measured) == pytest.approx(14 / 6)
+    assert r2_eq15(model, measured) == pytest.approx(14 / 6)
     # Sxy = 8, Sxx = 14, Syy = 5.
     assert squared_correlation(model, measured) == pytest.approx(64 / (14 * 5))
     # A measurement far from the model's mean makes the ratio small, however well it follows the model.
-    assert eq15(model, 10 * measured) == pytest.approx(14 / (17**2 + 27**2 + 37**2 + 47**2))
+    assert r2_eq15(model, 10 * measured) == pytest.approx(14 / (17**2 + 27**2 + 37**2 + 47**2))
     assert squared_correlation(model, 10 * measured) == pytest.approx(64 / (14 * 5))
-    assert eq15(np.ones(3), np.ones(3)) is None
+    assert r2_eq15(np.ones(3), np.ones(3)) is None
     assert squared_correlation(np.ones(3), np.arange(3.0)) is None
 
 
@@ -82,31 +86,31 @@ def test_the_squared_correlation_knows_no_scale_and_no_zero(pairs: list[tuple[in
 
 def test_bands_with_fewer_than_three_speeds_have_no_r2() -> None:
     at = points(np.array([5.0, 10.0, 20.05, 30.0, 60.0]), np.array([1.0, 2.0, 4.0, 5.0, 9.0]))
-    everything, low, high = determinations(at, None)
+    everything, low, high = r2_by_band(at, None)
     assert (everything.speeds, low.speeds, high.speeds) == (5, 3, 2)  # a stage that is 0.25 % fast is at 20 mm/s
     assert everything.eq15 == low.eq15 == pytest.approx(1.0)
     assert (high.eq15, high.correlation) == (None, None)
-    *_, below, above = determinations(at, Boundary(12.0, (9.0, 15.0), 0.01, ""))
+    *_, below, above = r2_by_band(at, SpeedBoundary(12.0, (9.0, 15.0), 0.01, ""))
     assert "12 mm/s (estimated boundary)" in below.band
     assert (below.speeds, above.speeds) == (2, 3)
 
 
 def test_a_straight_line_in_ln_v_comes_back() -> None:
-    law = log_law(points(SPEEDS, 80 + 12 * np.log(SPEEDS)))
+    law = fit_log_law(points(SPEEDS, 80 + 12 * np.log(SPEEDS)))
     assert law is not None
     assert (law.intercept.value, law.slope.value) == pytest.approx((80, 12))
     spread = np.log(SPEEDS) - np.log(SPEEDS).mean()
     assert law.slope.standard_error == pytest.approx(1 / np.sqrt(spread @ spread))
     assert law.r2 == pytest.approx(1)
     assert law.lack_of_fit_p == pytest.approx(1)
-    assert log_law(points(SPEEDS[:2], SPEEDS[:2])) is None
+    assert fit_log_law(points(SPEEDS[:2], SPEEDS[:2])) is None
 
 
 def test_the_laws_intervals_cover_and_its_lack_of_fit_is_uniform() -> None:
     rng = np.random.default_rng(3)
     covered, rejected = 0, 0
     for _ in range(400):
-        law = log_law(points(SPEEDS, 80 + 12 * np.log(SPEEDS) + rng.normal(0, 2, len(SPEEDS)), 2.0))
+        law = fit_log_law(points(SPEEDS, 80 + 12 * np.log(SPEEDS) + rng.normal(0, 2, len(SPEEDS)), 2.0))
         assert law is not None
         assert law.lack_of_fit_p is not None
         covered += law.slope.interval[0] < 12 < law.slope.interval[1]
@@ -115,14 +119,14 @@ def test_the_laws_intervals_cover_and_its_lack_of_fit_is_uniform() -> None:
     assert 0.02 <= rejected / 400 <= 0.09
 
 
-def deviation(rng: np.random.Generator, hinge_at: float = 0.0, slope: float = 0.0) -> Deviation:
+def deviation(rng: np.random.Generator, hinge_at: float = 0.0, slope: float = 0.0) -> ForceDeviation:
     """Deviations of a specimen that is stiffer and rougher than thought, and perhaps of a hinge."""
     errors = np.linspace(0.7, 1.4, len(SPEEDS))
     free = np.vstack((6 + 2 * np.log1p(SPEEDS), 5 + 0 * SPEEDS, 0.03 * SPEEDS))
     force = rng.normal(0, errors) + rng.normal(0, 1, 3) @ free
     if hinge_at:
         force += slope * np.maximum(0, np.log(SPEEDS / hinge_at))
-    return Deviation(SPEEDS, force, errors, free)
+    return ForceDeviation(SPEEDS, force, errors, free)
 
 
 def test_of_campaigns_without_a_boundary_about_5_in_100_are_said_to_have_one() -> None:
@@ -149,13 +153,13 @@ def test_a_boundary_is_found_and_its_interval_holds_it() -> None:
 def test_on_which_side_they_part_is_said() -> None:
     quiet = np.full(len(SPEEDS), 0.5)
     free = np.empty((0, len(SPEEDS)))
-    fast = find_boundary(Deviation(SPEEDS, -30 * np.maximum(0, np.log(SPEEDS / 15)), quiet, free))
+    fast = find_boundary(ForceDeviation(SPEEDS, -30 * np.maximum(0, np.log(SPEEDS / 15)), quiet, free))
     assert "above 15.1 mm/s" in fast.sentence
     assert "at 60 mm/s the measured force is 41 mN lower" in fast.sentence
-    slow = find_boundary(Deviation(SPEEDS, 10 * np.maximum(0, np.log(5 / SPEEDS)), quiet, free))
+    slow = find_boundary(ForceDeviation(SPEEDS, 10 * np.maximum(0, np.log(5 / SPEEDS)), quiet, free))
     assert "below 4.99 mm/s" in slow.sentence
     assert "at 0.5 mm/s the measured force is 23 mN higher" in slow.sentence
-    steady = find_boundary(Deviation(SPEEDS, 10 - 4 * np.log(SPEEDS), quiet, free))
+    steady = find_boundary(ForceDeviation(SPEEDS, 10 - 4 * np.log(SPEEDS), quiet, free))
     assert steady.speed_mm_s is None
     assert "no speed at which that begins" in steady.sentence
 
@@ -167,7 +171,7 @@ def test_the_same_points_give_the_same_boundary() -> None:
 
 def test_too_few_speeds_for_a_boundary() -> None:
     four = np.array([1.0, 5.0, 20.0, 60.0])
-    found = find_boundary(Deviation(four, np.array([0.0, 0.0, 0.0, -50.0]), np.ones(4), np.empty((0, 4))))
+    found = find_boundary(ForceDeviation(four, np.array([0.0, 0.0, 0.0, -50.0]), np.ones(4), np.empty((0, 4))))
     assert (found.speed_mm_s, found.interval, found.p_value) == (None, None, None)
     assert found.sentence == "With 4 speeds a boundary cannot be estimated; it takes at least 5."
 
@@ -189,13 +193,13 @@ def test_without_noise_the_points_are_the_models_and_so_are_its_parts() -> None:
 def test_the_resting_wall_presses_as_it_does_in_the_reference() -> None:
     run = slid("drag", 20.0)
     at_rest = float(run.trace.force[run.trace.phase == 0].mean())
-    assert resting_force(Setup(SMOOTH, 2.5), PAPER, 60.5) == pytest.approx(at_rest, rel=1e-4)
+    assert resting_force(DragSetup(SMOOTH, 2.5), PAPER, 60.5) == pytest.approx(at_rest, rel=1e-4)
 
 
 def test_intervals_hold_the_specimens_drag_and_slope() -> None:
     held, points_seen, slopes = 0, 0, 0
     for seed in range(12):
-        specimen = draw_specimen(PAPER, seed)
+        specimen = draw_specimen_model(PAPER, seed)
         found = identify_drag(campaign(seed, specimen, FAST[2:]), specimen)
         speeds = np.array([point.speed_mm_s for point in found.points])
         truth = true_drag(specimen, speeds)
@@ -207,7 +211,7 @@ def test_intervals_hold_the_specimens_drag_and_slope() -> None:
             points_seen += 1
         assert found.log_law is not None
         errors = np.array([point.force.standard_error for point in found.points])
-        ideal = log_law(
+        ideal = fit_log_law(
             [SpeedPoint(v, 2, Estimate(f, e), 0, 0, 0) for v, f, e in zip(speeds, truth, errors, strict=True)]
         )
         assert ideal is not None
@@ -328,14 +332,14 @@ def test_the_simulated_rigs_drag_is_the_models() -> None:
             "rig.simulated.variation.specimen=true",
         ],
     )  # fmt: skip
-    found = identify_drag(select_from(runs), draw_specimen(PAPER, 4))
+    found = identify_drag(select_loaded_runs(runs), draw_specimen_model(PAPER, 4))
     assert len(found.points) == 3
     for point in found.points:
         assert point.force.value == pytest.approx(point.model_mN, abs=4 * point.force.standard_error)
 
 
 def test_the_thin_campaign_has_four_speeds_and_no_boundary() -> None:
-    found = identify_drag(select(CAMPAIGN), PAPER)
+    found = identify_drag(select_runs(CAMPAIGN), PAPER)
     assert [(round(point.speed_mm_s), point.runs) for point in found.points] == [(5, 1), (30, 1), (45, 1), (60, 2)]
     assert found.log_law is not None
     assert found.log_law.slope.interval[0] > 10

@@ -13,8 +13,8 @@ from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Request
 from dragrig.rig.hardware.dialects.nikki import DIALECT
-from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError, StoppedFirstError
-from dragrig.sim_backend.doubles.drive.ports import Port, PtyPort, SocketPort
+from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, NoReplyError, RefusedError
+from dragrig.sim_backend.doubles.serial_ports import DrivePort, PtyPort, SocketPort
 
 STATUS, POSITION, STOP = Request(Command.STATUS), Request(Command.POSITION), Request(Command.STOP)
 GO = Request(Command.GO, value=10.0)
@@ -22,7 +22,7 @@ REPLY_S = 0.1
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_what_is_set_is_read_back(kind: type[Port]) -> None:
+def test_what_is_set_is_read_back(kind: type[DrivePort]) -> None:
     with linked(kind) as (drive, link):
         link.set_and_verify(Parameter.THRUST_LIMIT_N, 12.345, "hardware.drive.thrust_limit_N")
         assert drive.parameter(Parameter.THRUST_LIMIT_N) == pytest.approx(12.345)
@@ -37,7 +37,7 @@ def test_a_refusal_says_why() -> None:
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_a_late_reply_answers_no_later_request(kind: type[Port]) -> None:
+def test_a_late_reply_answers_no_later_request(kind: type[DrivePort]) -> None:
     with linked(kind, reply_s=REPLY_S) as (drive, link):
         link.set(Parameter.THRUST_LIMIT_N, 7.0)
         link.set(Parameter.SPEED_MM_S, 9.0)
@@ -52,7 +52,7 @@ def test_a_late_reply_answers_no_later_request(kind: type[Port]) -> None:
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[Port]) -> None:
+def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[DrivePort]) -> None:
     with linked(kind, reply_s=0.05) as (drive, link):
         drive.world.mishaps.strike(drive_reply_late_s=0.2)
         with pytest.raises(NoReplyError):
@@ -112,7 +112,7 @@ def test_what_was_planned_before_a_stop_is_dropped() -> None:
     with linked() as (drive, link):
         planned = link.stops
         link.stop()
-        with pytest.raises(StoppedFirstError):
+        with pytest.raises(CancelledByStopError):
             link.exchange(GO, planned)
         link.exchange(STATUS, link.stops)
         assert GO not in drive.heard
@@ -151,7 +151,7 @@ def until_told(link: DriveLink) -> str:
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_a_pulled_cable_is_told_in_words_at_once_and_from_then_on(kind: type[Port]) -> None:
+def test_a_pulled_cable_is_told_in_words_at_once_and_from_then_on(kind: type[DrivePort]) -> None:
     with linked(kind) as (drive, link):
         link.exchange(STATUS)
         drive.world.mishaps.strike(drive_unplugged=True)

@@ -9,20 +9,20 @@ from driving import driven, linked, until
 from simulated import acquire, session, settings, stroke
 
 from dragrig.config.errors import DeviceError
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.hardware import CardSettings, HardwareSettings
-from dragrig.config.model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter
 from dragrig.rig.hardware.dialects.base import Status as DriveStatus
-from dragrig.rig.hardware.drive.movement import Movement
-from dragrig.rig.hardware.drive.stage import SerialStage
-from dragrig.rig.hardware.owner import Owner
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage
+from dragrig.rig.hardware.drive.stage_base import Movement
+from dragrig.rig.hardware.rig_lock import RigLock
 from dragrig.rig.profile import MotionProfile, trapezoid
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile.model import RunStatus
 
 
 @pytest.mark.parametrize("command", [Command.HOME, Command.GO])
@@ -76,7 +76,7 @@ def test_nothing_moves_once_somebody_asked_for_an_end(monkeypatch: pytest.Monkey
     engine = Engine(backend, rig, guard)
     engine.abort("Ctrl-C")
     outcome = engine.acquire(acquire(stroke()))
-    assert (outcome.status, outcome.reason, outcome.samples) == (Status.ABORTED, "Ctrl-C", 0)
+    assert (outcome.status, outcome.reason, outcome.samples) == (RunStatus.ABORTED, "Ctrl-C", 0)
     assert not moved
 
 
@@ -109,7 +109,7 @@ def test_a_second_signal_inside_the_first_one_hangs_nobody() -> None:
 def test_a_look_does_not_touch_a_rig_that_another_program_is_at() -> None:
     rig = RigSettings(hardware=HardwareSettings(card=CardSettings(device="TakenByAnother")))
     backend = HardwareBackend(replace(BackendRequest(rig, FrictionModelSettings()), connect=False))
-    with Owner(rig.hardware):
+    with RigLock(rig.hardware):
         findings = list(backend.examine())
         backend.close()
     assert [(one.what, one.fine) for one in findings] == [("owner", False)]
@@ -141,7 +141,7 @@ def test_what_moves_already_is_stopped_before_the_drive_is_kept_fed() -> None:
         rig.ready()
         rig.world.follow(trapezoid(140.0, 20.0, 500.0))
         rig.drive._halt = Halt.TARGET
-        later = SerialStage(rig.world.rig, rig.link, rig.lines, rig.coupling, rig.world.clock, rig.deadman)
+        later = PositionModeStage(rig.world.rig, rig.link, rig.lines, rig.coupling, rig.world.clock, rig.deadman)
         try:
             until(lambda: not rig.world.moving)
             assert rig.drive.status.halt is Halt.STOP

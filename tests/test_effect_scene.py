@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
 from dragrig.sim_backend.effects.dynamics import first_order, resonator
-from dragrig.sim_backend.effects.scene import Scene, gut_scene
+from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
 SPEED, ACCELERATION, TRAVEL = 10.0, 400.0, 15.0
@@ -18,11 +17,11 @@ SPEED, ACCELERATION, TRAVEL = 10.0, 400.0, 15.0
 def drag(speed_mm_s: float = SPEED) -> Acquisition:
     ramp_s = speed_mm_s / ACCELERATION
     pieces = [
-        still(1.0, Phase.REST),
+        stationary_piece(1.0, Phase.REST),
         Piece(ramp_s, ACCELERATION, Phase.ACCELERATE),
         Piece(TRAVEL / speed_mm_s - ramp_s, 0.0, Phase.STEADY),
         Piece(ramp_s, -ACCELERATION, Phase.DECELERATE),
-        still(3.0, Phase.HOLD),
+        stationary_piece(3.0, Phase.HOLD),
     ]
     return Acquisition(
         run_id="drag",
@@ -39,11 +38,11 @@ def drag(speed_mm_s: float = SPEED) -> Acquisition:
     )
 
 
-def scene(speed_mm_s: float = SPEED) -> Scene:
+def scene(speed_mm_s: float = SPEED) -> RunState:
     acquisition = drag(speed_mm_s)
     motion = ProfileMotion.of(acquisition.profile)
     time = np.arange(0.0, acquisition.profile.duration_s, 0.01)
-    return gut_scene(acquisition, FrictionModelSettings(), motion, time)
+    return gut_run_state(acquisition, FrictionModelSettings(), motion, time)
 
 
 @pytest.mark.parametrize("speed_mm_s", [0.5, 10.0, 60.0])

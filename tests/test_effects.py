@@ -10,9 +10,16 @@ import numpy as np
 import pytest
 from effect_scenes import KINDS, changed, scene, sized
 
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, Role, SensorEffect
-from dragrig.sim_backend.effects.catalogue import catalogue
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    Effect,
+    EncoderEffect,
+    ForceEffect,
+    MotorEffect,
+    ParameterRole,
+    SensorEffect,
+    catalogue,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 EFFECTS = tuple(catalogue().values())
 every = pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.id)
@@ -20,15 +27,15 @@ STOPPED_S = 1.3
 
 
 @cache
-def seen(kind: str) -> Scene:
+def seen(kind: str) -> RunState:
     return scene(kind)
 
 
 @every
 def test_it_says_what_it_is(effect: Effect) -> None:
     roles = [one.role for one in effect.parameters]
-    assert roles.count(Role.SIZE) == 1
-    assert roles.count(Role.PHASE) <= 1
+    assert roles.count(ParameterRole.SIZE) == 1
+    assert roles.count(ParameterRole.PHASE) <= 1
     assert isinstance(effect, ForceEffect | SensorEffect | MotorEffect | EncoderEffect)
     assert effect.summary.endswith(".")
     assert effect.source

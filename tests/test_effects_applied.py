@@ -9,16 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dragrig
-from dragrig.analysis.comparison.resimulated import simulated_again
+from dragrig.analysis.comparison.sides import resimulate
 from dragrig.cli import main
-from dragrig.config.effects import EffectSettings, effects_of
 from dragrig.config.errors import SettingsError
-from dragrig.config.loading import load, parse, to_toml
-from dragrig.config.model import FrictionModelSettings
-from dragrig.rig.runfile import campaign, read_run
+from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects
+from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.effects.applied import Chain, switched_on
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.effects.base import catalogue
+from dragrig.sim_backend.effects.chain import EffectChain, active_effects
 
 SILENT = tuple(f"rig.simulated.noise.{name}_mN=0" for name in ("white", "slow", "zero"))
 SAME = ("rig.simulated.variation.run_stiffness=0", "rig.simulated.variation.run_friction=0")
@@ -38,8 +37,8 @@ def steady(run: Run) -> np.ndarray:
 def test_a_model_file_may_have_effects(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text('name = "own"\n[[effects]]\nid = "stribeck"\nratio = 0.4\n[[effects]]\nid = "mains_hum"\n', "utf-8")
-    model = load(FrictionModelSettings, path)
-    assert [(one.effect.id, one.values) for one in switched_on(model)] == [
+    model = load_settings(FrictionModelSettings, path)
+    assert [(one.effect.id, one.values) for one in active_effects(model)] == [
         ("stribeck", {**catalogue()["stribeck"].usual, "ratio": 0.4}),
         ("mains_hum", catalogue()["mains_hum"].usual),
     ]
@@ -64,7 +63,7 @@ def test_effects_come_back_from_a_file_and_from_what_is_typed(effects: list[Effe
     model = FrictionModelSettings(effects=tuple(effects))
     assert parse(FrictionModelSettings, tomllib.loads(to_toml(model)), "x") == model
     typed = [f"{one.id}:{','.join(f'{key}={value!r}' for key, value in one.parameters.items())}" for one in effects]
-    assert effects_of([one.removesuffix(":") for one in typed]) == tuple(effects)
+    assert parse_effects([one.removesuffix(":") for one in typed]) == tuple(effects)
 
 
 @pytest.mark.parametrize(
@@ -106,13 +105,13 @@ def test_a_double_takes_no_model_with_effects(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_beyond_the_prior_range_is_allowed_where_it_can_be() -> None:
-    assert switched_on(FrictionModelSettings(effects=effects_of(["stribeck:ratio=7"])))[0].values["ratio"] == 7
+    assert active_effects(FrictionModelSettings(effects=parse_effects(["stribeck:ratio=7"])))[0].values["ratio"] == 7
 
 
 def test_the_chain_goes_from_payload_to_clock_whatever_the_settings_order() -> None:
     listed = ["channel_latency", "mains_hum", "force_hysteresis", "arm_compliance", "payload_inertia"]
     for order in (listed, listed[::-1]):
-        chain = Chain.of(FrictionModelSettings(effects=effects_of(order)))
+        chain = EffectChain.of(FrictionModelSettings(effects=parse_effects(order)))
         assert [effect.id for effect, _ in chain.sensor] == listed[::-1]
 
 
@@ -164,11 +163,11 @@ def test_effects_go_by_the_clock_that_the_files_tell_through_tares_and_after_a_r
     quick = (*SILENT, *SAME, "travel_mm=5", "hold_s=3", "tare_s=0.5", "repeats=3", "wait_s=7.3")
     folder = tmp_path / "c"
     dragrig.simulate("blank", out=folder, effects=[hum], assignments=quick)
-    made_before = campaign(folder).runs
+    made_before = read_campaign(folder).runs
     for info in made_before[-2:]:  # the last run and its way back
         info.path.unlink()
     assert len(dragrig.resume(folder).session.runs) == 2
-    again = [read_run(info.path) for info in campaign(folder).runs]
+    again = [read_run(info.path) for info in read_campaign(folder).runs]
     assert len(again) == len(made_before)
     first = min(run.info.header.start_time for run in again)
     for run in again:
@@ -222,10 +221,10 @@ def test_a_run_with_effects_is_what_the_model_with_them_says() -> None:
     effects = ["stribeck:ratio=0.8,speed_mm_s=3", "peristalsis", "velocity_ripple", "arm_compliance"]
     steps = (*QUICK, "speed_mm_s=3", "way_back=stay", "repeats=2", "rig.stage.start_mm=20")
     first, second = made(*effects, assignments=steps)
-    own = FrictionModelSettings(effects=effects_of(effects))
+    own = FrictionModelSettings(effects=parse_effects(effects))
     for model, least, most in ((own, 0.0, 2.5), (FrictionModelSettings(), 10.0, 100.0)):
         for run in (first, second):
-            again = simulated_again(run, model, first.info.header.start_time)
+            again = resimulate(run, model, first.info.header.start_time)
             off = (np.asarray(again.trace.force) - np.asarray(run.trace.force))[np.asarray(run.trace.phase) != 1]
             assert least <= np.sqrt(np.mean(off**2)) <= most
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.position.errors import position_errors
-from dragrig.analysis.gap.position.families import families
-from dragrig.analysis.gap.results import Diagnosis, Verdict
-from dragrig.analysis.identification.noise import estimate_noise
-from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.position_channel import position_errors, score_model_classes
+from dragrig.analysis.inference.noise import estimate_noise
+from dragrig.analysis.models.experiment import Experiment
 from dragrig.config.errors import SettingsError
 
 ROOT = Path(__file__).parents[1]
@@ -100,7 +99,7 @@ def test_a_speed_that_is_not_kept_is_neither_a_lag_nor_a_wrong_scale(tmp_path: P
         assert np.ptp(np.diff(run.trace.command)) < 1e-9
         assert abs(np.mean(run.trace.position - run.trace.command)) < 1e-6
     assert "straight line at" in " ".join(event.message for event in runs[0].events)
-    best, *others = families(position_errors([Experiment(run) for run in runs]))
+    best, *others = score_model_classes(position_errors([Experiment(run) for run in runs]))
     assert best.effect == "velocity_ripple"
     assert 2 * pi * RADIUS_MM * best.shape == pytest.approx(72, abs=1.0)
     assert max(one.held_out for one in others) < 0.1

@@ -7,16 +7,17 @@ from multiprocessing.connection import Connection
 
 import pytest
 
-from dragrig.engine_host.listening import Ear
-from dragrig.engine_host.messages import Abort, Answer, Examine, Job, Reply, Reset, Start
+from dragrig.engine_host.messages import AbortSession, ExamineRig, PromptReply, ResetGuard, SessionJob, StartSession
+from dragrig.engine_host.server import RequestReceiver
+from dragrig.rig.operator import Answer
 
 Client = Connection
 
 
 @pytest.fixture
-def pair() -> Iterator[tuple[Client, Ear]]:
+def pair() -> Iterator[tuple[Client, RequestReceiver]]:
     client, host = Pipe()
-    ear = Ear(host, silence_s=600.0)
+    ear = RequestReceiver(host, silence_s=600.0)
     yield client, ear
     client.close()
     while ear.next() is not None:
@@ -24,34 +25,36 @@ def pair() -> Iterator[tuple[Client, Ear]]:
     host.close()
 
 
-def test_an_answer_that_is_quicker_than_its_question_is_heard(pair: tuple[Client, Ear]) -> None:
+def test_an_answer_that_is_quicker_than_its_question_is_heard(pair: tuple[Client, RequestReceiver]) -> None:
     client, ear = pair
-    client.send(Reset())
-    assert ear.next() == Reset()
+    client.send(ResetGuard())
+    assert ear.next() == ResetGuard()
 
     def put() -> None:
-        client.send(Reply(1, Answer.SKIP))
-        client.send(Examine())
-        assert ear.next() == Examine()  # so that what was sent before it has been heard
+        client.send(PromptReply(1, Answer.SKIP))
+        client.send(ExamineRig())
+        assert ear.next() == ExamineRig()  # so that what was sent before it has been heard
 
     assert ear.await_answer(1, put) is Answer.SKIP
 
 
-def test_a_stop_with_nothing_under_way_ends_nothing_that_is_asked_later(pair: tuple[Client, Ear]) -> None:
+def test_a_stop_with_nothing_under_way_ends_nothing_that_is_asked_later(pair: tuple[Client, RequestReceiver]) -> None:
     client, ear = pair
-    client.send(Abort("nothing moves"))
-    client.send(Reset())
-    assert ear.next() == Reset()
+    client.send(AbortSession("nothing moves"))
+    client.send(ResetGuard())
+    assert ear.next() == ResetGuard()
     stopped: list[str] = []
     ear.stops(stopped.append)
-    assert ear.await_answer(1, lambda: client.send(Reply(1, Answer.DONE))) is Answer.DONE
+    assert ear.await_answer(1, lambda: client.send(PromptReply(1, Answer.DONE))) is Answer.DONE
     assert stopped == []
 
 
-def test_a_stop_is_for_what_was_asked_before_it_and_keeps_its_first_reason(pair: tuple[Client, Ear]) -> None:
+def test_a_stop_is_for_what_was_asked_before_it_and_keeps_its_first_reason(
+    pair: tuple[Client, RequestReceiver],
+) -> None:
     client, ear = pair
-    first, second = Start(Job(1, "drag")), Start(Job(2, "drag"))
-    for request in (first, Abort("Escape"), Abort("again"), second, Examine()):
+    first, second = StartSession(SessionJob(1, "drag")), StartSession(SessionJob(2, "drag"))
+    for request in (first, AbortSession("Escape"), AbortSession("again"), second, ExamineRig()):
         client.send(request)
     stopped: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
     assert ear.next() == first
@@ -61,6 +64,6 @@ def test_a_stop_is_for_what_was_asked_before_it_and_keeps_its_first_reason(pair:
     ear.stops(None)
     assert ear.next() == second
     ear.stops(lambda reason: stopped.put((2, reason)))
-    assert ear.await_answer(2, lambda: client.send(Reply(2, Answer.DONE))) is Answer.DONE
+    assert ear.await_answer(2, lambda: client.send(PromptReply(2, Answer.DONE))) is Answer.DONE
     while not stopped.empty():
         assert stopped.get() == (1, "Escape")

@@ -11,28 +11,30 @@ import pytest
 from engine_clients import Listener, listening, plan
 
 from dragrig.engine_host.messages import (
-    Abort,
-    Answer,
-    Asked,
-    Began,
-    Device,
-    Ended,
-    Examine,
-    Examined,
-    Job,
-    Latched,
-    Reply,
-    Reset,
-    RigTerms,
-    RunBegan,
-    RunEnded,
-    Start,
-    Status,
-    Waiting,
-)  # fmt: skip
+    AbortSession,
+    DeviceFinding,
+    ExamineRig,
+    GuardState,
+    PromptReply,
+    PromptShown,
+    ResetGuard,
+    RigExamined,
+    RigSelection,
+    RunFinished,
+    RunStarted,
+    SessionFinished,
+    SessionJob,
+    SessionStarted,
+    SessionWaiting,
+    StartSession,
+)
+from dragrig.rig.operator import Answer
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile import campaign, mark_bad, read_run
-from dragrig.rig.runfile.model import Run
+from dragrig.rig.runfile import mark_bad, read_campaign, read_run
+from dragrig.rig.runfile.model import (
+    Run,
+    RunStatus,  # fmt: skip
+)
 
 pytestmark = pytest.mark.timeout(240)
 CLIENT = Path(__file__).with_name("engine_clients.py")
@@ -52,7 +54,7 @@ def heard(host: Listener) -> Listener:
 
 
 def only_run(folder: Path) -> Run:
-    found = campaign(folder)
+    found = read_campaign(folder)
     assert len(found.runs) == 1
     assert not found.recordings
     assert not found.unreadable
@@ -92,7 +94,7 @@ def test_a_client_whose_interpreter_is_held_for_five_seconds_loses_no_sample(tmp
         assert said(process, "ended") == "complete"
     assert process.returncode == 0
     run = only_run(tmp_path / "c")
-    assert run.info.status is Status.COMPLETE
+    assert run.info.status is RunStatus.COMPLETE
     assert run.info.samples > 5500
     require_whole(run)
 
@@ -103,7 +105,7 @@ def test_a_killed_clients_stage_is_stopped_and_its_run_finished(tmp_path: Path) 
         process.kill()
         host.wait(100)
     run = only_run(tmp_path / "c")
-    assert run.info.status is Status.ABORTED
+    assert run.info.status is RunStatus.ABORTED
     assert "the window is gone" in run.info.reason
     assert 300 < run.info.samples < 20_000
     require_whole(run)
@@ -113,100 +115,100 @@ def test_a_killed_clients_stage_is_stopped_and_its_run_finished(tmp_path: Path) 
 def test_a_silent_client_is_taken_for_dead(tmp_path: Path) -> None:
     with listening(silence_s=1.0) as heard:
         host = psutil.Process(heard.client.pid)
-        heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+        heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
         heard.until_samples(100)
         host.wait(100)
     run = only_run(tmp_path / "c")
-    assert run.info.status is Status.ABORTED
+    assert run.info.status is RunStatus.ABORTED
     assert "silent" in run.info.reason
     require_whole(run)
     require_standing(run)
 
 
 def test_a_session_tells_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(Start(Job(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
-    ended = heard.until(Ended)
-    assert ended == Ended(7, Status.COMPLETE, "", tmp_path / "c")
-    asked = [one for one in heard.heard if isinstance(one, Asked)]
+    heard.client.ask(StartSession(SessionJob(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
+    ended = heard.until(SessionFinished)
+    assert ended == SessionFinished(7, RunStatus.COMPLETE, "", tmp_path / "c")
+    asked = [one for one in heard.heard if isinstance(one, PromptShown)]
     assert [one.text for one in asked] == ["Put it in"]
-    runs = [one for one in heard.heard if isinstance(one, RunEnded)]
-    assert [(one.order, one.status) for one in runs] == [(0, Status.COMPLETE), (1, Status.COMPLETE)]
-    assert any(isinstance(one, Waiting) and one.duration_s == pytest.approx(3.0) for one in heard.heard)
-    assert len(campaign(tmp_path / "c").runs) == 2
+    runs = [one for one in heard.heard if isinstance(one, RunFinished)]
+    assert [(one.order, one.status) for one in runs] == [(0, RunStatus.COMPLETE), (1, RunStatus.COMPLETE)]
+    assert any(isinstance(one, SessionWaiting) and one.duration_s == pytest.approx(3.0) for one in heard.heard)
+    assert len(read_campaign(tmp_path / "c").runs) == 2
 
 
 def test_a_campaign_that_goes_on_tells_the_runs_that_are_made_again(tmp_path: Path, heard: Listener) -> None:
     short = plan(runs=3)
-    heard.client.ask(Start(Job(1, short, out=tmp_path / "c")))
-    heard.until(Ended)
-    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
-    heard.client.ask(Start(Job(2, short, resume=tmp_path / "c")))
-    assert heard.until(Ended) == Ended(2, Status.COMPLETE, "", tmp_path / "c")
-    [told] = [one for one in heard.heard if isinstance(one, Began) and one.job == 2]
-    made = [one.run for one in heard.heard if isinstance(one, RunBegan)][3:]
+    heard.client.ask(StartSession(SessionJob(1, short, out=tmp_path / "c")))
+    heard.until(SessionFinished)
+    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    heard.client.ask(StartSession(SessionJob(2, short, resume=tmp_path / "c")))
+    assert heard.until(SessionFinished) == SessionFinished(2, RunStatus.COMPLETE, "", tmp_path / "c")
+    [told] = [one for one in heard.heard if isinstance(one, SessionStarted) and one.job == 2]
+    made = [one.run for one in heard.heard if isinstance(one, RunStarted)][3:]
     assert [run.index for run in made] == [0]
     assert told.runs == tuple(made)
 
 
 def test_an_abort_stops_the_stage_at_once_and_says_why(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
-    heard.until(RunBegan)
+    heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.until(RunStarted)
     shown = heard.until_samples(600)
-    heard.client.ask(Abort("Escape at the window"))
-    ended = heard.until(Ended)
-    assert isinstance(ended, Ended)
-    assert (ended.status, ended.reason) == (Status.ABORTED, "Escape at the window")
+    heard.client.ask(AbortSession("Escape at the window"))
+    ended = heard.until(SessionFinished)
+    assert isinstance(ended, SessionFinished)
+    assert (ended.status, ended.reason) == (RunStatus.ABORTED, "Escape at the window")
     run = only_run(tmp_path / "c")
     assert run.info.samples < shown + 2000
     require_standing(run)
 
 
 def test_an_abort_that_comes_before_anything_moves_is_heard(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(Start(Job(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
-    heard.client.ask(Abort("too early"))
-    ended = heard.until(Ended)
-    heard.client.ask(Start(Job(2, plan(), out=tmp_path / "d")))
-    later = heard.until(Ended)
-    assert isinstance(ended, Ended)
-    assert isinstance(later, Ended)
-    assert ended.status is Status.ABORTED
-    assert later.status is Status.COMPLETE
+    heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.client.ask(AbortSession("too early"))
+    ended = heard.until(SessionFinished)
+    heard.client.ask(StartSession(SessionJob(2, plan(), out=tmp_path / "d")))
+    later = heard.until(SessionFinished)
+    assert isinstance(ended, SessionFinished)
+    assert isinstance(later, SessionFinished)
+    assert ended.status is RunStatus.ABORTED
+    assert later.status is RunStatus.COMPLETE
 
 
 def test_an_abort_at_a_prompt_ends_the_session(tmp_path: Path, heard: Listener) -> None:
     heard.answer = None
-    heard.client.ask(Start(Job(1, plan(prompt="Put it in"), out=tmp_path / "c")))
-    heard.until(Asked)
-    heard.client.ask(Abort("never mind"))
-    ended = heard.until(Ended)
-    assert isinstance(ended, Ended)
-    assert (ended.status, ended.reason) == (Status.ABORTED, "never mind")
+    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    heard.until(PromptShown)
+    heard.client.ask(AbortSession("never mind"))
+    ended = heard.until(SessionFinished)
+    assert isinstance(ended, SessionFinished)
+    assert (ended.status, ended.reason) == (RunStatus.ABORTED, "never mind")
 
 
 def test_a_prompt_takes_the_persons_answer(tmp_path: Path, heard: Listener) -> None:
     heard.answer = Answer.SKIP
-    heard.client.ask(Start(Job(1, plan(prompt="Put it in"), out=tmp_path / "c")))
-    ended = heard.until(Ended)
-    heard.client.ask(Reply(99, Answer.DONE))
-    assert isinstance(ended, Ended)
-    assert ended.status is Status.COMPLETE
-    assert not [one for one in heard.heard if isinstance(one, RunBegan)]
+    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    ended = heard.until(SessionFinished)
+    heard.client.ask(PromptReply(99, Answer.DONE))
+    assert isinstance(ended, SessionFinished)
+    assert ended.status is RunStatus.COMPLETE
+    assert not [one for one in heard.heard if isinstance(one, RunStarted)]
 
 
 def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
-    rig = RigTerms(backend="simulated", assignments=("rig.guard.force_limit_mN=20",))
+    rig = RigSelection(backend="simulated", assignments=("rig.guard.force_limit_mN=20",))
     with listening(rig) as heard:
-        heard.client.ask(Start(Job(1, plan(), out=tmp_path / "c")))
-        ended = heard.until(Ended)
-        latched = heard.until(Latched)
-        heard.client.ask(Start(Job(2, plan(), out=tmp_path / "d")))
-        refused = heard.until(Ended)
-        heard.client.ask(Reset())
-        assert heard.until(Latched) == Latched("")
-    assert isinstance(ended, Ended)
-    assert isinstance(refused, Ended)
-    assert isinstance(latched, Latched)
-    assert ended.status is Status.TRIPPED
+        heard.client.ask(StartSession(SessionJob(1, plan(), out=tmp_path / "c")))
+        ended = heard.until(SessionFinished)
+        latched = heard.until(GuardState)
+        heard.client.ask(StartSession(SessionJob(2, plan(), out=tmp_path / "d")))
+        refused = heard.until(SessionFinished)
+        heard.client.ask(ResetGuard())
+        assert heard.until(GuardState) == GuardState("")
+    assert isinstance(ended, SessionFinished)
+    assert isinstance(refused, SessionFinished)
+    assert isinstance(latched, GuardState)
+    assert ended.status is RunStatus.TRIPPED
     assert "over the limit of 20 mN" in latched.reason
     assert refused.status is None
     assert "over the limit of 20 mN" in refused.reason
@@ -214,17 +216,17 @@ def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
 
 
 def test_a_plan_that_the_rig_cannot_carry_out_is_refused_in_a_sentence(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(Start(Job(1, plan(travel_mm=900.0), out=tmp_path / "c")))
-    ended = heard.until(Ended)
-    assert isinstance(ended, Ended)
+    heard.client.ask(StartSession(SessionJob(1, plan(travel_mm=900.0), out=tmp_path / "c")))
+    ended = heard.until(SessionFinished)
+    assert isinstance(ended, SessionFinished)
     assert ended.status is None
     assert "change travel_mm or start_mm" in ended.reason
 
 
 def test_every_device_is_told_of(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(Examine())
-    found = heard.until(Examined)
-    assert isinstance(found, Examined)
+    heard.client.ask(ExamineRig())
+    found = heard.until(RigExamined)
+    assert isinstance(found, RigExamined)
     assert found.devices
-    assert all(isinstance(one, Device) and one.fine for one in found.devices)
+    assert all(isinstance(one, DeviceFinding) and one.fine for one in found.devices)
     assert not found.error

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.engine_host.live import LiveReader, LiveWriter, shared_memory
+from dragrig.engine_host.messages import LiveRingReader, LiveRingWriter, shared_memory
 from dragrig.rig.reading import Reading
 
 RATE_HZ = 1000.0
@@ -19,9 +19,9 @@ def reading(first: int, count: int) -> Reading:
     return Reading(first, index / RATE_HZ, values, phase, {"force": values, "position": -values})
 
 
-def ring(samples: int) -> tuple[LiveWriter, LiveReader]:
+def ring(samples: int) -> tuple[LiveRingWriter, LiveRingReader]:
     memory = shared_memory(multiprocessing.get_context("spawn"), samples)
-    return LiveWriter(memory), LiveReader(memory)
+    return LiveRingWriter(memory), LiveRingReader(memory)
 
 
 @settings(deadline=None, max_examples=60)

@@ -11,10 +11,16 @@ import pytest
 from pyarrow import parquet
 from scipy.io import loadmat
 
-from dragrig.analysis.export import ExportFormat, export_campaign, export_run, write_export
-from dragrig.analysis.exporting.content import column_name, content_of
-from dragrig.analysis.exporting.text import CsvStyle
-from dragrig.analysis.filtering import filter_file
+from dragrig.analysis.export import (
+    CsvStyle,
+    ExportFormat,
+    column_name,
+    export_campaign,
+    export_content,
+    export_run,
+    write_export,
+)
+from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import AnalysisError, OutputError, RunFileError
 from dragrig.rig.runfile import mark_bad, read_run
 
@@ -100,7 +106,7 @@ def test_npz_holds_arrays_and_json(filtered: Path) -> None:
 
 
 def test_an_unfiltered_run_is_exported_without_filtered_columns(tmp_path: Path) -> None:
-    content = content_of(read_run(CAMPAIGN / "014-drag.h5"))
+    content = export_content(read_run(CAMPAIGN / "014-drag.h5"))
     assert [column.name for column in content.columns] == ["time_s", "force_mN", "position_mm", "command_mm", "phase"]
     assert content.metadata["filter"] == {}
 

@@ -22,8 +22,8 @@ from rig_faults import (
 
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.dialects.base import Halt
-from dragrig.rig.runfile import campaign
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.model import RunStatus
 
 
 def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_rig: Bench) -> None:
@@ -32,7 +32,7 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (Status.FAILED, 5)
+    assert (ended.status, ended.exit_code) == (RunStatus.FAILED, 5)
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     assert_kept(run, seen)
@@ -58,7 +58,7 @@ def test_what_the_samples_show_stops_the_stage(
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert_kept(run, seen)
     assert_told(fault, ended, run)
@@ -71,7 +71,7 @@ def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
     struck = running.strike(overwritten_samples=200)
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert_told("overrun", ended, run)
     steps = np.rint(np.diff(run.trace.time) * 1000.0).astype(int)
@@ -86,7 +86,7 @@ def test_a_timeout_with_partial_data_costs_nothing(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
     running.strike(short_reads=3)
     ended = running.end()
-    assert (ended.status, ended.exit_code, ended.told) == (Status.COMPLETE, 0, "")
+    assert (ended.status, ended.exit_code, ended.told) == (RunStatus.COMPLETE, 0, "")
     run = only_run(ended.folder)
     assert run.info.checks["lost_samples"] == 0
     assert_kept(run, round(run.trace.time[-1] * 1000) + 1)
@@ -118,4 +118,4 @@ def test_without_ni_driver_nothing_moves_and_one_sentence_says_what_to_install(f
     assert faulty_rig.look() == before
     assert not ended.folder.exists()
     again = begin(faulty_rig).end()
-    assert (again.status, len(campaign(again.folder).runs)) == (Status.COMPLETE, 1)
+    assert (again.status, len(read_campaign(again.folder).runs)) == (RunStatus.COMPLETE, 1)

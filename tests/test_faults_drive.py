@@ -18,11 +18,11 @@ from rig_faults import (
     sentence,
 )
 
-from dragrig.rig.acquiring import Outcome
+from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.programme import PlannedRun
-from dragrig.rig.runfile import campaign
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.model import RunStatus
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, halt)
     assert not ended.stage.enabled
     assert_kept(run, seen)
@@ -64,14 +64,14 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
 def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, fault: str, mishap: str) -> None:
     running = begin(faulty_rig)
 
-    def break_it(run: PlannedRun, outcome: Outcome) -> None:
+    def break_it(run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         faulty_rig.strike(**{mishap: True})
 
     running.person.run_ends = break_it  # type: ignore[method-assign]
     ended = running.end()
-    (info,) = campaign(ended.folder).runs
-    assert info.status is Status.COMPLETE
-    assert (ended.status, ended.exit_code) == (Status.FAILED, 5)
+    (info,) = read_campaign(ended.folder).runs
+    assert info.status is RunStatus.COMPLETE
+    assert (ended.status, ended.exit_code) == (RunStatus.FAILED, 5)
     assert sentence(fault).fullmatch(ended.told), ended.told
     assert not ended.stage.moving
     assert not ended.stage.enabled

@@ -30,8 +30,8 @@ from rig_faults import (
 
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import campaign, mark_bad, read_run
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile import mark_bad, read_campaign, read_run
+from dragrig.rig.runfile.model import RunStatus
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
 
@@ -85,7 +85,7 @@ def test_sigterm_ends_the_run_in_good_order(faulty_rig: Bench, start: Start) -> 
     program.process.send_signal(signal.SIGTERM)
     code, printed, told = program.end()
     run = only_run(folder)
-    assert (code, printed["status"], run.info.status) == (3, "aborted", Status.ABORTED)
+    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
     assert sentence("SIGTERM").fullmatch(told), told
     assert printed["reason"] == run.info.reason == "ended by SIGTERM"
     look = faulty_rig.look()
@@ -104,8 +104,8 @@ def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE)
     assert_goes_on(faulty_rig, folder)
-    (lost,) = (info for info in campaign(folder).runs if info.status is not Status.COMPLETE)
-    assert lost.status is Status.RECOVERED
+    (lost,) = (info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
+    assert lost.status is RunStatus.RECOVERED
     assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
     assert_kept(read_run(lost.path), kept)
 
@@ -120,7 +120,7 @@ def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Benc
     program.process.send_signal(signal.SIGCONT)
     code, printed, told = program.end()
     run = only_run(folder)
-    assert (code, printed["status"], run.info.status) == (4, "tripped", Status.TRIPPED)
+    assert (code, printed["status"], run.info.status) == (4, "tripped", RunStatus.TRIPPED)
     assert sentence("program frozen").fullmatch(told), told
     assert printed["reason"] == run.info.reason
     assert not faulty_rig.look().enabled
@@ -144,7 +144,7 @@ def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(f
     let_go.set()
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (Status.TRIPPED, 4)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert_told("program hangs", ended, run)
     assert_kept(run, 1)
@@ -175,9 +175,9 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     assert not ended.stage.enabled
     filler.unlink()
     assert_goes_on(faulty_rig, folder)
-    lost = next(info for info in campaign(folder).runs if info.status is not Status.COMPLETE)
+    lost = next(info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
     assert_kept(read_run(lost.path), kept)
-    assert lost.status is Status.RECOVERED or "MB are free" in lost.reason
+    assert lost.status is RunStatus.RECOVERED or "MB are free" in lost.reason
 
 
 class ShiftedClock:
@@ -218,7 +218,7 @@ def test_a_clock_that_is_put_back_changes_no_time_and_no_order(faulty_rig: Bench
     mark_bad(first.info.path, "made again")
     code, printed, _ = start("--resume", folder, **clock.environment).end()
     assert (code, printed["status"]) == (0, "complete")
-    earlier, later = sorted(campaign(folder).runs, key=lambda one: one.header.order)
+    earlier, later = sorted(read_campaign(folder).runs, key=lambda one: one.header.order)
     assert earlier.end_time is not None
     assert later.header.start_time >= earlier.end_time
     assert later.path.name > earlier.path.name

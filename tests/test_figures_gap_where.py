@@ -11,10 +11,12 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from residuals import Planted, campaign
 
-from dragrig.analysis.gap.where import ResidualBlocks, Where, locate
-from dragrig.figures.gap_where import where_figure
-from dragrig.figures.saving import save
-from dragrig.figures.style import PALE, VERMILLION
+from dragrig.analysis.gap.diagnosis import GapLocation
+from dragrig.analysis.gap.excess import ResidualBlocks
+from dragrig.analysis.gap.localise import localise
+from dragrig.present.diagnosis_page import location_figure
+from dragrig.present.figure_files import save_figure
+from dragrig.present.palette import PALE, VERMILLION
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
@@ -28,9 +30,9 @@ def everything(one: ResidualBlocks) -> FloatArray:
     return 500.0 * (1 + np.sin(one.time_s) + one.strain) * (one.phase != Phase.REST)
 
 
-def drawn(planted: Planted | None, present: bool | None = None) -> tuple[Where, Figure]:
-    found = locate(campaign(1) if planted is None else campaign(1, planted), present=present)
-    return found, where_figure(found, "a campaign with a rather long name, " * 6)
+def drawn(planted: Planted | None, present: bool | None = None) -> tuple[GapLocation, Figure]:
+    found = localise(campaign(1) if planted is None else campaign(1, planted), present=present)
+    return found, location_figure(found, "a campaign with a rather long name, " * 6)
 
 
 def texts(figure: Figure) -> list[Text]:
@@ -83,5 +85,5 @@ def test_without_a_gap_it_says_so() -> None:
 
 
 def test_it_is_the_same_picture_each_time(tmp_path: Path) -> None:
-    first, second = (save(drawn(fast)[1], tmp_path / f"{name}.png").read_bytes() for name in "ab")
+    first, second = (save_figure(drawn(fast)[1], tmp_path / f"{name}.png").read_bytes() for name in "ab")
     assert first == second

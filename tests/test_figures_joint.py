@@ -10,20 +10,19 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.identification.results import Identified, JointFit, RunResidual
-from dragrig.figures import joint_figure
-from dragrig.figures.joint_fit import MOST_RUNS
+from dragrig.analysis.identification.identification import JointFit, ParameterEstimate, RunResidual
+from dragrig.present.identification_figures import JOINT_MAX_RUNS, joint_fit_figure
 
-STIFFNESS = Identified("stiffness_scale", "1", 1.05, 0.03, (0.99, 1.11), (0.75, 1.34), 0.8)
-ANGLE = Identified("contact_angle_offset_deg", "deg", -0.2, 0.1, (-0.4, 0.0), (-1.4, 1.4), 0.8)
-SHOWN = Identified("e1_shown", "1", 1.016, 0.009, (0.999, 1.034), (0.7, 1.4), 0.9)
+STIFFNESS = ParameterEstimate("stiffness_scale", "1", 1.05, 0.03, (0.99, 1.11), (0.75, 1.34), 0.8)
+ANGLE = ParameterEstimate("contact_angle_offset_deg", "deg", -0.2, 0.1, (-0.4, 0.0), (-1.4, 1.4), 0.8)
+SHOWN = ParameterEstimate("e1_shown", "1", 1.016, 0.009, (0.999, 1.034), (0.7, 1.4), 0.9)
 
 
 def run(file: str, chi2: float = 1.0, channel: str = "force") -> RunResidual:
     return RunResidual(file, "drag", channel, 300, chi2, 1.0, Estimate(0.0, 0.1), {})
 
 
-def fit(*runs: RunResidual, parameters: tuple[Identified, ...] = (STIFFNESS, ANGLE)) -> JointFit:
+def fit(*runs: RunResidual, parameters: tuple[ParameterEstimate, ...] = (STIFFNESS, ANGLE)) -> JointFit:
     correlation = np.eye(len(parameters))
     return JointFit("capsule", parameters, (SHOWN,), correlation, runs or (run("a.h5"),), 300, 300, 0.5, True, 2)
 
@@ -65,7 +64,7 @@ LONG = "2026-05-04-a-campaign-with-a-name-that-never-comes-to-an-end-at-least-no
     ids=["plain", "many runs, long names", "large and small", "long parameters", "not converged", "unexplained"],
 )
 def test_every_word_stays_on_the_page_and_clear_of_the_others(drawn: JointFit) -> None:
-    figure = joint_figure(drawn)
+    figure = joint_fit_figure(drawn)
     boxes = [one.get_window_extent() for one in words(figure)]
     page = figure.bbox
     for box in boxes:
@@ -78,7 +77,7 @@ def test_every_word_stays_on_the_page_and_clear_of_the_others(drawn: JointFit) -
 
 
 def test_parameters_stand_where_their_priors_have_them() -> None:
-    axes = panel(joint_figure(fit()), "before")
+    axes = panel(joint_fit_figure(fit()), "before")
     middles = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
     nominal = np.sqrt(0.75 * 1.34)
     log_sd = np.log(1.34 / 0.75) / (2 * 1.96)
@@ -88,7 +87,7 @@ def test_parameters_stand_where_their_priors_have_them() -> None:
 
 def test_what_lies_far_outside_is_pointed_at() -> None:
     far = replace(STIFFNESS, value=9.0, interval=(8.9, 9.1))
-    axes = panel(joint_figure(fit(parameters=(far, ANGLE))), "before")
+    axes = panel(joint_fit_figure(fit(parameters=(far, ANGLE))), "before")
     arrows = [line for line in axes.lines if line.get_marker() == ">"]
     assert [line.get_xdata()[0] for line in arrows] == [axes.get_xlim()[1]]
 
@@ -99,33 +98,33 @@ def dots(axes: Axes) -> int:
 
 def test_no_number_stands_where_runs_say_nothing() -> None:
     unknown = replace(ANGLE, learnt=0.05)
-    axes = panel(joint_figure(fit(parameters=(STIFFNESS, unknown))), "before")
+    axes = panel(joint_fit_figure(fit(parameters=(STIFFNESS, unknown))), "before")
     assert [one.get_text() for one in axes.texts] == ["1.050 ± 0.030", "not determined"]
     assert dots(axes) == 1
 
 
 def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
-    axes = panel(joint_figure(replace(fit(), converged=False)), "before")
+    axes = panel(joint_fit_figure(replace(fit(), converged=False)), "before")
     assert [one.get_text() for one in axes.texts] == ["1.05", "−0.2 deg"]
     assert dots(axes) == 2
     assert all(np.ptp(line.get_xdata()) == 0 for line in axes.lines)
 
 
 def test_runs_that_are_left_badly_are_shown_on_a_scale_for_all() -> None:
-    axes = panel(joint_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
+    axes = panel(joint_fit_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
     assert axes.get_xscale() == "log"
     assert "1000" in [one.get_text() for one in axes.get_xticklabels()]
     assert names(axes) == ["a.h5", "b.h5"]
 
 
 def test_of_very_many_runs_those_are_shown_that_are_left_worst() -> None:
-    runs = [run(f"{number:03d}.h5", 1.0 + number / 100) for number in range(3 * MOST_RUNS)]
-    figure = joint_figure(fit(*runs))
-    assert names(panel(figure, "each run")) == [one.file for one in runs[-MOST_RUNS:]]
-    assert any(f"{3 * MOST_RUNS} runs, the {MOST_RUNS} that" in one.get_text() for one in figure.texts)
+    runs = [run(f"{number:03d}.h5", 1.0 + number / 100) for number in range(3 * JOINT_MAX_RUNS)]
+    figure = joint_fit_figure(fit(*runs))
+    assert names(panel(figure, "each run")) == [one.file for one in runs[-JOINT_MAX_RUNS:]]
+    assert any(f"{3 * JOINT_MAX_RUNS} runs, the {JOINT_MAX_RUNS} that" in one.get_text() for one in figure.texts)
 
 
 def test_channels_are_named_where_there_are_several() -> None:
-    figure = joint_figure(fit(run("a.h5"), run("a.h5", channel="motor_force")))
+    figure = joint_fit_figure(fit(run("a.h5"), run("a.h5", channel="motor_force")))
     assert names(panel(figure, "each run")) == ["a.h5 force", "a.h5 motor_force"]
     assert any(one.get_text().endswith("1 run") for one in figure.texts)

@@ -10,17 +10,16 @@ from click.testing import CliRunner, Result
 from matplotlib.figure import Figure
 
 from dragrig.cli import main
-from dragrig.cli.lazy import group
-from dragrig.config.capsule import Capsule
+from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import SettingsError
-from dragrig.config.library import find
-from dragrig.config.model import FrictionModelSettings
-from dragrig.figures import forces_figure, skew_figure, wall_figure
-from dragrig.figures.model import MOST_CURVES, few_of
-from dragrig.sim_backend.friction import disagreement, steady_forces
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.settings import find_settings
+from dragrig.config.specimen import Capsule
+from dragrig.present.friction_model import MAX_CURVES, forces_figure, skew_figure, spread_selection, wall_figure
+from dragrig.sim_backend.friction import parameter_set_differences, steady_forces
 
 MODEL = FrictionModelSettings()
-CAPSULE = find(Capsule, "capsule", "drag")
+CAPSULE = find_settings(Capsule, "capsule", "drag")
 REFERENCE = Path(__file__).parent / "data" / "reference" / "steady.csv"
 
 
@@ -29,7 +28,7 @@ def texts(figure: Figure) -> str:
 
 
 def run(*arguments: str) -> Result:
-    done = CliRunner().invoke(group, ["model", *arguments], catch_exceptions=False, standalone_mode=False)
+    done = CliRunner().invoke(dragrig_group, ["model", *arguments], catch_exceptions=False, standalone_mode=False)
     assert done.exit_code == 0
     return done
 
@@ -65,11 +64,11 @@ def test_figure_7_keeps_its_value_beside_the_capsule_and_drops_behind_it() -> No
 
 
 def test_of_many_speeds_a_few_are_drawn_from_end_to_end() -> None:
-    chosen = few_of([3.0, *range(1, 60), 0.5])
-    assert len(chosen) == MOST_CURVES
+    chosen = spread_selection([3.0, *range(1, 60), 0.5])
+    assert len(chosen) == MAX_CURVES
     assert chosen[0] == 0.5
     assert chosen[-1] == 59
-    assert few_of([2.0, 1.0, 2.0]) == (1.0, 2.0)
+    assert spread_selection([2.0, 1.0, 2.0]) == (1.0, 2.0)
 
 
 def test_the_wall_parameters_say_how_far_eq_14_is_off() -> None:
@@ -106,7 +105,7 @@ def test_the_command_prints_draws_and_says_where_the_sources_disagree(
     monkeypatch.chdir(tmp_path)
     shown = run("--speeds", "0.5,20").stdout
     assert "82.41" in shown
-    assert all(f"{entry.eq14:.4g}" in shown for entry in disagreement())
+    assert all(f"{entry.eq14:.4g}" in shown for entry in parameter_set_differences())
     pictures = {"model-forces.png", "model-skew.png", "model-wall.png"}
     assert {path.name for path in tmp_path.iterdir()} == pictures
     assert all(name in shown for name in pictures)

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from dragrig.config.errors import OutputError
-from dragrig.figures.envelope import COLUMNS, envelope, gap_after
-from dragrig.figures.phases import stretches, with_ramp
-from dragrig.figures.placement import spread
-from dragrig.figures.saving import save, save_in
-from dragrig.figures.style import drawing, new_figure, text_width_in
+from dragrig.present.drawing import figure_style, new_figure, spread_labels, text_width_in
+from dragrig.present.figure_files import save_figure, save_figure_in
+from dragrig.present.traces import ENVELOPE_COLUMNS, gaps_after_samples, merge_ramp, min_max_envelope, phase_intervals
 
 
 def time_axis(samples: int, rate_hz: float = 1000.0) -> np.ndarray:
@@ -26,7 +24,7 @@ def time_axis(samples: int, rate_hz: float = 1000.0) -> np.ndarray:
 @given(arrays(np.float64, st.integers(1, 3000), elements=st.floats(-1e6, 1e6)), st.integers(1, 400))
 def test_an_envelope_keeps_every_columns_extremes(value: np.ndarray, columns: int) -> None:
     time = time_axis(value.size)
-    t, y = envelope(time, value, gap_after(time, 1000.0), columns)
+    t, y = min_max_envelope(time, value, gaps_after_samples(time, 1000.0), columns)
     assert y.min() == value.min()
     assert y.max() == value.max()
     assert (np.diff(t) >= 0).all()
@@ -44,7 +42,7 @@ def test_an_envelope_is_broken_at_gaps_and_where_the_trace_is_not_finite(gaps: s
         time[start:] += 0.5
     value = np.ones(10_000)
     value[list(holes)] = np.nan
-    t, y = envelope(time, value, gap_after(time, 1000.0), 50)
+    t, y = min_max_envelope(time, value, gaps_after_samples(time, 1000.0), 50)
     pieces = np.split(t, np.flatnonzero(np.isnan(y)))
     for piece in pieces:
         steady = piece[1:] if np.isnan(y[np.searchsorted(t, piece[0])]) else piece
@@ -58,22 +56,22 @@ def test_ten_million_samples_become_a_line_that_a_picture_can_hold() -> None:
     value = np.sin(np.linspace(0, 60, 10_000_000, dtype=np.float32))
     value[7_654_321] = 5.0
     time = time_axis(value.size, 250_000.0)
-    t, y = envelope(time, value, gap_after(time, 250_000.0))
-    assert t.size <= 2 * COLUMNS
+    t, y = min_max_envelope(time, value, gaps_after_samples(time, 250_000.0))
+    assert t.size <= 2 * ENVELOPE_COLUMNS
     assert y.max() == 5.0
 
 
 def test_irregular_samples_are_not_taken_for_gaps() -> None:
     time = np.cumsum(np.random.default_rng(0).uniform(0.12, 0.17, 500))
-    assert not gap_after(time, 7.0).any()
+    assert not gaps_after_samples(time, 7.0).any()
     time[300:] += 1.0
-    assert np.flatnonzero(gap_after(time, 7.0)).tolist() == [299]
+    assert np.flatnonzero(gaps_after_samples(time, 7.0)).tolist() == [299]
 
 
 @given(st.lists(st.tuples(st.floats(0, 10), st.floats(0.1, 1)), min_size=1, max_size=9))
 def test_spread_labels_never_overlap_and_stay_inside(wanted: list[tuple[float, float]]) -> None:
     centres, widths = zip(*sorted(wanted), strict=True)
-    placed = spread(centres, widths, 0.0, 10.0)
+    placed = spread_labels(centres, widths, 0.0, 10.0)
     width = np.array(widths)
     assert (np.diff(placed) >= (width[1:] + width[:-1]) / 2 - 1e-9).all()
     assert placed[0] - width[0] / 2 >= -1e-9
@@ -81,13 +79,13 @@ def test_spread_labels_never_overlap_and_stay_inside(wanted: list[tuple[float, f
 
 
 def test_labels_that_have_room_stay_where_they_are() -> None:
-    assert spread([1.0, 5.0, 9.0], [1.0, 1.0, 1.0], 0.0, 10.0).tolist() == [1.0, 5.0, 9.0]
+    assert spread_labels([1.0, 5.0, 9.0], [1.0, 1.0, 1.0], 0.0, 10.0).tolist() == [1.0, 5.0, 9.0]
 
 
 def test_phases_end_where_the_next_begins_and_a_ramp_is_one() -> None:
     time = np.arange(10.0)
     phase = np.array([0, 0, 1, 2, 2, 3, 4, 4, 4, 4], dtype=np.uint8)
-    parts = stretches(time, phase)
+    parts = phase_intervals(time, phase)
     assert [(one.name, one.start_s, one.end_s) for one in parts] == [
         ("rest", 0.0, 2.0),
         ("accelerate", 2.0, 3.0),
@@ -95,7 +93,7 @@ def test_phases_end_where_the_next_begins_and_a_ramp_is_one() -> None:
         ("decelerate", 5.0, 6.0),
         ("hold", 6.0, 9.0),
     ]
-    assert [(one.name, one.start_s, one.end_s) for one in with_ramp(parts)] == [
+    assert [(one.name, one.start_s, one.end_s) for one in merge_ramp(parts)] == [
         ("rest", 0.0, 2.0),
         ("ramp", 2.0, 6.0),
         ("hold", 6.0, 9.0),
@@ -103,7 +101,7 @@ def test_phases_end_where_the_next_begins_and_a_ramp_is_one() -> None:
 
 
 def test_text_is_measured_as_it_is_drawn() -> None:
-    with drawing():
+    with figure_style():
         figure = new_figure(6, 2)
         text = figure.text(0.1, 0.5, "decelerate", fontsize=12)
         drawn = text.get_window_extent().width / figure.dpi
@@ -113,10 +111,10 @@ def test_text_is_measured_as_it_is_drawn() -> None:
 
 def test_drawing_leaves_the_callers_settings_alone() -> None:
     before = dict(mpl.rcParams)
-    with drawing():
+    with figure_style():
         assert mpl.rcParams["font.size"] != before["font.size"]
     assert dict(mpl.rcParams) == before
-    with pytest.raises(OutputError), drawing():
+    with pytest.raises(OutputError), figure_style():
         raise OutputError("the disk is full")
     assert dict(mpl.rcParams) == before
 
@@ -126,13 +124,13 @@ def test_two_threads_draw_one_after_the_other() -> None:
     first_is_in, first_may_go, second_is_in = threading.Event(), threading.Event(), threading.Event()
 
     def first() -> None:
-        with drawing():
+        with figure_style():
             first_is_in.set()
             first_may_go.wait(10)
 
     def second() -> None:
         first_is_in.wait(10)
-        with drawing():
+        with figure_style():
             second_is_in.set()
 
     threads = [threading.Thread(target=first), threading.Thread(target=second)]
@@ -150,13 +148,13 @@ def test_two_threads_draw_one_after_the_other() -> None:
 @pytest.mark.parametrize("ending", [".png", ".svg"])
 def test_the_same_picture_is_the_same_bytes(tmp_path: Path, ending: str) -> None:
     def picture() -> bytes:
-        with drawing():
+        with figure_style():
             figure = new_figure(4, 3)
             axes = figure.add_subplot()
             axes.plot([1, 2], [3, 4])
             axes.fill_between([1, 2], [3, 4], hatch="//")
             axes.set_xlabel("Time (s)")
-        return save(figure, tmp_path / f"one{ending}", overwrite=True).read_bytes()
+        return save_figure(figure, tmp_path / f"one{ending}", overwrite=True).read_bytes()
 
     first = picture()
     assert first == picture()
@@ -168,32 +166,32 @@ def test_a_picture_that_is_there_is_not_written_over_unless_told(tmp_path: Path)
     path = tmp_path / "mine.png"
     path.write_bytes(b"precious")
     with pytest.raises(OutputError, match=r"mine\.png: is there already"):
-        save(figure, path)
+        save_figure(figure, path)
     assert path.read_bytes() == b"precious"
-    assert save(figure, path, overwrite=True).read_bytes() != b"precious"
+    assert save_figure(figure, path, overwrite=True).read_bytes() != b"precious"
 
 
 def test_a_name_that_nobody_chose_gives_way(tmp_path: Path) -> None:
     figure = new_figure(2, 2)
-    made = [save_in(tmp_path / "new" / "folder", "run.png", figure).name for _ in range(3)]
+    made = [save_figure_in(tmp_path / "new" / "folder", "run.png", figure).name for _ in range(3)]
     assert made == ["run.png", "run-2.png", "run-3.png"]
-    assert save_in(tmp_path / "new" / "folder", "run.png", figure, overwrite=True).name == "run.png"
+    assert save_figure_in(tmp_path / "new" / "folder", "run.png", figure, overwrite=True).name == "run.png"
 
 
 @pytest.mark.parametrize("name", ["picture.gif", "picture"])
 def test_an_unknown_ending_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(OutputError, match=r"\.png or \.svg"):
-        save(new_figure(2, 2), tmp_path / name)
+        save_figure(new_figure(2, 2), tmp_path / name)
 
 
 def test_a_failed_save_leaves_nothing_behind(tmp_path: Path) -> None:
     figure = new_figure(2, 2)
     with pytest.raises(OutputError, match="cannot be written"):
-        save(figure, tmp_path / "missing" / "picture.png")
+        save_figure(figure, tmp_path / "missing" / "picture.png")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file"):
-        save_in(tmp_path / "file", "picture.png", figure)
+        save_figure_in(tmp_path / "file", "picture.png", figure)
     (tmp_path / "taken.png").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
-        save(figure, tmp_path / "taken.png", overwrite=True)
+        save_figure(figure, tmp_path / "taken.png", overwrite=True)
     assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "taken.png"]

@@ -17,18 +17,18 @@ from matplotlib.text import Text
 
 import dragrig
 from dragrig.cli import main
-from dragrig.cli.lazy import group
-from dragrig.config.capsule import Capsule
-from dragrig.config.library import find
-from dragrig.config.model import FrictionModelSettings
-from dragrig.figures import campaign_figure, forces_figure, run_figure, skew_figure, wall_figure
-from dragrig.figures.columns import WIDTH_IN
-from dragrig.figures.derived import with_error
-from dragrig.figures.header import fitting
-from dragrig.figures.style import SMALL_PT, drawing, new_figure
+from dragrig.cli.commands import dragrig_group
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.settings import find_settings
+from dragrig.config.specimen import Capsule
+from dragrig.present.campaign import campaign_figure
+from dragrig.present.drawing import SMALL_PT, figure_style, new_figure, shortened_to_width
+from dragrig.present.friction_model import forces_figure, skew_figure, wall_figure
+from dragrig.present.run import run_figure
+from dragrig.present.traces import WIDTH_IN, value_with_error
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import mark_bad, read_run
-from dragrig.rig.runfile.model import Event, FilteredTrace, Run, Status
+from dragrig.rig.runfile.model import FilteredTrace, Run, RunEvent, RunStatus
 
 DATA = Path(__file__).parent / "data"
 CAMPAIGN = DATA / "campaign"
@@ -59,7 +59,7 @@ def texts(figure: Figure) -> list[str]:
 
 def drawn(figure: Figure) -> bytes:
     content = io.BytesIO()
-    with drawing():
+    with figure_style():
         figure.savefig(content, format="png", metadata={"Software": "dragrig"})
     return content.getvalue()
 
@@ -182,8 +182,8 @@ def test_missing_values_break_the_line(drag: Run) -> None:
 def test_a_trip_is_marked_and_the_status_says_why(drag: Run) -> None:
     tripped = replace(
         drag,
-        events=(*drag.events, Event(0.0, "import", "no command"), Event(1.6, "trip", "force: 1200 mN")),
-        info=replace(drag.info, status=Status.TRIPPED, reason="force: 1200 mN " + "and so on " * 30),
+        events=(*drag.events, RunEvent(0.0, "import", "no command"), RunEvent(1.6, "trip", "force: 1200 mN")),
+        info=replace(drag.info, status=RunStatus.TRIPPED, reason="force: 1200 mN " + "and so on " * 30),
     )
     figure = run_figure(tripped)
     shown = texts(figure)
@@ -245,7 +245,7 @@ def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run) -> None:
     ],
 )
 def test_a_value_has_as_many_digits_as_its_error(value: float, error: float | None, text: str) -> None:
-    assert with_error(value, error) == text
+    assert value_with_error(value, error) == text
 
 
 @pytest.mark.parametrize("path", sorted(CAMPAIGN.glob("*.h5")), ids=lambda path: path.stem)
@@ -308,7 +308,7 @@ def test_the_same_run_is_the_same_picture(relaxation: Run) -> None:
 def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, relaxation: Run) -> None:
     runs = [drag, relaxation, read_run(CAMPAIGN / "008-coulomb.h5")]
     gappy = without(drag, [slice(at, at + 20) for at in range(500, 5000, 200)])
-    model, capsule = FrictionModelSettings(), find(Capsule, "capsule", "drag")
+    model, capsule = FrictionModelSettings(), find_settings(Capsule, "capsule", "drag")
     pictures = (
         *(run_figure(run, motor_force=True) for run in (*runs, gappy)),
         campaign_figure(runs, "mixed"),
@@ -317,7 +317,7 @@ def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, 
         wall_figure(),
     )
     for figure in pictures:
-        with drawing():
+        with figure_style():
             figure.draw_without_rendering()
             everything = figure.get_tightbbox()
             labels = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
@@ -335,10 +335,10 @@ def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, 
 
 
 def test_a_sentence_is_cut_to_the_room_it_has() -> None:
-    with drawing():
+    with figure_style():
         new_figure(4, 3)
-        assert fitting("short", SMALL_PT, 5.0) == "short"
-        cut = fitting("long " * 100, SMALL_PT, 5.0)
+        assert shortened_to_width("short", SMALL_PT, 5.0) == "short"
+        cut = shortened_to_width("long " * 100, SMALL_PT, 5.0)
     assert cut.endswith("…")
     assert 20 < len(cut) < 120
 
@@ -359,7 +359,7 @@ def test_a_campaign_shows_each_kind_and_leaves_out_what_is_bad(tmp_path: Path) -
 
 
 def invoke(*arguments: str) -> str:
-    done = CliRunner().invoke(group, ["show", *arguments], catch_exceptions=False, standalone_mode=False)
+    done = CliRunner().invoke(dragrig_group, ["show", *arguments], catch_exceptions=False, standalone_mode=False)
     assert done.exit_code == 0
     return done.stdout
 

@@ -10,8 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from dragrig.analysis.filtering import filter_file, filter_run, usual_settings
-from dragrig.analysis.savgol import SavgolSettings, smooth
+from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, filter_file, filter_run, smooth
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import read_run, verify
 from dragrig.rig.runfile.model import Run
@@ -51,7 +50,7 @@ def test_force_is_smoothed_and_speed_measured() -> None:
 def test_white_noise_comes_down_three_times_at_the_usual_setting() -> None:
     white = np.random.default_rng(2).normal(0, 1.5, 50_000)
     for rate in (500.0, 1000.0):
-        assert white.std() / smooth(white, rate, usual_settings(rate)).values.std() > 3
+        assert white.std() / smooth(white, rate, default_filter_settings(rate)).values.std() > 3
 
 
 def test_a_filtered_run_keeps_its_raw_trace_and_what_the_filter_said(tmp_path: Path) -> None:
@@ -95,8 +94,8 @@ def test_a_derivative_has_its_unit_and_leaves_the_speed_alone() -> None:
 
 
 def test_a_low_rate_gets_a_longer_usual_window() -> None:
-    assert usual_settings(7.4).samples(7.4) == 7
-    assert usual_settings(500.0).samples(500.0) == 25
+    assert default_filter_settings(7.4).samples(7.4) == 7
+    assert default_filter_settings(500.0).samples(500.0) == 25
 
 
 def test_a_window_that_does_not_fit_names_the_run() -> None:

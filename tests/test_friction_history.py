@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
@@ -151,13 +151,13 @@ def test_wall_that_left_the_contact_and_comes_back_is_fresh() -> None:
 
 
 def test_the_quadrature_has_converged() -> None:
-    from dragrig.sim_backend.friction.quadrature import FINE, Rule
+    from dragrig.sim_backend.friction.environmental_resistance import FINE_RULE, QuadratureRule
     from dragrig.sim_backend.friction.sliding import SlidingForce
 
     for profile in TURNING.values():
         prepared = prepare(sliding(profile), MODEL).friction
         assert isinstance(prepared, SlidingForce)
-        rule = Rule(2 * FINE.ages, FINE.times)
+        rule = QuadratureRule(2 * FINE_RULE.ages, FINE_RULE.times)
         finer = SlidingForce.of(prepared.contact, prepared.history, ROUGH.mass_g, pressing=True, rule=rule)
         time = np.linspace(0.0, profile.duration_s, 2000)
         coarse, fine = prepared.total(time), finer.total(time)

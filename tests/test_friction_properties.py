@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
-from dragrig.sim_backend.friction.sliding import ELEMENTS
+from dragrig.sim_backend.friction.sliding import ELEMENT_SCALES
 
 MODEL = FrictionModelSettings()
 
@@ -179,7 +179,7 @@ def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
     time = np.linspace(0.0, run.profile.duration_s, 400)
     found = prepare(run, model).by_element(time)
     step = 0.02
-    for name, slopes in zip(ELEMENTS, found, strict=True):
+    for name, slopes in zip(ELEMENT_SCALES, found, strict=True):
         ahead, behind = (
             prepare(run, model.model_copy(update={name: getattr(model, name) * factor})).force(time)
             for factor in (np.exp(step), np.exp(-step))

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dragrig.config.errors import AnalysisError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
-from dragrig.sim_backend.friction.measured import measured_motion
-from dragrig.sim_backend.friction.quadrature import COUNTED, FINE
+from dragrig.sim_backend.friction.environmental_resistance import COUNTED_RULE, FINE_RULE
+from dragrig.sim_backend.friction.recorded_motion import measured_motion
 from dragrig.sim_backend.friction.sliding import SlidingForce
 
 MODEL = FrictionModelSettings()
@@ -63,8 +63,8 @@ def test_the_quadrature_of_a_counted_motion_is_as_fine_as_a_sensor_can_tell() ->
     time, motion = rippling()
     coarse = prepare(sliding(moves()), MODEL, motion).friction
     assert isinstance(coarse, SlidingForce)
-    assert coarse.rule == COUNTED
-    fine = SlidingForce.of(coarse.contact, coarse.history, 0.0, pressing=True, rule=FINE)
+    assert coarse.rule == COUNTED_RULE
+    fine = SlidingForce.of(coarse.contact, coarse.history, 0.0, pressing=True, rule=FINE_RULE)
     error = coarse.components(time).f_e - fine.components(time).f_e
     assert 0.0 < np.sqrt(np.mean(error**2)) < 0.05
     assert np.abs(error).max() < 0.4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from friction_cases import REFERENCE, ROUGH, SMOOTH, moves, sliding, sticking
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition
 from dragrig.sim_backend.friction import prepare, steady_forces

@@ -7,15 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dragrig.config.errors import SettingsError
-from dragrig.config.model import FrictionModelSettings
-from dragrig.sim_backend.friction import disagreement, skew_resistance, steady_forces, wall_parameters
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.sim_backend.friction import parameter_set_differences, skew_resistance, steady_forces, wall_parameters
 
 MODEL = FrictionModelSettings()
 LENGTH = 6.45 * np.sin(np.radians(60))
 
 
 def largest(parameter: str) -> tuple[float, float]:
-    rows = [row for row in disagreement() if row.parameter == parameter]
+    rows = [row for row in parameter_set_differences() if row.parameter == parameter]
     assert [row.strain for row in rows] == [0.5, 1.0, 1.5, 2.0]
     return max(abs(row.eq14_difference) for row in rows), max(abs(row.quadratic_difference) for row in rows)
 
@@ -31,7 +31,7 @@ def test_eq14_and_table1_disagree_by_as_much_as_they_do(parameter: str, eq14: fl
 
 
 def test_disagreement_quotes_both_sides() -> None:
-    row = next(row for row in disagreement() if row.parameter == "E1" and row.strain == 2.0)
+    row = next(row for row in parameter_set_differences() if row.parameter == "E1" and row.strain == 2.0)
     assert row.table1 == 1.726
     assert row.eq14 == pytest.approx(-0.1617 * 4 - 0.3175 * 2 + 3.348)
     assert row.eq14_difference == pytest.approx(row.eq14 / 1.726 - 1)
@@ -41,7 +41,7 @@ def test_disagreement_quotes_both_sides() -> None:
 def test_the_quadratic_is_the_least_squares_one() -> None:
     """Residuals of a least-squares quadratic are orthogonal to 1, ε and ε²."""
     strain = np.array([0.5, 1.0, 1.5, 2.0])
-    table = np.array([row.table1 for row in disagreement() if row.parameter == "eta2"])
+    table = np.array([row.table1 for row in parameter_set_differences() if row.parameter == "eta2"])
     residual = wall_parameters("table1", strain).eta2 - table
     assert np.abs(np.vander(strain, 3).T @ residual).max() < 1e-12
     assert np.abs(residual).max() > 0.01

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.rig.runfile import campaign, read_run
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile import read_campaign, read_run
+from dragrig.rig.runfile.model import RunStatus
 
 
 def fill(disk: Path) -> None:
@@ -51,8 +51,8 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path
         [sys.executable, "-m", "dragrig", "recover", str(folder)], capture_output=True, text=True, check=False
     )
     assert recovered.returncode == 0, recovered.stderr
-    (info,) = campaign(folder).runs
-    assert info.status in {Status.FAILED, Status.RECOVERED}
+    (info,) = read_campaign(folder).runs
+    assert info.status in {RunStatus.FAILED, RunStatus.RECOVERED}
     run = read_run(info.path)
     assert run.info.samples >= kept
     np.testing.assert_allclose(np.diff(run.trace.time), 1e-3, atol=1e-9)

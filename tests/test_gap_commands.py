@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.diagnose import Options
+from dragrig.analysis.gap.diagnose import DiagnosisOptions
+from dragrig.api.diagnose import diagnosis_options, save_amended_model, save_gap_report
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
-from dragrig.config.loading import load
-from dragrig.config.model import FrictionModelSettings
-from dragrig.diagnosing import options_of, save_model, save_report
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.settings import load_settings
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
@@ -74,10 +74,10 @@ def test_what_is_no_model_cannot_be_evaluated(
 
 
 def test_options_have_the_engines_defaults() -> None:
-    assert options_of((), None).tolerance_mN == Options().tolerance_mN
-    assert options_of(("folds", "folds"), 0.0) == Options(without=("folds",), tolerance_mN=0.0)
+    assert diagnosis_options((), None).tolerance_mN == DiagnosisOptions().tolerance_mN
+    assert diagnosis_options(("folds", "folds"), 0.0) == DiagnosisOptions(without=("folds",), tolerance_mN=0.0)
     with pytest.raises(SettingsError):
-        options_of(("",), None)
+        diagnosis_options(("",), None)
 
 
 def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
@@ -88,14 +88,14 @@ def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
     amended = FrictionModelSettings.model_validate(
         {"name": "amended", "effects": [{"id": "stribeck", "ratio": 0.4, "speed_mm_s": 2.0}]}
     )
-    path = save_model(replace(STRIBECK, model=amended), tmp_path / "amended.toml")
+    path = save_amended_model(replace(STRIBECK, model=amended), tmp_path / "amended.toml")
     assert path is not None
-    assert load(FrictionModelSettings, path) == amended
+    assert load_settings(FrictionModelSettings, path) == amended
     slow = ["speed_mm_s=0.5", "travel_mm=2", "way_back=stay"]
     with_it, without = (dragrig.simulate("drag", model=one, assignments=slow)[0] for one in (path, "paper"))
     steady = with_it.trace.phase == 2
     assert with_it.trace.force[steady].mean() > without.trace.force[steady].mean() + 5
-    assert save_model(NO_GAP, tmp_path / "none.toml") is None
+    assert save_amended_model(NO_GAP, tmp_path / "none.toml") is None
     assert not (tmp_path / "none.toml").exists()
-    report = save_report(STRIBECK, tmp_path / "report.html", model=path)
+    report = save_gap_report(STRIBECK, tmp_path / "report.html", model=path)
     assert "gap evaluate" in report.read_text("utf-8")

@@ -6,27 +6,26 @@ from pathlib import Path
 import pytest
 from hidden import hidden, simulated
 
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.diagnose import Options, diagnose
-from dragrig.analysis.gap.results import Diagnosis, Verdict
-from dragrig.analysis.identification.selection import Selection
-from dragrig.analysis.nominal.capsule import MODEL, CapsuleModel
-from dragrig.config.effects import effects_of
-from dragrig.config.model import FrictionModelSettings
-from dragrig.diagnosing import save_model
-from dragrig.gap_json import gap_document
+from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
+from dragrig.analysis.selection import RunSelection
+from dragrig.api.diagnose import save_amended_model
+from dragrig.config.friction_model import FrictionModelSettings, parse_effects
+from dragrig.present.diagnosis import diagnosis_json
 
 PRACTICE = Path(__file__).parent / "data" / "campaign"
 NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(PRACTICE.glob("*.h5"))}
 
 
 @pytest.fixture(scope="module")
-def stribeck(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+def stribeck(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
     return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
 
 
 @pytest.fixture(scope="module")
-def found(stribeck: Selection) -> Diagnosis:
+def found(stribeck: RunSelection) -> Diagnosis:
     return diagnose(stribeck, MODEL)
 
 
@@ -59,8 +58,8 @@ def test_an_effect_is_named_with_its_size_and_closes_the_gap(found: Diagnosis) -
     assert found.shrink.gap_after_mN < 0.5 * found.shrink.gap_before_mN
 
 
-def test_without_the_right_effect_the_answer_is_less_sure(stribeck: Selection, found: Diagnosis) -> None:
-    other = diagnose(stribeck, MODEL, Options(without=("stribeck",)))
+def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection, found: Diagnosis) -> None:
+    other = diagnose(stribeck, MODEL, DiagnosisOptions(without=("stribeck",)))
     assert "stribeck" not in {one.hypothesis for one in other.ranking}
     if other.verdict is not Verdict.UNKNOWN:
         assert set(other.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
@@ -104,13 +103,13 @@ def test_two_effects_are_both_named(tmp_path: Path) -> None:
 
 
 def test_the_amended_simulator_has_no_gap_to_its_own_model(found: Diagnosis, tmp_path: Path) -> None:
-    from dragrig.config.loading import load
+    from dragrig.config.settings import load_settings
 
-    path = save_model(found, tmp_path / "amended.toml")
+    path = save_amended_model(found, tmp_path / "amended.toml")
     assert path is not None
-    amended = load(FrictionModelSettings, path)
+    amended = load_settings(FrictionModelSettings, path)
     assert [one.id for one in amended.effects] == ["stribeck"]
-    rig = effects_of(["encoder_scale", "servo_lag", "mains_hum"])
+    rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
     everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})
     runs = simulated(everything)
     again = diagnose(runs, CapsuleModel(everything))
@@ -127,25 +126,25 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(found: Diagnosis, tmp
     ],
 )
 def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], said: set[str]) -> None:
-    runs = [one for one in choose(PRACTICE).experiments if one.kind in kinds]
-    told = diagnose(choose(one.run for one in runs), MODEL)
+    runs = [one for one in select_runs(PRACTICE).experiments if one.kind in kinds]
+    told = diagnose(select_runs(one.run for one in runs), MODEL)
     assert told.runs == len(runs)
     for one in said:
         assert any(sentence.startswith(one) for sentence in told.cannot_answer)
-    assert json.loads(json.dumps(gap_document(told)))["verdict"] == told.verdict
+    assert json.loads(json.dumps(diagnosis_json(told)))["verdict"] == told.verdict
 
 
 @pytest.mark.parametrize("kind", sorted(NUMBERED))
 def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
-    one = next(one for one in choose(PRACTICE).experiments if one.kind == kind)
-    told = diagnose(choose([one.run]), MODEL)
+    one = next(one for one in select_runs(PRACTICE).experiments if one.kind == kind)
+    told = diagnose(select_runs([one.run]), MODEL)
     assert (told.runs, told.held_out, told.shrink) == (1, (), None)
     assert any("none can be kept back" in sentence for sentence in told.cannot_answer)
     assert sum(one.probability for one in told.ranking) == pytest.approx(1.0)
-    json.dumps(gap_document(told))
+    json.dumps(diagnosis_json(told))
 
 
 def test_the_same_runs_give_the_same_answer() -> None:
-    first, second = (dict(gap_document(diagnose(choose(PRACTICE), MODEL))) for _ in range(2))
+    first, second = (dict(diagnosis_json(diagnose(select_runs(PRACTICE), MODEL))) for _ in range(2))
     assert first.pop("timings_s") != second.pop("timings_s")
     assert json.dumps(first) == json.dumps(second)

@@ -4,12 +4,12 @@ import json
 
 from click.testing import CliRunner
 
-from dragrig.cli.lazy import group
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.cli.commands import dragrig_group
+from dragrig.sim_backend.effects.base import catalogue
 
 
 def told(*arguments: str) -> str:
-    done = CliRunner().invoke(group, ["gap", *arguments])
+    done = CliRunner().invoke(dragrig_group, ["gap", *arguments])
     assert done.exit_code == 0, done.output
     return done.output
 

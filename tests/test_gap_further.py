@@ -6,55 +6,54 @@ import numpy as np
 import pytest
 from hidden import hidden
 
-from dragrig.analysis.gap.candidate import Candidate
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.design import Design, lay_out
+from dragrig.analysis.gap.candidates import Candidate
+from dragrig.analysis.gap.design import Design, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.doubting import FORM_DOUBT, doubting
-from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.gap.studies import study_of
-from dragrig.analysis.gap.study import Study
-from dragrig.analysis.nominal.capsule import MODEL
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, inflate_by_form_error
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.studies import prepare_study
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.sim_backend.effects.base import catalogue
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return study_of(choose(CAMPAIGN), MODEL, [catalogue()["breakaway"]])
+    return prepare_study(select_runs(CAMPAIGN), MODEL, [catalogue()["breakaway"]])
 
 
 @pytest.fixture(scope="module")
 def broken_away(study: Study) -> Design:
     effect = catalogue()["breakaway"]
-    return lay_out(study, study.start, [Candidate(effect, effect.usual)])
+    return linearise(study, study.start, [Candidate(effect, effect.usual)])
 
 
 def test_what_an_effect_adds_is_doubted_block_by_block(broken_away: Design) -> None:
     random = np.random.default_rng(8)
-    for before, after in zip(broken_away.parts, doubting(broken_away).parts, strict=True):
+    for before, after in zip(broken_away.parts, inflate_by_form_error(broken_away).parts, strict=True):
         sure, doubted = before.whitening, after.whitening
         own = sure.noise_root @ np.column_stack((sure.noise_root.T, sure.own @ sure.own.T @ sure.noise_root.T))
         blocks = sure.noise_root.shape[0]
-        covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_DOUBT * before.added) ** 2)
+        covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_ERROR_SD * before.added) ** 2)
         values = random.standard_normal(blocks)
         assert np.sum(doubted.whole(values) ** 2) == pytest.approx(values @ np.linalg.solve(covariance, values))
-        assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_DOUBT * before.added))
+        assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_ERROR_SD * before.added))
 
 
 def test_beside_nothing_nothing_is_doubted(study: Study) -> None:
-    nominal = lay_out(study, study.start)
-    for before, after in zip(nominal.grams, doubting(nominal).grams, strict=True):
+    nominal = linearise(study, study.start)
+    for before, after in zip(nominal.grams, inflate_by_form_error(nominal).grams, strict=True):
         assert after == pytest.approx(before, rel=1e-9, abs=1e-9)
 
 
 def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_much(broken_away: Design) -> None:
     """A quarter of the effect, this way and that from block to block, against a wave where it does nothing."""
-    doubted = doubting(broken_away)
+    doubted = inflate_by_form_error(broken_away)
     sure, unsure = np.zeros(2), np.zeros(2)
     for before, after in zip(broken_away.parts, doubted.parts, strict=True):
-        bent = FORM_DOUBT * before.added * np.sign(np.sin(np.arange(before.added.size)))
+        bent = FORM_ERROR_SD * before.added * np.sign(np.sin(np.arange(before.added.size)))
         elsewhere = np.where(np.abs(before.added) < 0.1, 3.0 * np.sin(np.arange(before.added.size) / 9.0), 0.0)
         both = np.column_stack((bent, elsewhere))
         sure += np.sum(before.whitening.whole(both) ** 2, axis=0)

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.isolability.ordering import neighbours
-from dragrig.analysis.gap.isolability.results import Isolability
-from dragrig.analysis.gap.seen import SEEN
+from dragrig.analysis.gap.isolability import DETECTABLE_D_PRIME, Isolability, order_by_similarity
 from dragrig.cli import main
-from dragrig.config.loading import to_toml
 from dragrig.config.plan import Plan
-from dragrig.reports.isolability.page import page
+from dragrig.config.settings import to_toml
+from dragrig.present.isolability import isolability_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -64,7 +62,7 @@ def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
     # The smallest size is where d′ comes to what is found nearly always.
     one = before["adhesion"]
     assert one.least is not None
-    assert one.least * one.d_prime / one.usual == pytest.approx(SEEN, rel=0.3)
+    assert one.least * one.d_prime / one.usual == pytest.approx(DETECTABLE_D_PRIME, rel=0.3)
 
 
 def test_angles_are_shares_and_pairs_come_closest_first(drags: Isolability) -> None:
@@ -79,7 +77,7 @@ def test_near_ones_stand_together() -> None:
     names = ("a", "b", "c", "d")
     near = {frozenset("ac"): 0.1, frozenset("bd"): 0.05}
     sin2 = {frozenset((one, other)): 0.9 for one in names for other in names if one != other} | near
-    order = neighbours(names, sin2)
+    order = order_by_similarity(names, sin2)
     assert sorted(order) == list(names)
     assert abs(order.index("a") - order.index("c")) == 1
     assert abs(order.index("b") - order.index("d")) == 1
@@ -113,7 +111,7 @@ def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest
 
 
 def test_the_page_holds_every_effect(drags: Isolability) -> None:
-    text = page(drags)
+    text = isolability_page(drags)
     assert "Stribeck friction" in text
     assert "hardly told apart" in text
 
@@ -123,5 +121,5 @@ def test_the_page_is_presentable(browser: "Browser", drags: Isolability, tmp_pat
     from browsing import must_be_presentable
 
     file = tmp_path / "apart.html"
-    file.write_text(page(drags), "utf-8")
+    file.write_text(isolability_page(drags), "utf-8")
     must_be_presentable(browser, file)

@@ -9,21 +9,18 @@ import pytest
 from click.testing import CliRunner
 
 import dragrig
-from dragrig.analysis.gap.calibration import Calibration, shipped_calibration
-from dragrig.analysis.gap.cross_validation import judged_in_turn
-from dragrig.analysis.gap.evidence import Evidence, Tried
-from dragrig.analysis.gap.judging import judge
-from dragrig.analysis.gap.learning import Lesson, learn_gate, learn_weights
-from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.gap.seen import SEEN, TOLERANCE_MN
-from dragrig.cli.gap import command
+from dragrig.analysis.gap.classifier import TrainingCase, classify, cross_validate, fit_gate, fit_weights
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.features import Calibration, DecisionInputs, HypothesisSummary, shipped_calibration
+from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, DETECTABLE_D_PRIME
+from dragrig.cli.commands import gap_group
 from dragrig.config.errors import AnalysisError, SettingsError
 
 BLOCKS, NOISE, LOUD = 8000, 8010.0, 40_000.0
 NAMES = ("stribeck", "folds", "force_drift", "arm_compliance")
 
 
-def lessons(seed: int, count: int = 60) -> list[Lesson]:
+def lessons(seed: int, count: int = 60) -> list[TrainingCase]:
     """Right effects leave little, wrong ones and those outside the catalogue much, each with some scatter."""
     random = np.random.default_rng(seed)
     made = []
@@ -35,18 +32,18 @@ def lessons(seed: int, count: int = 60) -> list[Lesson]:
             wrong: random.uniform(0.5, 0.9),
         }
         tried = tuple(
-            Tried((name,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
+            HypothesisSummary((name,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
             for name, squares in ((name, NOISE + share * (LOUD - NOISE)) for name, share in left.items())
         )
         hidden = frozenset[str]() if outside else frozenset({right})
-        made.append(Lesson(Evidence(BLOCKS, LOUD, tried), hidden, outside))
-    quiet = Tried(("folds",), NOISE - 10, NOISE - 12, 1.0, gain=5.0, left=NOISE)
-    made += [Lesson(Evidence(BLOCKS, NOISE, (quiet,)), frozenset())] * 10
+        made.append(TrainingCase(DecisionInputs(BLOCKS, LOUD, tried), hidden, outside))
+    quiet = HypothesisSummary(("folds",), NOISE - 10, NOISE - 12, 1.0, gain=5.0, left=NOISE)
+    made += [TrainingCase(DecisionInputs(BLOCKS, NOISE, (quiet,)), frozenset())] * 10
     return made
 
 
-def learnt(made: list[Lesson]) -> Calibration:
-    gate, weights = learn_gate(made, TOLERANCE_MN), learn_weights(made, TOLERANCE_MN)
+def learnt(made: list[TrainingCase]) -> Calibration:
+    gate, weights = fit_gate(made, DEFAULT_TOLERANCE_MN), fit_weights(made, DEFAULT_TOLERANCE_MN)
     return Calibration(version=1, command="", seeds=(1,), cases=len(made), gate=gate, weights=weights)
 
 
@@ -55,7 +52,7 @@ def test_what_was_learnt_holds_on_other_campaigns() -> None:
     right = 0
     fresh = lessons(2)
     for one in fresh:
-        judged = judge(one.evidence, TOLERANCE_MN, found)
+        judged = classify(one.evidence, DEFAULT_TOLERANCE_MN, found)
         verdict = "unknown" if one.outside else "effect" if one.effects else "no_gap"
         right += judged.verdict.value == verdict and set(judged.effects) == one.effects
     assert right >= 0.95 * len(fresh)
@@ -63,7 +60,7 @@ def test_what_was_learnt_holds_on_other_campaigns() -> None:
 
 def test_probabilities_are_as_often_right_as_they_say() -> None:
     found = learnt(lessons(1, 200))
-    told = [(judge(one.evidence, TOLERANCE_MN, found), one) for one in lessons(3, 200)]
+    told = [(classify(one.evidence, DEFAULT_TOLERANCE_MN, found), one) for one in lessons(3, 200)]
     chances = [max(judged.probabilities.values()) for judged, _ in told]
     right = [set(judged.effects) == one.effects for judged, one in told]
     assert np.mean(chances) == pytest.approx(np.mean(right), abs=0.05)
@@ -78,17 +75,17 @@ def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
         )
         if best is not None and worst is not None:
             astray.append(replace(one, effects=frozenset(worst.effects)))
-    weights = learn_weights(astray, TOLERANCE_MN)
+    weights = fit_weights(astray, DEFAULT_TOLERANCE_MN)
     assert all(weight >= 0 for name, weight in weights.items() if name.startswith(("plain", "flexible")))
     assert all(weight <= 0 for name, weight in weights.items() if name.startswith(("behind", "left", "nameless")))
 
 
 def test_nothing_is_learnt_from_nothing() -> None:
     with pytest.raises(ValueError, match="no campaign"):
-        learn_weights([], TOLERANCE_MN)
+        fit_weights([], DEFAULT_TOLERANCE_MN)
 
 
-def exam(folder: Path, made: list[Lesson]) -> Path:
+def exam(folder: Path, made: list[TrainingCase]) -> Path:
     """Write what `dragrig gap blind --out` keeps, as far as it is learnt from."""
     (folder / "said").mkdir(parents=True)
     (folder / "exam.json").write_text('{"cases": 70, "seed": 5, "mix": "learning"}', "utf-8")
@@ -115,8 +112,8 @@ def test_an_exam_becomes_a_file_that_is_as_good_as_what_was_learnt(tmp_path: Pat
 def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:
     made = lessons(6)
     taught = [learnt(made[1::2]), learnt(made[::2])]
-    in_turn = judged_in_turn(made, TOLERANCE_MN, folds=2)
-    assert in_turn == tuple(judge(one.evidence, TOLERANCE_MN, taught[at % 2]) for at, one in enumerate(made))
+    in_turn = cross_validate(made, DEFAULT_TOLERANCE_MN, folds=2)
+    assert in_turn == tuple(classify(one.evidence, DEFAULT_TOLERANCE_MN, taught[at % 2]) for at, one in enumerate(made))
     rates = {one.name: one for one in dragrig.gap_cross_validate([exam(tmp_path / "learnt", made)], folds=2)}
     quiet = [said for said, one in zip(in_turn, made, strict=True) if not one.effects and not one.outside]
     right = sum(said.verdict is Verdict.NO_GAP for said in quiet)
@@ -133,12 +130,12 @@ def test_more_parts_than_campaigns_are_told_in_one_sentence(tmp_path: Path) -> N
 
 def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -> None:
     folder = str(exam(tmp_path / "learnt", lessons(6)))
-    told = CliRunner().invoke(command, ["calibrate", folder, "--folds", "3"])
+    told = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
     assert told.exit_code == 0
     assert "How often verdicts are right that the other campaigns taught" in told.output
-    printed = json.loads(CliRunner().invoke(command, ["calibrate", folder, "--folds", "3", "--json"]).output)
+    printed = json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3", "--json"]).output)
     assert printed["cross_validated"][0]["name"] == "full size, right name"
-    assert "cross_validated" not in json.loads(CliRunner().invoke(command, ["calibrate", folder, "--json"]).output)
+    assert "cross_validated" not in json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--json"]).output)
 
 
 def test_a_folder_without_an_exam_is_told_in_one_sentence(tmp_path: Path) -> None:
@@ -155,7 +152,7 @@ def test_what_ships_says_where_it_comes_from() -> None:
 
 def test_the_smallest_effect_that_is_promised_to_be_seen_passes_the_gate() -> None:
     """An effect of d′ saves d′²/2 nats in the mean."""
-    assert pytest.approx(shipped_calibration().gate.least_gain, rel=0.02) == SEEN**2 / 2
+    assert pytest.approx(shipped_calibration().gate.least_gain, rel=0.02) == DETECTABLE_D_PRIME**2 / 2
 
 
 def test_a_calibration_of_ones_own_decides(tmp_path: Path) -> None:

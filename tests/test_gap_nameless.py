@@ -8,56 +8,53 @@ import numpy as np
 import pytest
 from hidden import hidden
 
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.design import Design, RunPart, lay_out
+from dragrig.analysis.gap.classifier import Classification, classify
+from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.evidence import Evidence, Nameless, Tried
-from dragrig.analysis.gap.judging import Judgement, judge
-from dragrig.analysis.gap.nameless import nameless
-from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.gap.seen import TOLERANCE_MN
-from dragrig.analysis.gap.sights import Sight
-from dragrig.analysis.gap.studies import study_of
-from dragrig.analysis.gap.study import Study
-from dragrig.analysis.gap.unknown import unknown_gap
-from dragrig.analysis.gap.unknown.any_law import any_law
-from dragrig.analysis.gap.weighing import SAME_LAW
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.features import EFFECTS_OF_LAW, DecisionInputs, HypothesisSummary, NonparametricLaw
+from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
+from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
+from dragrig.analysis.gap.run_data import RunData
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.studies import prepare_study
+from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap, nonparametric_law_text
+from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.effects.base import catalogue
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 PERIOD_S = 13.0
-Law = Callable[[Sight], FloatArray | float]
+Law = Callable[[RunData], FloatArray | float]
 
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return study_of(choose(CAMPAIGN), MODEL, ())
+    return prepare_study(select_runs(CAMPAIGN), MODEL, ())
 
 
 @pytest.fixture(scope="module")
 def nominal(study: Study) -> Design:
-    return lay_out(study, study.start)
+    return linearise(study, study.start)
 
 
 def planted(study: Study, design: Design, law: Law, seed: int = 5) -> Design:
     """The same campaign with nothing in it but noise and a force [mN]."""
     random = np.random.default_rng(seed)
 
-    def run(part: RunPart, sight: Sight) -> RunPart:
+    def run(part: RunDesign, sight: RunData) -> RunDesign:
         noise = part.whitening.noise_root @ random.standard_normal(part.residual.size)
         return replace(part, residual=noise + law(sight))
 
     return replace(design, parts=tuple(run(*one) for one in zip(design.parts, study.sights, strict=True)))
 
 
-def in_the_gut(sight: Sight) -> bool:
+def in_the_gut(sight: RunData) -> bool:
     return sight.experiment.contact is Contact.SLIDING and sight.experiment.kind == "drag"
 
 
-def creeping(sight: Sight) -> FloatArray:
+def creeping(sight: RunData) -> FloatArray:
     """What gives way while the stage moves, and comes back once it stands."""
     time = sight.coordinates.time_s
     start, stop = sight.experiment.motion.breaks_s[[1, -2]].tolist()
@@ -78,7 +75,7 @@ LAWS: dict[str, Law] = {
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nominal: Design) -> None:
-    best, *others = nameless(planted(study, nominal, LAWS[law]), study.sights, PERIOD_S)
+    best, *others = fit_nonparametric_laws(planted(study, nominal, LAWS[law]), study.sights, PERIOD_S)
     assert best.law == law
     assert all(one.squares > best.squares + 20 for one in others)
     assert 3.0 < best.changed_mN < 20.0
@@ -87,8 +84,8 @@ def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nomi
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_alone_is_no_law(seed: int, study: Study, nominal: Design) -> None:
     noise = planted(study, nominal, lambda _: 0.0, seed)
-    laws = {one.law: one for one in nameless(noise, study.sights, PERIOD_S)}
-    assert set(laws) >= {*LAWS, *SAME_LAW}
+    laws = {one.law: one for one in fit_nonparametric_laws(noise, study.sights, PERIOD_S)}
+    assert set(laws) >= {*LAWS, *EFFECTS_OF_LAW}
     blocks = sum(nominal.blocks)
     assert all(one.squares > blocks - 4 * np.sqrt(2 * blocks) for one in laws.values())
 
@@ -96,53 +93,59 @@ def test_noise_alone_is_no_law(seed: int, study: Study, nominal: Design) -> None
 BLOCKS, NOISE, LOUD = 8000, 8010.0, 20_000.0
 
 
-def case(effect: str, squares: float, law: str, left: float) -> Evidence:
+def case(effect: str, squares: float, law: str, left: float) -> DecisionInputs:
     """An effect that leaves so many squares in any form, and a law that leaves others."""
-    tried = Tried((effect,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
-    return Evidence(BLOCKS, LOUD, (tried,), nameless=(Nameless(law, left, 5.0),))
+    tried = HypothesisSummary((effect,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
+    return DecisionInputs(BLOCKS, LOUD, (tried,), nameless=(NonparametricLaw(law, left, 5.0),))
 
 
 def test_a_name_that_explains_less_than_any_speed_law_is_not_given() -> None:
-    assert judge(case("wall_lift_off", 12_000.0, "speed in the gut", 15_000.0), TOLERANCE_MN).verdict is Verdict.EFFECT
-    assert judge(case("wall_lift_off", 12_000.0, "speed in the gut", NOISE), TOLERANCE_MN).verdict is Verdict.UNKNOWN
+    assert (
+        classify(case("wall_lift_off", 12_000.0, "speed in the gut", 15_000.0), DEFAULT_TOLERANCE_MN).verdict
+        is Verdict.EFFECT
+    )
+    assert (
+        classify(case("wall_lift_off", 12_000.0, "speed in the gut", NOISE), DEFAULT_TOLERANCE_MN).verdict
+        is Verdict.UNKNOWN
+    )
 
 
-@pytest.mark.parametrize("law", SAME_LAW)
+@pytest.mark.parametrize("law", EFFECTS_OF_LAW)
 def test_an_effect_that_is_such_a_law_stays_named(law: str) -> None:
-    for effect in SAME_LAW[law]:
+    for effect in EFFECTS_OF_LAW[law]:
         assert effect in catalogue()
-        assert judge(case(effect, 8600.0, law, NOISE), TOLERANCE_MN).effects == (effect,)
+        assert classify(case(effect, 8600.0, law, NOISE), DEFAULT_TOLERANCE_MN).effects == (effect,)
 
 
 def test_a_law_opens_a_gap_that_no_effect_sees_unless_it_is_too_small_to_matter() -> None:
-    seen = Evidence(BLOCKS, NOISE + 400.0, (), nameless=(Nameless("speed", NOISE, 5.0),))
-    assert judge(seen, TOLERANCE_MN).verdict is Verdict.UNKNOWN
-    assert judge(seen, 6.0).verdict is Verdict.NO_GAP
+    seen = DecisionInputs(BLOCKS, NOISE + 400.0, (), nameless=(NonparametricLaw("speed", NOISE, 5.0),))
+    assert classify(seen, DEFAULT_TOLERANCE_MN).verdict is Verdict.UNKNOWN
+    assert classify(seen, 6.0).verdict is Verdict.NO_GAP
 
 
 def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it() -> None:
     found = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
-    assert any_law(found) == (
+    assert nonparametric_law_text(found) == (
         "A force that depends on the speed alone, in the gut, in whatever way, explains 97% of it; "
         "wall lift-off, in any form, 50%."
     )
-    assert any_law(case("wall_lift_off", 8400.0, "speed in the gut", 8400.0)) == ""
-    assert any_law(case("wall_lift_off", 19_000.0, "speed in the gut", 16_000.0)) == ""
+    assert nonparametric_law_text(case("wall_lift_off", 8400.0, "speed in the gut", 8400.0)) == ""
+    assert nonparametric_law_text(case("wall_lift_off", 19_000.0, "speed in the gut", 16_000.0)) == ""
 
 
 def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
-    quiet = diagnose(choose(CAMPAIGN), MODEL).where
+    quiet = diagnose(select_runs(CAMPAIGN), MODEL).where
     assert not any(quiet.location("channel").shares.values())
-    judged = Judgement(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
-    told = unknown_gap(quiet, (), judged, None, case("folds", 19_000.0, "speed", NOISE))
+    judged = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
+    told = describe_unexplained_gap(quiet, (), judged, None, case("folds", 19_000.0, "speed", NOISE))
     assert told is not None
     assert told.lives_in == "It is too small beside noise and the scatter of repeats to say where it is."
     assert told.shape.startswith("A force that depends on the speed alone")
 
 
 def test_every_law_has_words(study: Study, nominal: Design) -> None:
-    for one in nameless(nominal, study.sights, PERIOD_S):
-        assert "A force " in any_law(case("folds", 19_000.0, one.law, NOISE))
+    for one in fit_nonparametric_laws(nominal, study.sights, PERIOD_S):
+        assert "A force " in nonparametric_law_text(case("folds", 19_000.0, one.law, NOISE))
 
 
 @pytest.mark.parametrize(

@@ -9,18 +9,16 @@ from diagnoses import STRIBECK
 from listed_runs import table
 
 import dragrig
-from dragrig.analysis.gap.planning.results import Contest, NextExperiment, NextRun
-from dragrig.analysis.gap.planning.trials import Limits, few, many
-from dragrig.analysis.gap.planning.writing import plan_of
+from dragrig.analysis.gap.candidate_runs import RigLimits, full_grid, plan_of_next_runs, short_grid
+from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
+from dragrig.api.plan_next import save_next_plan
 from dragrig.cli import main
-from dragrig.cli.gap.telling import diagnosis_parts
-from dragrig.config.loading import to_toml
-from dragrig.config.plan import Plan, Step
+from dragrig.config.plan import Plan, PlanStep
+from dragrig.config.settings import to_toml
 from dragrig.config.specimen import Specimen
-from dragrig.gap_json import gap_document
-from dragrig.planning import save_plan
-from dragrig.reports.gap.page import page
-from dragrig.sim_backend.blind import Listed, draw, make
+from dragrig.present.diagnosis import diagnosis_json, diagnosis_parts
+from dragrig.present.diagnosis_page import diagnosis_page
+from dragrig.sim_backend.blind import RunList, draw_campaign, write_campaign
 
 DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
 BETWEEN = ("stribeck", "adhesion")
@@ -45,7 +43,7 @@ def test_what_is_recommended_keeps_its_promise(found: NextExperiment) -> None:
     first = found.runs[0]
     assert first.after.d_prime > 1.5 * first.before.d_prime
     before = dragrig.isolability(plan(DRAGS), without=OTHERS).pair(*BETWEEN)
-    more = plan_of(found)
+    more = plan_of_next_runs(found)
     both = Plan(name="both", steps=(*plan(DRAGS).steps, *more.steps))
     after = dragrig.isolability(both, without=OTHERS).pair(*BETWEEN)
     assert before is not None
@@ -66,8 +64,8 @@ def test_a_run_that_is_not_needed_is_told_as_such(found: NextExperiment) -> None
 def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path) -> None:
     """The contests between catalogue effects are decided soon here; whether it is one of them is not."""
     drags = [table("drag", 200.0 * number, speed_mm_s=speed) for number, speed in enumerate((20.0, 5.0, 60.0), 1)]
-    few = Listed.of("few", [table("relaxation", 0.0, hold_s=60.0), *drags])
-    make(draw(113, effects=["wall_seam"], size=0.3), tmp_path / "few", runs=few)
+    few = RunList.of("few", [table("relaxation", 0.0, hold_s=60.0), *drags])
+    write_campaign(draw_campaign(113, effects=["wall_seam"], size=0.3), tmp_path / "few", runs=few)
     first, second, *_ = dragrig.diagnose(tmp_path / "few").ranking
     assert first.probability < 0.9
     assert second.hypothesis == "unknown"
@@ -79,20 +77,20 @@ def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path)
 
 def test_rig_time_and_limits_are_kept(found: NextExperiment) -> None:
     assert 0 < found.minutes <= 5.0
-    checked = dragrig.check(plan_of(found))
+    checked = dragrig.check(plan_of_next_runs(found))
     assert not checked.findings
     # A plan's orders and prompts change no run, so that it takes as long as was said.
     assert checked.duration_s / 60 == pytest.approx(found.minutes, rel=1e-6)
-    slow = Limits(travel_mm=20.0, speed_mm_s=10.0, accel_mm_s2=400.0)
-    kept = [one.run.profile.extremes() for one in many(SPECIMEN) if slow.allow(one)]
+    slow = RigLimits(travel_mm=20.0, speed_mm_s=10.0, accel_mm_s2=400.0)
+    kept = [one.run.profile.extremes() for one in full_grid(SPECIMEN) if slow.allow(one)]
     assert kept
     assert all(one.speed_mm_s <= 10 and one.highest_mm <= 20 for one in kept)
-    assert len(few(SPECIMEN)) < len(many(SPECIMEN))
+    assert len(short_grid(SPECIMEN)) < len(full_grid(SPECIMEN))
 
 
 def test_the_plan_file_is_run(found: NextExperiment, tmp_path: Path) -> None:
     file = tmp_path / "next.toml"
-    assert save_plan(found, file) == file
+    assert save_next_plan(found, file) == file
     made = dragrig.simulate(file)
     kinds = [run.info.kind for run in made if run.info.kind != "return"]
     wanted = [one.step.kind for one in found.runs for _ in range(one.step.repeats)]
@@ -100,16 +98,16 @@ def test_the_plan_file_is_run(found: NextExperiment, tmp_path: Path) -> None:
 
 
 def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
-    contest = Contest("stribeck", "adhesion", 1.0, 0.2)
+    contest = ModelPair("stribeck", "adhesion", 1.0, 0.2)
     settings = {"travel_mm": 40.0, "accel_mm_s2": 400.0}
     steps = [
-        Step(kind="drag", parameters={"speed_mm_s": 5.0, **settings}),
-        Step(kind="coulomb", parameters={"speed_mm_s": 1.0, **settings}),
-        Step(kind="motion", parameters={"strokes": [{"travel_mm": 40.0, "speed_mm_s": 20.0}]}),
-        Step(kind="drag", parameters={"speed_mm_s": 20.0, **settings}),
-        Step(kind="relaxation", parameters={"shear_strain": 2.0, "hold_s": 20.0}),
+        PlanStep(kind="drag", parameters={"speed_mm_s": 5.0, **settings}),
+        PlanStep(kind="coulomb", parameters={"speed_mm_s": 1.0, **settings}),
+        PlanStep(kind="motion", parameters={"strokes": [{"travel_mm": 40.0, "speed_mm_s": 20.0}]}),
+        PlanStep(kind="drag", parameters={"speed_mm_s": 20.0, **settings}),
+        PlanStep(kind="relaxation", parameters={"shear_strain": 2.0, "hold_s": 20.0}),
     ]
-    made = plan_of(NextExperiment(tuple(NextRun(one, 1.0, contest, contest) for one in steps), 9, "Because."))
+    made = plan_of_next_runs(NextExperiment(tuple(NextRun(one, 1.0, contest, contest) for one in steps), 9, "Because."))
     assert [one.kind for one in made.steps] == ["relaxation", "coulomb", "drag", "motion"]
     assert [bool(one.prompt) for one in made.steps] == [True, True, True, False]
     assert made.steps[2].parameters["speed_mm_s"] == [5.0, 20.0]
@@ -117,14 +115,14 @@ def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
 
 def test_a_diagnosis_tells_it_in_text_page_and_json(found: NextExperiment) -> None:
     told = replace(STRIBECK, next_experiment=found)
-    said = json.loads(json.dumps(gap_document(told), allow_nan=False))["next_experiment"]
+    said = json.loads(json.dumps(diagnosis_json(told), allow_nan=False))["next_experiment"]
     assert said["protocol"] == "coulomb"
     assert said["speed_mm_s"] > 0
     assert said["why"] == found.why
     assert set(said["between"]) == set(BETWEEN)
     assert any(found.why in part for part in diagnosis_parts(told) if isinstance(part, str))
-    assert "What to run next" in page(told)
-    assert "What to run next" not in page(STRIBECK)
+    assert "What to run next" in diagnosis_page(told)
+    assert "What to run next" not in diagnosis_page(STRIBECK)
 
 
 def test_the_command_prints_json_and_refuses_what_is_no_effect(

@@ -5,19 +5,18 @@ from pathlib import Path
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.choosing import choose
+from dragrig.analysis.gap.candidate_runs import motion_grid, plan_of_next_runs
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.planning.coverage import NOTHING_FURTHER
-from dragrig.analysis.gap.planning.trials import moves
-from dragrig.analysis.gap.planning.writing import plan_of
-from dragrig.analysis.gap.position.finding import PositionFinding, find_position
-from dragrig.analysis.gap.results import Diagnosis, Verdict
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.next_run_position import NO_NEW_MOTION
+from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.cli import main
 from dragrig.config.plan import Plan
 from dragrig.config.specimen import Specimen
 from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.sim_backend.effects.base import catalogue
 
 SCALE = "encoder_scale:scale_error=0.003"
 LONG_RIPPLE = "velocity_ripple:pitch_mm=20,amplitude_mm=0.03"
@@ -31,14 +30,14 @@ def plan(*steps: dict[str, object], seed: int = 3) -> Plan:
 
 
 def told(runs: tuple[Run, ...]) -> Diagnosis:
-    return diagnose(choose(runs), MODEL)
+    return diagnose(select_runs(runs), MODEL)
 
 
-def found_in(runs: tuple[Run, ...]) -> PositionFinding:
-    return find_position(choose(runs).experiments, list(catalogue().values()))
+def found_in(runs: tuple[Run, ...]) -> PositionAnalysis:
+    return analyse_position(select_runs(runs).experiments, list(catalogue().values()))
 
 
-def margin(found: PositionFinding, truth: str) -> float:
+def margin(found: PositionAnalysis, truth: str) -> float:
     """By how much the truth explains more than any other effect."""
     shares = {one.effect: one.held_out for one in found.families}
     return shares.pop(truth) - max(shares.values())
@@ -54,7 +53,7 @@ def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effe
     assert not one.surer
     assert {one.after.truth, one.after.rival} == {"encoder_scale", "velocity_ripple"}
     assert one.after.left > one.before.left + 0.05
-    more = dragrig.simulate(plan_of(advised), effects=[effect])
+    more = dragrig.simulate(plan_of_next_runs(advised), effects=[effect])
     again = dragrig.simulate(plan({**THIN, "repeats": 2}, seed=9), effects=[effect])
     with_it, repeated = found_in((*thin, *more)), found_in((*thin, *again))
     assert with_it.families[0].effect == truth
@@ -93,12 +92,12 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
     assert one.settings["accel_mm_s2"] == 2000.0
     assert "no run so far comes near its" in unnamed.next_experiment.why
     assert "acceleration" in unnamed.next_experiment.why
-    ways = [one.step.model_copy(update={"repeats": 1}) for one in moves(Specimen(name="jejunum"))]
+    ways = [one.step.model_copy(update={"repeats": 1}) for one in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
     covered = told(dragrig.simulate(everything, effects=MIXED))
     assert covered.verdict is Verdict.UNKNOWN
     assert covered.next_experiment is None
-    assert NOTHING_FURTHER in covered.cannot_answer
+    assert NO_NEW_MOTION in covered.cannot_answer
 
 
 def test_the_more_doubtful_question_comes_first() -> None:

@@ -7,21 +7,21 @@ import pytest
 from effect_scenes import scene
 from hidden import thinned
 
-from dragrig.analysis.gap.choosing import choose
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.nuisances import PANELS, STEP_S, doubt
-from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.model_uncertainty import INTEGRATION_STEP_S, PANELS, ramp_integration_sd
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.blind import draw, make
+from dragrig.sim_backend.blind import draw_campaign, write_campaign
 
 SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY = 1839364650, 269666675
 
 
 @pytest.mark.parametrize("seed", [SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY])
 def test_what_another_programme_sums_coarsely_is_not_seen_as_a_gap(seed: int, tmp_path: Path) -> None:
-    make(draw(seed, rough=True), tmp_path)
-    told = diagnose(thinned(choose(tmp_path)), MODEL)
+    write_campaign(draw_campaign(seed, rough=True), tmp_path)
+    told = diagnose(thinned(select_runs(tmp_path)), MODEL)
     assert (told.verdict, told.effects) == (Verdict.NO_GAP, ())
 
 
@@ -43,7 +43,7 @@ def coarse(force: FloatArray, time: FloatArray, step_s: float) -> FloatArray:
 def test_a_ramp_between_coarse_steps_is_doubted_as_much_as_it_is_off() -> None:
     seen = scene("relaxation", until_s=1.5)
     fine = np.abs(seen.acceleration_mm_s2) > 0
-    off = np.abs(coarse(seen.shear, seen.time_s, 2 * STEP_S) - seen.shear)
-    expected = doubt(seen)
+    off = np.abs(coarse(seen.shear, seen.time_s, 2 * INTEGRATION_STEP_S) - seen.shear)
+    expected = ramp_integration_sd(seen)
     assert not expected[~fine].any()
     assert 0.3 < np.sqrt(np.mean(expected[fine] ** 2) / np.mean(off[fine] ** 2)) < 3.0

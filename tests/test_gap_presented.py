@@ -14,17 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.analysis.gap.evidence import Evidence
-from dragrig.analysis.gap.results import BeforeAfter, Diagnosis, Ranked
-from dragrig.analysis.gap.sentences import name_of, shrink_sentences
-from dragrig.cli.gap.printing import show
-from dragrig.cli.gap.telling import diagnosis_parts, shrink_parts
-from dragrig.figures.gap_before_after import gap_before_after_figure, representative
-from dragrig.figures.gap_ranking import gap_ranking_figure
-from dragrig.gap_json import gap_document, rounded, shrink_document
-from dragrig.gap_scoring import score
-from dragrig.reports.gap.page import page
-from dragrig.sim_backend.effects.catalogue import catalogue
+from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis
+from dragrig.analysis.gap.diagnosis_text import display_name, shrink_sentences
+from dragrig.analysis.gap.features import DecisionInputs
+from dragrig.present.diagnosis import (
+    diagnosis_json,
+    diagnosis_parts,
+    round_probabilities,
+    shrink_parts,
+    shrink_report_json,
+)
+from dragrig.present.diagnosis_page import before_after_figure, diagnosis_page, ranking_figure, representative_runs
+from dragrig.present.terminal import print_parts
+from dragrig.scoring import score_exam
+from dragrig.sim_backend.effects.base import catalogue
 
 CASES = pytest.mark.parametrize("diagnosis", ALL.values(), ids=ALL)
 
@@ -32,7 +35,7 @@ CASES = pytest.mark.parametrize("diagnosis", ALL.values(), ids=ALL)
 def text(diagnosis: Diagnosis) -> str:
     out = io.StringIO()
     with redirect_stdout(out):
-        show(diagnosis_parts(diagnosis))
+        print_parts(diagnosis_parts(diagnosis))
     return out.getvalue()
 
 
@@ -54,9 +57,9 @@ def words(html: str) -> str:
 
 
 def test_what_was_left_out_of_the_search_is_not_called_inseparable() -> None:
-    asked = Evidence(blocks=8000, squares=20_000.0, without=("adhesion",))
+    asked = DecisionInputs(blocks=8000, squares=20_000.0, without=("adhesion",))
     said = text(replace(STRIBECK, confusable_with=("adhesion",), evidence=asked))
-    assert f"Left out of the search, and hardly told from it: {name_of('adhesion')}" in " ".join(said.split())
+    assert f"Left out of the search, and hardly told from it: {display_name('adhesion')}" in " ".join(said.split())
     assert "with these runs" not in said
 
 
@@ -71,14 +74,14 @@ FIRST = {
 @pytest.mark.parametrize("verdict", ALL)
 def test_the_verdict_comes_first_in_plain_words(verdict: str) -> None:
     assert text(ALL[verdict]).splitlines()[0] == FIRST[verdict]
-    html = page(ALL[verdict])
+    html = diagnosis_page(ALL[verdict])
     heading = re.search(r"<h1>(.*?)</h1>", html)
     assert heading is not None
     assert heading[1].replace("\u00a0", " ") == FIRST[verdict]
 
 
 def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
-    for said in (text(STRIBECK), words(page(STRIBECK))):
+    for said in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
         assert "Adhesion and film depletion cannot be told from it with these runs." in said
         assert "No relaxation is held long enough" in said
         assert "018-drag.h5" in said
@@ -88,18 +91,18 @@ def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
     assert "cannot be told" not in text(NO_GAP)
     assert "Something is left beside them that no effect" in text(TOGETHER)
     assert "4.1 mN · x / 40 mm" in text(UNKNOWN)
-    assert "4.1 mN · x / 40 mm" in words(page(UNKNOWN))
+    assert "4.1 mN · x / 40 mm" in words(diagnosis_page(UNKNOWN))
 
 
 def test_probabilities_that_nothing_calibrated_are_not_passed_off_as_chances() -> None:
     bare = replace(STRIBECK, calibration="")
-    for said in (text(bare), words(page(bare))):
+    for said in (text(bare), words(diagnosis_page(bare))):
         assert "not calibrated" in said
         assert "nine were right" not in said
 
 
 def test_a_verdict_is_never_certain() -> None:
-    sure = replace(STRIBECK, ranking=(Ranked("stribeck", 1.0), Ranked("no_gap", 0.0)))
+    sure = replace(STRIBECK, ranking=(RankedHypothesis("stribeck", 1.0), RankedHypothesis("no_gap", 0.0)))
     assert text(sure).startswith("Stribeck friction (above 0.99).")
     assert re.search(r"no_gap +below 0\.01", text(sure))
 
@@ -111,7 +114,7 @@ def test_how_much_stands_beside_what_the_paper_prints() -> None:
     assert re.search(r"Eq\. 15 +before +0\.7000 +0\.4000\n +after +0\.9800 +0\.9700", said)
     assert re.search(r"correlation² +before +0\.8000 +-", said)
     assert re.search(r"the paper.* 0\.8769 +0\.1666", said)
-    html = words(page(STRIBECK))
+    html = words(diagnosis_page(STRIBECK))
     assert "0.8769 0.1666" in html
     assert "quoted" in html
 
@@ -120,12 +123,12 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
     assert "no share of a gap can be said to close" in text(NO_GAP)
     assert "% of the gap closes" not in text(NO_GAP)
     assert " after " not in text(NO_GAP)
-    assert not re.search(r"\bwith it\b", words(page(NO_GAP)))
-    assert re.search(r"\bwith it\b", words(page(STRIBECK)))
+    assert not re.search(r"\bwith it\b", words(diagnosis_page(NO_GAP)))
+    assert re.search(r"\bwith it\b", words(diagnosis_page(STRIBECK)))
     worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
     out = io.StringIO()
     with redirect_stdout(out):
-        show(shrink_parts(worse))
+        print_parts(shrink_parts(worse))
     assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in out.getvalue()
 
 
@@ -139,7 +142,7 @@ def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
-    for said in (text(STRIBECK), words(page(STRIBECK))):
+    for said in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
         assert re.search(r"protocol +drag 90 %, coulomb 10 % ", said)
         assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", said)
         assert re.search(r"session +nothing stands out ", said)
@@ -159,7 +162,7 @@ def test_nothing_is_cut_off_in_a_pipe() -> None:
 
 @CASES
 def test_a_page_stands_alone(diagnosis: Diagnosis) -> None:
-    html = page(diagnosis, "runs/first", "amended.toml")
+    html = diagnosis_page(diagnosis, "runs/first", "amended.toml")
     assert not re.search(r'(src|href)="(?!data:|#)', html)
     assert html.count('role="img"') == 3
     assert "nan" not in words(html).lower().split()
@@ -167,17 +170,17 @@ def test_a_page_stands_alone(diagnosis: Diagnosis) -> None:
 
 def test_a_page_escapes_what_comes_from_files() -> None:
     odd = replace(STRIBECK, specimen="<b>gut</b>", remarks=("<script>1</script>",))
-    html = page(odd, "<i>runs</i>")
+    html = diagnosis_page(odd, "<i>runs</i>")
     assert "<b>gut" not in html
     assert "<script>1" not in html
     assert "<i>runs" not in html
 
 
 def test_a_page_without_views_or_model_says_so_by_silence() -> None:
-    html = page(replace(STRIBECK, views=(), model=None))
+    html = diagnosis_page(replace(STRIBECK, views=(), model=None))
     assert html.count('role="img"') == 2
     assert "dragrig gap evaluate" not in html
-    assert "dragrig gap evaluate mine.toml" in page(STRIBECK, model="mine.toml")
+    assert "dragrig gap evaluate mine.toml" in diagnosis_page(STRIBECK, model="mine.toml")
 
 
 class Strict(BaseModel):
@@ -260,7 +263,7 @@ class Report(Strict):
 
 @CASES
 def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
-    said = json.dumps(gap_document(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False)
+    said = json.dumps(diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False)
     read = Report.model_validate_json(said)
     assert read.model == "amended.toml"
     assert read.campaign.used_for_fit[:2] == ["id-0", "001-drag.h5"]
@@ -268,63 +271,65 @@ def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
     assert read.effects == list(diagnosis.effects)
     assert set(read.effects) <= set(catalogue())
     truth = {"verdict": diagnosis.verdict.value, "effects": list(diagnosis.effects)}
-    assert not score([("made up", truth, json.loads(said))]).missed
+    assert not score_exam([("made up", truth, json.loads(said))]).missed
 
 
 def test_json_tells_parameters_with_their_unit() -> None:
-    said = gap_document(STRIBECK)
+    said = diagnosis_json(STRIBECK)
     ranking = TypeAdapter(list[RankedPart]).validate_python(said["ranking"])
     assert ranking[0].parameters["ratio"].sd == pytest.approx(0.05)
     assert ranking[0].parameters["speed_mm_s"].unit == "mm/s"
     assert said["unknown"] is None
-    assert gap_document(UNKNOWN)["shrink"] is None
+    assert diagnosis_json(UNKNOWN)["shrink"] is None
 
 
 def test_json_knows_no_nan_and_no_infinity() -> None:
     ill = replace(
         STRIBECK,
         would_have_seen_mN=inf,
-        ranking=(Ranked("stribeck", nan, (replace(STRIBECK.ranking[0].parameters[0], standard_error=nan),), nan),),
+        ranking=(
+            RankedHypothesis("stribeck", nan, (replace(STRIBECK.ranking[0].parameters[0], standard_error=nan),), nan),
+        ),
         where=replace(STRIBECK.where, p=nan, domain_scores={"speed": nan}),
-        shrink=replace(shrink(), closed=nan, r2_eq15=BeforeAfter(nan, inf, -inf, None)),
+        shrink=replace(shrink(), closed=nan, r2_eq15=R2BeforeAfter(nan, inf, -inf, None)),
         timings_s={"fit": nan},
     )
-    said = json.loads(json.dumps(gap_document(ill), allow_nan=False))
+    said = json.loads(json.dumps(diagnosis_json(ill), allow_nan=False))
     assert said["would_have_seen_mN"] is None
     assert said["shrink"]["closed"] is None
     assert said["where"]["p"] is None
-    assert said["shrink"] == json.loads(json.dumps(shrink_document(ill.shrink or shrink())))["shrink"]
+    assert said["shrink"] == json.loads(json.dumps(shrink_report_json(ill.shrink or shrink())))["shrink"]
     assert "nan" not in text(ill).lower().split()
     assert "how small an effect these runs would have shown is not known" in text(ill).lower()
-    page(ill)
+    diagnosis_page(ill)
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=40).filter(lambda given: sum(given) > 1e-9))
 def test_rounded_probabilities_still_sum_to_one(given: list[float]) -> None:
-    told = rounded(given)
+    told = round_probabilities(given)
     assert sum(told) == pytest.approx(1.0, abs=1e-9)
     assert all(abs(a - b / sum(given)) <= 2e-6 for a, b in zip(told, given, strict=True))
     assert all(0 <= one <= 1 for one in told)
 
 
 def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind() -> None:
-    chosen = representative(STRIBECK.views)
+    chosen = representative_runs(STRIBECK.views)
     assert [one.label for one in chosen] == [
         "drag at 0.5 mm/s", "drag at 10 mm/s", "drag at 60 mm/s",
         "relaxation at 200 %", "blank run at 40 mm/s", "Coulomb friction at 0.5 mm/s",
     ]  # fmt: skip
-    figure = gap_before_after_figure(chosen, 1.4)
+    figure = before_after_figure(chosen, 1.4)
     assert len(figure.axes) == 2 * len(chosen)
-    assert len(figure.axes[0].lines) == len(gap_before_after_figure(chosen, 1.4, named=False).axes[0].lines) + 2
+    assert len(figure.axes[0].lines) == len(before_after_figure(chosen, 1.4, named=False).axes[0].lines) + 2
     fast = figure.axes[4].get_xlim()
     assert fast[0] > 0.5
     assert fast[1] < 3.0
 
 
 def test_the_ranking_marks_the_verdict_and_what_cannot_be_told_from_it() -> None:
-    axes = gap_ranking_figure(TOGETHER).axes[0]
+    axes = ranking_figure(TOGETHER).axes[0]
     assert next(one.get_text() for one in axes.get_yticklabels()) == "Velocity ripple and Stribeck friction"
-    colours = [patch.get_facecolor() for patch in gap_ranking_figure(STRIBECK).axes[0].patches]
+    colours = [patch.get_facecolor() for patch in ranking_figure(STRIBECK).axes[0].patches]
     assert colours[0] != colours[1] == colours[2] != colours[3]
 
 

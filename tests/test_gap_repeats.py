@@ -11,23 +11,20 @@ import numpy as np
 import pytest
 from effect_scenes import KINDS, scene
 
-from dragrig.analysis.gap.candidate import Candidate
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.design import lay_out
-from dragrig.analysis.gap.signatures import shapes_of, signature
-from dragrig.analysis.gap.studies import study_of
-from dragrig.analysis.gap.study import Study
-from dragrig.analysis.nominal.capsule import MODEL
-from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect
-from dragrig.sim_backend.effects.catalogue import catalogue
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.analysis.gap.candidates import Candidate, signature, variants_of
+from dragrig.analysis.gap.design import Study, linearise
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.studies import prepare_study
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue
+from dragrig.sim_backend.effects.run_state import RunState
 
 EFFECTS = [one for one in catalogue().values() if isinstance(one, ForceEffect | SensorEffect)]
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 DWELL_S = 240.0
 
 
-def later(seen: Scene) -> Scene:
+def later(seen: RunState) -> RunState:
     """The same run, made later in its session."""
     return replace(seen, session_start_s=seen.session_start_s + 777.0, order=seen.order + 5)
 
@@ -46,22 +43,22 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
             entry.update({"run_id": str(uuid4()), "start_time": start.isoformat(), "order": 100 + number})
             if number == len(drags) - 1:
                 entry["insertion_dwell_s"] = DWELL_S
-    return study_of(choose(folder), MODEL, EFFECTS)
+    return prepare_study(select_runs(folder), MODEL, EFFECTS)
 
 
 @pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.of_session], ids=lambda one: one.id)
 def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | SensorEffect) -> None:
     for kind in KINDS:
         seen = scene(kind, until_s=3.0)
-        for shape in shapes_of([effect]):
+        for shape in variants_of([effect]):
             assert np.array_equal(signature(shape, seen, 0.9), signature(shape, later(seen), 0.9))
 
 
 def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -> None:
     """Else a stiffer run is a misfit of the effect, and the fit gives it up for the specimen's own stiffness."""
-    relaxing = study_of(choose(CAMPAIGN), MODEL, EFFECTS)
+    relaxing = prepare_study(select_runs(CAMPAIGN), MODEL, EFFECTS)
     candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].usual)
-    plain, stiffer = (lay_out(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
+    plain, stiffer = (linearise(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
     seen = 0
     for sight, one, other in zip(relaxing.sights, plain.parts, stiffer.parts, strict=True):
         before, after = one.whitening.own, other.whitening.own
@@ -87,8 +84,8 @@ def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) ->
 
 
 def test_every_run_is_laid_out_as_it_would_be_alone(study: Study) -> None:
-    together = lay_out(study, study.start + 0.1, dictionary=True)
+    together = linearise(study, study.start + 0.1, dictionary=True)
     for number in range(len(study.sights)):
-        alone = lay_out(study.of_runs([number]), study.start + 0.1, dictionary=True)
+        alone = linearise(study.of_runs([number]), study.start + 0.1, dictionary=True)
         assert np.array_equal(together.parts[number].columns, alone.parts[0].columns)
         assert np.array_equal(together.grams[number], alone.grams[0])

@@ -13,12 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from dragrig.cli.gap.blind_telling import exam_parts
-from dragrig.cli.gap.printing import show
 from dragrig.config.errors import AnalysisError
-from dragrig.gap_scoring import score
-from dragrig.gap_scoring.document import score_document
-from dragrig.reports.blind.page import page
+from dragrig.present.exam import exam_parts, score_json
+from dragrig.present.exam_page import exam_page
+from dragrig.present.terminal import print_parts
+from dragrig.scoring import score_exam
 
 PAIRS = [
     ("right", truth("stribeck"), said("stribeck")),
@@ -40,7 +39,7 @@ PAIRS = [
 
 
 def test_every_rate_counts_what_it_says() -> None:
-    found = score(PAIRS)
+    found = score_exam(PAIRS)
     counts = {one.name: (one.held, one.count) for one in found.rates}
     assert counts == {
         "full size, right name": (3, 4),
@@ -65,13 +64,13 @@ def test_every_rate_counts_what_it_says() -> None:
 
 def test_the_interval_is_wilsons() -> None:
     pairs = [(str(at), truth("folds"), said("folds" if at else "adhesion")) for at in range(40)]
-    rate = score(pairs)["full size, right name"]
+    rate = score_exam(pairs)["full size, right name"]
     assert (rate.held, rate.count) == (39, 40)
     assert (rate.low, rate.high) == (pytest.approx(0.871, abs=0.001), pytest.approx(0.996, abs=0.001))
 
 
 def test_a_rate_without_cases_is_told_as_such() -> None:
-    found = score(PAIRS[:1])
+    found = score_exam(PAIRS[:1])
     assert found["outside, unknown"].count == 0
     console = Console(width=120, record=True, file=StringIO())
     for table in found.tables():
@@ -83,12 +82,12 @@ def test_a_rate_without_cases_is_told_as_such() -> None:
 
 def test_a_diagnosis_that_breaks_the_format_is_refused_by_name() -> None:
     with pytest.raises(AnalysisError, match=r"0007: the diagnosis cannot be scored because verdict"):
-        score([("0007", truth("folds"), {"verdict": "perhaps"})])
+        score_exam([("0007", truth("folds"), {"verdict": "perhaps"})])
 
 
 @given(st.lists(st.sampled_from(PAIRS), min_size=1, max_size=30))
 def test_rates_lie_within_their_intervals_and_do_not_depend_on_order(pairs: list[tuple[str, dict, dict]]) -> None:  # type: ignore[type-arg]
-    found, turned = score(pairs), score(pairs[::-1])
+    found, turned = score_exam(pairs), score_exam(pairs[::-1])
     assert [(one.held, one.count) for one in found.rates] == [(one.held, one.count) for one in turned.rates]
     for one in found.rates:
         assert not one.count or one.low - 1e-9 <= one.share <= one.high + 1e-9
@@ -105,7 +104,7 @@ def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_
     }
     pairs = [(name, truth("stribeck"), said("stribeck")) for name in asked]
     asked["tiny"], small = said(verdict="no_gap"), ("tiny", truth("stribeck", size=0.1), said("stribeck"))
-    found = score([*pairs, small], withheld=asked)
+    found = score_exam([*pairs, small], withheld=asked)
     told = {one.name: (one.held, one.count) for one in found.withheld}
     assert told == {
         "withheld, unknown, or its near-alias with doubt": (3, 6),
@@ -116,7 +115,7 @@ def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_
 
 
 def test_what_was_said_is_counted_by_what_was_hidden() -> None:
-    found = score(PAIRS).confusion
+    found = score_exam(PAIRS).confusion
     counts = {
         (row, column): count
         for row, told in zip(found.hidden, found.counts, strict=True)
@@ -140,7 +139,7 @@ def test_detection_goes_by_size_and_leaves_rough_campaigns_out() -> None:
         ("rough", truth("folds", rough=True), said("adhesion")),
     ]
     amounts = {"seen": 40.0, "named wrongly": 30.0, "not seen": 2.0, "rough": 30.0}
-    low, high = score(pairs, amounts=amounts).detection
+    low, high = score_exam(pairs, amounts=amounts).detection
     assert (low.low, low.high, low.seen.held, low.misled.held, low.seen.count) == (0.0, 3.0, 0, 0, 1)
     assert (high.low, high.seen.held, high.named.held, high.misled.held, high.seen.count) == (25.0, 2, 1, 1, 2)
 
@@ -148,22 +147,22 @@ def test_detection_goes_by_size_and_leaves_rough_campaigns_out() -> None:
 def test_probabilities_that_are_true_have_skill_and_lie_in_their_bands() -> None:
     sure = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds" if at % 2 else "stribeck", p=1.0))
             for at in range(20)]  # fmt: skip
-    found = score(sure).calibration
+    found = score_exam(sure).calibration
     assert found.brier == pytest.approx(0.0)
     assert found.brier_base == pytest.approx(0.5)
     assert found.skill == pytest.approx(1.0)
     [top] = found.bins
     assert (top.low, top.high, top.count, top.right, top.band) == (0.95, 1.0, 20, 20, (1.0, 1.0))
     guesses = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds", p=0.5)) for at in range(20)]
-    assert score(guesses).calibration.skill < 0.5
-    [middle] = score(guesses).calibration.bins
+    assert score_exam(guesses).calibration.skill < 0.5
+    [middle] = score_exam(guesses).calibration.bins
     assert middle.band[0] <= middle.share <= middle.band[1]
 
 
 def test_an_effect_too_small_to_see_may_pass_for_no_gap_in_the_brier_score() -> None:
-    tiny = score([("a", truth("folds", size=0.1), said(verdict="no_gap", p=1.0))])
+    tiny = score_exam([("a", truth("folds", size=0.1), said(verdict="no_gap", p=1.0))])
     assert tiny.calibration.brier == pytest.approx(0.0)
-    large = score([("a", truth("folds"), said(verdict="no_gap", p=1.0))])
+    large = score_exam([("a", truth("folds"), said(verdict="no_gap", p=1.0))])
     assert large.calibration.brier == pytest.approx(2.0)
 
 
@@ -177,7 +176,7 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
     ]
     closed = {"kept": 0.93, "not kept": 0.65, "wrong": 0.1, "no effect named": 0.2}
     achieved = {name: {"shrink": {"closed": one, "closed_95ci": None}} for name, one in closed.items()}
-    found = score(pairs, achieved=achieved).promises
+    found = score_exam(pairs, achieved=achieved).promises
     assert [one.case for one in found.kept] == ["kept", "not kept", "wrong"]
     assert found.difference == pytest.approx(0.3)
     assert found.right_difference == pytest.approx(0.16)
@@ -187,17 +186,17 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
 
 @pytest.mark.parametrize("cases", [1, 160])
 def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
-    from dragrig.blind.exam import BlindExam
+    from dragrig.exam.blind_exam import BlindExam
 
     found = large_exam(cases)
     exam = BlindExam(cases, 4, "ab" * 32, found, {}, {"this call": 1.0})
     told = json.dumps(exam.document(), allow_nan=False)
     assert json.loads(told)["calibration"]["reliability"]
-    assert exam.document()["confusion"] == score_document(found)["confusion"]
+    assert exam.document()["confusion"] == score_json(found)["confusion"]
     out = io.StringIO()
     with redirect_stdout(out):
-        show(exam_parts(exam))
-    shown = page(found, cases, 4, "ab" * 32)
+        print_parts(exam_parts(exam))
+    shown = exam_page(found, cases, 4, "ab" * 32)
     pictures = HTMLPictures()
     pictures.feed(shown)
     assert not pictures.sources
@@ -210,7 +209,7 @@ def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
         assert any(one.high == inf for one in found.detection)
         assert "Where the true effect is withheld" in shown
     else:
-        assert shown == page(found, cases, 4, "ab" * 32)
+        assert shown == exam_page(found, cases, 4, "ab" * 32)
 
 
 class HTMLPictures(HTMLParser):

@@ -9,10 +9,9 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.choosing import choose
-from dragrig.analysis.gap.spreading import MOST_RUNS, spread
+from dragrig.analysis.gap.run_selection import MAX_RUNS, select_runs, spread_over_session
 from dragrig.rig.runfile import read_run
-from dragrig.rig.runfile.model import RunHeader, RunInfo, Status
+from dragrig.rig.runfile.model import RunHeader, RunInfo, RunStatus
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 START = datetime(2026, 5, 4, tzinfo=UTC)
@@ -21,7 +20,7 @@ START = datetime(2026, 5, 4, tzinfo=UTC)
 def runs_at(speeds: list[float]) -> list[RunInfo]:
     return [
         RunInfo(
-            Path(f"{order:04d}-drag.h5"), 1, Status.COMPLETE,
+            Path(f"{order:04d}-drag.h5"), 1, RunStatus.COMPLETE,
             RunHeader(
                 str(order), START + timedelta(minutes=order), order, "external", "drag", 500.0, (),
                 protocol={"speed_mm_s": speed},
@@ -35,7 +34,7 @@ def runs_at(speeds: list[float]) -> list[RunInfo]:
 @given(st.lists(st.sampled_from([0.5, 1.0, 2.0, 5.0, 60.0]), max_size=80), st.integers(5, 40))
 def test_conditions_are_all_there_and_none_is_crowded_out(speeds: list[float], most: int) -> None:
     runs = runs_at(speeds)
-    kept = spread(runs, most)
+    kept = spread_over_session(runs, most)
     assert len(kept) == min(len(runs), most)
     assert [one.header.order for one in kept] == sorted(one.header.order for one in kept)
     whole, some = Counter(speeds), Counter(one.header.protocol["speed_mm_s"] for one in kept)
@@ -45,7 +44,7 @@ def test_conditions_are_all_there_and_none_is_crowded_out(speeds: list[float], m
 
 
 def test_a_condition_is_seen_from_its_first_run_to_its_last() -> None:
-    kept = spread(runs_at([1.0] * 400), 20)
+    kept = spread_over_session(runs_at([1.0] * 400), 20)
     orders = [one.header.order for one in kept]
     assert (orders[0], orders[-1]) == (0, 399)
     assert max(after - before for before, after in pairwise(orders)) <= 22
@@ -56,10 +55,10 @@ def test_a_long_campaign_is_read_in_part_and_says_so(tmp_path: Path) -> None:
     for copy in range(13):
         for path in paths:
             shutil.copy(path, tmp_path / f"{copy:02d}-{path.name}")
-    found = choose(tmp_path)
-    assert len(found.experiments) == MOST_RUNS
-    assert any(one.startswith(f"of {13 * len(paths)} runs {MOST_RUNS} are diagnosed") for one in found.remarks)
-    again = choose([read_run(path) for path in sorted(tmp_path.glob("*.h5"))])
+    found = select_runs(tmp_path)
+    assert len(found.experiments) == MAX_RUNS
+    assert any(one.startswith(f"of {13 * len(paths)} runs {MAX_RUNS} are diagnosed") for one in found.remarks)
+    again = select_runs([read_run(path) for path in sorted(tmp_path.glob("*.h5"))])
     assert again.remarks[-1] == found.remarks[-1]
     assert {one.file for one in again.experiments} == {one.file for one in found.experiments}
-    assert not any("are diagnosed" in one for one in choose(CAMPAIGN).remarks)
+    assert not any("are diagnosed" in one for one in select_runs(CAMPAIGN).remarks)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.results import Diagnosis, Verdict
-from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.models.experiment import Experiment
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
@@ -21,7 +21,7 @@ COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
 RATE = "rig.sampling.rate_hz=500"
 NOT_OF_A_STAGE = {"adhesion", "folds", "peristalsis", "wall_lift_off", "tissue_ageing", "preconditioning"}
 OWN = """
-from dragrig.analysis.nominal.own import ChannelModel, Parameter
+from dragrig.analysis.models.nominal_model import ChannelModel, Parameter
 
 class Sledge(ChannelModel):
     name = "sledge"

@@ -9,11 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residuals import Planted, campaign
 
-from dragrig.analysis.gap.unknown import Law, find_law, part_of, place, shape
-from dragrig.analysis.gap.unknown.law import folds
-from dragrig.analysis.gap.unknown.selecting import Products, held_out
-from dragrig.analysis.gap.unknown.terms import since_start, speed
-from dragrig.analysis.gap.where import ResidualBlocks, locate
+from dragrig.analysis.gap.excess import ResidualBlocks
+from dragrig.analysis.gap.localise import localise
+from dragrig.analysis.gap.unknown_gap import dependence_text, location_text
+from dragrig.analysis.gap.unknown_law import (
+    FoldProducts,
+    GapLaw,
+    block_speed,
+    condition_folds,
+    fit_gap_law,
+    gap_region,
+    held_out_chi2,
+    time_since_start,
+)
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
@@ -24,12 +32,12 @@ def moving(one: ResidualBlocks, *kinds: str) -> FloatArray:
 
 
 def rise_and_fall(one: ResidualBlocks) -> FloatArray:
-    v = np.maximum(speed(one), 0.5)
+    v = np.maximum(block_speed(one), 0.5)
     return np.asarray((1.2 * v - 12.0 * np.log(v)) * moving(one, "drag"))
 
 
 def way_and_time(one: ResidualBlocks) -> FloatArray:
-    return (0.9 * one.position_mm - 0.5 * since_start(one)) * moving(one, "drag", "coulomb")
+    return (0.9 * one.position_mm - 0.5 * time_since_start(one)) * moving(one, "drag", "coulomb")
 
 
 def held_strain(one: ResidualBlocks) -> FloatArray:
@@ -52,13 +60,13 @@ def waves(one: ResidualBlocks) -> FloatArray:
     return 0.011 * np.sin(2 * np.pi * one.position_mm / 6.0) * moving(one, "drag")
 
 
-def law_of(blocks: list[ResidualBlocks]) -> Law | None:
-    return find_law(part_of(locate(blocks, present=True), blocks))
+def law_of(blocks: list[ResidualBlocks]) -> GapLaw | None:
+    return fit_gap_law(gap_region(localise(blocks, present=True), blocks))
 
 
 def words_of(blocks: list[ResidualBlocks]) -> tuple[str, str]:
-    where = locate(blocks, present=True)
-    return place(where, blocks), shape(where, part_of(where, blocks))
+    where = localise(blocks, present=True)
+    return location_text(where, blocks), dependence_text(where, gap_region(where, blocks))
 
 
 @pytest.mark.parametrize(
@@ -96,14 +104,16 @@ def test_a_law_is_looked_for_where_a_single_relaxation_comes_first() -> None:
 
     blocks = campaign(1, drags_and_the_hold)
     kept = [one for one in blocks if one.kind != "relaxation" or one.run_id == blocks[0].run_id]
-    part = part_of(locate(kept, present=True), kept)
+    part = gap_region(localise(kept, present=True), kept)
     assert {one.strain for one in part.blocks} == {0.0, 0.5}
-    law = find_law(part)
+    law = fit_gap_law(part)
     assert law is None or np.isfinite(law.coefficients).all()
 
 
 def test_what_follows_the_measured_force_is_told_as_such() -> None:
-    made = [replace(one, level_mN=200.0 + 30.0 * np.sqrt(speed(one)) * np.cos(one.position_mm)) for one in campaign(3)]
+    made = [
+        replace(one, level_mN=200.0 + 30.0 * np.sqrt(block_speed(one)) * np.cos(one.position_mm)) for one in campaign(3)
+    ]
     planted = [
         replace(one, residual=one.residual + 0.1 * one.level_mN * moving(one, "drag"))
         if one.channel == "force" and one.level_mN is not None
@@ -124,7 +134,7 @@ def test_noise_has_no_law() -> None:
 def test_what_other_runs_do_not_have_is_no_law(planted: Planted) -> None:
     for seed in (1, 2, 3):
         blocks = campaign(seed, planted)
-        assert locate(blocks).rms > 1.0
+        assert localise(blocks).rms > 1.0
         assert law_of(blocks) is None
 
 
@@ -135,7 +145,7 @@ def test_a_law_needs_other_conditions_to_hold_in() -> None:
 
 def test_runs_of_one_condition_are_in_one_fold() -> None:
     blocks = [one for one in campaign(1) if one.channel == "force"]
-    found = folds(blocks)
+    found = condition_folds(blocks)
     assert found is not None
     by_condition: dict[tuple[str, float, float], set[int]] = {}
     for one, fold in zip(blocks, found.tolist(), strict=True):
@@ -147,8 +157,8 @@ def test_runs_of_one_condition_are_in_one_fold() -> None:
 def test_squares_that_are_held_out_are_those_of_a_fit_without_them() -> None:
     generator = np.random.default_rng(0)
     x, y = generator.standard_normal((4, 50, 3)), generator.standard_normal((4, 50))
-    products = Products(np.einsum("fni,fnj->fij", x, x), np.einsum("fni,fn->fi", x, y), (y**2).sum(axis=1))
-    found = held_out(products, np.array([[0, 2]]))[0]
+    products = FoldProducts(np.einsum("fni,fnj->fij", x, x), np.einsum("fni,fn->fi", x, y), (y**2).sum(axis=1))
+    found = held_out_chi2(products, np.array([[0, 2]]))[0]
     for fold in range(4):
         others = np.arange(4) != fold
         fitted = np.linalg.lstsq(x[others].reshape(-1, 3)[:, [0, 2]], y[others].ravel(), rcond=None)[0]
@@ -158,7 +168,7 @@ def test_squares_that_are_held_out_are_those_of_a_fit_without_them() -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e3), st.booleans())
 def test_coefficients_are_as_exact_as_they_are_known(value: float, share: float, falls: bool) -> None:
-    law = Law(("v",), (-value if falls else value,), (share * value,), "mN", 0.9)
+    law = GapLaw(("v",), (-value if falls else value,), (share * value,), "mN", 0.9)
     number, _, rest = law.text.partition("·")
     assert rest == "v [mN], speed v in mm/s"
     assert number.startswith("−") is falls
@@ -168,12 +178,12 @@ def test_coefficients_are_as_exact_as_they_are_known(value: float, share: float,
 
 
 def test_signs_and_units_of_a_law_are_those_of_a_formula() -> None:
-    law = Law(("1", "v", "ln(v)"), (-5.23, 0.4234, -3.14), (0.4, 0.012, 0.13), "mN", 0.8)
+    law = GapLaw(("1", "v", "ln(v)"), (-5.23, 0.4234, -3.14), (0.4, 0.012, 0.13), "mN", 0.8)
     assert law.text == "−5.2 + 0.423·v − 3.14·ln(v) [mN], speed v in mm/s"
 
 
 def test_a_law_of_speed_is_told_in_words() -> None:
-    where, how = words_of(campaign(1, lambda one: 0.012 * speed(one) ** 2 * moving(one, "drag")))
+    where, how = words_of(campaign(1, lambda one: 0.012 * block_speed(one) ** 2 * moving(one, "drag")))
     assert where == (
         "It is in the force of drag runs at 45 mm/s and faster, while moving; not in relaxation, blank or Coulomb runs."
     )
@@ -200,7 +210,7 @@ def test_a_late_gap_is_told_by_the_session() -> None:
 
 
 def test_large_forces_are_told_in_whole_numbers() -> None:
-    _, how = words_of(campaign(1, lambda one: -4.0 * speed(one) * moving(one, "drag")))
+    _, how = words_of(campaign(1, lambda one: -4.0 * block_speed(one) * moving(one, "drag")))
     assert re.search(r"falls with speed, from −\S+ mN at 0\.5 mm/s to −(19|20)\d mN at 60 mm/s\.", how)
 
 

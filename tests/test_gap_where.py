@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from residuals import SD, Planted, blocks, campaign
 
-from dragrig.analysis.gap.where import (
-    BANDS_HZ,
-    BandPower,
-    ResidualBlocks,
-    Where,
-    attributed,
-    band_powers,
-    locate,
-)
+from dragrig.analysis.gap.diagnosis import GapLocation
+from dragrig.analysis.gap.excess import BANDS_HZ, BandPowers, ResidualBlocks, band_powers
+from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
@@ -63,7 +57,7 @@ def ringing(one: ResidualBlocks) -> FloatArray:
 
 
 def test_a_gap_at_high_speed_is_found_there() -> None:
-    found = locate(campaign(1, lift_off))
+    found = localise(campaign(1, lift_off))
     assert found.present
     speed = found.location("speed_mm_s")
     assert (speed.low, speed.high) == (30.0, 60.0)
@@ -77,7 +71,7 @@ def test_a_gap_at_high_speed_is_found_there() -> None:
 
 
 def test_a_gap_late_in_the_stroke_is_found_there() -> None:
-    position = locate(campaign(1, tether)).location("position")
+    position = localise(campaign(1, tether)).location("position")
     assert (position.low, position.high) == (28.0, 40.0)
     assert position.p < 0.01
     standing_out = [one.p < 0.05 for one in position.bins]
@@ -86,13 +80,13 @@ def test_a_gap_late_in_the_stroke_is_found_there() -> None:
 
 
 def test_a_gap_in_the_position_channel_is_told_from_one_in_the_force() -> None:
-    found = locate(campaign(1, lambda one: 0.03 * moving(one, "drag", "blank", "coulomb"), channel="position"))
+    found = localise(campaign(1, lambda one: 0.03 * moving(one, "drag", "blank", "coulomb"), channel="position"))
     assert found.location("channel").shares["position"] > 0.95
     assert next(one for one in found.location("channel").bins if one.name == "position").p < 0.01
 
 
 def test_a_disturbance_is_found_in_its_band() -> None:
-    found = locate(campaign(1, lambda one: 10.0 * np.cos(2 * np.pi * 0.2 * one.time_s)))
+    found = localise(campaign(1, lambda one: 10.0 * np.cos(2 * np.pi * 0.2 * one.time_s)))
     band = found.location("band_hz")
     assert (band.low, band.high) == (0.1, 0.3)
     assert band.p < 0.01
@@ -114,7 +108,7 @@ def test_a_disturbance_is_found_in_its_band() -> None:
 )
 def test_what_the_residual_is_a_function_of_is_said(planted: Planted, domain: str) -> None:
     for seed in (1, 2):
-        assert locate(campaign(seed, planted), present=True).domain == domain
+        assert localise(campaign(seed, planted), present=True).domain == domain
 
 
 def test_hum_is_seen_in_the_powers_of_the_whole_trace() -> None:
@@ -123,9 +117,9 @@ def test_hum_is_seen_in_the_powers_of_the_whole_trace() -> None:
     expected = band_powers(noise, 500.0)
     shown = band_powers(noise + 6.0 * np.sin(2 * np.pi * 50.0 * time), 500.0)
     assert shown[6] - expected[6] == pytest.approx(18.0, rel=0.05)
-    power = BandPower(shown, expected)
+    power = BandPowers(shown, expected)
     hummed = [replace(one, bands=power, residual=one.residual + 1.0) for one in campaign(1) if one.channel == "force"]
-    found = locate(hummed, present=True)
+    found = localise(hummed, present=True)
     assert (found.location("band_hz").low, found.location("band_hz").high) == (30.0, 100.0)
     assert found.domain_scores["frequency"] > 0.4
 
@@ -137,7 +131,7 @@ def test_powers_add_up_to_the_variance() -> None:
 
 
 def test_noise_is_nowhere_and_its_p_values_are_what_they_say() -> None:
-    campaigns = [locate(campaign(seed), seed=seed) for seed in range(40)]
+    campaigns = [localise(campaign(seed), seed=seed) for seed in range(40)]
     assert sum(one.present for one in campaigns) <= 5
     assert all(share == 0.0 for one in campaigns if not one.present for share in shares_of(one))
     for axis in ("protocol", "speed_mm_s", "session", "strain"):
@@ -147,21 +141,21 @@ def test_noise_is_nowhere_and_its_p_values_are_what_they_say() -> None:
         assert np.mean([one.location(axis).least_p < 0.05 for one in campaigns]) < 0.15
 
 
-def shares_of(found: Where) -> list[float]:
+def shares_of(found: GapLocation) -> list[float]:
     return [one.share for location in found.locations for one in location.bins]
 
 
 def test_shares_along_an_axis_sum_to_1_or_are_all_0() -> None:
-    found = locate(campaign(1, stribeck))
+    found = localise(campaign(1, stribeck))
     sums = {one.name: sum(each.share for each in one.bins) for one in found.locations}
     assert sums.pop("strain") == 0.0
     assert sums.pop("band_hz") == 0.0
     assert list(sums.values()) == pytest.approx([1.0] * len(sums))
-    assert not any(shares_of(locate(campaign(1, stribeck), present=False)))
+    assert not any(shares_of(localise(campaign(1, stribeck), present=False)))
 
 
 def test_every_run_counts_alike_however_long_it_is() -> None:
-    found = locate(campaign(1, lambda one: 200.0 * moving(one, "drag") * np.isin(one.speed_mm_s, (0.5, 60.0))))
+    found = localise(campaign(1, lambda one: 200.0 * moving(one, "drag") * np.isin(one.speed_mm_s, (0.5, 60.0))))
     share = {one.low: one.share for one in found.location("speed_mm_s").bins}
     in_motion = (80.0 / 84.0) / (0.82 / 4.82)
     assert share[0.5] / share[60.0] == pytest.approx(in_motion, rel=0.05)
@@ -169,11 +163,11 @@ def test_every_run_counts_alike_however_long_it_is() -> None:
 
 def test_the_same_seed_gives_the_same_answer_whatever_the_order_of_the_runs() -> None:
     runs = campaign(1, stribeck)
-    assert locate(runs, seed=3).document() == locate(runs[::-1], seed=3).document()
+    assert localise(runs, seed=3).document() == localise(runs[::-1], seed=3).document()
 
 
 def test_the_report_s_form_is_kept() -> None:
-    document = json.loads(json.dumps(locate(campaign(1, stribeck)).document()))
+    document = json.loads(json.dumps(localise(campaign(1, stribeck)).document()))
     assert set(document["channel"]) == {"force", "position"}
     assert set(document["protocol"]) == {"drag", "relaxation", "coulomb", "blank"}
     assert set(document["phase"]) == {"rest", "accelerate", "steady", "decelerate", "hold"}
@@ -190,16 +184,16 @@ def test_blocks_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(ValueError, match="positive noise"):
         replace(good, noise_sd=np.zeros_like(good.noise_sd))
     with pytest.raises(ValueError, match="no residuals"):
-        locate([])
+        localise([])
 
 
 def test_a_named_effect_says_where_it_acts_when_no_block_stands_out() -> None:
     noise = campaign(1, lambda one: 0.0 * one.time_s)
     quiet = [replace(one, residual=0.5 * one.residual) for one in noise]
-    found = locate(quiet, present=True)
+    found = localise(quiet, present=True)
     assert not any(found.location("channel").shares.values())
     added = [np.full_like(one.residual, 2.0 * (one.kind == "relaxation") * (one.channel == "force")) for one in quiet]
-    shown = attributed(found, quiet, added)
+    shown = attribute_to_effects(found, quiet, added)
     assert shown.location("channel").shares["force"] == pytest.approx(1.0)
     assert shown.location("protocol").shares["relaxation"] == pytest.approx(1.0)
     assert shown.p == found.p
@@ -207,5 +201,5 @@ def test_a_named_effect_says_where_it_acts_when_no_block_stands_out() -> None:
 
 def test_what_stands_out_is_not_asked_of_the_effect() -> None:
     loud = campaign(1, tether)
-    found = locate(loud, present=True)
-    assert attributed(found, loud, [np.zeros_like(one.residual) for one in loud]) is found
+    found = localise(loud, present=True)
+    assert attribute_to_effects(found, loud, [np.zeros_like(one.residual) for one in loud]) is found

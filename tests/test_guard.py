@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Block, Side, StageState
+from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
 from dragrig.rig.guard import Guard
-from dragrig.rig.profile import Extremes, MotionProfile, Phase, still, trapezoid
-from dragrig.rig.reading import Look
-from dragrig.rig.trips import Cause, Trip
+from dragrig.rig.profile import MotionExtremes, MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.reading import BlockExtremes
 
 RATE = 1000.0
-MOTION = Extremes(lowest_mm=0.0, highest_mm=40.0, speed_mm_s=20.0, acceleration_mm_s2=400.0)
+MOTION = MotionExtremes(lowest_mm=0.0, highest_mm=40.0, speed_mm_s=20.0, acceleration_mm_s2=400.0)
 CLEAR = StageState(position_mm=40.0, enabled=True, homed=True, moving=False)
 
 
@@ -35,24 +34,24 @@ def block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: i
     return Block(first, {"force": np.full(50, force, np.float32), "position": position.astype(np.float32)})
 
 
-def seen(one: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], Look]:
+def seen(one: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], BlockExtremes]:
     command = (one.channels["position"] + command_off).astype(np.float32)
-    return command, Look.at(one, command)
+    return command, BlockExtremes.at(one, command)
 
 
 def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
     guard = Guard(GuardSettings())
     assert guard.trip is not None
-    assert guard.trip.cause is Cause.START_UP
+    assert guard.trip.cause is TripCause.START_UP
     assert guard.reset(CLEAR) is None
 
 
 def test_a_reset_needs_all_conditions_clear() -> None:
     guard = Guard(GuardSettings())
-    hot = Trip(Cause.DRIVE_FAULT, "the drive reports overheated")
+    hot = Trip(TripCause.DRIVE_FAULT, "the drive reports overheated")
     still = guard.reset(StageState(40.0, enabled=True, homed=True, moving=False, fault=hot))
     assert still is not None
-    assert still.cause is Cause.DRIVE_FAULT
+    assert still.cause is TripCause.DRIVE_FAULT
 
 
 def test_a_run_as_planned_passes() -> None:
@@ -65,16 +64,16 @@ def test_a_run_as_planned_passes() -> None:
 @pytest.mark.parametrize(
     ("bad", "command_off", "cause"),
     [
-        (block(force=8001.0), 0.0, Cause.FORCE),
-        (block(force=-8001.0), 0.0, Cause.FORCE),
-        (block(force=float("nan")), 0.0, Cause.NOT_A_NUMBER),
-        (block(start=40.5), 0.0, Cause.POSITION),
-        (block(start=-1.5, speed=0.0), 0.0, Cause.POSITION),
-        (block(speed=36.0), 0.0, Cause.SPEED),
-        (block(speed=0.0), 0.51, Cause.FOLLOWING_ERROR),
+        (block(force=8001.0), 0.0, TripCause.FORCE),
+        (block(force=-8001.0), 0.0, TripCause.FORCE),
+        (block(force=float("nan")), 0.0, TripCause.NOT_A_NUMBER),
+        (block(start=40.5), 0.0, TripCause.POSITION),
+        (block(start=-1.5, speed=0.0), 0.0, TripCause.POSITION),
+        (block(speed=36.0), 0.0, TripCause.SPEED),
+        (block(speed=0.0), 0.51, TripCause.FOLLOWING_ERROR),
     ],
 )
-def test_each_cause_trips(bad: Block, command_off: float, cause: Cause) -> None:
+def test_each_cause_trips(bad: Block, command_off: float, cause: TripCause) -> None:
     trip = armed().inspect(bad, *seen(bad, command_off), RATE)
     assert trip is not None
     assert trip.cause is cause
@@ -92,7 +91,7 @@ def test_speed_is_seen_across_blocks_and_gaps() -> None:
     assert guard.inspect(first, *seen(first), RATE) is None
     trip = guard.inspect(far, *seen(far), RATE)
     assert trip is not None
-    assert trip.cause is Cause.SPEED
+    assert trip.cause is TripCause.SPEED
 
 
 def test_it_trips_once_and_stays_latched() -> None:
@@ -100,12 +99,12 @@ def test_it_trips_once_and_stays_latched() -> None:
     bad = block(force=9000.0)
     assert guard.inspect(bad, *seen(bad), RATE) is not None
     assert guard.inspect(bad, *seen(bad), RATE) is None
-    assert guard.latch(Trip(Cause.STALE_DATA, "late")) is None
+    assert guard.latch(Trip(TripCause.STALE_DATA, "late")) is None
     assert guard.trip is not None
-    assert guard.trip.cause is Cause.FORCE
+    assert guard.trip.cause is TripCause.FORCE
     good = block()
     assert guard.inspect(good, *seen(good), RATE) is None
-    assert guard.trip.cause is Cause.FORCE
+    assert guard.trip.cause is TripCause.FORCE
 
 
 @pytest.mark.parametrize("offset", range(0, 50, 7))
@@ -120,7 +119,7 @@ def test_a_plain_lag_does_not_trip_where_the_stage_brakes_or_turns(offset: int) 
         command = profile.position(time).astype(np.float32)
         lagging = profile.position(np.maximum(time - 0.02, 0.0)).astype(np.float32)
         one = Block(first, {"force": np.zeros(end - first, np.float32), "position": lagging})
-        assert guard.inspect(one, command, Look.at(one, command), RATE) is None
+        assert guard.inspect(one, command, BlockExtremes.at(one, command), RATE) is None
 
 
 def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
@@ -142,7 +141,7 @@ def driven(
         time = np.arange(first, first + per_block) / RATE
         command = profile.position(time).astype(np.float32)
         one = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
-        if trip := guard.inspect(one, command, Look.at(one, command), RATE):
+        if trip := guard.inspect(one, command, BlockExtremes.at(one, command), RATE):
             return trip
     return None
 
@@ -153,10 +152,10 @@ def driven(
 def test_a_stuck_encoder_is_told_before_anything_else(
     speed: float, accel: float, stuck_s: float, block_s: float
 ) -> None:
-    profile = MotionProfile.from_pieces([still(0.1, Phase.REST), *trapezoid(60.0, speed, accel)])
+    profile = MotionProfile.from_pieces([stationary_piece(0.1, Phase.REST), *trapezoid(60.0, speed, accel)])
     trip = driven(Guard(GuardSettings()), profile, lambda time: profile.position(np.minimum(time, stuck_s)), block_s)
     assert trip is not None
-    assert trip.cause is Cause.ENCODER_SILENT
+    assert trip.cause is TripCause.ENCODER_SILENT
 
 
 def test_one_wire_broken_is_silence_too() -> None:
@@ -165,13 +164,13 @@ def test_one_wire_broken_is_silence_too() -> None:
         Guard(GuardSettings(), count_mm=0.001), profile, lambda time: 0.001 * (np.arange(len(time)) % 2), 0.05
     )
     assert to_and_fro is not None
-    assert to_and_fro.cause is Cause.ENCODER_SILENT
+    assert to_and_fro.cause is TripCause.ENCODER_SILENT
 
 
 @pytest.mark.parametrize(("late_s", "speed", "accel"), [(0.02, 100.0, 3000.0), (0.06, 20.0, 400.0), (0.3, 1.0, 10.0)])
 @pytest.mark.parametrize("offset_s", [0.0, 0.011, 0.023, 0.037])
 def test_a_late_start_is_no_silence(offset_s: float, late_s: float, speed: float, accel: float) -> None:
-    profile = MotionProfile.from_pieces([still(0.2 + offset_s, Phase.REST), *trapezoid(60.0, speed, accel)])
+    profile = MotionProfile.from_pieces([stationary_piece(0.2 + offset_s, Phase.REST), *trapezoid(60.0, speed, accel)])
     settings = GuardSettings(following_error_mm=5.0)
     assert driven(Guard(settings), profile, lambda time: profile.position(time - late_s), 0.05) is None
 
@@ -179,31 +178,31 @@ def test_a_late_start_is_no_silence(offset_s: float, late_s: float, speed: float
 @given(st.lists(st.integers(-3, 3), min_size=400, max_size=400), st.integers(1, 60))
 def test_whatever_an_encoder_shows_is_judged(shown: list[int], per_block: int) -> None:
     positions = 0.001 * np.array(shown)
-    profile = MotionProfile.from_pieces([still(0.05, Phase.REST), *trapezoid(2.0, 10.0, 400.0)])
+    profile = MotionProfile.from_pieces([stationary_piece(0.05, Phase.REST), *trapezoid(2.0, 10.0, 400.0)])
     trip = driven(
         Guard(GuardSettings(), count_mm=0.001), profile, lambda time: positions[: len(time)], per_block / RATE
     )
-    assert trip is None or trip.cause in {Cause.ENCODER_SILENT, Cause.FOLLOWING_ERROR}
+    assert trip is None or trip.cause in {TripCause.ENCODER_SILENT, TripCause.FOLLOWING_ERROR}
 
 
 def test_rest_hold_and_creeping_are_no_silence() -> None:
-    rests = [still(5.0, Phase.REST), *trapezoid(0.1, 0.01, 400.0), still(5.0, Phase.HOLD)]
+    rests = [stationary_piece(5.0, Phase.REST), *trapezoid(0.1, 0.01, 400.0), stationary_piece(5.0, Phase.HOLD)]
     profile = MotionProfile.from_pieces(rests)
     coarse = driven(Guard(GuardSettings()), profile, lambda time: np.rint(profile.position(time) / 0.02) * 0.02, 0.05)
     assert coarse is None
 
 
-def pressed(cause: Cause) -> StageState:
+def pressed(cause: TripCause) -> StageState:
     return replace(CLEAR, fault=Trip(cause, "pressed"))
 
 
 def test_an_override_frees_one_switch_for_one_motion() -> None:
     guard = Guard(GuardSettings())
-    low, high = pressed(Cause.LIMIT_SWITCH_LOW), pressed(Cause.LIMIT_SWITCH_HIGH)
+    low, high = pressed(TripCause.LIMIT_SWITCH_LOW), pressed(TripCause.LIMIT_SWITCH_HIGH)
     assert guard.reset(low) is low.fault
-    assert guard.override(Side.HIGH, low) is low.fault
+    assert guard.override(TravelEnd.HIGH, low) is low.fault
     assert guard.trip is low.fault
-    assert guard.override(Side.LOW, low) is None
+    assert guard.override(TravelEnd.LOW, low) is None
     guard.watch(MOTION)
     assert low.fault is not None
     assert high.fault is not None
@@ -216,8 +215,8 @@ def test_an_override_frees_one_switch_for_one_motion() -> None:
 @pytest.mark.parametrize("reset_between", [False, True])
 def test_an_override_lasts_for_one_motion_only(reset_between: bool) -> None:
     guard = Guard(GuardSettings())
-    low = pressed(Cause.LIMIT_SWITCH_LOW)
-    assert guard.override(Side.LOW, low) is None
+    low = pressed(TripCause.LIMIT_SWITCH_LOW)
+    assert guard.override(TravelEnd.LOW, low) is None
     if reset_between:
         assert guard.reset(CLEAR) is None
     else:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from windows import require_qt
 
-from dragrig.engine_host.messages import Began, Ended, Job, RunBegan, RunEnded, RunLine, Status
+from dragrig.engine_host.messages import QueuedRun, RunFinished, RunStarted, SessionFinished, SessionJob, SessionStarted
+from dragrig.rig.runfile.model import RunStatus
 
 
 @pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
@@ -48,27 +49,27 @@ def test_a_pace_that_the_rig_has_not_is_refused(tmp_path: Path) -> None:
 
 def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
     require_qt()
-    from dragrig.window.run.queue_model import Entry, Queue, Stage
+    from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 
-    queue = Queue()
-    runs = (RunLine(0, "drag", 10.0, 5.0), RunLine(1, "drag", 10.0, 5.0))
-    queue.add(Entry(Job(queue.number(), "drag"), "drag", 30.0, 2))
-    queue.add(Entry(Job(queue.number(), "blank"), "blank", 8.0, 1))
+    queue = SessionQueue()
+    runs = (QueuedRun(0, "drag", 10.0, 5.0), QueuedRun(1, "drag", 10.0, 5.0))
+    queue.add(QueuedSession(SessionJob(queue.number(), "drag"), "drag", 30.0, 2))
+    queue.add(QueuedSession(SessionJob(queue.number(), "blank"), "blank", 8.0, 1))
     assert queue.left_s == 38.0
     first = queue.entries[0]
-    first.stage = Stage.RUNNING
-    queue.begins(Began(1, runs, real_time=True))
+    first.stage = QueueState.RUNNING
+    queue.begins(SessionStarted(1, runs, real_time=True))
     assert (first.left_s, first.share) == (30.0, 0.0)
-    queue.run_begins(RunBegan(runs[0], 0))
+    queue.run_begins(RunStarted(runs[0], 0))
     first.elapsed_s = 2.0
     assert first.left_s == 18.0
-    queue.run_ends(RunEnded(runs[0], 0, Status.COMPLETE, "", 5000, ()))
+    queue.run_ends(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
     assert (first.left_s, first.share, first.place) == (15.0, 0.5, 2)
-    queue.run_begins(RunBegan(runs[0], 1))
+    queue.run_begins(RunStarted(runs[0], 1))
     assert (first.left_s, first.place) == (20.0, 1)  # made again
-    queue.run_begins(RunBegan(runs[1], 2))
+    queue.run_begins(RunStarted(runs[1], 2))
     assert (first.left_s, first.place) == (5.0, 2)  # whatever became of the one before
     first.elapsed_s = 5.0
-    queue.ends(Ended(1, Status.TRIPPED, "force: too much"))
-    assert (first.stage, first.reason, queue.left_s) == (Stage.TRIPPED, "force: too much", 8.0)
+    queue.ends(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
+    assert (first.stage, first.reason, queue.left_s) == (QueueState.TRIPPED, "force: too much", 8.0)
     assert queue.next is queue.entries[1]

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from friction_cases import blank, moves, sliding, sticking
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.effects.base import ForceEffect, Place
-from dragrig.sim_backend.effects.catalogue import catalogue, find_effect
-from dragrig.sim_backend.effects.scene import Scene, gut_scene
+from dragrig.sim_backend.effects.base import EffectLocation, ForceEffect, catalogue, find_effect
+from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
 CLOSED_ONLY = {"adhesion", "folds", "mesentery_tether", "peristalsis", "wall_lift_off", "wall_inertia"}
@@ -28,24 +27,24 @@ GUT = tuple(
 TRAVEL = 40.0
 
 
-def seen(acquisition: Acquisition, session_s: float = 0.0, step_s: float = 0.01) -> Scene:
+def seen(acquisition: Acquisition, session_s: float = 0.0, step_s: float = 0.01) -> RunState:
     motion = ProfileMotion.of(acquisition.profile)
     time = np.arange(0.0, acquisition.profile.duration_s, step_s)
-    return gut_scene(acquisition, FrictionModelSettings(), motion, time, session_s)
+    return gut_run_state(acquisition, FrictionModelSettings(), motion, time, session_s)
 
 
 @cache
-def drag(speed_mm_s: float = 10.0, session_s: float = 500.0) -> Scene:
+def drag(speed_mm_s: float = 10.0, session_s: float = 500.0) -> RunState:
     return seen(sliding(moves((TRAVEL, speed_mm_s))), session_s)
 
 
 @cache
-def coulomb(speed_mm_s: float = 5.0) -> Scene:
+def coulomb(speed_mm_s: float = 5.0) -> RunState:
     return seen(sliding(moves((TRAVEL, speed_mm_s)), fixture=Fixture.VACUUM), 500.0)
 
 
 @cache
-def relaxation(strain: float = 1.0, session_s: float = 500.0) -> Scene:
+def relaxation(strain: float = 1.0, session_s: float = 500.0) -> RunState:
     return seen(sticking(moves((2.5 * strain, 20.0), acceleration=2000.0, hold=20.0), strain), session_s)
 
 
@@ -59,24 +58,24 @@ def effect(name: str) -> ForceEffect:
     return found
 
 
-def added(name: str, scene: Scene, **values: float) -> FloatArray:
+def added(name: str, scene: RunState, **values: float) -> FloatArray:
     one = effect(name)
     return one.added(scene, {**one.usual, **values})
 
 
-def middle(scene: Scene, force: FloatArray) -> float:
+def middle(scene: RunState, force: FloatArray) -> float:
     """Return the mean over the middle of the travel."""
     half = 0.5 * np.abs(scene.position_mm).max()
     return float(force[np.abs(np.abs(scene.position_mm) - half) < 0.25 * half].mean())
 
 
-def holding(scene: Scene) -> FloatArray:
+def holding(scene: RunState) -> FloatArray:
     return np.asarray(scene.stance.since_stop_s > 0.1)
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
 @pytest.mark.parametrize("scene", [drag(), coulomb(), relaxation()], ids=["drag", "coulomb", "relaxation"])
-def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, scene: Scene) -> None:
+def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, scene: RunState) -> None:
     assert not one.added(scene, {**one.usual, one.size.name: 0.0}).any()
     for shape in one.shapes:
         for value in shape.tried:
@@ -106,9 +105,9 @@ def test_the_force_at_a_time_does_not_depend_on_which_other_times_are_asked_for(
     acquisition = sliding(there_and_back())
     motion = ProfileMotion.of(acquisition.profile)
     some = np.sort(np.random.default_rng(1).uniform(0.0, acquisition.profile.duration_s, 50))
-    alone = gut_scene(acquisition, FrictionModelSettings(), motion, some, 100.0)
+    alone = gut_run_state(acquisition, FrictionModelSettings(), motion, some, 100.0)
     dense = np.union1d(some, np.arange(0.0, acquisition.profile.duration_s, 0.003))
-    among = gut_scene(acquisition, FrictionModelSettings(), motion, dense, 100.0)
+    among = gut_run_state(acquisition, FrictionModelSettings(), motion, dense, 100.0)
     kept = one.added(among, one.usual)[np.searchsorted(dense, some)]
     assert one.added(alone, one.usual) == pytest.approx(kept, abs=1e-6)
 
@@ -126,7 +125,7 @@ def test_neighbouring_shapes_overlap(one: ForceEffect) -> None:
             assert float(left @ right) > 0.8
 
 
-def signature(one: ForceEffect, scenes: tuple[Scene, ...], values: Mapping[str, float]) -> FloatArray:
+def signature(one: ForceEffect, scenes: tuple[RunState, ...], values: Mapping[str, float]) -> FloatArray:
     parts = [one.added(scene, {**one.usual, **values}) / np.sqrt(scene.time_s.size) for scene in scenes]
     whole = np.concatenate(parts)
     return np.asarray(whole / np.linalg.norm(whole))
@@ -136,7 +135,7 @@ def test_the_catalogue_has_them_all_with_a_source_and_a_place() -> None:
     assert {one.id for one in GUT} == CLOSED_ONLY | TISSUE | INTERFACE
     for one in GUT:
         assert len(one.source) > 20
-        assert one.place in {Place.WALL, Place.INTERFACE, Place.SPECIMEN}
+        assert one.place in {EffectLocation.WALL, EffectLocation.INTERFACE, EffectLocation.SPECIMEN}
         assert one.size.low <= one.size.usual <= one.size.high
         assert all(shape.low <= value <= shape.high for shape in one.shapes for value in shape.tried)
 

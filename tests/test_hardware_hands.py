@@ -8,20 +8,17 @@ import pytest
 from simulated import acquire, stroke
 
 from dragrig.config.errors import DeviceError, TrippedError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.calibrating import push, weigh
-from dragrig.rig.devices import Side
+from dragrig.rig.devices import BackendRequest, TravelEnd, TripCause
 from dragrig.rig.engine import Engine
-from dragrig.rig.fitting import encoder_line, force_line
 from dragrig.rig.guard import Guard
-from dragrig.rig.manual import Manual
-from dragrig.rig.people import Answer, Prompt
+from dragrig.rig.manual import ManualControl
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.reading import Reading
-from dragrig.rig.trips import Cause
+from dragrig.rig.sensor_calibration import fit_encoder, fit_force, measure_loads, measure_pushed_travel
 from dragrig.sim_backend.doubles.backend import DoubleBackend
-from dragrig.sim_backend.doubles.world.mishaps import Mishaps
+from dragrig.sim_backend.doubles.fault_injection import FaultInjector
 
 # On a busy machine a start can be late, and so can samples.
 RIG = RigSettings.model_validate(
@@ -37,13 +34,13 @@ class Bench:
     """An open double, and a person who does what is asked of hands."""
 
     backend: DoubleBackend
-    mishaps: Mishaps
+    mishaps: FaultInjector
     guard: Guard
     engine: Engine
     prompts: list[Prompt]
 
     def __post_init__(self) -> None:
-        self.manual = Manual(self.backend, self.guard, self.engine, self)
+        self.manual = ManualControl(self.backend, self.guard, self.engine, self)
 
     def ask(self, prompt: Prompt) -> Answer:
         self.prompts.append(prompt)
@@ -52,7 +49,7 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    mishaps = Mishaps()
+    mishaps = FaultInjector()
     backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), mishaps)
     try:
         guard = Guard(RIG.guard, 0.001)
@@ -72,12 +69,12 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     with pytest.raises(TrippedError, match="upper limit switch"):
         manual.reset()
     begin = manual.position_mm
-    assert manual.jog(-1.0, override=Side.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
+    assert manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
     assert manual.trip is not None
-    assert manual.trip.cause is Cause.LIMIT_SWITCH_HIGH
+    assert manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
     bench.mishaps.strike(e_stop_pressed=True)
     with pytest.raises(TrippedError, match="emergency stop"):
-        manual.jog(-1.0, override=Side.HIGH)
+        manual.jog(-1.0, override=TravelEnd.HIGH)
     bench.mishaps.repair()
     manual.reset()
     manual.jog(-1.0)
@@ -96,18 +93,18 @@ def test_a_person_touches_off(bench: Bench) -> None:
 
 def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> None:
     bench.manual.reset()
-    points = list(weigh(bench.backend, RIG, bench.manual, (0.0, 20.0, 50.0, 100.0), 2, 0.5))
-    line = force_line([one.load_mN for one in points], [one.reading.force_V for one in points])
+    points = list(measure_loads(bench.backend, RIG, bench.manual, (0.0, 20.0, 50.0, 100.0), 2, 0.5))
+    line = fit_force([one.load_mN for one in points], [one.reading.force_V for one in points])
     assert abs(line.gain - RIG.hardware.card.force.per_V) < 5 * line.gain_error + 1.0
     assert line.residual < RIG.force_sensor.accuracy_mN
     with pytest.raises(DeviceError, match="overloaded"):
-        list(weigh(bench.backend, RIG, bench.manual, (0.0, 2000.0), 1, 0.1))
+        list(measure_loads(bench.backend, RIG, bench.manual, (0.0, 2000.0), 1, 0.1))
 
 
 def test_a_known_push_gives_back_the_length_of_a_count(bench: Bench) -> None:
     bench.manual.reset()
-    points = list(push(bench.backend, bench.manual, (20.0, -20.0, 20.0), 1.0))
-    line = encoder_line([one.travel_mm for one in points], [one.counts for one in points])
+    points = list(measure_pushed_travel(bench.backend, bench.manual, (20.0, -20.0, 20.0), 1.0))
+    line = fit_encoder([one.travel_mm for one in points], [one.counts for one in points])
     assert line.gain == pytest.approx(1e-3 * RIG.encoder.resolution_um, rel=1e-3)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import CardSettings, DriveSettings, HardwareSettings
-from dragrig.rig.hardware.owner import Owner, machine_folder, rig_name
+from dragrig.rig.hardware.rig_lock import RigLock, lock_name, machine_lock_folder
 
 HOLDER = """
 import sys, time
@@ -49,10 +49,10 @@ def test_a_second_program_is_refused_and_told_who_holds_the_rig(
     holder: "subprocess.Popen[str]", tmp_path: Path
 ) -> None:
     with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} is at this rig") as refused:
-        Owner(rig(), tmp_path)
+        RigLock(rig(), tmp_path)
     assert str(refused.value).count(".") == 1
-    Owner(rig(port="COM2"), tmp_path).close()
-    Owner(rig(device="Dev2"), tmp_path).close()
+    RigLock(rig(port="COM2"), tmp_path).close()
+    RigLock(rig(device="Dev2"), tmp_path).close()
 
 
 def test_a_rig_that_was_let_go_is_free_while_its_program_lives(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
@@ -61,24 +61,24 @@ def test_a_rig_that_was_let_go_is_free_while_its_program_lives(holder: "subproce
     holder.stdin.write("\n")
     holder.stdin.flush()
     assert holder.stdout.readline() == "let go\n"
-    Owner(rig(), tmp_path).close()
+    RigLock(rig(), tmp_path).close()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_killed_program_holds_nothing(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
-    with Owner(rig(), tmp_path), pytest.raises(DeviceError, match=str(os.getpid())):
-        Owner(rig(), tmp_path)
+    with RigLock(rig(), tmp_path), pytest.raises(DeviceError, match=str(os.getpid())):
+        RigLock(rig(), tmp_path)
 
 
 def test_letting_go_twice_frees_nobody_elses_rig(tmp_path: Path) -> None:
-    first = Owner(rig(), tmp_path)
+    first = RigLock(rig(), tmp_path)
     first.close()
-    with Owner(rig(), tmp_path):
+    with RigLock(rig(), tmp_path):
         first.close()
         with pytest.raises(DeviceError, match=f"process {os.getpid()}"):
-            Owner(rig(), tmp_path)
+            RigLock(rig(), tmp_path)
 
 
 def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> None:
@@ -86,21 +86,21 @@ def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> Non
     port.write_text("", "utf-8")
     link = tmp_path / "by-id"
     link.symlink_to(port)
-    assert rig_name(rig(port=str(port))) == rig_name(rig(port=str(link)))
-    assert rig_name(rig("dev1", "com1")) == rig_name(rig("Dev1", "COM1"))
-    names = {rig_name(rig(port=one)) for one in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
+    assert lock_name(rig(port=str(port))) == lock_name(rig(port=str(link)))
+    assert lock_name(rig("dev1", "com1")) == lock_name(rig("Dev1", "COM1"))
+    names = {lock_name(rig(port=one)) for one in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
     assert len(names) == 3
 
 
 def test_every_user_of_the_machine_comes_to_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     if not any(Path(one).is_dir() for one in ("/run/lock", "/var/lock")):
         pytest.skip("this machine has no folder for locks")
-    before = machine_folder()
+    before = machine_lock_folder()
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert machine_folder() == before
+    assert machine_lock_folder() == before
 
 
 def test_a_folder_that_refuses_is_told(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("", "utf-8")
     with pytest.raises(DeviceError, match="see who may write there"):
-        Owner(rig(), tmp_path / "taken")
+        RigLock(rig(), tmp_path / "taken")

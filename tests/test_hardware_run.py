@@ -12,12 +12,12 @@ import pytest
 
 import dragrig
 from dragrig.cli import main
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.people import Answer, Nobody, Prompt
-from dragrig.rig.runfile import campaign
-from dragrig.rig.runfile.model import Run, Status
+from dragrig.rig.devices import BackendRequest
+from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.model import Run, RunStatus
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 
 PLAN = """
@@ -50,7 +50,7 @@ SWIFT = (
 NOISE_MN = 1.6
 
 
-class Hands(Nobody):
+class Hands(NullOperator):
     def __init__(self) -> None:
         self.prompts: list[str] = []
 
@@ -82,11 +82,11 @@ def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(pl
     real.session.require()
     simulated = dragrig.run(plan, backend="simulated", out="simulated", assignments=SWIFT)
     assert len([text for text in hands.prompts if text in {"Fit a specimen", "Lay the gut on the foam"}]) == 2
-    pairs = list(zip(campaign(Path("real")).runs, campaign(Path("simulated")).runs, strict=True))
+    pairs = list(zip(read_campaign(Path("real")).runs, read_campaign(Path("simulated")).runs, strict=True))
     assert [one.kind for one, _ in pairs] == ["relaxation", "return", "drag", "return"]
     for one_info, other_info in pairs:
         one, other = dragrig.load(one_info.path), dragrig.load(other_info.path)
-        assert one_info.status is other_info.status is Status.COMPLETE
+        assert one_info.status is other_info.status is RunStatus.COMPLETE
         assert one_info.samples == other_info.samples
         assert one_info.checks["lost_samples"] == 0
         late = lateness_s(one, other)
@@ -99,7 +99,7 @@ def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(pl
         off = (np.interp(at, one.trace.time, one.trace.force) - other.trace.force)[quiet]
         assert abs(float(off.mean())) < 0.5 * NOISE_MN
         assert float(off.std()) < 2 * NOISE_MN
-    assert simulated.session.status is Status.COMPLETE
+    assert simulated.session.status is RunStatus.COMPLETE
     entry = pairs[0][0].header.entry
     assert (pairs[0][0].header.backend, entry["double"], entry["card_product"]) == ("simulated", "hardware", "PCI-6229")
     assert "inserted_at" in entry

@@ -8,22 +8,22 @@ from pathlib import Path
 
 import pytest
 
+from dragrig.campaign_session import SessionOptions, run_session
 from dragrig.config.errors import PlanError, RecordingError
 from dragrig.rig.memory import MemorySink, MemoryStore
-from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import RunHeader, Status
+from dragrig.rig.runfile.model import RunHeader, RunStatus
 from dragrig.rig.session import SessionResult
-from dragrig.sessions import Terms, carry_out
 from dragrig.setup import resolve
 
 
-def carried_out(person: Nobody, store: MemoryStore | None = None, *assignments: str) -> SessionResult:
+def carried_out(person: NullOperator, store: MemoryStore | None = None, *assignments: str) -> SessionResult:
     setup = resolve("drag", assignments=["travel_mm=10", "rig.data.root='.'", *assignments])
-    return carry_out(setup, lambda _record: nullcontext(store or MemoryStore()), Terms(Path()), person)
+    return run_session(setup, lambda _record: nullcontext(store or MemoryStore()), SessionOptions(Path()), person)
 
 
-class Interrupting(Nobody):
+class Interrupting(NullOperator):
     """Presses Ctrl-C, or sends another signal, in the middle of a run."""
 
     def __init__(self, number: signal.Signals) -> None:
@@ -45,14 +45,14 @@ def test_a_signal_ends_the_session_in_good_order(number: signal.Signals, reason:
     store = MemoryStore()
     person = Interrupting(number)
     result = carried_out(person, store)
-    assert (result.status, result.reason) == (Status.ABORTED, reason)
-    assert [run.info.status for run in store.runs] == [Status.ABORTED]
+    assert (result.status, result.reason) == (RunStatus.ABORTED, reason)
+    assert [run.info.status for run in store.runs] == [RunStatus.ABORTED]
     assert store.runs[0].trace.time[-1] < 2.0
     assert threading.main_thread() not in person.threads
     assert signal.getsignal(number) is before
 
 
-class AtThePrompt(Nobody):
+class AtThePrompt(NullOperator):
     """Answers prompts with an exception, as Ctrl-C and a closed standard input do, or with a word."""
 
     def __init__(self, answer: Answer | BaseException) -> None:
@@ -70,12 +70,12 @@ class AtThePrompt(Nobody):
 def test_ctrl_c_at_a_prompt_ends_the_session(answer: Answer | BaseException) -> None:
     person = AtThePrompt(answer)
     result = carried_out(person)
-    assert result.status is Status.ABORTED
+    assert result.status is RunStatus.ABORTED
     assert result.runs == ()
     assert person.thread is threading.main_thread()
 
 
-class PressingCtrlC(Nobody):
+class PressingCtrlC(NullOperator):
     """Presses Ctrl-C while a prompt waits for words."""
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -87,7 +87,7 @@ class PressingCtrlC(Nobody):
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 def test_a_prompt_does_not_outlast_ctrl_c() -> None:
     result = carried_out(PressingCtrlC())
-    assert (result.status, result.runs) == (Status.ABORTED, ())
+    assert (result.status, result.runs) == (RunStatus.ABORTED, ())
     assert result.reason == "ended at a prompt"
 
 
@@ -104,7 +104,7 @@ class Refusing(MemoryStore):
 
 def test_an_error_of_the_session_reaches_the_caller() -> None:
     with pytest.raises(RecordingError, match="no room"):
-        carried_out(Nobody(), Refusing())
+        carried_out(NullOperator(), Refusing())
 
 
 def test_nothing_is_asked_of_a_plan_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:

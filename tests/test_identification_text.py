@@ -9,37 +9,36 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.analysis.estimates import Estimate, missing
-from dragrig.analysis.identification.results import (
-    Boundary,
-    Coulomb,
+from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion, missing
+from dragrig.analysis.identification.identification import (
+    CoulombResult,
     CoulombRun,
-    Determination,
-    Drag,
-    ElementsTest,
+    DragResult,
     Identification,
-    Identified,
     JointFit,
-    LeftOut,
     LogLaw,
-    Quantity,
-    Relaxation,
+    ParameterEstimate,
     RelaxationFit,
+    RelaxationResult,
     RunResidual,
+    SpeedBandR2,
+    SpeedBoundary,
     SpeedPoint,
     StrainLaw,
+    ThirdBranchTest,
 )
-from dragrig.cli.identification import identification_text
-from dragrig.cli.precision import to_error
-from dragrig.identification_json import identification_table
+from dragrig.present.document import rounded_to_error
+from dragrig.present.identification import identification_json, identification_text
 
 
-def quantity(name: str, value: float, error: float, unit: str = "1") -> Quantity:
-    return Quantity(name, unit, value, error, (value - 2 * error, value + 2 * error))
+def quantity(name: str, value: float, error: float, unit: str = "1") -> EstimatedQuantity:
+    return EstimatedQuantity(name, unit, value, error, (value - 2 * error, value + 2 * error))
 
 
-def identified(name: str, value: float, error: float, learnt: float, unit: str = "1") -> Identified:
-    return Identified(name, unit, value, error, (value - 2 * error, value + 2 * error), (0.7, 1.3), learnt, "a scale")
+def identified(name: str, value: float, error: float, learnt: float, unit: str = "1") -> ParameterEstimate:
+    return ParameterEstimate(
+        name, unit, value, error, (value - 2 * error, value + 2 * error), (0.7, 1.3), learnt, "a scale"
+    )
 
 
 def residual(file: str, chi2: float = 1.02) -> RunResidual:
@@ -73,7 +72,7 @@ ELEMENTS = (
 )
 ALIKE = np.eye(5)
 ALIKE[3, 0] = ALIKE[0, 3] = -0.97
-RELAXATION = Relaxation(
+RELAXATION = RelaxationResult(
     fits=(
         RelaxationFit(
             "000-relaxation.h5",
@@ -84,7 +83,7 @@ RELAXATION = Relaxation(
             Estimate(1.4, 0.3),
             172.7,
             161,
-            ElementsTest(True, 0.39, None, None, "Five elements suffice."),
+            ThirdBranchTest(True, 0.39, None, None, "Five elements suffice."),
             converged=True,
         ),
         RelaxationFit("001-relaxation.h5", 1.0, remark="its ramp is clipped"),
@@ -92,7 +91,7 @@ RELAXATION = Relaxation(
     laws=(StrainLaw("eta1", "kPa·s", (0.5, 1.0, 2.0), (-0.25, 0.5, 2.0), np.diag([1e-4, 1e-4, 4e-4]), None),),
     remarks=("three strains leave no degree of freedom",),
 )
-COULOMB = Coulomb(
+COULOMB = CoulombResult(
     runs=(
         CoulombRun(
             "006-coulomb.h5", 0.5, 491.313, Estimate(40.07, 0.33), Estimate(0.08156, 0.00067),
@@ -102,19 +101,19 @@ COULOMB = Coulomb(
     mu=Estimate(0.08156, 0.00067),
     mu_without_viscous=missing("no run shows it"),
 )  # fmt: skip
-DRAG = Drag(
+DRAG = DragResult(
     points=(
         SpeedPoint(0.5, 2, Estimate(87.09, 0.62), 33.74, 0.73, 47.94),
         SpeedPoint(60.0, 1, missing("it is clipped"), 84.4, 9.1, 55.1),
     ),
     log_law=LogLaw(quantity("intercept", 88.66, 0.34, "mN"), quantity("slope", 14.05, 0.18, "mN"), -0.6, 0.912, 2e-7),
-    boundary=Boundary(20.0, (15.0, 31.0), 0.01, "The two part ways at 20 mm/s."),
-    determination=(Determination("up to 20 mm/s", 2, None, None),),
+    boundary=SpeedBoundary(20.0, (15.0, 31.0), 0.01, "The two part ways at 20 mm/s."),
+    determination=(SpeedBandR2("up to 20 mm/s", 2, None, None),),
 )
 WHOLE = Identification(
     specimen="jejunum",
     used=("000-relaxation.h5", "010-drag.h5"),
-    left_out=(LeftOut("003-drag.h5", "it is marked bad: slipped"),),
+    left_out=(Exclusion("003-drag.h5", "it is marked bad: slipped"),),
     joint=JOINT,
     relaxation=RELAXATION,
     coulomb=COULOMB,
@@ -168,7 +167,7 @@ def test_what_runs_do_not_determine_stands_without_a_number() -> None:
     assert line(text, "dwell_scale").split()[:5] == ["dwell_scale", "-", "0.70", "to", "1.30"]
     nothing = tuple(replace(one, learnt=0.02) for one in JOINT.parameters)
     assert "determine NONE" in identification_text(replace(WHOLE, joint=replace(JOINT, parameters=nothing)))
-    joint = identification_table(WHOLE)["joint"]
+    joint = identification_json(WHOLE)["joint"]
     assert isinstance(joint, dict)
     dwell = joint["parameters"]["dwell_scale"]
     assert (dwell["determined"], dwell["value"], dwell["interval_95"]) == (False, None, None)
@@ -191,12 +190,12 @@ def test_parts_that_are_not_there_are_named_and_nothing_is_made_up() -> None:
         assert words in text
     assert "Left out" not in text
     assert "1 run used" in text
-    table = identification_table(bare)
+    table = identification_json(bare)
     assert [table[key] for key in ("joint", "relaxation", "coulomb", "drag")] == [None] * 4
-    no_mu = Coulomb((), missing("none"), missing("none"))
-    empty = Identification("s", (), (), None, Relaxation((), ()), no_mu, Drag((), None, None))
+    no_mu = CoulombResult((), missing("none"), missing("none"))
+    empty = Identification("s", (), (), None, RelaxationResult((), ()), no_mu, DragResult((), None, None))
     assert "from 0 of 0 runs" in identification_text(empty)
-    json.dumps(identification_table(empty), allow_nan=False)
+    json.dumps(identification_json(empty), allow_nan=False)
 
 
 def test_a_law_reads_as_a_polynomial_with_errors() -> None:
@@ -205,7 +204,7 @@ def test_a_law_reads_as_a_polynomial_with_errors() -> None:
 
 
 def test_json_names_units_in_its_keys_and_holds_everything() -> None:
-    table = json.loads(json.dumps(identification_table(WHOLE), allow_nan=False))
+    table = json.loads(json.dumps(identification_json(WHOLE), allow_nan=False))
     joint = table["joint"]
     assert set(joint["parameters"]) == {"stiffness_scale", "dwell_scale", "angle_deg"}
     assert joint["parameters"]["stiffness_scale"]["interval_95"] == pytest.approx([0.9831, 1.1191])
@@ -231,18 +230,20 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 
 @given(anything, anything, anything)
 def test_no_number_breaks_text_or_json(value: float, error: float, p_value: float) -> None:
-    odd = Identified("x", "mN·s/mm", value, error, (value, error), (error, value), abs(p_value), "odd")
+    odd = ParameterEstimate("x", "mN·s/mm", value, error, (value, error), (error, value), abs(p_value), "odd")
     matrix = np.full((1, 1), value)
     joint = replace(JOINT, parameters=(odd,), combinations=(odd,), chi2=value, p_value=p_value, correlation=matrix)
     point = SpeedPoint(abs(value), 1, Estimate(value, error), error, p_value, value)
-    drag = Drag((point,), LogLaw(odd, odd, value, value, p_value), Boundary(value, (value, error), p_value, "so"))
+    drag = DragResult(
+        (point,), LogLaw(odd, odd, value, value, p_value), SpeedBoundary(value, (value, error), p_value, "so")
+    )
     whole = replace(WHOLE, joint=joint, drag=drag)
     assert "x" in identification_text(whole)
-    table = json.loads(json.dumps(identification_table(whole), allow_nan=False))
+    table = json.loads(json.dumps(identification_json(whole), allow_nan=False))
     found = table["joint"]["parameters"]["x_mN_s_mm"]["value"]
     assert found == (value if math.isfinite(value) and odd.determined else None)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e3))
 def test_rounding_loses_less_than_a_tenth_of_the_error(value: float, error: float) -> None:
-    assert abs(float(to_error(value, error)) - value) <= 0.1 * error + 1e-9 or error >= 10
+    assert abs(float(rounded_to_error(value, error)) - value) <= 0.1 * error + 1e-9 or error >= 10

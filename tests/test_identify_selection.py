@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.selection import select, select_from
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.selection import select_loaded_runs, select_runs
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import read_run
 
@@ -32,7 +32,7 @@ def change(path: Path, channel: str, how: Callable[[FloatArray], npt.ArrayLike])
 
 
 def reasons(folder: Path) -> dict[str, str]:
-    return {one.what: one.reason for one in select(folder).left_out}
+    return {one.what: one.reason for one in select_runs(folder).left_out}
 
 
 @pytest.mark.parametrize("channel", ["force", "position"])
@@ -81,14 +81,14 @@ def test_many_runs_with_one_fault_are_told_in_one_short_sentence(campaign: Path)
         with h5py.File(path, "r+") as file:
             file["entry"].attrs["status"] = "aborted"
     with pytest.raises(AnalysisError, match=r"001-relaxation\.h5 and 7 more: it is aborted") as told:
-        select(campaign)
+        select_runs(campaign)
     assert len(str(told.value)) < 300
 
 
 def test_a_folder_of_damaged_files_says_what_is_wrong_with_them(tmp_path: Path) -> None:
     (tmp_path / "one.h5").write_bytes(b"nothing")
     with pytest.raises(AnalysisError, match=r"one\.h5"):
-        select(tmp_path)
+        select_runs(tmp_path)
 
 
 def test_a_name_that_two_specimens_share_is_not_guessed(campaign: Path) -> None:
@@ -96,15 +96,15 @@ def test_a_name_that_two_specimens_share_is_not_guessed(campaign: Path) -> None:
         with h5py.File(path, "r+") as file:
             file["entry/specimen"].attrs["id"] = "a" if "drag" in path.name else "b"
     with pytest.raises(AnalysisError, match="several specimens are called jejunum; name one of a, b"):
-        select(campaign, "jejunum")
-    assert len(select(campaign, "b").experiments) == 3
+        select_runs(campaign, "jejunum")
+    assert len(select_runs(campaign, "b").experiments) == 3
 
 
 def test_runs_in_memory_that_cannot_be_told_apart_are_refused() -> None:
     run = read_run(CAMPAIGN / "010-drag.h5")
     elsewhere = replace(run, info=replace(run.info, path=Path("other") / run.info.path.name))
     with pytest.raises(AnalysisError, match="several are called"):
-        select_from([run, elsewhere])
+        select_loaded_runs([run, elsewhere])
 
 
 def test_a_drag_that_says_it_had_no_gut_is_no_blank_run(campaign: Path) -> None:
@@ -120,4 +120,4 @@ def test_a_model_that_predicts_nothing_says_what_was_recorded(campaign: Path) ->
             trace.move("force", "motor_force")
             trace.attrs["signal"] = "motor_force"
     with pytest.raises(AnalysisError, match=r"recorded .*motor_force.*; name another model with --nominal"):
-        fit_jointly(select(campaign), MODEL)
+        fit_jointly(select_runs(campaign), MODEL)

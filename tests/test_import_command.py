@@ -9,7 +9,7 @@ import pytest
 
 import dragrig
 from dragrig.cli import main
-from dragrig.rig.protocols.drag import Drag
+from dragrig.rig.protocols.drag import DragProtocol
 
 DRAG = {"speed_mm_s": 2, "travel_mm": 4, "accel_mm_s2": 400, "rest_s": 0, "hold_s": 0}
 KNOWN = ("--kind", "drag", *(word for key, value in DRAG.items() for word in ("--set", f"{key}={value}")))
@@ -78,7 +78,7 @@ def test_settings_that_come_again_stand_in_a_file(importer: Importer) -> None:
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
 def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
-    (run,) = dragrig.simulate(Drag(speed_mm_s=20, travel_mm=10, rest_s=0.2, hold_s=0.2))
+    (run,) = dragrig.simulate(DragProtocol(speed_mm_s=20, travel_mm=10, rest_s=0.2, hold_s=0.2))
     dragrig.export(run, f"run.{form}", format=form)
     importer(f"run.{form}", "--out", "c")
     (info,) = dragrig.campaign("c").runs

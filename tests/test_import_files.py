@@ -12,11 +12,10 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
 from scipy.io import savemat
 
-from dragrig.analysis.export import ExportFormat, export_run
-from dragrig.analysis.exporting.text import CsvStyle
-from dragrig.analysis.filtering import filter_file
+from dragrig.analysis.campaign_table import table_row
+from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
 from dragrig.analysis.importing import ImportSettings, import_file, parse_map
-from dragrig.analysis.table import row_of
+from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import ImportDataError, OutputError, RunFileError
 from dragrig.rig.runfile import read_run, verify
 from dragrig.rig.runfile.model import Run
@@ -83,7 +82,7 @@ def test_a_motor_is_imported_filtered_tabulated_and_exported(tmp_path: Path) -> 
     speed = filtered.channels["speed"] / 5
     per_half_turn = [np.mean(np.split(one[:1500], 3), axis=1) for one in (speed, run.trace.channels["Velocity"])]
     np.testing.assert_allclose(*per_half_turn, rtol=0.05)
-    assert row_of(read_run(run.info.path)).steady_force_mN == pytest.approx(np.mean(run.trace.force[100:]), rel=0.05)
+    assert table_row(read_run(run.info.path)).steady_force_mN == pytest.approx(np.mean(run.trace.force[100:]), rel=0.05)
     assert export_run(run.info.path, tmp_path, ExportFormat.PARQUET).exists()
     assert verify(run.info.path).holds
 

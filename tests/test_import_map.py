@@ -5,10 +5,10 @@ import tomllib
 import pytest
 from pydantic import ValidationError
 
+from dragrig.analysis.importing.foreign import canonical_unit, split_unit, unit_scale
 from dragrig.analysis.importing.mapping import ColumnSource, ImportSettings, parse_map
-from dragrig.analysis.importing.units import canonical, scale_to, unit_of_name
 from dragrig.config.errors import ImportDataError
-from dragrig.config.loading import to_toml
+from dragrig.config.settings import to_toml
 
 
 @pytest.mark.parametrize(
@@ -84,17 +84,17 @@ def test_settings_that_contradict_themselves_are_refused(wrong: dict[str, object
     ],
 )  # fmt: skip
 def test_units_become_ours(quantity: str, unit: str, value: float, ours: float) -> None:
-    assert scale_to(quantity, unit, None, 0.0).apply([value])[0] == pytest.approx(ours, rel=1e-12)
+    assert unit_scale(quantity, unit, None, 0.0).apply([value])[0] == pytest.approx(ours, rel=1e-12)
 
 
 def test_a_factor_calibrates_and_an_offset_comes_last() -> None:
-    assert scale_to("force", "mV", 12.5, -3.0).apply([2.0])[0] == 22
-    assert scale_to("force", "N", -1.0, 1.0).apply([2.0])[0] == -1999
-    assert scale_to("position", "rad", 5.0, 0.0).apply([2.0])[0] == 10
+    assert unit_scale("force", "mV", 12.5, -3.0).apply([2.0])[0] == 22
+    assert unit_scale("force", "N", -1.0, 1.0).apply([2.0])[0] == -1999
+    assert unit_scale("position", "rad", 5.0, 0.0).apply([2.0])[0] == 10
 
 
 def test_a_unit_that_changes_nothing_keeps_every_bit() -> None:
-    assert scale_to("force", "mN", None, 0.0).apply([-0.0, 0.1]).tolist() == [-0.0, 0.1]
+    assert unit_scale("force", "mN", None, 0.0).apply([-0.0, 0.1]).tolist() == [-0.0, 0.1]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_a_unit_that_changes_nothing_keeps_every_bit() -> None:
 )
 def test_a_wrong_unit_is_said_with_what_is_allowed(quantity: str, unit: str, said: str) -> None:
     with pytest.raises(ImportDataError, match=said):
-        scale_to(quantity, unit, None, 0.0)
+        unit_scale(quantity, unit, None, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_wrong_unit_is_said_with_what_is_allowed(quantity: str, unit: str, sai
      ("mPa", None), ("MPa", "MPa"), ("-", "1"), ("foo", None)],
 )  # fmt: skip
 def test_spellings_of_units(text: str, unit: str | None) -> None:
-    assert canonical(text) == unit
+    assert canonical_unit(text) == unit
 
 
 @pytest.mark.parametrize(
@@ -129,4 +129,4 @@ def test_spellings_of_units(text: str, unit: str | None) -> None:
     ],
 )  # fmt: skip
 def test_units_in_the_names_of_columns(name: str, label: str, unit: str | None) -> None:
-    assert unit_of_name(name) == (label, unit)
+    assert split_unit(name) == (label, unit)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dragrig.analysis.importing.foreign import ForeignTable
-from dragrig.analysis.importing.text import read_text
+from dragrig.analysis.importing.readers import read_text
 from dragrig.config.errors import ImportDataError
 
 FOREIGN = Path(__file__).parent / "data" / "foreign"

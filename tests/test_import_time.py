@@ -7,13 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.analysis.importing.motion import detect_phases
-from dragrig.analysis.importing.resample import resample
-from dragrig.analysis.importing.text import read_text
-from dragrig.analysis.importing.timebase import UnevenError, counted, fit_grid
+from dragrig.analysis.importing.conversion import (
+    UnevenRowsError,
+    counted_grid,
+    detect_phases,
+    fit_sample_grid,
+    resample,
+)
+from dragrig.analysis.importing.readers import read_text
 from dragrig.config.errors import ImportDataError
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 
 HERE = Path("clock.csv")
 FOREIGN = Path(__file__).parent / "data" / "foreign"
@@ -36,14 +40,14 @@ def test_an_even_clock_gives_its_rate_and_every_gap(
     index = np.arange(rows)
     for at, count in lost:
         index[at:] += count
-    grid = fit_grid(HERE, stamps(rate, index, 7, start), 0.1)
+    grid = fit_sample_grid(HERE, stamps(rate, index, 7, start), 0.1)
     assert grid.sample_rate_hz == pytest.approx(rate, rel=1e-9)
     np.testing.assert_array_equal(grid.index, index)
     assert sum(event.kind == "gap" for event in grid.events) == np.count_nonzero(np.diff(index) > 1)
 
 
 def test_rounded_stamps_are_put_back_in_their_places() -> None:
-    grid = fit_grid(HERE, stamps(300.0, np.arange(5000), 3), 0.1)
+    grid = fit_sample_grid(HERE, stamps(300.0, np.arange(5000), 3), 0.1)
     assert grid.sample_rate_hz == pytest.approx(300, rel=1e-6)
     np.testing.assert_array_equal(grid.index, np.arange(5000))
     assert grid.events == ()
@@ -53,17 +57,19 @@ def test_rounded_stamps_are_put_back_in_their_places() -> None:
 def test_rows_off_the_grid_are_refused_and_counted() -> None:
     late = stamps(1000.0, np.arange(2000))
     late[700:705] += np.array([0.0024, 0.0016, 0.0012, 0.0007, 0.0003])
-    with pytest.raises(UnevenError, match=r"5 of 2000 rows are off an even rate of 1000 Hz, the first at 0\.7024 s"):
-        fit_grid(HERE, late, 0.1)
-    grid = counted(HERE, late, 2000, 1000.0)
+    with pytest.raises(
+        UnevenRowsError, match=r"5 of 2000 rows are off an even rate of 1000 Hz, the first at 0\.7024 s"
+    ):
+        fit_sample_grid(HERE, late, 0.1)
+    grid = counted_grid(HERE, late, 2000, 1000.0)
     np.testing.assert_array_equal(grid.index, np.arange(2000))
 
 
 def test_the_motors_stalls_are_in_its_positions_so_that_rows_must_not_be_moved() -> None:
     table = read_text(FOREIGN / "cogging" / "speed_test.txt")
     time, position, velocity = (table.columns[k].values for k in (0, 1, 2))
-    with pytest.raises(UnevenError, match=r"rows are off an even rate of 1000 Hz.*resample_hz"):
-        fit_grid(table.path, time, 0.1)
+    with pytest.raises(UnevenRowsError, match=r"rows are off an even rate of 1000 Hz.*resample_hz"):
+        fit_sample_grid(table.path, time, 0.1)
     stall = int(np.diff(time).argmax())
     moved = position[stall + 2] - position[stall + 1]
     assert moved == pytest.approx(velocity[stall + 2] * (time[stall + 1] - time[stall]), rel=0.15)
@@ -74,34 +80,34 @@ def test_the_motors_stalls_are_in_its_positions_so_that_rows_must_not_be_moved()
 
 def test_uneven_and_changing_clocks_are_refused_with_what_can_be_done() -> None:
     sepiolite = read_text(FOREIGN / "velocity-steps" / "sepiolite.txt")
-    with pytest.raises(UnevenError, match=r"0\.126 to 0\.176 s apart.*unevenly.*state resample_hz"):
-        fit_grid(sepiolite.path, sepiolite.columns[0].values, 0.1)
+    with pytest.raises(UnevenRowsError, match=r"0\.126 to 0\.176 s apart.*unevenly.*state resample_hz"):
+        fit_sample_grid(sepiolite.path, sepiolite.columns[0].values, 0.1)
     basalt = read_text(FOREIGN / "velocity-steps" / "basalt.txt")
-    with pytest.raises(UnevenError, match=r"0\.1 s apart at the start and 0\.01 s at the end.*from_s and to_s"):
-        fit_grid(basalt.path, basalt.columns[0].values, 0.1)
+    with pytest.raises(UnevenRowsError, match=r"0\.1 s apart at the start and 0\.01 s at the end.*from_s and to_s"):
+        fit_sample_grid(basalt.path, basalt.columns[0].values, 0.1)
 
 
 def test_a_clock_coarser_than_the_sampling_is_refused_until_the_rate_is_stated() -> None:
     coarse = stamps(3000.0, np.arange(300), 3)
-    with pytest.raises(UnevenError, match=r"several rows have the time .* state sample_rate_hz"):
-        fit_grid(HERE, coarse, 0.1)
-    grid = counted(HERE, coarse, 300, 3000.0)
+    with pytest.raises(UnevenRowsError, match=r"several rows have the time .* state sample_rate_hz"):
+        fit_sample_grid(HERE, coarse, 0.1)
+    grid = counted_grid(HERE, coarse, 300, 3000.0)
     np.testing.assert_allclose(grid.time, np.arange(300) / 3000)
     with pytest.raises(ImportDataError, match=r"300 rows at 1000 Hz span 0\.299 s, their time stamps 0\.1 s"):
-        counted(HERE, coarse, 300, 1000.0)
+        counted_grid(HERE, coarse, 300, 1000.0)
 
 
 def test_a_tolerance_can_be_stated() -> None:
     early = stamps(1000.0, np.arange(500))
     early[250] -= 0.0004
-    np.testing.assert_array_equal(fit_grid(HERE, early, 0.45).index, np.arange(500))
-    with pytest.raises(UnevenError):
-        fit_grid(HERE, early, 0.1)
+    np.testing.assert_array_equal(fit_sample_grid(HERE, early, 0.45).index, np.arange(500))
+    with pytest.raises(UnevenRowsError):
+        fit_sample_grid(HERE, early, 0.1)
 
 
 def test_one_row_has_no_rate() -> None:
     with pytest.raises(ImportDataError, match="1 row only"):
-        fit_grid(HERE, np.array([3.0]), 0.1)
+        fit_sample_grid(HERE, np.array([3.0]), 0.1)
 
 
 def test_resampling_keeps_straight_lines_and_says_what_it_did() -> None:
@@ -134,7 +140,11 @@ def test_gaps_are_never_filled_and_invented_samples_are_counted() -> None:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_phases_of_a_single_move_are_found(direction: int) -> None:
     profile = MotionProfile.from_pieces(
-        (still(1.0, Phase.REST), *trapezoid(direction * 40.0, 20.0, 100.0), still(2.0, Phase.HOLD))
+        (
+            stationary_piece(1.0, Phase.REST),
+            *trapezoid(direction * 40.0, 20.0, 100.0),
+            stationary_piece(2.0, Phase.HOLD),
+        )
     )
     time = np.arange(profile.samples(500.0)) / 500
     found = detect_phases(np.round(profile.position(time), 3), 500.0)

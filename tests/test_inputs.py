@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from dragrig.config.errors import RunFileError
-from dragrig.inputs import run_files
+from dragrig.run_inputs import run_files
 
 
 @pytest.fixture

@@ -9,16 +9,15 @@ import pytest
 
 import dragrig
 from dragrig.analysis.estimates import NORMAL_95, Estimate
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.results import JointFit
-from dragrig.analysis.identification.selection import select_from
-from dragrig.analysis.nominal.capsule import MODEL
-from dragrig.config.model import FrictionModelSettings
+from dragrig.analysis.identification.identification import JointFit
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.selection import select_loaded_runs
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import NoiseSettings, VariationSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.devices.noise import Stream, generator
-from dragrig.sim_backend.devices.variation import draw_run, draw_specimen
+from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
 
 SEEDS = (11, 12, 13)
 PLAN = Plan.model_validate(
@@ -47,8 +46,8 @@ def campaigns() -> tuple[Known, ...]:
     found = []
     for seed in SEEDS:
         drawn = [f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true", "rig.sampling.rate_hz=500"]
-        fit = fit_jointly(select_from(dragrig.simulate(PLAN, assignments=drawn)), MODEL)
-        found.append(Known(seed, draw_specimen(MODEL.settings, seed), fit))
+        fit = fit_jointly(select_loaded_runs(dragrig.simulate(PLAN, assignments=drawn)), MODEL)
+        found.append(Known(seed, draw_specimen_model(MODEL.settings, seed), fit))
     return tuple(found)
 
 
@@ -86,9 +85,9 @@ def test_what_is_each_runs_own_is_as_far_off_as_its_error_says(campaigns: Sequen
     zeros, factors = [], []
     for one in campaigns:
         for order, run in enumerate(one.fit.runs):
-            normal = generator(one.seed, Stream.ZERO, order).standard_normal()
+            normal = random_generator(one.seed, RandomStream.ZERO, order).standard_normal()
             zeros.append(square(run.zero, NoiseSettings().zero_mN * float(normal)))
-            drawn = draw_run(one.specimen, VariationSettings(), one.seed, order)
+            drawn = draw_run_model(one.specimen, VariationSettings(), one.seed, order)
             if run.kind == "relaxation":
                 factors.append(square(run.factors["stiffness"], drawn.stiffness_scale / one.specimen.stiffness_scale))
             else:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.results import JointFit
-from dragrig.analysis.identification.selection import select, select_from
-from dragrig.analysis.nominal.capsule import MODEL
+from dragrig.analysis.identification.identification import JointFit
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.selection import select_loaded_runs, select_runs
 from dragrig.rig.runfile import read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -33,7 +33,7 @@ TRUE = {
 
 @pytest.fixture(scope="module")
 def fit() -> JointFit:
-    return fit_jointly(select(CAMPAIGN), MODEL)
+    return fit_jointly(select_runs(CAMPAIGN), MODEL)
 
 
 def test_a_foreign_specimens_values_lie_within_their_intervals(fit: JointFit) -> None:
@@ -66,7 +66,7 @@ def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
 
 def test_drags_alone_lead_to_a_minimum_where_the_squares_jump() -> None:
     settings = ["rig.sampling.rate_hz=500", "rig.simulated.seed=7", "travel_mm=-40", "speed_mm_s=[1,5,20,40]"]
-    found = fit_jointly(select_from(dragrig.simulate("drag", assignments=settings)), MODEL)
+    found = fit_jointly(select_loaded_runs(dragrig.simulate("drag", assignments=settings)), MODEL)
     assert found.converged
     assert found.chi2 / found.degrees < 1.2
 
@@ -84,11 +84,11 @@ def test_noise_that_was_assumed_excuses_nothing(tmp_path: Path) -> None:
                 values = values + 15.0 * np.sin(2 * np.pi * np.arange(len(values)) / 700.0)
             del trace[name]
             trace.create_dataset(name, data=values).attrs.update(attributes)
-    found = fit_jointly(select(tmp_path), MODEL)
+    found = fit_jointly(select_runs(tmp_path), MODEL)
     assert isnan(found.p_value)
     assert found.chi2 / found.degrees > 2
     assert any("so that one was assumed" in remark for remark in found.remarks)
     (friction,) = (one for one in found.parameters if one.name == "friction_coefficient")
-    with_rest = fit_jointly(select_from([read_run(source)]), MODEL)
+    with_rest = fit_jointly(select_loaded_runs([read_run(source)]), MODEL)
     (known,) = (one for one in with_rest.parameters if one.name == "friction_coefficient")
     assert friction.standard_error > 1.3 * known.standard_error

@@ -8,13 +8,11 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, SettingsError
-from dragrig.config.lab import Calibration
-from dragrig.config.library import find
-from dragrig.config.loading import load
-from dragrig.config.rig import RigSettings
-from dragrig.lab import create
-from dragrig.rig import calibration
-from dragrig.rig.runfile import campaign
+from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.settings import find_settings, load_settings
+from dragrig.lab import create_lab
+from dragrig.rig import lab_folder as calibration
+from dragrig.rig.runfile import read_campaign
 
 
 def entry(name: str, quantity: str = "force") -> Calibration:
@@ -23,9 +21,9 @@ def entry(name: str, quantity: str = "force") -> Calibration:
 
 def test_init_makes_a_lab_whose_rig_is_the_shipped_one(tmp_path: Path) -> None:
     assert main(["init", str(tmp_path / "lab")]) == 0
-    assert load(RigSettings, tmp_path / "lab" / "rig.toml") == find(RigSettings, "rig", "bench")
+    assert load_settings(RigSettings, tmp_path / "lab" / "rig.toml") == find_settings(RigSettings, "rig", "bench")
     assert (tmp_path / "lab" / "runs").is_dir()
-    assert calibration.read(tmp_path / "lab") == ()
+    assert calibration.read_calibrations(tmp_path / "lab") == ()
 
 
 @pytest.mark.parametrize("name", ["rig.toml", "calibration.jsonl"])
@@ -40,47 +38,47 @@ def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.Capt
 def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("", "utf-8")
     with pytest.raises(OutputError, match="taken"):
-        create(tmp_path / "taken")
+        create_lab(tmp_path / "taken")
 
 
 def test_the_history_grows_and_the_last_entry_of_a_quantity_holds(tmp_path: Path) -> None:
-    create(tmp_path)
+    create_lab(tmp_path)
     for one in (entry("a"), entry("b"), entry("c", "encoder")):
-        calibration.append(tmp_path, one)
-    assert [one.id for one in calibration.read(tmp_path)] == ["a", "b", "c"]
-    latest = calibration.latest(tmp_path)
+        calibration.append_calibration(tmp_path, one)
+    assert [one.id for one in calibration.read_calibrations(tmp_path)] == ["a", "b", "c"]
+    latest = calibration.latest_calibration(tmp_path)
     assert latest is not None
     assert latest.id == "b"
 
 
 def test_what_stands_in_the_history_is_never_touched(tmp_path: Path) -> None:
-    create(tmp_path)
+    create_lab(tmp_path)
     history = tmp_path / "calibration.jsonl"
     torn = entry("a").model_dump_json()
     history.write_text(torn, "utf-8")
-    calibration.append(tmp_path, entry("b"))
+    calibration.append_calibration(tmp_path, entry("b"))
     assert history.read_text("utf-8").startswith(torn + "\n")
     with pytest.raises(SettingsError, match="in the history already"):
-        calibration.append(tmp_path, entry("a"))
-    assert len(calibration.read(tmp_path)) == 2
+        calibration.append_calibration(tmp_path, entry("a"))
+    assert len(calibration.read_calibrations(tmp_path)) == 2
 
 
 @pytest.mark.parametrize("line", ["{", "[]", json.dumps({"id": "x"}), '{"id": NaN}', "\xff"])
 def test_a_line_that_is_no_calibration_is_named(tmp_path: Path, line: str) -> None:
     (tmp_path / "calibration.jsonl").write_bytes(entry("a").model_dump_json().encode() + b"\n" + line.encode("latin-1"))
     with pytest.raises(SettingsError, match=r"calibration\.jsonl"):
-        calibration.read(tmp_path)
+        calibration.read_calibrations(tmp_path)
 
 
 def test_run_files_name_the_calibration_that_held(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    create(tmp_path)
-    calibration.append(tmp_path, entry("2024-05-a"))
-    calibration.append(tmp_path, entry("2024-06-b"))
+    create_lab(tmp_path)
+    calibration.append_calibration(tmp_path, entry("2024-05-a"))
+    calibration.append_calibration(tmp_path, entry("2024-06-b"))
     monkeypatch.chdir(tmp_path / "runs")
     assert main(["run", "drag", "--yes", "--set", "travel_mm=10", "--set", "way_back=stay"]) == 0
     (folder,) = (tmp_path / "runs").iterdir()
-    (info,) = campaign(folder).runs
+    (info,) = read_campaign(folder).runs
     assert info.header.entry["calibration_id"] == "2024-06-b"
     assert capsys.readouterr().out.strip() == folder.name

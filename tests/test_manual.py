@@ -8,16 +8,15 @@ import pytest
 from simulated import Handed, settings
 
 from dragrig.config.errors import AbortedError, DeviceError, SettingsError, TrippedError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Side
+from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.manual import Manual
-from dragrig.rig.people import Answer, Prompt
-from dragrig.rig.trips import Cause
+from dragrig.rig.manual import ManualControl
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.sim_backend.devices import DriveFault, Faults, ForceSpike, LimitSwitch, SimulatedBackend
-from dragrig.sim_backend.devices.clock import VirtualClock
+from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 
 
 class Asked:
@@ -38,7 +37,7 @@ class Bench:
     guard: Guard
     engine: Engine
     person: Asked
-    manual: Manual
+    manual: ManualControl
 
     @property
     def at_mm(self) -> float:
@@ -55,7 +54,7 @@ def bench(
     backend = kind(rig, FrictionModelSettings(), VirtualClock(datetime(2026, 5, 4, tzinfo=UTC)), faults or Faults())
     guard = Guard(rig.guard)
     engine = Engine(backend, rig, guard)
-    return Bench(backend, guard, engine, person, Manual(backend, guard, engine, person))
+    return Bench(backend, guard, engine, person, ManualControl(backend, guard, engine, person))
 
 
 def test_nothing_moves_before_the_guard_is_reset() -> None:
@@ -156,7 +155,7 @@ def test_homing_asks_and_at_a_real_rig_only_hands_may_answer() -> None:
     assert not refused.backend.stage.state().homed
 
 
-AT_100 = Faults(limit_switch=LimitSwitch(Side.HIGH, 100.0))
+AT_100 = Faults(limit_switch=LimitSwitch(TravelEnd.HIGH, 100.0))
 
 
 def on_the_switch(*answers: Answer, kind: Callable[..., SimulatedBackend] = SimulatedBackend) -> Bench:
@@ -173,27 +172,29 @@ def on_the_switch(*answers: Answer, kind: Callable[..., SimulatedBackend] = Simu
 def test_one_slow_jog_leads_off_a_pressed_switch() -> None:
     one = on_the_switch()
     begin = one.at_mm
-    assert one.manual.jog(-1.0, override=Side.HIGH) == pytest.approx(begin - 1.0, abs=0.001)
+    assert one.manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.001)
     assert one.manual.trip is not None
-    assert one.manual.trip.cause is Cause.LIMIT_SWITCH_HIGH
+    assert one.manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
     with pytest.raises(TrippedError):
         one.manual.jog(-1.0)
-    one.manual.jog(-4.0, override=Side.HIGH)
+    one.manual.jog(-4.0, override=TravelEnd.HIGH)
     assert one.manual.trip is None
     one.manual.jog(-5.0)
     with pytest.raises(DeviceError, match="nothing to override"):
-        one.manual.jog(-1.0, override=Side.HIGH)
+        one.manual.jog(-1.0, override=TravelEnd.HIGH)
 
 
 @pytest.mark.parametrize(
     ("distance", "speed", "side", "word"),
     [
-        (1.0, None, Side.HIGH, "onto"),
-        (-1.0, 2.1, Side.HIGH, "up to 2 mm/s"),
-        (1.0, None, Side.LOW, "high end is pressed"),
+        (1.0, None, TravelEnd.HIGH, "onto"),
+        (-1.0, 2.1, TravelEnd.HIGH, "up to 2 mm/s"),
+        (1.0, None, TravelEnd.LOW, "high end is pressed"),
     ],
 )
-def test_an_override_frees_no_more_than_it_says(distance: float, speed: float | None, side: Side, word: str) -> None:
+def test_an_override_frees_no_more_than_it_says(
+    distance: float, speed: float | None, side: TravelEnd, word: str
+) -> None:
     one = on_the_switch()
     begin = one.at_mm
     with pytest.raises((SettingsError, TrippedError), match=word):
@@ -206,7 +207,7 @@ def test_an_override_that_is_not_agreed_to_frees_nothing() -> None:
     one = on_the_switch()
     one.person.answers = [Answer.ABORT]
     with pytest.raises(AbortedError):
-        one.manual.jog(-1.0, override=Side.HIGH)
+        one.manual.jog(-1.0, override=TravelEnd.HIGH)
     assert one.backend.stage.fault is not None
     with pytest.raises(TrippedError):
         one.manual.jog(-1.0)
@@ -216,7 +217,7 @@ def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
     one = on_the_switch()
     one.backend.sampler._faults = Faults(force_spike=ForceSpike(0.3, 9000.0))
     with pytest.raises(TrippedError, match="force of"):
-        one.manual.jog(-4.0, override=Side.HIGH)
+        one.manual.jog(-4.0, override=TravelEnd.HIGH)
     assert one.at_mm > 99.0
 
 
@@ -288,7 +289,7 @@ def test_an_override_that_failed_leaves_nothing_free(monkeypatch: pytest.MonkeyP
     with monkeypatch.context() as patched:
         patched.setattr(one.backend.stage, "enable", refuse)
         with pytest.raises(DeviceError, match="refuses"):
-            one.manual.jog(-1.0, override=Side.HIGH)
+            one.manual.jog(-1.0, override=TravelEnd.HIGH)
     at_mm = one.at_mm
     with pytest.raises(TrippedError, match="reset"):
         one.manual.jog(-1.0)

@@ -12,18 +12,18 @@ import add_ons
 import pytest
 
 from dragrig.cli import main
-from dragrig.config.lab import ContactPoint
-from dragrig.config.loading import load
-from dragrig.lab import create
-from dragrig.rig import contact
+from dragrig.config.rig import ContactPoint
+from dragrig.config.settings import load_settings
+from dragrig.lab import create_lab
+from dragrig.rig import lab_folder as contact
 from dragrig.rig.devices import Block
-from dragrig.rig.runfile import campaign
-from dragrig.sim_backend.devices.sampler import SimulatedSampler
+from dragrig.rig.runfile import read_campaign
+from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    create(tmp_path / "lab")
+    create_lab(tmp_path / "lab")
     monkeypatch.chdir(tmp_path / "lab")
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     return tmp_path / "lab"
@@ -148,17 +148,17 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 
 def test_a_contact_is_kept_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
-    kept = load(ContactPoint, lab / "contact.toml")
+    kept = load_settings(ContactPoint, lab / "contact.toml")
     assert kept.operator == "Ada"
     assert abs(kept.force_mN) >= 20.0
     moved = kept.model_copy(update={"position_mm": 61.5})
-    contact.write(lab, moved)
+    contact.write_contact(lab, moved)
     from_contact = ["--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=-10"]
     short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
     assert main(["check", "drag", *from_contact, *short, "--json"]) == 0
     capsys.readouterr()
     assert main(["run", "drag", "--yes", "--out", "c", *from_contact, *short]) == 0
-    (info,) = campaign(lab / "c").runs
+    (info,) = read_campaign(lab / "c").runs
     assert info.header.entry["origin_mm"] == pytest.approx(51.5, abs=0.001)
     assert info.header.entry["contact_mm"] == 61.5
     capsys.readouterr()
@@ -190,7 +190,7 @@ def test_a_resumed_campaign_takes_the_contact_that_holds_now(lab: Path, capsys: 
     contact_file.write_text('position_mm = 60.0\nmade_at = "2026-05-05T09:00:00Z"\nforce_mN = 20.0\n', "utf-8")
     assert main(["run", "--resume", "runs/c", "--yes", "--set", "rig.guard.force_limit_mN=8000"]) == 0
     contact_file.unlink()
-    origins = [one.header.entry["origin_mm"] for one in campaign(lab / "runs" / "c").runs]
+    origins = [one.header.entry["origin_mm"] for one in read_campaign(lab / "runs" / "c").runs]
     assert origins == [pytest.approx(50.0, abs=0.001), pytest.approx(60.0, abs=0.001)]
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from dragrig.analysis.correlated_mean import correlated_mean
+from dragrig.analysis.estimates import correlated_mean
 from dragrig.analysis.measures import measure
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
-from dragrig.rig.runfile.model import Attribute, Channel, Run, RunHeader, RunInfo, Status, Trace
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.runfile.model import Attribute, Channel, Run, RunHeader, RunInfo, RunStatus, Trace
 
 RATE = 500.0
 CAPSULE: dict[str, Attribute] = {"diameter_mm": 12.9, "length_mm": 15.2, "mass_g": 50.1, "contact_angle_deg": 60.0}
@@ -28,7 +28,7 @@ def noise(rng: np.random.Generator, samples: int, white: float, slow: float, cor
 def sliding(kind: str = "drag", speed: float = 5.0, travel: float = 40.0) -> Run:
     """A noisy run whose force rises from 3 mN to 83 mN over the first 5.6 mm and decays to 33 mN in the hold."""
     profile = MotionProfile.from_pieces(
-        (still(1.0, Phase.REST), *trapezoid(travel, speed, 400.0), still(3.0, Phase.HOLD))
+        (stationary_piece(1.0, Phase.REST), *trapezoid(travel, speed, 400.0), stationary_piece(3.0, Phase.HOLD))
     )
     time = np.arange(profile.samples(RATE)) / RATE
     position, phase = profile.position(time), profile.phase_at(time)
@@ -39,7 +39,7 @@ def sliding(kind: str = "drag", speed: float = 5.0, travel: float = 40.0) -> Run
         run_id="0" * 32, start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
         sample_rate_hz=RATE, channels=(Channel("force", "mN"), Channel("position", "mm")), capsule=CAPSULE,
     )  # fmt: skip
-    info = RunInfo(Path("run.h5"), 1, Status.COMPLETE, header, len(time))
+    info = RunInfo(Path("run.h5"), 1, RunStatus.COMPLETE, header, len(time))
     channels = {"force": force, "position": np.round(position, 3)}
     units = {"time": "s", "command": "mm", "force": "mN", "position": "mm"}
     return Run(info, Trace(RATE, "force", time, position, phase, channels, units))

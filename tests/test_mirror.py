@@ -9,25 +9,25 @@ import pytest
 import dragrig
 from dragrig.cli import main
 from dragrig.config.errors import OutputError
-from dragrig.rig.acquiring import Outcome
-from dragrig.rig.people import Nobody
+from dragrig.rig.engine import AcquisitionOutcome
+from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.runfile import mark_bad
 from dragrig.rig.runfile.mirror import Mirror, copy_verified
-from dragrig.rig.runfile.naming import mark_path
+from dragrig.rig.runfile.schema import mark_path
 
 pytestmark = pytest.mark.timeout(120)
 FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
 
 
-class Mover(Nobody):
+class Mover(NullOperator):
     """Takes the mirror away once the first file is in it, and brings it back at another run's end."""
 
     def __init__(self, mirror: Path, first: Path, back_after: int) -> None:
         self._mirror, self._first, self._back_after = mirror, first, back_after
         self._ended = 0
 
-    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         self._ended += 1
         if self._ended == 1:
             while not any(self._first.glob("*.h5")):

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dragrig.config.capsule import Capsule
-from dragrig.config.model import FrictionModelSettings
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition
-from dragrig.rig.protocols import kinds
+from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction import prepare
@@ -33,7 +32,7 @@ TRUE = FrictionModelSettings(
 
 def as_commanded(run: Run) -> Acquisition:
     header = run.info.header
-    kind = kinds()[header.kind]
+    kind = protocol_kinds()[header.kind]
     protocol = kind.model_validate({key: header.protocol[key] for key in kind.model_fields})
     specimen = Specimen(name="jejunum")
     sizes = {key: float(value) for key, value in header.capsule.items() if not isinstance(value, str)}

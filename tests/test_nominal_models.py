@@ -9,28 +9,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dragrig
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.results import JointFit
-from dragrig.analysis.identification.selection import Selection, select
-from dragrig.analysis.nominal.capsule import CapsuleModel
-from dragrig.analysis.nominal.catalogue import find_model, names
-from dragrig.analysis.nominal.drive import MODEL
-from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.analysis.nominal.protocol import by_differences
-from dragrig.analysis.nominal.velocity_chain import fit_velocity
+from dragrig.analysis.identification.identification import JointFit
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.capsule_model import CapsuleModel
+from dragrig.analysis.models.catalogue import find_model, model_names
+from dragrig.analysis.models.drive_model import MODEL
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.models.kinematics import fit_velocity
+from dragrig.analysis.models.nominal_model import central_differences
+from dragrig.analysis.selection import RunSelection, select_runs
 from dragrig.config.errors import SettingsError
-from dragrig.config.loading import parse
 from dragrig.config.rig import RigSettings
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.config.settings import parse
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.friction import RecordedMotion
 
 TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "offset_mN": 15.0}
 
 
-def simulated(folder: Path, seed: int, plan: str = "blank", **assigned: float) -> Selection:
+def simulated(folder: Path, seed: int, plan: str = "blank", **assigned: float) -> RunSelection:
     told = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
     dragrig.simulate(plan, out=folder, assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500", *told])
-    return select(folder)
+    return select_runs(folder)
 
 
 def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
@@ -39,12 +39,12 @@ def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def blanks(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+def blanks(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
     return simulated(tmp_path_factory.mktemp("blank"), 1)
 
 
 @pytest.fixture(scope="module")
-def drags(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+def drags(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
     return simulated(tmp_path_factory.mktemp("drag"), 2, "demo")
 
 
@@ -52,7 +52,7 @@ def drags(tmp_path_factory: pytest.TempPathFactory) -> Selection:
 @pytest.mark.parametrize(("travel_mm", "speed"), [(40.0, 40.0), (-40.0, 5.0), (10.0, 60.0), (5.0, 1.0)])
 def test_counts_say_when_a_stroke_changes_its_acceleration(rate: float, travel_mm: float, speed: float) -> None:
     profile = MotionProfile.from_pieces(
-        (still(1.0003, Phase.REST), *trapezoid(travel_mm, speed, 400.0), still(1.0, Phase.HOLD))
+        (stationary_piece(1.0003, Phase.REST), *trapezoid(travel_mm, speed, 400.0), stationary_piece(1.0, Phase.HOLD))
     )
     time = np.arange(profile.samples(rate)) / rate
     position = np.round(profile.position(time) * 1000) / 1000
@@ -102,7 +102,7 @@ def test_blank_runs_give_the_stage_back_whatever_it_is(tmp_path: Path) -> None:
         assert fit.parameters[0].half_width < 0.01 or truth["moving_mass_g"] < 100
 
 
-def test_runs_with_a_load_give_the_stage_back_too(drags: Selection) -> None:
+def test_runs_with_a_load_give_the_stage_back_too(drags: RunSelection) -> None:
     loaded = replace(drags, experiments=drags.of_kind("drag"))
     assert len(loaded.experiments) > 1
     fit = fit_jointly(loaded, MODEL)
@@ -113,7 +113,7 @@ def test_runs_with_a_load_give_the_stage_back_too(drags: Selection) -> None:
     assert found["offset_mN"].standard_error > 2.0
 
 
-def test_the_identified_stage_is_one_that_the_simulator_loads(blanks: Selection) -> None:
+def test_the_identified_stage_is_one_that_the_simulator_loads(blanks: RunSelection) -> None:
     fit = fit_jointly(blanks, MODEL)
     rig = parse(RigSettings, MODEL.document(fit.values), "identified")
     assert rig.simulated.motor.moving_mass_g == pytest.approx(1200, rel=0.01)
@@ -122,12 +122,12 @@ def test_the_identified_stage_is_one_that_the_simulator_loads(blanks: Selection)
     assert parse(RigSettings, creeping, "identified").simulated.motor.viscous_mN_s_mm == 0
 
 
-def test_sensitivities_are_exact(drags: Selection) -> None:
+def test_sensitivities_are_exact(drags: RunSelection) -> None:
     values = np.array([1100.0, 3.0, 250.0, 10.0, 0.99])
     for experiment in drags.of_kind("drag")[:2]:
         predictor = MODEL.prepare(experiment)["motor_force"]
         exact = predictor.sensitivities(values, experiment.time_s)
-        assert exact == pytest.approx(by_differences(predictor, values, experiment.time_s), rel=1e-6, abs=1e-6)
+        assert exact == pytest.approx(central_differences(predictor, values, experiment.time_s), rel=1e-6, abs=1e-6)
         assert predictor.uncertainty(values, experiment.time_s).min() >= 0
 
 
@@ -138,7 +138,7 @@ def changed(experiment: Experiment, **channels: np.ndarray | None) -> Experiment
     return Experiment(replace(experiment.run, trace=trace))
 
 
-def test_a_load_that_is_missing_for_a_while_does_not_count_there(drags: Selection) -> None:
+def test_a_load_that_is_missing_for_a_while_does_not_count_there(drags: RunSelection) -> None:
     (experiment, *_) = drags.of_kind("drag")
     force = np.array(experiment.run.trace.force)
     away = slice(len(force) // 2, len(force) // 2 + 50)
@@ -151,7 +151,7 @@ def test_a_load_that_is_missing_for_a_while_does_not_count_there(drags: Selectio
     assert np.isfinite(predictor.predict(values, experiment.time_s).total).all()
 
 
-def test_a_run_without_motor_force_says_nothing_of_the_stage(blanks: Selection) -> None:
+def test_a_run_without_motor_force_says_nothing_of_the_stage(blanks: RunSelection) -> None:
     experiment = blanks.experiments[0]
     assert MODEL.prepare(changed(experiment, motor_force=None)) == {}
     alone = MODEL.prepare(changed(experiment, force=None))["motor_force"]
@@ -159,7 +159,7 @@ def test_a_run_without_motor_force_says_nothing_of_the_stage(blanks: Selection) 
 
 
 def test_models_are_found_by_name() -> None:
-    assert "drive" in names()
+    assert "drive" in model_names()
     assert find_model("drive") is MODEL
     assert find_model("capsule").name == "capsule"
     with pytest.raises(SettingsError, match="did you mean drive"):

@@ -10,9 +10,9 @@ from runfiles import header
 from simulated import stroke
 
 import dragrig
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.selection import select
-from dragrig.analysis.nominal.catalogue import find_model, names
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.models.catalogue import find_model, model_names
+from dragrig.analysis.selection import select_runs
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.rig.runfile import write_run
 
@@ -64,7 +64,7 @@ def test_the_pages_model_is_identified(plates: Path, tmp_path: Path) -> None:
     before = list(sys.path)
     model = find_model(str(own_file(tmp_path, code_on_the_page())))
     assert sys.path == before
-    fit = fit_jointly(select(plates), model)
+    fit = fit_jointly(select_runs(plates), model)
     assert fit.converged, fit.remarks
     for one in fit.parameters:
         assert abs(one.value - TRUE[one.name]) < 4 * one.standard_error
@@ -76,7 +76,7 @@ def test_the_pages_model_is_identified(plates: Path, tmp_path: Path) -> None:
 
 def test_a_model_without_scatter_between_runs_says_that_there_is_some(plates: Path, tmp_path: Path) -> None:
     code = code_on_the_page().replace("    run_to_run = 0.02\n", "")
-    fit = fit_jointly(select(plates), find_model(str(own_file(tmp_path, code))))
+    fit = fit_jointly(select_runs(plates), find_model(str(own_file(tmp_path, code))))
     assert fit.chi2 > 2 * fit.degrees
     assert any("the model plate leaves" in remark for remark in fit.remarks)
 
@@ -85,7 +85,7 @@ COGGING = """
 import numpy as np
 from scipy.signal import savgol_filter
 
-from dragrig.analysis.nominal.own import ChannelModel, Parameter
+from dragrig.analysis.models.nominal_model import ChannelModel, Parameter
 
 class Cogging(ChannelModel):
     name = "cogging"
@@ -113,7 +113,7 @@ def test_a_measured_motor_shows_its_72_cogs_a_turn(tmp_path: Path) -> None:
     source = Path(__file__).parent / "data" / "foreign" / "cogging" / "speed_test.txt"
     maps = {"time": "Time:s", "motor_force": "Iq:A*1000", "position": "Position:rad*1"}
     dragrig.import_run(source, tmp_path, maps, resample_hz=1000.0, from_s=0.3, to_s=0.8)
-    selection = select(tmp_path)
+    selection = select_runs(tmp_path)
     fits = [fit_jointly(selection, find_model(str(own_file(tmp_path, code)))) for code in
             (COGGING, COGGING.replace("72 *", "67 *"))]  # fmt: skip
     amplitudes = [np.hypot(fit.values["cosine"], fit.values["sine"]) for fit in fits]
@@ -194,7 +194,7 @@ def test_a_model_that_goes_wrong_at_a_run_is_told_in_one_sentence(case: str, pla
     assert old in code
     model = find_model(str(own_file(tmp_path, code.replace(old, new))))
     with pytest.raises(AnalysisError, match=expected) as caught:
-        fit_jointly(select(plates), model)
+        fit_jointly(select_runs(plates), model)
     assert "\n" not in str(caught.value)
     assert "plate" in str(caught.value)
 
@@ -207,7 +207,7 @@ def test_an_installed_model_is_found_by_name(tmp_path: Path, monkeypatch: pytest
     )
     own_file(tmp_path, code_on_the_page(), "plate_of_mylab.py")
     monkeypatch.syspath_prepend(tmp_path)
-    assert {"plate", "drive", "gone"} <= set(names())
+    assert {"plate", "drive", "gone"} <= set(model_names())
     assert find_model("plate").name == "plate"
     with pytest.raises(SettingsError, match=r"gone .* cannot be loaded .*installed whole"):
         find_model("gone")

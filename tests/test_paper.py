@@ -20,36 +20,44 @@ from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig import reproducing
-from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.identification.results import (
-    Drag,
+from dragrig.analysis.estimates import Estimate, Exclusion
+from dragrig.analysis.identification.identification import (
+    DragResult,
     Identification,
-    Identified,
     JointFit,
-    LeftOut,
+    ParameterEstimate,
     RunResidual,
 )
-from dragrig.analysis.paper.determination import by_correlation, by_eq15, examples, offset_for
-from dragrig.analysis.paper.elements import element_rows
-from dragrig.analysis.paper.finding import Finding, percent, spelled
-from dragrig.analysis.paper.findings import findings
-from dragrig.analysis.paper.pressure import as_published, by_superposition
-from dragrig.analysis.paper.printed import CAPSULE, MODEL, R2_ABOVE, R2_BELOW
+from dragrig.analysis.paper.friction_findings import (
+    determination_examples,
+    offset_for_r2,
+    r2_by_correlation,
+    r2_by_eq15,
+)
+from dragrig.analysis.paper.published import (
+    PAPER_CAPSULE,
+    PAPER_MODEL,
+    R2_ABOVE,
+    R2_BELOW,
+    PaperFinding,
+    percent,
+    rounded,
+)
+from dragrig.analysis.paper.reproduction import all_findings, element_rows
+from dragrig.analysis.paper.wall_findings import stress_by_eq4, stress_by_superposition
+from dragrig.api import report as reproducing
 from dragrig.cli import main
-from dragrig.cli.lazy import group
-from dragrig.config.capsule import Capsule
-from dragrig.config.library import find
-from dragrig.config.model import FrictionModelSettings
+from dragrig.cli.commands import dragrig_group
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.reports.paper.names import MODEL_FILE, REPORT, TABLES
-from dragrig.reports.paper.page import page
-from dragrig.reports.paper.results import PaperResults
-from dragrig.reports.paper.tables import tables
-from dragrig.reports.rendering import kept_together
-from dragrig.reports.tabular import Column, Table
-from dragrig.rig.runfile import campaign, mark_bad
-from dragrig.rig.runfile.model import Status
+from dragrig.config.settings import find_settings
+from dragrig.config.specimen import Capsule
+from dragrig.present.document import Column, Table
+from dragrig.present.files import PAPER_MODEL_FILE, PAPER_REPORT_FILE, PAPER_TABLES
+from dragrig.present.html_page import without_breaks
+from dragrig.present.paper import PaperReportData, paper_page, paper_tables
+from dragrig.rig.runfile import mark_bad, read_campaign
+from dragrig.rig.runfile.model import RunStatus
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -57,8 +65,8 @@ if TYPE_CHECKING:
 VOID = {"meta", "img", "br", "hr", "link", "input"}
 
 
-def finding(key: str) -> Finding:
-    return next(one for one in findings() if one.key == key)
+def finding(key: str) -> PaperFinding:
+    return next(one for one in all_findings() if one.key == key)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +109,7 @@ def test_the_findings_carry_the_numbers_that_the_model_gives(
 
 
 def test_every_finding_says_what_the_numbers_show_and_what_is_done() -> None:
-    found = findings()
+    found = all_findings()
     assert len(found) >= 25
     assert len({one.key for one in found}) == len(found)
     for one in found:
@@ -115,12 +123,12 @@ def test_every_finding_says_what_the_numbers_show_and_what_is_done() -> None:
 
 
 def test_the_findings_are_about_the_shipped_model() -> None:
-    assert find(FrictionModelSettings, "model", "paper") == MODEL
-    assert find(Capsule, "capsule", "drag") == CAPSULE
+    assert find_settings(FrictionModelSettings, "model", "paper") == PAPER_MODEL
+    assert find_settings(Capsule, "capsule", "drag") == PAPER_CAPSULE
 
 
 def test_eq_15_exceeds_one_where_a_correlation_cannot() -> None:
-    half, mirrored, shifted, far = examples()
+    half, mirrored, shifted, far = determination_examples()
     assert half.eq15 == pytest.approx(4)
     assert mirrored.eq15 == pytest.approx(1)
     assert shifted.eq15 < 1
@@ -132,29 +140,29 @@ def test_eq_15_exceeds_one_where_a_correlation_cannot() -> None:
 def test_the_offset_that_is_named_gives_the_r2_that_is_named(r2: float, forces: list[float]) -> None:
     model = np.array(forces)
     if np.ptp(model) > 1e-3:
-        shifted = model + offset_for(r2, model)
-        assert by_eq15(model, shifted) == pytest.approx(r2, rel=1e-6)
-        assert by_correlation(model, shifted) == pytest.approx(1)
+        shifted = model + offset_for_r2(r2, model)
+        assert r2_by_eq15(model, shifted) == pytest.approx(r2, rel=1e-6)
+        assert r2_by_correlation(model, shifted) == pytest.approx(1)
 
 
 def test_a_strains_history_matters_neither_to_relaxed_nor_to_fresh_wall() -> None:
-    assert by_superposition(1e-3) == pytest.approx(as_published(1e-3), rel=2e-3)
-    assert by_superposition(1e6) == pytest.approx(as_published(1e6), rel=1e-3)
-    assert by_superposition(20.0) > 1.05 * as_published(20.0)
+    assert stress_by_superposition(1e-3) == pytest.approx(stress_by_eq4(1e-3), rel=2e-3)
+    assert stress_by_superposition(1e6) == pytest.approx(stress_by_eq4(1e6), rel=1e-3)
+    assert stress_by_superposition(20.0) > 1.05 * stress_by_eq4(20.0)
 
 
 @given(st.floats(1e-6, 1e9), st.integers(1, 8), st.sampled_from([1, -1]))
 def test_numbers_are_spelled_to_their_digits(size: float, digits: int, sign: int) -> None:
-    text = spelled(sign * size, digits)
+    text = rounded(sign * size, digits)
     assert "e" not in text
     assert float(text.replace("−", "-")) == pytest.approx(sign * size, rel=0.51 * 10.0 ** (1 - digits))
 
 
 def test_numbers_keep_their_sign_and_their_unit() -> None:
-    assert [spelled(0.99999, 4), spelled(0), spelled(float("nan"))] == ["1.000", "0", "–"]
+    assert [rounded(0.99999, 4), rounded(0), rounded(float("nan"))] == ["1.000", "0", "–"]
     assert [percent(0.2), percent(-0.0036)] == ["+20 %", "−0.36 %"]
-    assert kept_together("40 mN at 0.5 mm/s, 1 gut") == "40\u00a0mN at 0.5\u00a0mm/s, 1 gut"
-    assert kept_together("more (p = 0.4), p < 1") == "more (p\u00a0=\u00a00.4), p\u00a0<\u00a01"
+    assert without_breaks("40 mN at 0.5 mm/s, 1 gut") == "40\u00a0mN at 0.5\u00a0mm/s, 1 gut"
+    assert without_breaks("more (p = 0.4), p < 1") == "more (p\u00a0=\u00a00.4), p\u00a0<\u00a01"
 
 
 @given(st.lists(st.tuples(st.text(), st.one_of(st.none(), st.floats())), max_size=5))
@@ -175,7 +183,7 @@ class Made:
 
     @property
     def page(self) -> str:
-        return (self.folder / REPORT).read_text("utf-8")
+        return (self.folder / PAPER_REPORT_FILE).read_text("utf-8")
 
     def rows(self, name: str) -> list[dict[str, str]]:
         with (self.folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
@@ -191,7 +199,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Made:
     with FileLock(folder.with_suffix(".lock")):
         if not said.exists():
             arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
-            done = CliRunner().invoke(group, arguments, standalone_mode=False)
+            done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)
             assert done.exception is None, done.exception
             said.write_text(done.stdout, "utf-8")
     return Made(folder, json.loads(said.read_text("utf-8")))
@@ -211,10 +219,10 @@ def few(made: Made, tmp_path: Path) -> Made:
 
 @pytest.mark.timeout(180)
 def test_the_command_says_where_everything_is(made: Made) -> None:
-    assert made.printed["report"] == str(made.folder / REPORT)
-    assert made.printed["model"] == str(made.folder / MODEL_FILE)
-    assert made.printed["tables"] == [str(made.folder / f"{name}.csv") for name in TABLES]
-    assert len(made.printed["findings"]) == len(findings())
+    assert made.printed["report"] == str(made.folder / PAPER_REPORT_FILE)
+    assert made.printed["model"] == str(made.folder / PAPER_MODEL_FILE)
+    assert made.printed["tables"] == [str(made.folder / f"{name}.csv") for name in PAPER_TABLES]
+    assert len(made.printed["findings"]) == len(all_findings())
     identified = made.printed["identification"]
     assert len(identified["relaxation"]["runs"]) == 4
     assert len(identified["drag"]["speeds"]) == 11
@@ -222,14 +230,14 @@ def test_the_command_says_where_everything_is(made: Made) -> None:
 
 @pytest.mark.timeout(180)
 def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
-    found = campaign(made.folder)
+    found = read_campaign(made.folder)
     assert not found.unreadable
     assert not found.recordings
     kinds = [one.kind for one in found.good]
     assert {kind: kinds.count(kind) for kind in kinds} == {
         "relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29,
     }  # fmt: skip
-    assert all(one.status is Status.COMPLETE and one.header.backend == "simulated" for one in found.good)
+    assert all(one.status is RunStatus.COMPLETE and one.header.backend == "simulated" for one in found.good)
     assert all("seed = 1\n" in one.header.settings_toml for one in found.good)
 
 
@@ -285,8 +293,8 @@ def test_the_report_needs_nothing_but_itself(made: Made) -> None:
 def test_the_report_is_presentable_in_a_browser(browser: "Browser", made: Made) -> None:
     from browsing import must_be_presentable, must_sort
 
-    must_be_presentable(browser, made.folder / REPORT)
-    must_sort(browser, made.folder / REPORT, "#wall > div:nth-of-type(1) table", 3)
+    must_be_presentable(browser, made.folder / PAPER_REPORT_FILE)
+    must_sort(browser, made.folder / PAPER_REPORT_FILE, "#wall > div:nth-of-type(1) table", 3)
 
 
 @pytest.mark.timeout(180)
@@ -294,7 +302,7 @@ def test_the_report_says_what_was_simulated(made: Made) -> None:
     text = made.page
     for said in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
         assert said in text
-    for one in findings():
+    for one in all_findings():
         assert f'<article id="{one.key}">' in text
 
 
@@ -315,7 +323,7 @@ def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
 
 @pytest.mark.timeout(180)
 def test_every_table_parses_and_holds_what_the_model_says(made: Made) -> None:
-    for name in TABLES:
+    for name in PAPER_TABLES:
         rows = made.rows(name)
         assert rows, name
         assert all(None not in row and None not in row.values() for row in rows), name
@@ -375,11 +383,11 @@ def test_each_runs_own_factors_come_back(made: Made) -> None:
 
 @pytest.mark.timeout(180)
 def test_the_identified_model_is_one_that_the_simulator_loads(made: Made) -> None:
-    model = find(FrictionModelSettings, "model", str(made.folder / MODEL_FILE))
+    model = find_settings(FrictionModelSettings, "model", str(made.folder / PAPER_MODEL_FILE))
     (friction,) = (row["value"] for row in made.rows("parameters") if row["parameter"] == "friction_coefficient")
     assert model.friction_coefficient == pytest.approx(float(friction), rel=1e-9)
     assert model.insertion_dwell_scale == 1.0
-    assert f"dragrig run drag --model {MODEL_FILE}" in made.page
+    assert f"dragrig run drag --model {PAPER_MODEL_FILE}" in made.page
 
 
 @pytest.mark.timeout(180)
@@ -391,7 +399,7 @@ def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pyt
     assert "is there already" in told
     assert "--overwrite" in told
     assert told.count("\n") == 1
-    for name in ("findings.csv", MODEL_FILE):
+    for name in ("findings.csv", PAPER_MODEL_FILE):
         mine = tmp_path / "mine" / name
         mine.parent.mkdir(exist_ok=True)
         mine.write_text("mine\n", "utf-8")
@@ -402,10 +410,10 @@ def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pyt
 
 @pytest.mark.timeout(180)
 def test_overwriting_takes_away_own_runs_and_nothing_else(few: Made) -> None:
-    mark_bad(campaign(few.folder).runs[0].path, "tried")
+    mark_bad(read_campaign(few.folder).runs[0].path, "tried")
     (few.folder / "notes.txt").write_text("mine\n", "utf-8")
-    reproducing.make_room(few.folder, overwrite=True)
-    left = {"notes.txt", REPORT, MODEL_FILE, *(f"{name}.csv" for name in TABLES)}
+    reproducing.clear_paper_folder(few.folder, overwrite=True)
+    left = {"notes.txt", PAPER_REPORT_FILE, PAPER_MODEL_FILE, *(f"{name}.csv" for name in PAPER_TABLES)}
     assert {path.name for path in few.folder.iterdir()} == left
 
 
@@ -453,17 +461,17 @@ def test_a_folder_that_is_closed_is_said_in_a_sentence(
 
 
 def test_choices_reach_the_simulator() -> None:
-    setup = reproducing.setup_of(7, "table1", "newtonian")
+    setup = reproducing.paper_setup(7, "table1", "newtonian")
     assert (setup.model.wall, setup.model.viscous) == ("table1", "newtonian")
     assert setup.rig.simulated.seed == 7
     assert setup.backend == "simulated"
 
 
 def nothing_identified() -> Iterator[Identification]:
-    bare = Identification("gut", (), (LeftOut("a.h5", "it is <broken>"),), None, None, None, None, ("a & b",))
+    bare = Identification("gut", (), (Exclusion("a.h5", "it is <broken>"),), None, None, None, None, ("a & b",))
     yield bare
-    yield replace(bare, drag=Drag((), None, None, (), ("no drag run",)))
-    scale = Identified("stiffness_scale", "1", 777.7, 1.0, (5.0, 9.0), (0.7, 1.4), 0.0)
+    yield replace(bare, drag=DragResult((), None, None, (), ("no drag run",)))
+    scale = ParameterEstimate("stiffness_scale", "1", 777.7, 1.0, (5.0, 9.0), (0.7, 1.4), 0.0)
     left = RunResidual("a.h5", "drag", "force", 9, 1.0, 1.0, Estimate(0.0, 0.1), {})
     joint = JointFit("capsule", (scale,), (), np.eye(1), (left,), 9, 9, 0.5, False, 99, ("it <ran> away",))
     yield replace(bare, joint=joint)
@@ -471,11 +479,20 @@ def nothing_identified() -> Iterator[Identification]:
 
 def test_what_was_not_identified_is_said_to_be_missing() -> None:
     for identification in nothing_identified():
-        results = PaperResults(
-            MODEL, CAPSULE, 2.5, RigSettings(), 0, {}, identification, element_rows(None, MODEL, {}), findings(), None
+        results = PaperReportData(
+            PAPER_MODEL,
+            PAPER_CAPSULE,
+            2.5,
+            RigSettings(),
+            0,
+            {},
+            identification,
+            element_rows(None, PAPER_MODEL, {}),
+            all_findings(),
+            None,
         )
-        made = tables(results)
-        text = page(results, made, {})
+        made = paper_tables(results)
+        text = paper_page(results, made, {})
         assert "No element was identified" in text
         assert "it is &lt;broken&gt;" in text
         assert "a &amp; b" in text
@@ -484,15 +501,15 @@ def test_what_was_not_identified_is_said_to_be_missing() -> None:
         assert ("it &lt;ran&gt; away" in text) == (identification.joint is not None)
         assert "777.7" not in text
         assert made["parameters"].rows == ()
-        assert MODEL_FILE not in text
+        assert PAPER_MODEL_FILE not in text
 
 
 def test_the_overview_of_commands_loads_no_report() -> None:
     script = (
-        "import sys\nfrom click.testing import CliRunner\nfrom dragrig.cli.lazy import group\n"
+        "import sys\nfrom click.testing import CliRunner\nfrom dragrig.cli.commands import group\n"
         "assert 'paper' in CliRunner().invoke(group, ['--help']).output\n"
         "assert CliRunner().invoke(group, ['paper', '--help']).exit_code == 0\n"
-        "print([one for one in ('jinja2', 'dragrig.reports', 'matplotlib', 'numpy') if one in sys.modules])\n"
+        "print([one for one in ('jinja2', 'dragrig.present', 'matplotlib', 'numpy') if one in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -5,19 +5,18 @@ from pathlib import Path
 import pytest
 
 from dragrig.config.errors import DragrigError, SettingsError
-from dragrig.engine_host.messages import RigTerms
-from dragrig.plan_forms import FieldKind, form_of, known_plans
-from dragrig.planned import planned, rig_in_words
+from dragrig.engine_host.messages import RigSelection
+from dragrig.views.plan_view import FieldKind, describe_rig, known_plans, plan_form, preview_session
 
 
 @pytest.mark.parametrize("name", known_plans())
 def test_a_form_left_as_it_is_gives_the_same_plan(name: str) -> None:
-    form = form_of(name)
+    form = plan_form(name)
     assert form.filled([step.values for step in form.steps]) == form.plan
 
 
 def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
-    fields = {one.key: one for one in form_of("drag").steps[0].fields}
+    fields = {one.key: one for one in plan_form("drag").steps[0].fields}
     speed = fields["speed_mm_s"]
     assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "above 0 to 5000 mm/s")
     assert "speed of the stroke" in speed.help
@@ -29,17 +28,17 @@ def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
 
 
 def test_several_values_make_one_run_of_each() -> None:
-    form = form_of("drag")
+    form = plan_form("drag")
     values = {**form.steps[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
-    session = planned(form.filled([values]), RigTerms())
+    session = preview_session(form.filled([values]), RigSelection())
     assert len([one for one in session.runs if one.summary.startswith("drag")]) == 6
 
 
 @pytest.mark.parametrize(("key", "text"), [("speed_mm_s", "fast"), ("speed_mm_s", "-3"), ("wait_s", "1, 2")])
 def test_what_cannot_be_is_said_in_a_sentence(key: str, text: str) -> None:
-    form = form_of("drag")
+    form = plan_form("drag")
     with pytest.raises(DragrigError) as refused:
-        planned(form.filled([{**form.steps[0].values, key: text}]), RigTerms())
+        preview_session(form.filled([{**form.steps[0].values, key: text}]), RigSelection())
     assert text.split(",", maxsplit=1)[0] in str(refused.value)
 
 
@@ -50,11 +49,11 @@ def test_strokes_of_a_motion_can_be_edited(tmp_path: Path) -> None:
         " {travel_mm = -5, speed_mm_s = 4}]\n",
         "utf-8",
     )
-    form = form_of(str(file))
+    form = plan_form(str(file))
     plan = form.filled([step.values for step in form.steps])
-    assert len(planned(plan, RigTerms()).runs) == 1
+    assert len(preview_session(plan, RigSelection()).runs) == 1
     changed = form.filled([{"strokes": "{travel_mm = 3, speed_mm_s = 2}"}])
-    assert planned(changed, RigTerms()).runs[0].highest_mm == pytest.approx(43.0)
+    assert preview_session(changed, RigSelection()).runs[0].highest_mm == pytest.approx(43.0)
 
 
 def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
@@ -65,30 +64,30 @@ def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
 
 
 def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
-    session = planned(form_of("drag").plan, RigTerms())
+    session = preview_session(plan_form("drag").plan, RigSelection())
     time, position, speed = session.runs[0].course()
     assert position[0] == pytest.approx(session.runs[0].lowest_mm)
     assert position.max() == pytest.approx(session.runs[0].highest_mm)
     assert speed.max() == pytest.approx(20.0)
     assert time[-1] == pytest.approx(session.runs[0].duration_s)
-    form = form_of("drag")
-    far = planned(form.filled([{**form.steps[0].values, "travel_mm": "900"}]), RigTerms())
+    form = plan_form("drag")
+    far = preview_session(form.filled([{**form.steps[0].values, "travel_mm": "900"}]), RigSelection())
     assert "change travel_mm or start_mm" in far.findings[0]
 
 
 @pytest.mark.parametrize(
     ("rig", "title", "real"),
     [
-        (RigTerms(), "SIMULATED", False),
-        (RigTerms(backend="hardware"), "HARDWARE", True),
-        (RigTerms(backend="hardware", double=True), "DOUBLE", False),
+        (RigSelection(), "SIMULATED", False),
+        (RigSelection(backend="hardware"), "HARDWARE", True),
+        (RigSelection(backend="hardware", double=True), "DOUBLE", False),
     ],
 )
-def test_a_rig_is_named_unmistakably(rig: RigTerms, title: str, real: bool) -> None:
-    said = rig_in_words(rig)
+def test_a_rig_is_named_unmistakably(rig: RigSelection, title: str, real: bool) -> None:
+    said = describe_rig(rig)
     assert (said.title, said.real) == (title, real)
 
 
 def test_a_plan_that_is_none_is_refused() -> None:
     with pytest.raises(SettingsError, match="no plan of this name"):
-        form_of("dragg")
+        plan_form("dragg")

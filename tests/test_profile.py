@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 
 speeds = st.floats(0.1, 80)
 accels = st.floats(50, 3000)
@@ -13,7 +13,7 @@ travels = st.floats(-60, 60).filter(lambda travel: abs(travel) > 0.5)
 
 
 def stroke(travel: float, speed: float, accel: float) -> MotionProfile:
-    pieces = (still(1.0, Phase.REST), *trapezoid(travel, speed, accel), still(3.0, Phase.HOLD))
+    pieces = (stationary_piece(1.0, Phase.REST), *trapezoid(travel, speed, accel), stationary_piece(3.0, Phase.HOLD))
     return MotionProfile.from_pieces(pieces)
 
 
@@ -66,6 +66,6 @@ def test_as_many_samples_as_rigs_elsewhere_take(speed: float, samples: int) -> N
 
 
 def test_extremes_see_the_turning_point_inside_a_piece() -> None:
-    pieces = (*trapezoid(10.0, 20.0, 400.0)[:2], still(0.0, Phase.HOLD))
+    pieces = (*trapezoid(10.0, 20.0, 400.0)[:2], stationary_piece(0.0, Phase.HOLD))
     overshooting = MotionProfile.from_pieces(pieces).stopped(0.3, 100.0)
     assert overshooting.extremes().highest_mm == pytest.approx(float(overshooting.position(1.0)))

@@ -7,14 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dragrig.config.errors import PlanError, SettingsError
-from dragrig.config.library import find, shipped
-from dragrig.config.loading import parse, to_toml
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings, parse, shipped_files, to_toml
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Contact, StageLimits
 from dragrig.rig.preflight import preflight
-from dragrig.rig.programme import Programme, build
+from dragrig.rig.programme import Programme, build_programme
 
 SPECIMEN = Specimen(name="jejunum")
 LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)
@@ -22,23 +21,23 @@ LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)
 
 def made(*steps: dict[str, object], seed: int = 0) -> Programme:
     plan = parse(Plan, {"name": "p", "seed": seed, "steps": list(steps)}, "p.toml")
-    return build(plan, SPECIMEN, 40.0, "p.toml")
+    return build_programme(plan, SPECIMEN, 40.0, "p.toml")
 
 
 def kinds(programme: Programme) -> list[str]:
     return [run.protocol.kind for run in programme.runs]
 
 
-@pytest.mark.parametrize("name", list(shipped("plan")))
+@pytest.mark.parametrize("name", list(shipped_files("plan")))
 def test_every_shipped_plan_can_be_carried_out(name: str, tmp_path: Path) -> None:
-    programme = build(find(Plan, "plan", name), SPECIMEN, 40.0, name)
+    programme = build_programme(find_settings(Plan, "plan", name), SPECIMEN, 40.0, name)
     report = preflight(programme, RigSettings(), LIMITS, tmp_path, name)
     assert report.findings == ()
     assert report.duration_s > 0
 
 
 def test_the_papers_programme_is_whole() -> None:
-    programme = build(find(Plan, "plan", "paper"), SPECIMEN, 40.0, "paper")
+    programme = build_programme(find_settings(Plan, "plan", "paper"), SPECIMEN, 40.0, "paper")
     forward = [run for run in programme.runs if run.follows < 0]
     strains = [run.shear_strain for run in forward if run.protocol.kind == "relaxation"]
     assert strains == [0.5, 1.0, 1.5, 2.0]
@@ -171,7 +170,7 @@ def test_every_order_makes_the_same_runs(speeds: list[float], repeats: int, orde
 
 
 def test_a_plan_survives_being_written_down() -> None:
-    plan = find(Plan, "plan", "paper")
+    plan = find_settings(Plan, "plan", "paper")
     import tomllib
 
     assert parse(Plan, tomllib.loads(to_toml(plan)), "again") == plan

@@ -8,10 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from dragrig.cli import options
-from dragrig.cli.console import is_quiet
-from dragrig.cli.operator import Terminal
-from dragrig.cli.progress import Meter, tracked
-from dragrig.rig.people import Answer, Prompt
+from dragrig.cli.console import ProgressMeter, is_quiet, with_progress
+from dragrig.cli.operator import TerminalOperator
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.setup import resolve
 
 
@@ -24,7 +23,7 @@ class Clock:
 
 
 def steps(clock: Clock, count: int, each_s: float) -> None:
-    with Meter("work", count, quiet=is_quiet(), clock=clock) as meter:
+    with ProgressMeter("work", count, quiet=is_quiet(), clock=clock) as meter:
         for number in range(count):
             clock.now += each_s
             meter.advance(1.0, f"item {number}")
@@ -68,7 +67,7 @@ class Closed(io.StringIO):
 
 def test_work_goes_on_when_nobody_looks_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", Closed())
-    with Meter("work", 1.0, quiet=False) as meter:
+    with ProgressMeter("work", 1.0, quiet=False) as meter:
         meter.say("first")
         meter.say("second")
 
@@ -78,7 +77,7 @@ def test_quiet_shows_nothing() -> None:
     @options.quiet
     def command() -> None:
         steps(Clock(), 100, 1.0)
-        assert list(tracked([1, 2], "x")) == [1, 2]
+        assert list(with_progress([1, 2], "x")) == [1, 2]
 
     assert CliRunner().invoke(command, ["--quiet"]).output == ""
     assert "left" in CliRunner().invoke(command, []).output
@@ -100,7 +99,7 @@ def test_a_prompt_takes_the_first_letter(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     run = resolve("drag").programme().runs[0]
-    assert Terminal(yes=False).ask(Prompt("Fit a fresh specimen", run, can_redo, can_skip=True)) is answer
+    assert TerminalOperator(yes=False).ask(Prompt("Fit a fresh specimen", run, can_redo, can_skip=True)) is answer
     told = capsys.readouterr()
     assert "Fit a fresh specimen." in told.err
     assert ("[r]edo" in told.err) is can_redo
@@ -109,5 +108,5 @@ def test_a_prompt_takes_the_first_letter(
 
 def test_yes_answers_every_prompt(capsys: pytest.CaptureFixture[str]) -> None:
     run = resolve("drag").programme().runs[0]
-    assert Terminal(yes=True).ask(Prompt("Fit a fresh specimen", run, hands=False)) is Answer.DONE
+    assert TerminalOperator(yes=True).ask(Prompt("Fit a fresh specimen", run, hands=False)) is Answer.DONE
     assert capsys.readouterr().err == ""

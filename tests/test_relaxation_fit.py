@@ -10,12 +10,12 @@ from relaxations import relaxation, selected
 from runfiles import PRACTICE
 
 import dragrig
-from dragrig.analysis.identification.maxwell.residuals import predicted_force
-from dragrig.analysis.identification.noise import USUAL, Noise, estimate_noise
-from dragrig.analysis.identification.relaxation import identify_relaxation
-from dragrig.analysis.identification.results import RelaxationFit
-from dragrig.analysis.identification.selection import Selection, select, select_from
-from dragrig.analysis.nominal.experiment import Experiment
+from dragrig.analysis.identification.identification import RelaxationFit
+from dragrig.analysis.identification.maxwell_fit import predicted_force
+from dragrig.analysis.identification.relaxation_elements import identify_relaxation
+from dragrig.analysis.inference.noise import DEFAULT_NOISE, NoiseModel, estimate_noise
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN
 
@@ -50,7 +50,7 @@ def test_table_1_comes_back_within_intervals_that_are_narrow_enough() -> None:
 def test_a_simulated_campaign_gives_the_elements_it_was_made_of() -> None:
     settings = ["rig.sampling.rate_hz=500", "model.wall='table1'", "rig.simulated.variation.run_stiffness=0"]
     runs = dragrig.simulate("relaxation", assignments=[*settings, "model.e2_scale=1.2"])
-    relaxation_found = identify_relaxation(select_from(runs))
+    relaxation_found = identify_relaxation(select_loaded_runs(runs))
     assert len(relaxation_found.fits) == 4
     for fit in relaxation_found.fits:
         wall = dragrig.sim_backend.friction.wall_parameters("table1", fit.shear_strain)
@@ -110,11 +110,11 @@ def test_noise_levels_are_estimated_and_short_records_fall_back_on_the_usual() -
     short = estimate_noise([Experiment(relaxation(rest_s=0.1, hold_s=0.2, slow_mN=0.0))], "force")
     assert short.white == pytest.approx(1.5, rel=0.4)
     assert (short.slow, short.correlation_s) == pytest.approx((short.white / 3, 0.2))
-    assert estimate_noise([Experiment(relaxation(rest_s=0.01, hold_s=0.02))], "force") == USUAL
+    assert estimate_noise([Experiment(relaxation(rest_s=0.01, hold_s=0.02))], "force") == DEFAULT_NOISE
 
 
 def test_block_means_have_the_covariance_of_the_noise() -> None:
-    noise = Noise(1.5, 0.7, 0.05, 0)
+    noise = NoiseModel(1.5, 0.7, 0.05, 0)
     edges = np.array([0.0, 0.01, 0.03, 0.1, 0.4])
     exact = noise.covariance(edges[:-1], edges[1:], np.diff(edges) * 1000)
     time = (np.arange(400) + 0.5) / 1000
@@ -137,7 +137,7 @@ def test_five_elements_suffice_where_they_do_and_not_where_a_third_branch_shows(
 
 
 def test_the_practice_campaign_gives_its_answer() -> None:
-    fit = identify_relaxation(select(PRACTICE)).fits[0]
+    fit = identify_relaxation(select_runs(PRACTICE)).fits[0]
     wall = dragrig.sim_backend.friction.wall_parameters("eq14", fit.shear_strain)
     scales = (0.9294, 1.0284, 0.9517, 0.9675, 0.944)
     truth = [float(one) for one in (wall.E1, wall.E2, wall.E3, wall.eta1, wall.eta2)]
@@ -206,7 +206,7 @@ def _without_ramp() -> Run:
     ],
 )
 def test_what_a_run_does_not_support_is_missing_with_the_reason(make, said: str) -> None:
-    fit = identify_relaxation(Selection("made", (Experiment(make()),))).fits[0]
+    fit = identify_relaxation(RunSelection("made", (Experiment(make()),))).fits[0]
     assert fit.elements == ()
     assert said in fit.remark
     assert fit.remark
@@ -221,7 +221,7 @@ def test_a_run_without_rest_says_that_its_zero_is_not_shown() -> None:
 
 
 def test_no_relaxation_run_is_said() -> None:
-    found = identify_relaxation(Selection("made", ()))
+    found = identify_relaxation(RunSelection("made", ()))
     assert found.fits == found.laws == ()
     assert "no relaxation run" in found.remarks[0]
 
@@ -236,6 +236,6 @@ def test_the_fit_predicts_the_force_it_was_fitted_to() -> None:
 
 def test_too_few_samples_for_the_fast_branch_give_no_elements() -> None:
     runs = dragrig.simulate("relaxation", assignments=["rig.sampling.rate_hz=50", "rig.simulated.seed=9"])
-    found = identify_relaxation(select_from(runs))
+    found = identify_relaxation(select_loaded_runs(runs))
     assert len(found.fits) == 4
     assert all(not fit.elements and "too seldom for a fast branch" in fit.remark for fit in found.fits)

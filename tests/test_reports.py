@@ -17,11 +17,11 @@ import dragrig
 from dragrig.analysis.measures import measure
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.reports.blind.page import page as exam_page
-from dragrig.reports.gap.page import page as gap_page
-from dragrig.reports.run.values import checks_in_words, values_in_words
-from dragrig.reports.svg import inline_svg
-from dragrig.reports.tabular import Column, Table
+from dragrig.present.diagnosis_page import diagnosis_page as gap_page
+from dragrig.present.document import Column, Table
+from dragrig.present.exam_page import exam_page
+from dragrig.present.figure_files import inline_svg
+from dragrig.present.run import attribute_texts, check_texts
 from dragrig.rig.runfile import mark_bad, read_run
 
 if TYPE_CHECKING:
@@ -142,13 +142,13 @@ def test_what_cannot_be_reported_on_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_settings_are_spelled_with_their_units(name: str, value: float | str, wanted: dict[str, str]) -> None:
-    assert values_in_words({name: value}) == wanted
+    assert attribute_texts({name: value}) == wanted
 
 
 def test_checks_say_whether_the_capsule_slipped() -> None:
-    assert checks_in_words({"slip_time_s": -1.0}) == {"slip during the hold": "none seen"}
-    assert checks_in_words({"slip_time_s": 3.21}) == {"slip during the hold": "at 3.2 s"}
-    assert checks_in_words({"following_error_mm": 0.0014}) == {"largest distance from the command": "1.4 µm"}
+    assert check_texts({"slip_time_s": -1.0}) == {"slip during the hold": "none seen"}
+    assert check_texts({"slip_time_s": 3.21}) == {"slip during the hold": "at 3.2 s"}
+    assert check_texts({"following_error_mm": 0.0014}) == {"largest distance from the command": "1.4 µm"}
 
 
 @given(st.lists(st.tuples(st.floats(-999, 999), st.floats(-999, 999)), min_size=1, max_size=40))

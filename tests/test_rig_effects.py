@@ -6,8 +6,7 @@ from effect_scenes import SESSION_S, changed, scene, sized
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect, SensorEffect
-from dragrig.sim_backend.effects.catalogue import find_effect
+from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect, SensorEffect, find_effect
 
 
 def sensor(name: str) -> SensorEffect:

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from runfiles import header
 
-from dragrig import campaigns
+from dragrig import campaign_session as campaigns
+from dragrig.campaign_session import SessionOptions
 from dragrig.cli import main
-from dragrig.rig.people import Nobody
-from dragrig.rig.runfile import Recorder, campaign, mark_bad, read_run
-from dragrig.rig.runfile.model import RunInfo, Status
-from dragrig.sessions import Terms
+from dragrig.rig.operator import NullOperator
+from dragrig.rig.runfile import Recorder, mark_bad, read_campaign, read_run
+from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.setup import resolve
 
 QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
@@ -51,15 +51,15 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return Runner(monkeypatch, capsys)
 
 
-def statuses(folder: Path) -> list[tuple[str, Status]]:
-    return [(one.kind, one.status) for one in campaign(folder).runs]
+def statuses(folder: Path) -> list[tuple[str, RunStatus]]:
+    return [(one.kind, one.status) for one in read_campaign(folder).runs]
 
 
 def test_two_dry_runs_of_one_second_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     setup = resolve("drag", assignments=[QUICK[2], QUICK[4]])
-    terms = Terms(tmp_path, origin=datetime(2026, 5, 4, 9, tzinfo=UTC))
-    made = [campaigns.begin(setup, None, terms, Nobody()).folder.name for _ in range(3)]
+    terms = SessionOptions(tmp_path, origin=datetime(2026, 5, 4, 9, tzinfo=UTC))
+    made = [campaigns.start_campaign(setup, None, terms, NullOperator()).folder.name for _ in range(3)]
     assert made == ["20260504-090000-drag", "20260504-090000-drag-2", "20260504-090000-drag-3"]
 
 
@@ -68,11 +68,11 @@ def test_a_plan_becomes_one_file_a_run(run: Runner, tmp_path: Path) -> None:
     folder = tmp_path / made["folder"]
     assert folder.parent == tmp_path / "runs"
     assert folder.name.endswith("-drag")
-    assert statuses(folder) == [("drag", Status.COMPLETE), ("return", Status.COMPLETE)]
-    first: RunInfo = campaign(folder).runs[0]
+    assert statuses(folder) == [("drag", RunStatus.COMPLETE), ("return", RunStatus.COMPLETE)]
+    first: RunInfo = read_campaign(folder).runs[0]
     assert (first.header.entry["operator"], first.header.entry["note"]) == ("Ada", "first")
     assert first.header.capsule["name"] == "smooth"
-    assert [Path(one["file"]).name for one in made["runs"]] == [one.path.name for one in campaign(folder).runs]
+    assert [Path(one["file"]).name for one in made["runs"]] == [one.path.name for one in read_campaign(folder).runs]
     assert made["runs"][0]["checks"]["lost_samples"] == 0
 
 
@@ -91,7 +91,7 @@ def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> 
     made = run(*each, "--out", "c", typed="done\nredo\nd\nd\nskip\nd\n")
     orders = [(one["order"], one["status"]) for one in made["runs"]]
     assert orders == [(0, "complete"), (1, "complete"), (2, "complete")]
-    found = campaign(tmp_path / "c")
+    found = read_campaign(tmp_path / "c")
     assert [found.marks[one.path].reason for one in found.runs if one.path in found.marks] == [
         "made again at the operator's word"
     ]
@@ -144,8 +144,8 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
     told, remarks = waiting.communicate(timeout=30)
     assert waiting.returncode == 3, remarks
     assert json.loads(told)["status"] == "aborted"
-    (info,) = campaign(tmp_path / "c").runs
-    assert (info.status, info.reason) == (Status.ABORTED, "Ctrl-C")
+    (info,) = read_campaign(tmp_path / "c").runs
+    assert (info.status, info.reason) == (RunStatus.ABORTED, "Ctrl-C")
     trace = read_run(info.path).trace
     last_moved = trace.time[1:][np.diff(trace.position) > 0.0005][-1]
     stopped = datetime.timestamp(info.header.start_time) + float(last_moved)
@@ -161,7 +161,7 @@ def test_a_trip_is_told_and_the_campaign_goes_on_after_it(run: Runner, tmp_path:
     assert "limit of 100 mN" in told.err
     again = run("--resume", "c", "--yes", "--set", "rig.guard.force_limit_mN=8000")
     assert [(one["order"], one["kind"]) for one in again["runs"]] == [(1, "drag"), (2, "return")]
-    starts = [one.header.start_time for one in campaign(tmp_path / "c").runs]
+    starts = [one.header.start_time for one in read_campaign(tmp_path / "c").runs]
     assert starts == sorted(starts)
     sessions = sorted((tmp_path / "c").glob("session-*"))
     assert run("--resume", "c")["runs"] == []  # nothing is left, so nobody is asked
@@ -176,9 +176,9 @@ def test_a_crashed_campaign_goes_on(waiting: "subprocess.Popen[str]", run: Runne
     again = run("--resume", "c", "--yes")
     assert not recording.exists()
     assert statuses(tmp_path / "c") == [
-        ("drag", Status.RECOVERED),
-        ("drag", Status.COMPLETE),
-        ("return", Status.COMPLETE),
+        ("drag", RunStatus.RECOVERED),
+        ("drag", RunStatus.COMPLETE),
+        ("return", RunStatus.COMPLETE),
     ]
     assert again["status"] == "complete"
 
@@ -193,10 +193,10 @@ def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: 
 
 def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     run(*QUICK, "--yes", "--out", "c")
-    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     made = run("--resume", "c", "--yes")
     assert [one["kind"] for one in made["runs"]] == ["drag", "return"]
-    *before, again, _ = sorted(campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
+    *before, again, _ = sorted(read_campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
     assert all(one.end_time is not None and one.end_time < again.header.start_time for one in before)
 
 
@@ -216,7 +216,7 @@ way_back = "stay"
 def test_how_far_a_first_run_that_is_made_again_has_come_is_told(run: Runner, tmp_path: Path) -> None:
     (tmp_path / "two.toml").write_text(SLOW_THEN_QUICK, "utf-8")
     run("two.toml", "--yes", "--out", "c")
-    mark_bad(campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     told = run.told("--resume", "c", "--yes", "--pace", "real").err
     assert re.search(r"run 1 of 1, blank 1.8 mm/s: \d+ %, [0-9.]+ s left", told), told
 
@@ -261,7 +261,7 @@ def test_a_backend_that_an_entry_point_adds_can_fail_in_words(
     site = tmp_path / "site"
     (site / "broken-1.dist-info").mkdir(parents=True)
     (site / "broken-1.dist-info" / "METADATA").write_text("Name: broken\nVersion: 1\n", "utf-8")
-    (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.backends]\nbroken = broken:open_it\n")
+    (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.setup]\nbroken = broken:open_it\n")
     (site / "broken.py").write_text("def open_it(request):\n    raise OSError('no drive at COM3')\n", "utf-8")
     monkeypatch.syspath_prepend(site)
     told = run.told("drag", "--yes", "--backend", "broken", code=5).err

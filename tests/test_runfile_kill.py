@@ -14,8 +14,8 @@ from runfiles import arrays, blocks, header, record
 
 from dragrig.config.errors import OutputError
 from dragrig.rig.runfile import Finisher, Recorder, left_recordings, read_info, read_run, recover, verify
-from dragrig.rig.runfile.model import Status
-from dragrig.rig.runfile.recovery import Outcome
+from dragrig.rig.runfile.finisher import RecoveryOutcome
+from dragrig.rig.runfile.model import RunStatus
 
 BOUND_S = 0.25
 
@@ -29,7 +29,7 @@ def test_a_kill_at_any_moment_loses_a_quarter_second_at_most(tmp_path: Path, see
     assert loss.kept > 0
     assert loss.lost_s <= BOUND_S + loss.stall_s, loss
     info = read_info(path)
-    assert info.status is Status.RECOVERED
+    assert info.status is RunStatus.RECOVERED
     assert str(info.samples) in info.reason
     assert verify(path).holds
 
@@ -45,7 +45,7 @@ def test_a_kill_in_the_middle_of_a_step_leaves_a_whole_run_or_none(tmp_path: Pat
         loss = loss_of(path, said, killed)
         assert loss.lost_s <= BOUND_S + loss.stall_s, loss
         ended = step in {"closing", "copying", "syncing", "placed"}
-        assert read_info(path).status is (Status.COMPLETE if ended else Status.RECOVERED)
+        assert read_info(path).status is (RunStatus.COMPLETE if ended else RunStatus.RECOVERED)
         assert verify(path).holds
         assert read_run(path).events[0].kind == "tick"
     left = path.read_bytes() if path.exists() else b""
@@ -58,7 +58,7 @@ def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         recorder.offer(0, arrays(0, 100))
         (found,) = recover(tmp_path)
-        assert found.outcome is Outcome.IN_USE
+        assert found.outcome is RecoveryOutcome.IN_USE
         other = subprocess.run(
             [sys.executable, "-c", "import sys; from pathlib import Path; from dragrig.rig.runfile import recover;"
              "print(recover(Path(sys.argv[1]))[0].outcome)", str(tmp_path)],
@@ -68,9 +68,9 @@ def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="another process"):
             Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
         recorder.offer(100, arrays(100, 100))
-        recorder.close(Status.COMPLETE, "as planned")
+        recorder.close(RunStatus.COMPLETE, "as planned")
     (found,) = recover(tmp_path)
-    assert (found.outcome, found.samples) == (Outcome.FINISHED, 200)
+    assert (found.outcome, found.samples) == (RecoveryOutcome.FINISHED, 200)
 
 
 def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
     record(tmp_path / "whole.h5", 500)
     before = left.read_bytes()
     outcomes = {found.recording.name: found.outcome for found in recover(tmp_path)}
-    assert outcomes == {"run.recording.h5": Outcome.LEFT, "whole.recording.h5": Outcome.FINISHED}
+    assert outcomes == {"run.recording.h5": RecoveryOutcome.LEFT, "whole.recording.h5": RecoveryOutcome.FINISHED}
     assert left.read_bytes() == before
     assert left_recordings(tmp_path) == (left,)
 
@@ -90,7 +90,7 @@ def test_another_run_in_the_way_is_never_replaced(tmp_path: Path) -> None:
     recover(record(tmp_path / "run.h5", 500))
     aside.rename(left)
     (found,) = recover(tmp_path)
-    assert found.outcome is Outcome.LEFT
+    assert found.outcome is RecoveryOutcome.LEFT
     assert "another run" in found.message
     assert left.exists()
     assert read_info(tmp_path / "run.h5").samples == 500
@@ -131,7 +131,7 @@ def test_a_worker_outlives_its_killed_parent_until_the_run_is_finished(tmp_path:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         for first, block in blocks(400_000, 20_000):
             recorder.offer(first, block)
-        left = recorder.close(Status.COMPLETE, "as planned")
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
     code = (
         "import sys, time; from pathlib import Path; from dragrig.rig.runfile import Finisher\n"
         "finisher = Finisher(); finisher.submit(Path(sys.argv[1])); finisher.wait(0.0)\n"

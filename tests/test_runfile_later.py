@@ -14,9 +14,9 @@ from runfiles import START, arrays, header, record
 
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.runfile import (
-    campaign,
     finish,
     mark_bad,
+    read_campaign,
     read_mark,
     read_run,
     rewrite,
@@ -25,8 +25,8 @@ from dragrig.rig.runfile import (
     verify,
     write_run,
 )
-from dragrig.rig.runfile.files import writing
-from dragrig.rig.runfile.model import Event, FilteredTrace
+from dragrig.rig.runfile.filesystem import lock_run
+from dragrig.rig.runfile.model import FilteredTrace, RunEvent
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def filtered(path: Path, window_s: float) -> FilteredTrace:
 def test_a_filtered_trace_stands_beside_the_raw_one(run_file: Path) -> None:
     raw, inode = read_run(run_file), run_file.stat().st_ino
     wanted = filtered(run_file, 0.1)
-    store_filtered(run_file, wanted, [Event(0.5, "short", "piece of 3 samples")])
+    store_filtered(run_file, wanted, [RunEvent(0.5, "short", "piece of 3 samples")])
     run = read_run(run_file)
     assert run_file.stat().st_ino != inode
     assert verify(run_file).holds
@@ -58,13 +58,13 @@ def test_a_filtered_trace_stands_beside_the_raw_one(run_file: Path) -> None:
     assert run.filtered.units == {"force": "mN", "speed": "mm/s"}
     for name, column in wanted.channels.items():
         np.testing.assert_array_equal(run.filtered.channels[name], column)
-    assert run.events == (*raw.events, Event(0.5, "filter", "piece of 3 samples"))
+    assert run.events == (*raw.events, RunEvent(0.5, "filter", "piece of 3 samples"))
 
 
 def test_filtering_again_replaces_and_does_not_grow_the_file(run_file: Path) -> None:
-    store_filtered(run_file, filtered(run_file, 0.1), [Event(0.5, "filter", "first")])
+    store_filtered(run_file, filtered(run_file, 0.1), [RunEvent(0.5, "filter", "first")])
     size = run_file.stat().st_size
-    store_filtered(run_file, filtered(run_file, 0.2), [Event(0.5, "filter", "second")])
+    store_filtered(run_file, filtered(run_file, 0.2), [RunEvent(0.5, "filter", "second")])
     run = read_run(run_file)
     assert run.filtered is not None
     assert run.filtered.parameters["window_s"] == 0.2
@@ -86,7 +86,7 @@ def test_a_failing_edit_changes_nothing(run_file: Path) -> None:
 
 
 def test_two_writers_of_one_run_do_not_meet(run_file: Path) -> None:
-    with writing(run_file), pytest.raises(OutputError, match="another process"):
+    with lock_run(run_file), pytest.raises(OutputError, match="another process"):
         store_filtered(run_file, filtered(run_file, 0.1))
     with pytest.raises(RunFileError, match="recover"):
         rewrite(record(run_file.with_name("other.h5"), 10), lambda file: None)
@@ -122,12 +122,12 @@ def test_a_verdict_is_kept_beside_the_run(run_file: Path) -> None:
     assert mark is not None
     assert mark.reason == "capsule slipped out"
     assert run_file.read_bytes() == before
-    assert campaign(run_file.parent).good == ()
+    assert read_campaign(run_file.parent).good == ()
     mark_bad(run_file, "gut torn")
-    assert campaign(run_file.parent).marks[run_file].reason == "gut torn"
+    assert read_campaign(run_file.parent).marks[run_file].reason == "gut torn"
     assert unmark(run_file)
     assert not unmark(run_file)
-    assert len(campaign(run_file.parent).good) == 1
+    assert len(read_campaign(run_file.parent).good) == 1
 
 
 def test_a_verdict_needs_a_run_and_a_reason(run_file: Path) -> None:
@@ -138,7 +138,7 @@ def test_a_verdict_needs_a_run_and_a_reason(run_file: Path) -> None:
     run_file.with_name("run.mark.toml").write_text("bad = [", "utf-8")
     with pytest.raises(RunFileError, match=r"run\.mark\.toml"):
         read_mark(run_file)
-    assert campaign(run_file.parent).runs == ()
+    assert read_campaign(run_file.parent).runs == ()
 
 
 def test_a_campaign_is_in_the_order_that_each_specimen_lived_through(tmp_path: Path) -> None:
@@ -150,12 +150,12 @@ def test_a_campaign_is_in_the_order_that_each_specimen_lived_through(tmp_path: P
     write_run(tmp_path / "5.h5", renamed, arrays(0, 10))
     record(tmp_path / "6.h5", 10)
     shutil.copy(tmp_path / "0.h5", tmp_path / "notes.txt")
-    found = campaign(tmp_path)
+    found = read_campaign(tmp_path)
     assert [run.path.stem for run in found.runs] == ["2", "3", "1", "5", "4", "0"]
     assert [path.name for path in found.recordings] == ["6.recording.h5"]
     assert found.unreadable == ()
     with pytest.raises(RunFileError, match="no such folder"):
-        campaign(tmp_path / "none")
+        read_campaign(tmp_path / "none")
 
 
 # nexusformat 2.1 itself sets an array's shape, which NumPy 2.5 announces to end.

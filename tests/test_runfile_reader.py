@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from runfiles import PRACTICE, START, arrays, header
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.runfile import campaign, read_info, read_run, run_file_name, write_run
-from dragrig.rig.runfile.model import Channel, Event, Status
+from dragrig.rig.runfile import read_campaign, read_info, read_run, run_file_name, write_run
+from dragrig.rig.runfile.model import Channel, RunEvent, RunStatus
 
 PRACTICE_FILES = sorted(PRACTICE.glob("*.h5"))
 REQUIRED_ATTRIBUTES = [
@@ -40,7 +40,7 @@ REQUIRED_OBJECTS = [
 
 
 def whole(path: Path, samples: int = 400) -> Path:
-    return write_run(path, header(), arrays(0, samples), events=[Event(0.1, "phase", "accelerate ±")])
+    return write_run(path, header(), arrays(0, samples), events=[RunEvent(0.1, "phase", "accelerate ±")])
 
 
 def refused(path: Path) -> str:
@@ -67,14 +67,14 @@ def test_files_by_others_are_read(path: Path) -> None:
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     given_header, given_arrays = header(order=3), arrays(0, 400)
-    event = Event(0.25, "phase", "accelerate ±")
+    event = RunEvent(0.25, "phase", "accelerate ±")
     path = write_run(
-        tmp_path / "run.h5", given_header, given_arrays, events=[event], status=Status.ABORTED, reason="Ctrl-C",
+        tmp_path / "run.h5", given_header, given_arrays, events=[event], status=RunStatus.ABORTED, reason="Ctrl-C",
         end_time=START, checks={"rest_offset_mN": 1.5, "clipped": True, "lost_samples": 2},
     )  # fmt: skip
     run = read_run(path)
     assert run.info.header == replace(given_header, protocol={**given_header.protocol, "speed_mm_s": 1.0})
-    assert (run.info.status, run.info.reason, run.info.end_time) == (Status.ABORTED, "Ctrl-C", START)
+    assert (run.info.status, run.info.reason, run.info.end_time) == (RunStatus.ABORTED, "Ctrl-C", START)
     assert run.info.checks == {"rest_offset_mN": 1.5, "clipped": True, "lost_samples": 2}
     assert run.events == (event,)
     for name, values in given_arrays.items():
@@ -301,7 +301,7 @@ def test_a_folder_of_files_by_others_is_a_campaign(tmp_path: Path) -> None:
     for path in PRACTICE_FILES:
         shutil.copy(path, tmp_path)
     (tmp_path / "000-broken.h5").write_bytes(b"nothing")
-    found = campaign(tmp_path)
+    found = read_campaign(tmp_path)
     orders = [run.header.order for run in found.runs]
     assert len(found.runs) == len(PRACTICE_FILES)
     assert orders == sorted(orders)

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from runfiles import START, arrays, blocks, header, record
 
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
+from dragrig.rig.engine import Store
 from dragrig.rig.runfile import Recorder, finish, read_info, read_run, recover, verify
-from dragrig.rig.runfile.model import Event, Run, Status
-from dragrig.rig.runfile.ring import SampleRing
-from dragrig.rig.store import Store
+from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
+from dragrig.rig.runfile.recorder import SampleRing
 
 
 def trace_of(run: Run) -> dict[str, np.ndarray]:
@@ -48,7 +48,7 @@ def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int]
                 del block["time"]
             recorder.offer(first, block)
             first += size
-        left = recorder.close(Status.COMPLETE, "as planned")
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
     same(read_run(finish(left)), arrays(0, sum(sizes)))
 
 
@@ -84,7 +84,7 @@ def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
             del block["time"]
             recorder.offer(first, block)
         assert recorder.lost_samples == 50 + 550
-        left = recorder.close(Status.COMPLETE, "as planned")
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
     run = read_run(finish(left))
     index = np.concatenate([np.arange(first, first + 100) for first in (0, 100, 250, 350, 1000)])
     np.testing.assert_array_equal(run.trace.time, index / 1000.0)
@@ -95,19 +95,19 @@ def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
 def test_all_that_is_said_of_a_run_is_in_its_file(tmp_path: Path) -> None:
     long = "µ" * 200
     with Recorder(tmp_path / "run.h5", header(order=4), reserve_bytes=0) as recorder:
-        recorder.event(Event(0.0, "start", "drag"))
+        recorder.event(RunEvent(0.0, "start", "drag"))
         recorder.offer(0, arrays(0, 10))
         recorder.annotate({"command_t0_uncertainty_s": 2e-5, "origin_mm": 13.0, "note": "ü\n"})
-        recorder.event(Event(0.01, "trip", long))
-        left = recorder.close(Status.TRIPPED, "force: 500 mN", START, {"rest_offset_mN": 0.1, "clipped": True})
+        recorder.event(RunEvent(0.01, "trip", long))
+        left = recorder.close(RunStatus.TRIPPED, "force: 500 mN", START, {"rest_offset_mN": 0.1, "clipped": True})
     run = read_run(finish(left))
     assert run.info.header.entry == {
         "operator": "Åsa", "origin_mm": 13.0, "command_t0_uncertainty_s": 2e-5, "note": "ü\n",
     }  # fmt: skip
-    assert (run.info.status, run.info.reason, run.info.end_time) == (Status.TRIPPED, "force: 500 mN", START)
+    assert (run.info.status, run.info.reason, run.info.end_time) == (RunStatus.TRIPPED, "force: 500 mN", START)
     assert run.info.checks == {"rest_offset_mN": 0.1, "clipped": True}
     assert run.info.header.settings_toml == 'title = "drag"\n'
-    assert run.events[0] == Event(0.0, "start", "drag")
+    assert run.events[0] == RunEvent(0.0, "start", "drag")
     assert run.events[1].message == "µ" * 78 + "…"
     assert verify(run.info.path).holds
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
@@ -132,13 +132,13 @@ def snapshots(recording: Path, copy: Path) -> Iterator[Run]:
 def test_what_came_last_is_on_disk_soon_though_nothing_follows(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         recorder.offer(0, arrays(0, 321))
-        recorder.event(Event(0.3, "phase", "steady"))
+        recorder.event(RunEvent(0.3, "phase", "steady"))
         copy = tmp_path / "copy.recording.h5"
         seen = next(run for run in snapshots(recorder.path, copy) if run.info.samples == 321 and run.events)
         same(seen, arrays(0, 321))
-        assert seen.info.status is Status.RECORDING
-        assert seen.events == (Event(0.3, "phase", "steady"),)
-        recorder.close(Status.COMPLETE, "as planned")
+        assert seen.info.status is RunStatus.RECORDING
+        assert seen.events == (RunEvent(0.3, "phase", "steady"),)
+        recorder.close(RunStatus.COMPLETE, "as planned")
 
 
 @pytest.mark.timeout(240)
@@ -164,7 +164,7 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
                 assert process.wait(100) == 0
             finally:
                 process.kill()
-        recorder.close(Status.COMPLETE, "as planned")
+        recorder.close(RunStatus.COMPLETE, "as planned")
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_samples_that_do_not_fit_are_refused_and_the_run_goes_on(
         with pytest.raises(ValueError, match=said):
             recorder.offer(first, change(arrays(first, 10)))
         recorder.offer(100, arrays(100, 100))
-        left = recorder.close(Status.COMPLETE, "as planned")
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
     same(read_run(finish(left)), arrays(0, 200))
 
 
@@ -205,9 +205,12 @@ def test_a_run_is_never_recorded_over_another(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "status"), [(KeyboardInterrupt(), Status.ABORTED), (RuntimeError("the stage is gone"), Status.FAILED)]
+    ("fault", "status"),
+    [(KeyboardInterrupt(), RunStatus.ABORTED), (RuntimeError("the stage is gone"), RunStatus.FAILED)],
 )
-def test_a_recorder_left_by_an_error_says_so_in_its_file(tmp_path: Path, fault: BaseException, status: Status) -> None:
+def test_a_recorder_left_by_an_error_says_so_in_its_file(
+    tmp_path: Path, fault: BaseException, status: RunStatus
+) -> None:
     def fail() -> None:
         with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
             recorder.offer(0, arrays(0, 100))
@@ -230,7 +233,7 @@ def test_a_disk_with_too_little_room_is_refused_before_anything_moves(tmp_path: 
 
 
 def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
-    from dragrig.rig.runfile import FolderStore, campaign
+    from dragrig.rig.runfile import FolderStore, read_campaign
 
     with FolderStore(tmp_path / "data" / "campaign", reserve_mb=0) as folder:
         store: Store = folder
@@ -238,10 +241,10 @@ def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
             sink = store.open(header(order=order), 1000)
             for first, block in blocks(1000, 50):
                 sink.offer(first, block)
-            path = sink.close(Status.COMPLETE, "as planned", START, {})
+            path = sink.close(RunStatus.COMPLETE, "as planned", START, {})
         store.mark_bad(0, "spilled")
         store.settle()
-    found = campaign(tmp_path / "data" / "campaign")
+    found = read_campaign(tmp_path / "data" / "campaign")
     assert [run.path.name for run in found.runs] == ["20260504-093000-drag-000.h5", "20260504-093000-drag-001.h5"]
     assert [run.header.order for run in found.good] == [1]
     same(read_run(path), arrays(0, 1000))
@@ -298,4 +301,4 @@ def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp
         assert found.samples == offered + 5000
     assert found.path is not None
     same(read_run(found.path), arrays(0, found.samples, 250e3))
-    assert read_info(found.path).status is (Status.RECOVERED if watch == "blind" else Status.FAILED)
+    assert read_info(found.path).status is (RunStatus.RECOVERED if watch == "blind" else RunStatus.FAILED)

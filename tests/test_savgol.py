@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.signal import savgol_filter
 
-from dragrig.analysis.gaps import gap_starts, unbroken
-from dragrig.analysis.savgol import SavgolSettings, smooth
-from dragrig.analysis.savgol_stream import SavgolStream
+from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
+from dragrig.analysis.segments import gap_starts, unbroken_slices
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 
@@ -176,7 +175,7 @@ def test_a_window_that_does_not_suit_rate_or_run_is_refused() -> None:
     with pytest.raises(AnalysisError, match="longer than the whole run of 20 samples"):
         smooth(np.zeros(20), RATE, SavgolSettings(window_samples=21))
     with pytest.raises(AnalysisError, match="lies outside"):
-        list(unbroken(np.zeros(5), [9]))
+        list(unbroken_slices(np.zeros(5), [9]))
 
 
 @pytest.mark.parametrize(

@@ -12,23 +12,22 @@ from hypothesis import strategies as st
 from simulated import NEVER, stroke
 
 from dragrig.config.errors import DeviceError
-from dragrig.rig.devices import Side
+from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request
 from dragrig.rig.hardware.drive.monitor import Monitor
-from dragrig.rig.hardware.drive.strokes import strokes_of
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still, trapezoid
-from dragrig.rig.trips import Cause
-from dragrig.sim_backend.doubles.drive.ports import Port
+from dragrig.rig.hardware.drive.position_mode import split_into_strokes
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
+from dragrig.sim_backend.doubles.serial_ports import DrivePort
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
 THERE_AND_BACK = MotionProfile.from_pieces(
     (
-        still(0.1, Phase.REST),
+        stationary_piece(0.1, Phase.REST),
         *trapezoid(5.0, 50.0, 1000.0),
-        still(0.05, Phase.HOLD),
+        stationary_piece(0.05, Phase.HOLD),
         *trapezoid(-3.0, 25.0, 500.0),
         *trapezoid(3.0, 25.0, 500.0),
-        still(0.05, Phase.HOLD),
+        stationary_piece(0.05, Phase.HOLD),
     )
 )
 
@@ -42,7 +41,7 @@ def is_under_way(rig: Driven) -> bool:
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[Port]) -> None:
+def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[DrivePort]) -> None:
     with driven(kind) as rig:
         rig.ready().sample(THERE_AND_BACK)
         assert rig.stage.state().moving
@@ -92,7 +91,7 @@ def test_a_drive_that_keeps_another_limit_moves_nothing() -> None:
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type[Port]) -> None:
+def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type[DrivePort]) -> None:
     with driven(kind) as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
@@ -158,7 +157,7 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         rig.world.mishaps.strike(**trouble)
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
-        assert rig.stage.fault.cause is Cause.DRIVE_FAULT
+        assert rig.stage.fault.cause is TripCause.DRIVE_FAULT
         assert "did not answer" in rig.stage.fault.message
         until(lambda: stands(rig))
         assert rig.drive.status.halt is Halt.STOP
@@ -175,7 +174,7 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
 
 
 @pytest.mark.parametrize("kind", PORTS)
-def test_a_cable_pulled_in_motion_leaves_the_stop_to_the_drive(kind: type[Port]) -> None:
+def test_a_cable_pulled_in_motion_leaves_the_stop_to_the_drive(kind: type[DrivePort]) -> None:
     with driven(kind, silence_s=0.2) as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
@@ -198,7 +197,10 @@ def test_an_alarm_stays_until_it_is_seen_to_and_the_drive_switched_off_and_on() 
         rig.world.mishaps.strike(drive_alarm="overheating")
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
-        assert (rig.stage.fault.cause, rig.stage.fault.message) == (Cause.DRIVE_FAULT, "the drive reports overheating")
+        assert (rig.stage.fault.cause, rig.stage.fault.message) == (
+            TripCause.DRIVE_FAULT,
+            "the drive reports overheating",
+        )
         until(lambda: stands(rig))
         assert rig.drive.status.halt is Halt.ALARM
         rig.stage.disable()
@@ -224,7 +226,7 @@ def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
         assert rig.drive.status.halt is Halt.SILENCE
         state = rig.stage.state()
         assert state.fault is not None
-        assert state.fault.cause is Cause.WATCHDOG
+        assert state.fault.cause is TripCause.WATCHDOG
 
 
 def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -> None:
@@ -232,7 +234,7 @@ def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -
         rig.ready().sample(LONG)
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
-        assert rig.stage.fault.cause is Cause.WATCHDOG
+        assert rig.stage.fault.cause is TripCause.WATCHDOG
         assert "0.2 s" in rig.stage.fault.message
         until(lambda: not rig.world.moving)
         assert rig.drive.status.halt is Halt.STOP
@@ -258,12 +260,12 @@ def test_a_program_that_looks_is_left_alone() -> None:
 
 @pytest.mark.parametrize(
     ("trouble", "cause", "halt"),
-    [({"e_stop_pressed": True}, Cause.EMERGENCY_STOP, Halt.EMERGENCY_STOP),
-     ({"limit_high_pressed": True}, Cause.LIMIT_SWITCH_HIGH, Halt.LIMIT_SWITCH)],
+    [({"e_stop_pressed": True}, TripCause.EMERGENCY_STOP, Halt.EMERGENCY_STOP),
+     ({"limit_high_pressed": True}, TripCause.LIMIT_SWITCH_HIGH, Halt.LIMIT_SWITCH)],
 )  # fmt: skip
 @pytest.mark.parametrize("wired", [True, False], ids=["seen by the card", "seen by the drive alone"])
 def test_a_switch_pressed_in_motion_stops_and_stays_told(
-    wired: bool, trouble: dict[str, float], cause: Cause, halt: Halt
+    wired: bool, trouble: dict[str, float], cause: TripCause, halt: Halt
 ) -> None:
     with driven(wired=wired) as rig:
         rig.ready().sample(LONG)
@@ -291,7 +293,7 @@ def test_an_override_frees_one_side_for_one_slow_move_away() -> None:
         assert rig.stage.state().fault is not None
         with pytest.raises(DeviceError, match="lower limit switch"):
             rig.stage.move(stroke(travel_mm=0.2, speed_mm_s=5.0))
-        rig.stage.override_limit(Side.LOW)
+        rig.stage.override_limit(TravelEnd.LOW)
         assert rig.stage.state().fault is None
         with pytest.raises(DeviceError, match="away from it"):
             rig.stage.move(stroke(travel_mm=-0.1, speed_mm_s=5.0))
@@ -302,12 +304,12 @@ def test_an_override_frees_one_side_for_one_slow_move_away() -> None:
         assert rig.world.position_mm() == pytest.approx(-3.3, abs=1e-3)
         fault = rig.stage.state().fault
         assert fault is not None
-        assert fault.cause is Cause.LIMIT_SWITCH_LOW
-        rig.stage.override_limit(Side.LOW)
+        assert fault.cause is TripCause.LIMIT_SWITCH_LOW
+        rig.stage.override_limit(TravelEnd.LOW)
         rig.world.mishaps.strike(limit_high_pressed=True)
         fault = rig.stage.state().fault
         assert fault is not None
-        assert fault.cause is Cause.LIMIT_SWITCH_HIGH
+        assert fault.cause is TripCause.LIMIT_SWITCH_HIGH
 
 
 def test_the_enable_line_taken_away_brakes_and_is_told() -> None:
@@ -369,15 +371,15 @@ def test_a_profile_is_cut_into_the_strokes_it_is_made_of(
 ) -> None:
     pieces: list[Piece] = []
     for travel, sign, speed, accel, pause in moves:
-        pieces += [still(pause, Phase.HOLD), *trapezoid(sign * travel, speed, accel)]
+        pieces += [stationary_piece(pause, Phase.HOLD), *trapezoid(sign * travel, speed, accel)]
     profile = MotionProfile.from_pieces(pieces)
-    strokes = strokes_of(profile)
+    strokes = split_into_strokes(profile)
     assert len(strokes) == len(moves)
     made: list[Piece] = []
     at_s = at_mm = 0.0
     for one in strokes:
         again = trapezoid(one.end_mm - at_mm, one.speed_mm_s, one.acceleration_mm_s2)
-        made += [still(max(one.start_s - at_s, 0.0), Phase.HOLD), *again]
+        made += [stationary_piece(max(one.start_s - at_s, 0.0), Phase.HOLD), *again]
         at_s, at_mm = one.ends_s, one.end_mm
     times = np.linspace(0.0, profile.duration_s, 200)
     np.testing.assert_allclose(MotionProfile.from_pieces(made).position(times), profile.position(times), atol=1e-4)
@@ -391,7 +393,7 @@ def test_what_no_drive_follows_is_refused() -> None:
         profile = MotionProfile.from_pieces(pieces)
         assert profile.velocity(profile.duration_s) == pytest.approx(0.0, abs=1e-9)
         with pytest.raises(DeviceError, match="strokes of one acceleration"):
-            strokes_of(profile)
+            split_into_strokes(profile)
 
 
 def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:

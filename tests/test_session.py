@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 
 from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError
-from dragrig.config.library import find
-from dragrig.config.loading import parse
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings, parse
 from dragrig.config.specimen import Specimen
-from dragrig.rig.acquisitions import recorded
-from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import BackendRequest
+from dragrig.rig.engine import Sink
 from dragrig.rig.memory import MemoryStore
-from dragrig.rig.people import Answer, Nobody, Prompt
-from dragrig.rig.programme import PlannedRun, Programme, build
+from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.programme import PlannedRun, Programme, build_programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.record import SessionRecord
-from dragrig.rig.runfile.model import Run, RunHeader, Status
-from dragrig.rig.session import Progress, Session, SessionResult
-from dragrig.rig.store import Sink
+from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
+from dragrig.rig.session import CampaignProgress, Session, SessionRecord, SessionResult, run_acquisition
 from dragrig.sim_backend.devices import (
     DriveFault,
     Faults,
@@ -41,7 +38,7 @@ SPECIMEN = Specimen(name="jejunum")
 SHORT_DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 1.0, "prompt": "fit"}
 
 
-class Scripted(Nobody):
+class Scripted(NullOperator):
     """An operator who answers from a list, then says done; and a watcher who may do something at every block."""
 
     def __init__(self, *answers: Answer) -> None:
@@ -59,9 +56,9 @@ class Scripted(Nobody):
 
 def session(
     *steps: dict[str, object],
-    person: Nobody | None = None,
+    person: NullOperator | None = None,
     faults: Faults | None = None,
-    progress: Progress | None = None,
+    progress: CampaignProgress | None = None,
     store: MemoryStore | None = None,
 ) -> tuple[Session, MemoryStore]:
     rig, model = RigSettings(), FrictionModelSettings()
@@ -69,9 +66,9 @@ def session(
     record = SessionRecord(begun_at=BEGUN, backend="simulated", plan=plan, specimen=SPECIMEN, model=model, rig=rig)
     backend = open_backend(BackendRequest(rig, model, origin=BEGUN), faults or Faults())
     store = store or MemoryStore()
-    person = person or Nobody()
-    programme = build(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
-    return Session(backend, programme, record, store, person, person, progress or Progress()), store
+    person = person or NullOperator()
+    programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
+    return Session(backend, programme, record, store, person, person, progress or CampaignProgress()), store
 
 
 def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, list[Run]]:
@@ -80,13 +77,13 @@ def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, l
 
 
 def test_a_plan_of_every_kind_is_carried_out() -> None:
-    steps = [dict(step.model_dump(mode="json")) for step in find(Plan, "plan", "paper").steps[:3]]
+    steps = [dict(step.model_dump(mode="json")) for step in find_settings(Plan, "plan", "paper").steps[:3]]
     result, runs = made(*steps, SHORT_DRAG)
-    assert result.status is Status.COMPLETE
+    assert result.status is RunStatus.COMPLETE
     kinds = [run.info.kind for run in runs]
     assert kinds == ["relaxation", "return"] * 4 + ["blank", "return"] * 2 + ["coulomb", "return"] + ["drag", "return"]
     assert [run.info.header.order for run in runs] == list(range(len(runs)))
-    assert all(run.info.status is Status.COMPLETE and not run.info.reason for run in runs)
+    assert all(run.info.status is RunStatus.COMPLETE and not run.info.reason for run in runs)
     starts = [run.info.header.start_time for run in runs]
     assert starts == sorted(starts)
     for run in runs:
@@ -132,7 +129,7 @@ def test_skip_leaves_out_what_the_prompt_prepares() -> None:
     result, runs = made(
         {**SHORT_DRAG, "repeats": 2}, {"kind": "blank", "speed_mm_s": 40.0, "prompt": "off"}, person=person
     )
-    assert result.status is Status.COMPLETE
+    assert result.status is RunStatus.COMPLETE
     assert [run.info.kind for run in runs] == ["blank", "return"]
 
 
@@ -140,7 +137,7 @@ def test_redo_makes_the_run_before_again_and_marks_its_file() -> None:
     person = Scripted(Answer.DONE, Answer.REDO)
     step = {**SHORT_DRAG, "speed_mm_s": [10.0, 20.0], "prompt_each": True}
     one, store = session(step, person=person)
-    assert one.run().status is Status.COMPLETE
+    assert one.run().status is RunStatus.COMPLETE
     speeds = [run.info.header.protocol["speed_mm_s"] for run in store.runs if run.info.kind == "drag"]
     assert speeds == [10.0, 10.0, 20.0]
     assert list(store.bad) == [0, 1]
@@ -148,12 +145,12 @@ def test_redo_makes_the_run_before_again_and_marks_its_file() -> None:
 
 def test_abort_at_a_prompt_ends_the_session() -> None:
     result, runs = made(SHORT_DRAG, person=Scripted(Answer.ABORT))
-    assert (result.status, runs) == (Status.ABORTED, [])
+    assert (result.status, runs) == (RunStatus.ABORTED, [])
     with pytest.raises(AbortedError):
         result.require()
 
 
-class AbortsAt(Nobody):
+class AbortsAt(NullOperator):
     """Presses the button once a time has been recorded."""
 
     def __init__(self, time_s: float) -> None:
@@ -170,9 +167,9 @@ def test_an_abort_stops_the_stage_and_keeps_what_was_recorded() -> None:
     one, store = session(SHORT_DRAG, person=person)
     person.session = one
     result = one.run()
-    assert (result.status, result.reason) == (Status.ABORTED, "stop button")
+    assert (result.status, result.reason) == (RunStatus.ABORTED, "stop button")
     (run,) = store.runs
-    assert run.info.status is Status.ABORTED
+    assert run.info.status is RunStatus.ABORTED
     assert run.info.reason == "stop button"
     assert run.trace.time[-1] >= 1.5
     # 20 mm/s are braked within 7 ms; the record ends with the stage at rest.
@@ -201,25 +198,25 @@ def only_drags(acquisition: object) -> bool:
 def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> None:
     one, store = session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, strike=only_drags))
     result = one.run()
-    assert result.status is Status.TRIPPED
+    assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith(cause)
     with pytest.raises(TrippedError):
         result.require()
     (run,) = store.runs
-    assert run.info.status is Status.TRIPPED
+    assert run.info.status is RunStatus.TRIPPED
     assert run.info.reason.startswith(cause)
     assert len(run.trace.time) >= 1400
     assert "trip" in {event.kind for event in run.events}
     if cause == "force":
         np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
-        one.engine.acquire(recorded(0, one._programme.runs[0], 0.0))
+        one.engine.acquire(run_acquisition(0, one._programme.runs[0], 0.0))
 
 
 def test_lost_samples_are_counted_and_never_closed_up() -> None:
     faults = Faults(lost_samples=LostSamples(1.2, 30), strike=only_drags)
     result, runs = made(SHORT_DRAG, faults=faults)
-    assert result.status is Status.COMPLETE
+    assert result.status is RunStatus.COMPLETE
     assert runs[0].info.checks["lost_samples"] == 30
     assert np.diff(runs[0].trace.time).max() == pytest.approx(0.031)
 
@@ -254,7 +251,7 @@ def stubborn(monkeypatch: pytest.MonkeyPatch) -> tuple[Session, MemoryStore]:
 def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tuple[Session, MemoryStore]) -> None:
     one, store = stubborn
     result = one.run()
-    assert result.status is Status.FAILED
+    assert result.status is RunStatus.FAILED
     assert "does not let go" in result.reason
     assert not one._backend.stage.state().enabled
     assert len(store.runs) == 0 or store.runs[0].info.reason
@@ -263,8 +260,8 @@ def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tup
 def test_a_session_goes_on_where_another_ended() -> None:
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
     person = Scripted()
-    one, store = session(step, person=person, progress=Progress(done=frozenset({0}), next_order=7))
-    assert one.run().status is Status.COMPLETE
+    one, store = session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=7))
+    assert one.run().status is RunStatus.COMPLETE
     assert [(run.info.kind, run.info.header.order) for run in store.runs] == [
         ("drag", 7), ("return", 8), ("drag", 9), ("return", 10),
     ]  # fmt: skip
@@ -279,7 +276,7 @@ def test_every_run_carries_the_settings_it_was_made_with() -> None:
     assert again.plan.steps[0].parameters["speed_mm_s"] == 20.0
 
 
-class Careless(Nobody):
+class Careless(NullOperator):
     """Looks at a block and falls over."""
 
     def reads(self, reading: Reading) -> None:
@@ -288,7 +285,7 @@ class Careless(Nobody):
 
 def test_whoever_watches_does_not_get_in_the_way_of_the_run() -> None:
     result, runs = made(SHORT_DRAG, person=Careless())
-    assert result.status is Status.COMPLETE
+    assert result.status is RunStatus.COMPLETE
     assert [event.kind for event in runs[0].events].count("view") == 1
 
 
@@ -301,10 +298,10 @@ def test_a_driver_that_raises_its_own_kind_of_error_wedges_nothing(monkeypatch: 
 
     monkeypatch.setattr(one._backend.stage, step, refuse)
     result = one.run()
-    assert result.status is Status.FAILED
+    assert result.status is RunStatus.FAILED
     assert "cable pulled" in result.reason
     assert one.engine.status.state == "idle"
-    assert all(run.info.status is not Status.RECORDING for run in store.runs)
+    assert all(run.info.status is not RunStatus.RECORDING for run in store.runs)
 
 
 def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
@@ -316,8 +313,8 @@ def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
     person = StopsTheStage(1.2)
     one, store = session(SHORT_DRAG, person=person)
     person.session = one
-    assert one.run().status is Status.FAILED
-    assert store.runs[0].info.status is Status.FAILED
+    assert one.run().status is RunStatus.FAILED
+    assert store.runs[0].info.status is RunStatus.FAILED
     assert "samples" in store.runs[0].info.reason
 
 
@@ -334,11 +331,11 @@ def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
     person = Looks()
     one, _ = session(SHORT_DRAG, person=person)
     person.session = one
-    assert one.run().status is Status.COMPLETE
+    assert one.run().status is RunStatus.COMPLETE
     assert person.at_mm == pytest.approx(40.0)
 
 
-class Follows(Nobody):
+class Follows(NullOperator):
     """Notes which runs are told of beforehand, and which begin."""
 
     def __init__(self) -> None:
@@ -366,12 +363,12 @@ class Follows(Nobody):
 def test_who_follows_is_told_beforehand_of_the_runs_that_are_made(done: set[int], left: list[int]) -> None:
     person = Follows()
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
-    one, _ = session(step, person=person, progress=Progress(done=frozenset(done), next_order=6))
-    assert one.run().status is Status.COMPLETE
+    one, _ = session(step, person=person, progress=CampaignProgress(done=frozenset(done), next_order=6))
+    assert one.run().status is RunStatus.COMPLETE
     assert person.pending == person.begun == left
 
 
 def test_a_run_made_again_has_its_way_back_made_again() -> None:
-    one, store = session(SHORT_DRAG, progress=Progress(done=frozenset({1}), next_order=2))
-    assert one.run().status is Status.COMPLETE
+    one, store = session(SHORT_DRAG, progress=CampaignProgress(done=frozenset({1}), next_order=2))
+    assert one.run().status is RunStatus.COMPLETE
     assert [run.info.kind for run in store.runs] == ["drag", "return"]

@@ -9,34 +9,32 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from simulated import NEVER, Handed, acquire, rest, settings, stroke
 
-from dragrig.cli.operator import Terminal
+from dragrig.cli.operator import TerminalOperator
 from dragrig.config.errors import DeviceError, StaleDataError
-from dragrig.config.loading import parse
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
+from dragrig.config.settings import parse
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Block
+from dragrig.rig.devices import Block, Trip, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.memory import MemoryStore
-from dragrig.rig.people import Answer, Nobody, Prompt
-from dragrig.rig.programme import build
+from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.record import SessionRecord
-from dragrig.rig.runfile.model import Status
-from dragrig.rig.session import Session
-from dragrig.rig.trips import Cause, Trip
+from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.session import Session, SessionRecord
 from dragrig.sim_backend.devices import Faults, ForceSpike
-from dragrig.sim_backend.devices.clock import VirtualClock
-from dragrig.sim_backend.devices.stage import SimulatedStage
+from dragrig.sim_backend.devices.simulated_backend import VirtualClock
+from dragrig.sim_backend.devices.simulated_stage import SimulatedStage
 
 BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
 SPECIMEN = Specimen(name="jejunum")
 DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 0.5, "prompt": "fit"}
 
 
-class Present(Nobody):
+class Present(NullOperator):
     """A person who answers from a list, then says done, and takes a while for it."""
 
     def __init__(self, *answers: Answer) -> None:
@@ -48,19 +46,19 @@ class Present(Nobody):
         return self.answers.pop(0) if self.answers else Answer.DONE
 
 
-def at_the_rig(person: Nobody, *steps: dict[str, object]) -> tuple[Session, MemoryStore, Handed]:
+def at_the_rig(person: NullOperator, *steps: dict[str, object]) -> tuple[Session, MemoryStore, Handed]:
     rig, model, store = RigSettings(), FrictionModelSettings(), MemoryStore()
     plan = parse(Plan, {"name": "p", "steps": list(steps or (DRAG,))}, "p.toml")
     record = SessionRecord(begun_at=BEGUN, backend="simulated", plan=plan, specimen=SPECIMEN, model=model, rig=rig)
     backend = Handed(rig, model, VirtualClock(BEGUN))
-    programme = build(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
+    programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
     return Session(backend, programme, record, store, person, person), store, backend
 
 
 def test_a_person_looks_before_the_guard_is_reset_and_before_the_stage_homes() -> None:
     person = Present()
     session, store, _ = at_the_rig(person)
-    assert session.run().status is Status.COMPLETE
+    assert session.run().status is RunStatus.COMPLETE
     assert [prompt.text.split()[0] for prompt in person.prompts] == ["Look", "The", "fit"]
     assert all(prompt.hands for prompt in person.prompts)
     assert len(store.runs) == 2
@@ -70,13 +68,13 @@ def test_a_person_looks_before_the_guard_is_reset_and_before_the_stage_homes() -
 def test_nothing_is_switched_on_or_moves_until_they_agree(agreed: int) -> None:
     session, store, backend = at_the_rig(Present(*[Answer.DONE] * agreed, Answer.ABORT))
     result = session.run()
-    assert (result.status, store.runs) == (Status.ABORTED, [])
+    assert (result.status, store.runs) == (RunStatus.ABORTED, [])
     assert not backend.stage.state().homed
 
 
 def test_nobody_does_not_answer_for_a_persons_hands() -> None:
-    session, store, _ = at_the_rig(Nobody())
-    assert session.run().status is Status.ABORTED
+    session, store, _ = at_the_rig(NullOperator())
+    assert session.run().status is RunStatus.ABORTED
     assert store.runs == []
 
 
@@ -84,7 +82,7 @@ def test_yes_answers_only_what_needs_no_hands(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    with Terminal(yes=True) as person:
+    with TerminalOperator(yes=True) as person:
         assert person.ask(Prompt("Go?", hands=False)) is Answer.DONE
         assert person.ask(Prompt("Hang 20 g on the sensor")) is Answer.ABORT
     assert "hands" in capsys.readouterr().err
@@ -98,7 +96,7 @@ def test_files_tell_when_the_capsule_went_in() -> None:
 
     person = Slow()
     session, store, backend = at_the_rig(person, DRAG, {"kind": "blank", "speed_mm_s": 40.0, "prompt": "off"})
-    assert session.run().status is Status.COMPLETE
+    assert session.run().status is RunStatus.COMPLETE
     drag, back, blank, _ = store.runs
     inserted = datetime.fromisoformat(str(drag.info.header.entry["inserted_at"]))
     since = drag.info.header.start_time - inserted
@@ -112,13 +110,13 @@ def test_files_tell_when_the_capsule_went_in() -> None:
 def test_every_run_tells_how_sure_its_start_is(monkeypatch: pytest.MonkeyPatch) -> None:
     session, store, _ = at_the_rig(Present())
     monkeypatch.setattr(SimulatedStage, "start_uncertainty_s", 0.004)
-    assert session.run().status is Status.COMPLETE
+    assert session.run().status is RunStatus.COMPLETE
     assert [run.info.header.entry["command_t0_uncertainty_s"] for run in store.runs] == [0.004, 0.004]
 
 
 def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypatch: pytest.MonkeyPatch) -> None:
     session, store, backend = at_the_rig(Present())
-    watchdog = Trip(Cause.WATCHDOG, "nobody looked at the data for 0.5 s")
+    watchdog = Trip(TripCause.WATCHDOG, "nobody looked at the data for 0.5 s")
 
     def hold(reading: Reading) -> None:
         # The terminal holds the thread: meanwhile the stage is stopped and comes to rest.
@@ -129,9 +127,9 @@ def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypat
 
     monkeypatch.setattr(session._watcher, "reads", hold)
     result = session.run()
-    assert result.status is Status.TRIPPED
+    assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith("watchdog: nobody looked at the data")
-    assert store.runs[0].info.status is Status.TRIPPED
+    assert store.runs[0].info.status is RunStatus.TRIPPED
     assert store.runs[0].info.reason == result.reason
 
 
@@ -147,14 +145,14 @@ def test_what_follows_from_the_watchdogs_stop_does_not_hide_it(
         block = read(cancel)
         if block is None or block.first_index < 400:
             return block
-        monkeypatch.setattr(SimulatedStage, "fault", Trip(Cause.WATCHDOG, "hung for 0.5 s"))
+        monkeypatch.setattr(SimulatedStage, "fault", Trip(TripCause.WATCHDOG, "hung for 0.5 s"))
         if end is not None:
             raise end
         return None
 
     monkeypatch.setattr(backend.sampler, "read", cut_off)
     outcome = engine.acquire(acquire(stroke(travel_mm=100.0)))
-    assert outcome.status is Status.TRIPPED
+    assert outcome.status is RunStatus.TRIPPED
     assert outcome.reason.startswith("watchdog: hung for 0.5 s")
     assert end is None or str(end).rstrip(".") in outcome.reason
 
@@ -179,11 +177,11 @@ def test_an_acquisition_ends_in_good_order_once_it_has_what_it_sought() -> None:
     outcome = engine.acquire(
         acquire(stroke(travel_mm=100.0)), view=seen.append, until=lambda reading: reading.end_index >= 1000
     )
-    assert (outcome.status, outcome.reason) == (Status.COMPLETE, "")
+    assert (outcome.status, outcome.reason) == (RunStatus.COMPLETE, "")
     assert outcome.samples < 1200
     assert not backend.stage.state().moving
     assert backend.stage.state().position_mm < 60.0
-    assert engine.acquire(acquire(rest(0.1), order=1)).status is Status.COMPLETE
+    assert engine.acquire(acquire(rest(0.1), order=1)).status is RunStatus.COMPLETE
 
 
 def test_what_is_sought_does_not_outrank_the_guard() -> None:
@@ -191,7 +189,7 @@ def test_what_is_sought_does_not_outrank_the_guard() -> None:
     outcome = engine_on(backend).acquire(
         acquire(stroke(travel_mm=100.0)), until=lambda reading: reading.end_index >= 450
     )
-    assert outcome.status is Status.TRIPPED
+    assert outcome.status is RunStatus.TRIPPED
 
 
 def test_an_abort_from_elsewhere_is_one_even_while_something_is_sought() -> None:
@@ -203,7 +201,7 @@ def test_an_abort_from_elsewhere_is_one_even_while_something_is_sought() -> None
             threading.Thread(target=engine.abort, args=("stop button",)).start()
 
     outcome = engine.acquire(acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)), view=look, until=lambda _: False)
-    assert (outcome.status, outcome.reason) == (Status.ABORTED, "stop button")
+    assert (outcome.status, outcome.reason) == (RunStatus.ABORTED, "stop button")
 
 
 def test_a_block_that_carries_a_fault_trips(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,11 +212,11 @@ def test_a_block_that_carries_a_fault_trips(monkeypatch: pytest.MonkeyPatch) -> 
         block = read(cancel)
         if block is None or block.first_index < 400:
             return block
-        return Block(block.first_index, block.channels, Trip(Cause.SENSOR_OPEN, "no sensor"))
+        return Block(block.first_index, block.channels, Trip(TripCause.SENSOR_OPEN, "no sensor"))
 
     monkeypatch.setattr(backend.sampler, "read", faulty)
     outcome = engine_on(backend).acquire(acquire(stroke(travel_mm=100.0)))
-    assert (outcome.status, outcome.reason) == (Status.TRIPPED, "sensor open circuit: no sensor")
+    assert (outcome.status, outcome.reason) == (RunStatus.TRIPPED, "sensor open circuit: no sensor")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")
@@ -233,6 +231,6 @@ def test_an_enter_from_before_the_question_answers_nothing(monkeypatch: pytest.M
     with Keys(os.fdopen(screen, "rb")) as typed:
         monkeypatch.setattr(sys, "stdin", typed)
         os.write(keyboard, b"\n")
-        with Terminal(yes=False) as person:
+        with TerminalOperator(yes=False) as person:
             assert person.ask(Prompt("Is the way free?")) is Answer.ABORT
     os.close(keyboard)

@@ -8,32 +8,31 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dragrig.cli import main
-from dragrig.config import library
-from dragrig.config.capsule import Capsule
+from dragrig.config import settings as library
 from dragrig.config.errors import PlanError, SettingsError
-from dragrig.config.loading import load, parse
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Specimen
-from dragrig.rig.programme import build
+from dragrig.config.settings import load_settings, parse
+from dragrig.config.specimen import Capsule, Specimen
+from dragrig.rig.programme import build_programme
 
 MODELS = {"rig": RigSettings, "capsule": Capsule, "specimen": Specimen, "model": FrictionModelSettings, "plan": Plan}
-SHIPPED = [(kind, name) for kind in MODELS for name in library.shipped(kind)]
+SHIPPED = [(kind, name) for kind in MODELS for name in library.shipped_files(kind)]
 
 
 def use(kind: str, path: Path) -> None:
-    settings = load(MODELS[kind], path)
+    settings = load_settings(MODELS[kind], path)
     if isinstance(settings, Plan):
-        build(settings, Specimen(name="s"), 40.0, str(path))
+        build_programme(settings, Specimen(name="s"), 40.0, str(path))
 
 
 @pytest.mark.parametrize(("kind", "name"), SHIPPED)
 def test_what_ships_is_valid(kind: str, name: str) -> None:
-    settings = library.find(MODELS[kind], kind, name)
+    settings = library.find_settings(MODELS[kind], kind, name)
     if isinstance(settings, Plan):
         assert settings.name == name
-        assert build(settings, Specimen(name="s"), 40.0, name).runs
+        assert build_programme(settings, Specimen(name="s"), 40.0, name).runs
 
 
 _PIECES = st.sampled_from(
@@ -45,7 +44,7 @@ _PIECES = st.sampled_from(
 @st.composite
 def mutated(draw: st.DrawFn) -> tuple[str, bytes]:
     kind, name = draw(st.sampled_from(SHIPPED))
-    data = library.shipped(kind)[name].read_bytes()
+    data = library.shipped_files(kind)[name].read_bytes()
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(data)))
         length = draw(st.integers(0, 12))
@@ -88,7 +87,7 @@ def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
     with suppress(SettingsError, PlanError):
         found = parse(MODELS[kind], table, "any")
         if isinstance(found, Plan):
-            build(found, Specimen(name="s"), 40.0, "any")
+            build_programme(found, Specimen(name="s"), 40.0, "any")
 
 
 @pytest.mark.parametrize(

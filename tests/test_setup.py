@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dragrig.config.errors import DragrigError, PlanError, SettingsError
-from dragrig.rig.protocols.drag import Drag
+from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.setup import Setup, resolve
 
 
@@ -95,7 +95,7 @@ def test_a_wrong_assignment_is_answered_in_one_sentence(assignment: str, words: 
 
 
 def test_a_protocol_alone_is_a_plan_of_one_run() -> None:
-    setup = resolve(Drag(speed_mm_s=3, travel_mm=10))
+    setup = resolve(DragProtocol(speed_mm_s=3, travel_mm=10))
     assert speeds(setup) == [3.0]
     assert len(setup.programme().runs) == 1
 

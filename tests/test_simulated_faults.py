@@ -9,11 +9,9 @@ import pytest
 from simulated import NEVER, acquire, begin, blocks, record, rest, session, settings, stroke
 
 from dragrig.config.errors import DeviceError, StaleDataError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.devices import Contact
-from dragrig.rig.trips import Cause, Trip
+from dragrig.rig.devices import BackendRequest, Contact, Trip, TripCause
 from dragrig.sim_backend.devices import (
     DriveFault,
     Faults,
@@ -113,7 +111,7 @@ def test_drive_fault_brakes_tells_and_needs_switching_off() -> None:
     faults_seen = []
     got = record(backend, RUN, lambda _: faults_seen.append(backend.stage.state().fault))
     assert faults_seen[:7] == [None] * 7
-    assert set(faults_seen[8:]) == {Trip(Cause.DRIVE_FAULT, "the drive reports overtemperature")}
+    assert set(faults_seen[8:]) == {Trip(TripCause.DRIVE_FAULT, "the drive reports overtemperature")}
     position = got["position"]
     assert np.ptp(position[430:]) <= 0.001
     assert position[-1] < 40.0
@@ -134,7 +132,7 @@ def test_a_drive_fault_that_nobody_saw_stays() -> None:
     backend.sampler.arm(acquire(rest(0.1), kind="tare"))
     backend.sampler.start()
     list(blocks(backend))
-    assert backend.stage.state().fault == Trip(Cause.DRIVE_FAULT, "the drive reports simulated overcurrent")
+    assert backend.stage.state().fault == Trip(TripCause.DRIVE_FAULT, "the drive reports simulated overcurrent")
 
 
 def test_force_spike_is_on_the_force_alone() -> None:

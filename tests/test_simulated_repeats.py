@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simulated import Recorded, acquire, begin, blocks, record, rest, session, settings, stroke
 
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.devices.kinematics import evaluate, position_at
+from dragrig.sim_backend.devices.simulated_stage import evaluate_profile, profile_position
 
 FAST = 25_000.0
 """A rate [Hz] at which a run of 2.5 s spans several chunks."""
@@ -195,17 +195,17 @@ pieces = st.lists(
 def test_fast_evaluation_is_the_profile_s_own(
     moves: list[tuple[float, float, float, bool]], first: int, samples: int
 ) -> None:
-    from dragrig.rig.profile import MotionProfile, Phase, still, trapezoid
+    from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 
     profile = MotionProfile.from_pieces(
         piece
         for travel, speed, accel, back in moves
-        for piece in (still(0.05, Phase.REST), *trapezoid(-travel if back else travel, speed, accel))
+        for piece in (stationary_piece(0.05, Phase.REST), *trapezoid(-travel if back else travel, speed, accel))
     )
     time = np.arange(first, first + samples) / 1000.0
-    motion = evaluate(profile, time)
+    motion = evaluate_profile(profile, time)
     np.testing.assert_allclose(motion.position, profile.position(time), atol=1e-9)
     np.testing.assert_allclose(motion.velocity, profile.velocity(time), atol=1e-6)
     np.testing.assert_array_equal(motion.acceleration, profile.acceleration(time))
     for one in (time[0], time[-1]):
-        assert position_at(profile, float(one)) == pytest.approx(float(profile.position(one)), abs=1e-9)
+        assert profile_position(profile, float(one)) == pytest.approx(float(profile.position(one)), abs=1e-9)

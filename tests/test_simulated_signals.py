@@ -4,19 +4,21 @@ import numpy as np
 import pytest
 from simulated import acquire, record, rest, session, settings, stroke
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import EncoderSettings, ForceSensorSettings, MotorSettings, NoiseSettings, VariationSettings
-from dragrig.rig.backend import BackendRequest
-from dragrig.rig.devices import Contact
+from dragrig.rig.devices import BackendRequest, Contact
 from dragrig.sim_backend.devices import open_backend
-from dragrig.sim_backend.devices.instruments import Converter, Encoder
-from dragrig.sim_backend.devices.noise import SlowNoise, Stream, force_noise, generator
-from dragrig.sim_backend.devices.variation import (
+from dragrig.sim_backend.devices.simulated_stage import ForceConverter, PositionEncoder
+from dragrig.sim_backend.devices.variability import (
     BETWEEN_SPECIMENS,
-    CONTACT_ANGLE_DEG,
-    FURTHEST,
-    draw_run,
-    draw_specimen,
+    CONTACT_ANGLE_SD_DEG,
+    MAX_DEVIATIONS,
+    RandomStream,
+    SlowNoise,
+    draw_run_model,
+    draw_specimen_model,
+    force_noise,
+    random_generator,
 )
 from dragrig.sim_backend.friction import prepare
 
@@ -35,7 +37,7 @@ def test_white_noise_has_its_deviation_and_no_memory() -> None:
 
 def test_slow_noise_has_its_deviation_and_correlation_time() -> None:
     rate, tau, deviation = 50.0, 0.2, 0.5
-    values = SlowNoise(generator(2, Stream.FORCE_SLOW), deviation, tau, rate).draw(400_000)
+    values = SlowNoise(random_generator(2, RandomStream.FORCE_SLOW), deviation, tau, rate).draw(400_000)
     independent = len(values) / (2 * tau * rate)
     assert values.std() == pytest.approx(deviation, rel=5 / np.sqrt(2 * independent))
     for lag in (1, 10, 30):
@@ -45,10 +47,13 @@ def test_slow_noise_has_its_deviation_and_correlation_time() -> None:
 
 
 def test_slow_noise_is_stationary_from_its_first_sample_and_the_same_in_any_portions() -> None:
-    firsts = [SlowNoise(generator(3, Stream.FORCE_SLOW, order), 2.0, 0.2, 1000.0).draw(1)[0] for order in range(2000)]
+    firsts = [
+        SlowNoise(random_generator(3, RandomStream.FORCE_SLOW, order), 2.0, 0.2, 1000.0).draw(1)[0]
+        for order in range(2000)
+    ]
     assert np.std(firsts) == pytest.approx(2.0, rel=5 / np.sqrt(2 * len(firsts)))
-    whole = SlowNoise(generator(4, Stream.FORCE_SLOW), 1.0, 0.2, 1000.0).draw(1000)
-    portions = SlowNoise(generator(4, Stream.FORCE_SLOW), 1.0, 0.2, 1000.0)
+    whole = SlowNoise(random_generator(4, RandomStream.FORCE_SLOW), 1.0, 0.2, 1000.0).draw(1000)
+    portions = SlowNoise(random_generator(4, RandomStream.FORCE_SLOW), 1.0, 0.2, 1000.0)
     np.testing.assert_array_equal(np.concatenate([portions.draw(n) for n in (1, 7, 400, 592)]), whole)
 
 
@@ -64,7 +69,7 @@ def test_zero_offset_spreads_from_run_to_run() -> None:
 
 
 def test_force_comes_in_steps_of_the_converter_and_is_clipped_at_its_range() -> None:
-    converter = Converter.of(ForceSensorSettings(range_mN=10_000.0, bits=16))
+    converter = ForceConverter.of(ForceSensorSettings(range_mN=10_000.0, bits=16))
     step = 20_000 / 65_536
     true = np.linspace(-11_000, 11_000, 9_973)
     shown = converter.convert(true.copy())
@@ -84,7 +89,7 @@ def test_a_force_beyond_the_range_reads_as_the_sampler_s_range() -> None:
 
 
 def test_positions_are_counts_of_the_absolute_position_exact_to_nanometres() -> None:
-    encoder = Encoder.of(EncoderSettings(resolution_um=1.0))
+    encoder = PositionEncoder.of(EncoderSettings(resolution_um=1.0))
     relative = np.linspace(0.0, 300.0, 100_001)
     shown = encoder.record(relative.copy(), 12.3456)
     assert np.abs(shown - relative).max() <= 0.001 + 1e-9
@@ -152,7 +157,7 @@ def test_motor_noise_has_its_deviation_and_may_be_left_out() -> None:
 
 def test_specimens_differ_by_the_list_s_deviations() -> None:
     nominal = FrictionModelSettings()
-    drawn = [draw_specimen(nominal, seed) for seed in range(2000)]
+    drawn = [draw_specimen_model(nominal, seed) for seed in range(2000)]
     error = 5 / np.sqrt(2 * len(drawn))
     for name, deviation in BETWEEN_SPECIMENS.items():
         factors = np.array([getattr(one, name) for one in drawn]) / getattr(nominal, name)
@@ -160,8 +165,8 @@ def test_specimens_differ_by_the_list_s_deviations() -> None:
         assert factors.mean() == pytest.approx(1.0, abs=5 * deviation / np.sqrt(len(drawn))), name
         assert factors.min() > 0
     angles = np.array([one.contact_angle_offset_deg for one in drawn])
-    assert angles.std() == pytest.approx(CONTACT_ANGLE_DEG, rel=2 * error)
-    assert np.abs(angles).max() <= FURTHEST * CONTACT_ANGLE_DEG
+    assert angles.std() == pytest.approx(CONTACT_ANGLE_SD_DEG, rel=2 * error)
+    assert np.abs(angles).max() <= MAX_DEVIATIONS * CONTACT_ANGLE_SD_DEG
     stiffness, friction = (
         np.array([getattr(one, name) for one in drawn]) for name in ("stiffness_scale", "friction_coefficient")
     )
@@ -170,7 +175,7 @@ def test_specimens_differ_by_the_list_s_deviations() -> None:
 
 def test_runs_on_one_specimen_differ_a_little() -> None:
     nominal, variation = FrictionModelSettings(), VariationSettings()
-    runs = [draw_run(nominal, variation, 9, order) for order in range(2000)]
+    runs = [draw_run_model(nominal, variation, 9, order) for order in range(2000)]
     error = 5 / np.sqrt(2 * len(runs))
     stiffness = np.array([run.stiffness_scale for run in runs])
     friction = np.array([run.friction_coefficient for run in runs]) / nominal.friction_coefficient

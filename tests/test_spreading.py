@@ -12,9 +12,9 @@ import pytest
 from clusters import dask_cluster
 from spreading_pieces import deadly, failing, loaded, product, traced
 
+from dragrig import parallel as processes
 from dragrig.config.errors import SettingsError, WorkerError
-from dragrig.spreading import cores, executor, processes, spread
-from dragrig.spreading.serial import Serial
+from dragrig.parallel import SerialExecutor, available_cores, open_executor, parallel_map
 
 SEEDS = range(6)
 
@@ -46,11 +46,11 @@ def require_nothing_lost_or_twice(folder: Path, found: list[bytes], told: list[i
 
 
 def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers() -> None:
-    with executor(1) as here:
-        assert isinstance(here, Serial)
-        alone = spread(here, product, SEEDS)
-    with executor(2) as two:
-        assert spread(two, product, SEEDS) == alone
+    with open_executor(1) as here:
+        assert isinstance(here, SerialExecutor)
+        alone = parallel_map(here, product, SEEDS)
+    with open_executor(2) as two:
+        assert parallel_map(two, product, SEEDS) == alone
     assert alone == [product(seed) for seed in SEEDS]
 
 
@@ -58,19 +58,19 @@ def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_
 def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
     told: list[int] = []
     killer = kill_when_begun(tmp_path, told, [])
-    with executor(2) as two:
+    with open_executor(2) as two:
         pieces = [(tmp_path, seed) for seed in SEEDS]
-        found = spread(two, traced, pieces, lambda piece, _: told.append(piece[1]))
+        found = parallel_map(two, traced, pieces, lambda piece, _: told.append(piece[1]))
     killer.join()
     require_nothing_lost_or_twice(tmp_path, found, told, list(SEEDS))
 
 
 def test_a_process_killed_while_it_waits_is_replaced() -> None:
-    with executor(1, apart=True) as one:
-        [(pid, _)] = spread(one, loaded, ["dragrig"])
+    with open_executor(1, apart=True) as one:
+        [(pid, _)] = parallel_map(one, loaded, ["dragrig"])
         assert pid != os.getpid()
         os.kill(pid, signal.SIGKILL)
-        [(other, _)] = spread(one, loaded, ["dragrig"])
+        [(other, _)] = parallel_map(one, loaded, ["dragrig"])
     assert other not in {pid, os.getpid()}
 
 
@@ -87,38 +87,38 @@ def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypat
             where.append(threading.current_thread())
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", Noted)
-    with pytest.raises(WorkerError, match="ended 3 times"), executor(1, apart=True) as one:
-        spread(one, deadly, [1])
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, apart=True) as one:
+        parallel_map(one, deadly, [1])
     assert set(where) == {threading.main_thread()}
 
 
 def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
-    with pytest.raises(WorkerError, match="ended 3 times"), executor(1, apart=True) as one:
-        spread(one, deadly, [1])
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, apart=True) as one:
+        parallel_map(one, deadly, [1])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_a_piece_raises_comes_out(workers: int) -> None:
-    with pytest.raises(ValueError, match="not liked"), executor(workers) as some:
-        spread(some, failing, range(3))
+    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
+        parallel_map(some, failing, range(3))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
     told: list[tuple[int, int]] = []
-    with pytest.raises(ValueError, match="not liked"), executor(workers) as some:
-        spread(some, failing, [0, 0, 0, 1], lambda piece, found: told.append((piece, found)))
+    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
+        parallel_map(some, failing, [0, 0, 0, 1], lambda piece, found: told.append((piece, found)))
     assert told == [(0, 0)] * len(told)
     assert len(told) >= 4 - workers
 
 
 def test_workers_are_the_cores_unless_told() -> None:
-    with executor(most=1) as one:
-        assert isinstance(one, Serial)
-    assert cores() >= 1
-    with pytest.raises(SettingsError, match="one worker at least"), executor(0):
+    with open_executor(most=1) as one:
+        assert isinstance(one, SerialExecutor)
+    assert available_cores() >= 1
+    with pytest.raises(SettingsError, match="one worker at least"), open_executor(0):
         pass
-    with pytest.raises(SettingsError, match="give one"), executor(2, "tcp://127.0.0.1:1"):
+    with pytest.raises(SettingsError, match="give one"), open_executor(2, "tcp://127.0.0.1:1"):
         pass
 
 
@@ -127,13 +127,13 @@ def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # On a busy machine its processes take long to start.
-    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 100)
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
     told, told_before = list[int](), list[int]()
     with dask_cluster() as address:
         killer = kill_when_begun(tmp_path, told, told_before)
-        with executor(scheduler=address) as workers:
+        with open_executor(scheduler=address) as workers:
             pieces = [(tmp_path, seed) for seed in SEEDS]
-            found = spread(workers, traced, pieces, lambda piece, _: told.append(piece[1]))
+            found = parallel_map(workers, traced, pieces, lambda piece, _: told.append(piece[1]))
         killer.join()
     # What a worker had done but not yet handed over when it was killed is done anew by another.
     require_nothing_lost_or_twice(tmp_path, found, told, told_before)
@@ -141,19 +141,26 @@ def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])
 def test_a_scheduler_that_does_not_answer_is_told(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 1)
-    with pytest.raises(SettingsError, match="no Dask scheduler answers there"), executor(scheduler=address):
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 1)
+    with pytest.raises(SettingsError, match="no Dask scheduler answers there"), open_executor(scheduler=address):
         pass
 
 
 @pytest.mark.timeout(200)
 def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dragrig.spreading.cluster.ANSWERS_WITHIN_S", 5)
-    with dask_cluster(0) as address, pytest.raises(SettingsError, match="has no workers"), executor(scheduler=address):
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 5)
+    with (
+        dask_cluster(0) as address,
+        pytest.raises(SettingsError, match="has no workers"),
+        open_executor(scheduler=address),
+    ):
         pass
 
 
 def test_dask_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SettingsError, match=r"install dragrig\[dask\]"), executor(scheduler="tcp://127.0.0.1:8786"):
+    with (
+        pytest.raises(SettingsError, match=r"install dragrig\[dask\]"),
+        open_executor(scheduler="tcp://127.0.0.1:8786"),
+    ):
         pass

@@ -8,16 +8,20 @@ from click.testing import CliRunner
 from friction_cases import ROUGH, moves, sliding, sticking
 
 import dragrig
-from dragrig.analysis.estimates import NORMAL_95
-from dragrig.analysis.identification.relaxation import identify_relaxation
-from dragrig.analysis.identification.results import Quantity, RelaxationFit
-from dragrig.analysis.identification.selection import select_from
-from dragrig.analysis.identification.strain_law import evaluate, strain_laws, wall_polynomials
-from dragrig.cli.lazy import group
+from dragrig.analysis.estimates import NORMAL_95, EstimatedQuantity
+from dragrig.analysis.identification.identification import RelaxationFit
+from dragrig.analysis.identification.relaxation_elements import (
+    evaluate_strain_law,
+    identify_relaxation,
+    strain_laws,
+    wall_polynomials,
+)
+from dragrig.analysis.selection import select_loaded_runs
+from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.loading import load, parse, to_toml
-from dragrig.config.model import FrictionModelSettings, WallPolynomials
-from dragrig.figures import relaxation_fit_figure
+from dragrig.config.friction_model import FrictionModelSettings, WallPolynomials
+from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.present.identification_figures import relaxation_fit_figure
 from dragrig.sim_backend.friction import prepare, steady_forces, wall_parameters
 from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN
 
@@ -50,8 +54,8 @@ def test_any_degree_up_to_the_fourth_counts_from_the_highest_power() -> None:
 def test_a_model_file_keeps_its_polynomials_and_the_command_takes_it(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text(to_toml(polynomial()), encoding="utf-8")
-    assert load(FrictionModelSettings, file) == polynomial()
-    told = CliRunner().invoke(group, ["model", "--model", str(file), "--out", str(tmp_path)])
+    assert load_settings(FrictionModelSettings, file) == polynomial()
+    told = CliRunner().invoke(dragrig_group, ["model", "--model", str(file), "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output
     assert "polynomials" in told.output
 
@@ -84,7 +88,7 @@ def test_a_wall_that_softens_to_nothing_is_refused_where_it_is_used() -> None:
 def made(strain: float, values, file: str = "run.h5", error: float = 0.003) -> RelaxationFit:
     units = ("kPa", "kPa", "kPa", "kPa·s", "kPa·s")
     elements = tuple(
-        Quantity(name, unit, value, error * value, (value * (1 - 2 * error), value * (1 + 2 * error)))
+        EstimatedQuantity(name, unit, value, error * value, (value * (1 - 2 * error), value * (1 + 2 * error)))
         for name, unit, value in zip(NAMES, units, (float(one) for one in values), strict=True)
     )
     return RelaxationFit(file, strain, elements)
@@ -110,7 +114,7 @@ def test_three_strains_are_interpolated_two_joined_one_told() -> None:
     assert "exactly" in remarks[0]
     laws, remarks = strain_laws([made(strain, eq14(strain)) for strain in (0.5, 2.0)])
     assert [len(law.coefficients) for law in laws] == [2] * 5
-    assert evaluate(laws[2], np.array([2.0]))[0] == pytest.approx(eq14(2.0)[2])
+    assert evaluate_strain_law(laws[2], np.array([2.0]))[0] == pytest.approx(eq14(2.0)[2])
     assert "straight" in remarks[0]
     laws, remarks = strain_laws([made(1.0, eq14(1.0)), RelaxationFit("empty.h5", 2.0, remark="clipped")])
     assert laws == ()
@@ -123,10 +127,10 @@ def test_table_1_by_least_squares_is_the_wall_table1_and_its_lack_of_fit_is_in_t
     laws, _ = strain_laws([made(s, column) for s, column in zip(TABLE1_STRAIN, np.transpose(TABLE1), strict=True)])
     published = wall_parameters("table1", 1.2)
     for law, name, narrow in zip(laws, NAMES, tight, strict=True):
-        value, error = evaluate(law, np.array([1.2]))
+        value, error = evaluate_strain_law(law, np.array([1.2]))
         assert value == pytest.approx(float(getattr(published, name)), rel=0.05)
         if name in {"eta1", "eta2"}:
-            assert error > 2 * evaluate(narrow, np.array([1.2]))[1]
+            assert error > 2 * evaluate_strain_law(narrow, np.array([1.2]))[1]
     assert laws[3].r2 is not None
     assert laws[3].r2 < 0.9
 
@@ -138,8 +142,8 @@ def test_repeats_are_averaged_first_and_their_scatter_counts() -> None:
     (agreed, _), (scattered, _) = strain_laws(alike), strain_laws(apart)
     at = np.array([1.0])
     assert agreed[0].strains == (0.5, 1.0, 1.5, 2.0)
-    assert evaluate(scattered[0], at)[0] == pytest.approx(eq14(1.0)[0], rel=0.01)
-    assert evaluate(scattered[0], at)[1] > 1.5 * evaluate(agreed[0], at)[1]
+    assert evaluate_strain_law(scattered[0], at)[0] == pytest.approx(eq14(1.0)[0], rel=0.01)
+    assert evaluate_strain_law(scattered[0], at)[1] > 1.5 * evaluate_strain_law(agreed[0], at)[1]
 
 
 def test_a_laws_interval_covers_the_truth_when_runs_scatter_by_two_per_cent() -> None:
@@ -151,7 +155,7 @@ def test_a_laws_interval_covers_the_truth_when_runs_scatter_by_two_per_cent() ->
             stiffer = 1 + 0.02 * random.standard_normal()
             fits.append(made(strain, [one * stiffer * (1 + 0.003 * random.standard_normal()) for one in eq14(strain)]))
         for law, published in zip(strain_laws(fits)[0], EQ14, strict=True):
-            value, error = evaluate(law, at)
+            value, error = evaluate_strain_law(law, at)
             inside += np.count_nonzero(np.abs(value - np.polyval(published, at)) < NORMAL_95 * error)
             total += len(at)
     assert 0.92 < inside / total < 0.995
@@ -169,18 +173,18 @@ def test_laws_make_a_wall_unless_one_is_lacking_or_not_positive() -> None:
 
 def test_identified_saved_and_simulated_again_the_same_elements_come_back(tmp_path: Path) -> None:
     common = ["rig.sampling.rate_hz=500", "rig.simulated.variation.run_stiffness=0"]
-    selection = select_from(dragrig.simulate("relaxation", assignments=[*common, "model.wall='table1'"]))
+    selection = select_loaded_runs(dragrig.simulate("relaxation", assignments=[*common, "model.wall='table1'"]))
     first = identify_relaxation(selection)
     model = FrictionModelSettings(wall="polynomial", wall_polynomials=wall_polynomials(first.laws))
     file = tmp_path / "own.toml"
     file.write_text(to_toml(model), encoding="utf-8")
     runs = dragrig.simulate("relaxation", model=file, assignments=[*common, "rig.simulated.seed=11"])
-    again = identify_relaxation(select_from(runs))
+    again = identify_relaxation(select_loaded_runs(runs))
     for one, other in zip(first.fits, again.fits, strict=True):
         values = [element.value for element in one.elements]
         assert [element.value for element in other.elements] == pytest.approx(values, rel=0.02)
     for one, other in zip(first.laws, again.laws, strict=True):
         at = np.linspace(0.5, 2.0, 7)
-        assert evaluate(other, at)[0] == pytest.approx(evaluate(one, at)[0], rel=0.02)
+        assert evaluate_strain_law(other, at)[0] == pytest.approx(evaluate_strain_law(one, at)[0], rel=0.02)
     words = [text.get_text() for axes in relaxation_fit_figure(first, selection).axes for text in axes.texts]
     assert sum("five suffice" in word for word in words) >= 3

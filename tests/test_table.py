@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dragrig.analysis.table import TableRow, as_frame, mean_per_speed, row_of, table
+from dragrig.analysis.campaign_table import TableRow, as_frame, mean_per_speed, table_row, table_rows
 from dragrig.config.errors import RunFileError
 from dragrig.rig.runfile import mark_bad, read_run
 
@@ -23,7 +23,7 @@ def campaign(tmp_path: Path) -> Path:
 
 def test_every_run_has_a_row_in_order(campaign: Path) -> None:
     seen: list[tuple[int, int]] = []
-    rows = table(campaign, lambda done, of: seen.append((done, of)))
+    rows = table_rows(campaign, lambda done, of: seen.append((done, of)))
     assert [row.order for row in rows] == [1, 5, 8, 10, 14, 18, 22, 23]
     assert [row.kind for row in rows] == ["relaxation", "blank", "coulomb", *["drag"] * 5]
     assert seen[0] == (0, 8)
@@ -43,10 +43,10 @@ def test_every_run_has_a_row_in_order(campaign: Path) -> None:
 
 
 def test_a_bad_run_is_shown_and_left_out_of_the_mean(campaign: Path) -> None:
-    before = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(table(campaign))}
+    before = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(table_rows(campaign))}
     assert before["drag", 60.0].runs == 2
     mark_bad(campaign / "014-drag.h5", "the gut slid off")
-    rows = table(campaign)
+    rows = table_rows(campaign)
     bad = next(row for row in rows if row.bad)
     assert bad.order == 14
     assert bad.mark == "the gut slid off"
@@ -72,7 +72,7 @@ def test_repeats_are_averaged_with_the_larger_error() -> None:
 def test_a_damaged_file_and_a_recording_get_rows_that_say_so(campaign: Path) -> None:
     (campaign / "005-blank.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     shutil.copy(campaign / "008-coulomb.h5", campaign / "099-drag.recording.h5")
-    rows = {row.file: row for row in table(campaign)}
+    rows = {row.file: row for row in table_rows(campaign)}
     assert rows["005-blank.h5"].status == "unreadable"
     assert rows["005-blank.h5"].remark
     assert rows["099-drag.recording.h5"].status == "recording"
@@ -82,13 +82,13 @@ def test_a_damaged_file_and_a_recording_get_rows_that_say_so(campaign: Path) -> 
 def test_checks_are_told_in_words() -> None:
     run = read_run(CAMPAIGN / "014-drag.h5")
     checks = {"lost_samples": 3, "clipped_samples": 0, "slip_time_s": -1.0}
-    assert row_of(replace(run, info=replace(run.info, checks=checks))).checks == "3 lost"
-    assert row_of(replace(run, info=replace(run.info, checks={**checks, "lost_samples": 0}))).checks == "ok"
-    assert row_of(run).checks == ""
+    assert table_row(replace(run, info=replace(run.info, checks=checks))).checks == "3 lost"
+    assert table_row(replace(run, info=replace(run.info, checks={**checks, "lost_samples": 0}))).checks == "ok"
+    assert table_row(run).checks == ""
 
 
 def test_the_frame_has_the_fields_as_columns() -> None:
-    rows = table(CAMPAIGN)
+    rows = table_rows(CAMPAIGN)
     frame = as_frame(rows)
     assert len(frame) == 8
     assert frame["steady_force_mN"].dtype == np.float64
@@ -100,4 +100,4 @@ def test_the_frame_has_the_fields_as_columns() -> None:
 
 def test_a_missing_folder_is_said(tmp_path: Path) -> None:
     with pytest.raises(RunFileError, match="no such folder"):
-        table(tmp_path / "nowhere")
+        table_rows(tmp_path / "nowhere")

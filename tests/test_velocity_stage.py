@@ -18,13 +18,12 @@ from voltage_bench import LEAD_S, RATE, VoltageRig, velocity_rig, voltage_rig
 from dragrig.config.errors import DeviceError, SettingsError
 from dragrig.config.hardware import VelocityOutputSettings
 from dragrig.config.rig import StageSettings
-from dragrig.rig.devices import Side
+from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Parameter
-from dragrig.rig.hardware.drive.follower import Command, Follower
-from dragrig.rig.profile import MotionProfile, Phase, Piece, still
-from dragrig.rig.trips import Cause
-from dragrig.sim_backend.doubles.remote.client import RemoteDoubles
-from dragrig.sim_backend.doubles.world.world import SWITCH_MM
+from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
+from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles
+from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
 
 FOLLOWS_MM = 0.1
 STANDS_MM = 0.02
@@ -47,7 +46,9 @@ def wavy(duration_s: float = 2.0) -> MotionProfile:
     time_s = np.arange(0.0, duration_s, 0.01)
     speed = 20.0 * np.sin(2 * np.pi * time_s) ** 2 * np.sign(np.sin(2 * np.pi * time_s / duration_s))
     changes = np.diff(np.append(speed, 0.0)) / 0.01
-    return MotionProfile.from_pieces((*(Piece(0.01, a, Phase.STEADY) for a in changes), still(0.4, Phase.HOLD)))
+    return MotionProfile.from_pieces(
+        (*(Piece(0.01, a, Phase.STEADY) for a in changes), stationary_piece(0.4, Phase.HOLD))
+    )
 
 
 def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
@@ -96,7 +97,7 @@ def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(rig: 
     until(lambda: rig.stage.fault is not None)
     fault = rig.stage.fault
     assert fault is not None
-    assert fault.cause is Cause.FOLLOWING_ERROR
+    assert fault.cause is TripCause.FOLLOWING_ERROR
     assert "following_error_mm" in fault.message
     rig.await_standstill()
     assert rig.world.position_mm() == pytest.approx(16.0, abs=1.5)
@@ -112,7 +113,7 @@ def test_an_encoder_that_sticks_in_motion_stops_the_stage(rig: VoltageRig) -> No
     assert rig.world.position_mm() < 60.0
     fault = rig.stage.fault
     assert fault is not None
-    assert fault.cause is Cause.FOLLOWING_ERROR
+    assert fault.cause is TripCause.FOLLOWING_ERROR
 
 
 def test_a_stop_from_another_thread_brakes_within_what_is_written_ahead(rig: VoltageRig) -> None:
@@ -167,7 +168,7 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     rig.sampler.stop()
     fault = rig.stage.fault
     assert fault is not None
-    assert fault.cause is Cause.WATCHDOG
+    assert fault.cause is TripCause.WATCHDOG
     assert "ahead" in fault.message
     assert ended < LONG.samples(RATE) / 2
     until(lambda: not rig.world.powered)
@@ -188,7 +189,7 @@ def test_a_program_that_hangs_loses_the_drives_power(rig: VoltageRig) -> None:
     until(lambda: abs(rig.world.speed_mm_s()) < 0.1)
     fault = rig.stage.fault
     assert fault is not None
-    assert fault.cause is Cause.WATCHDOG
+    assert fault.cause is TripCause.WATCHDOG
     until(lambda: not rig.drive.status.enabled)
     assert rig.world.position_mm() < 60.0
 
@@ -216,9 +217,9 @@ def test_a_card_that_is_pulled_in_motion_leaves_the_stop_to_the_relay(rig: Volta
 
 @pytest.mark.parametrize(
     ("trouble", "cause"),
-    [({"e_stop_pressed": True}, Cause.EMERGENCY_STOP), ({"drive_alarm": "overheating"}, Cause.DRIVE_FAULT)],
+    [({"e_stop_pressed": True}, TripCause.EMERGENCY_STOP), ({"drive_alarm": "overheating"}, TripCause.DRIVE_FAULT)],
 )
-def test_what_stops_the_drive_ends_the_motion(rig: VoltageRig, trouble: dict[str, bool], cause: Cause) -> None:
+def test_what_stops_the_drive_ends_the_motion(rig: VoltageRig, trouble: dict[str, bool], cause: TripCause) -> None:
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
     rig.world.mishaps.strike(**trouble)
@@ -234,7 +235,7 @@ def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
     until(lambda: rig.stage.fault is not None)
     with pytest.raises(DeviceError, match="lower limit switch"):
         rig.stage.move(stroke(1.0, 10.0))
-    rig.stage.override_limit(Side.LOW)
+    rig.stage.override_limit(TravelEnd.LOW)
     with pytest.raises(DeviceError, match="away"):
         rig.stage.move(stroke(-1.0, 10.0))
     rig.stage.move(stroke(5.0, 10.0, 500.0))
@@ -244,11 +245,11 @@ def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
     assert rig.stage.fault is None
 
 
-@pytest.mark.parametrize("start_mm", [0.5, -SWITCH_MM - 1.0])
+@pytest.mark.parametrize("start_mm", [0.5, -SWITCH_OFFSET_MM - 1.0])
 def test_homing_finds_the_index_pulse_from_either_side_of_the_switch(cold: VoltageRig, start_mm: float) -> None:
     cold.world.place(start_mm)
     cold.stage.disable()
-    cold.stage.override_limit(Side.LOW)
+    cold.stage.override_limit(TravelEnd.LOW)
     cold.stage.enable()
     cold.stage.home()
     state = cold.stage.state()
@@ -298,8 +299,8 @@ def test_no_error_makes_it_ask_for_more_than_the_stage_may_do(
     errors: list[float], travel_mm: float, speed_mm_s: float, brakes_at: int
 ) -> None:
     velocity, stage = VelocityOutputSettings(), StageSettings()
-    follower = Follower(velocity, stage)
-    follower.follow(Command(stroke(travel_mm, speed_mm_s, 3000.0), 0.0, 0.0))
+    follower = SpeedController(velocity, stage)
+    follower.follow(MotionCommand(stroke(travel_mm, speed_mm_s, 3000.0), 0.0, 0.0))
     parts = []
     for place, error_mm in enumerate(errors):
         if place == brakes_at:

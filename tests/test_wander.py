@@ -13,14 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dragrig
-from dragrig.analysis.gap.choosing import choose
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.position.errors import position_errors
-from dragrig.analysis.gap.results import Verdict
-from dragrig.analysis.identification.selection import Selection
-from dragrig.analysis.nominal.capsule import MODEL
-from dragrig.analysis.nominal.experiment import Experiment
-from dragrig.analysis.nominal.wander import COUNT_MM, MOST_MM, count_of, wander_of
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.position_channel import position_errors
+from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.models.experiment import (
+    MAX_WANDER_MM,
+    MIN_COUNT_MM,
+    Experiment,
+    encoder_count_mm,
+    position_wander_mm,
+)
+from dragrig.analysis.selection import RunSelection
 from dragrig.rig.arrays import FloatArray
 
 RATE_HZ = 500.0
@@ -47,12 +52,16 @@ def dithering(amplitude_mm: float) -> Change:
 
     def changed(position: FloatArray, random: np.random.Generator) -> FloatArray:
         time = np.arange(position.size) / RATE_HZ
-        return counted(COUNT_MM)(position + amplitude_mm * np.sin(2 * np.pi * (23 * time + random.random())), random)
+        return counted(MIN_COUNT_MM)(
+            position + amplitude_mm * np.sin(2 * np.pi * (23 * time + random.random())), random
+        )
 
     return changed
 
 
-def with_position(selection: Selection, folder: Path, change: Change, count_mm: float = COUNT_MM) -> Selection:
+def with_position(
+    selection: RunSelection, folder: Path, change: Change, count_mm: float = MIN_COUNT_MM
+) -> RunSelection:
     """Record the same campaign with another encoder, of counts of `count_mm`."""
     folder.mkdir()
     random = np.random.default_rng(1)
@@ -62,29 +71,29 @@ def with_position(selection: Selection, folder: Path, change: Change, count_mm: 
             position = file["entry/trace/position"]
             position[...] = change(np.asarray(position[...], dtype=np.float64), random)
             file["entry/settings"] = f"[rig.encoder]\nresolution_um = {1e3 * count_mm}\n"
-    return choose(folder)
+    return select_runs(folder)
 
 
 @pytest.mark.parametrize(
     ("settings_toml", "count_mm"),
     [
         ("[rig.encoder]\nresolution_um = 5.0\n", 0.005),
-        ("[rig.encoder]\nresolution_um = 0.1\n", COUNT_MM),
-        ("[rig.encoder]\nresolution_um = -5\n", COUNT_MM),
-        ("[rig.encoder]\nresolution_um = 'coarse'\n", COUNT_MM),
-        ("rig = 3\n", COUNT_MM),
-        ("[rig]\nname = 'ours'\n", COUNT_MM),
-        ("[rig", COUNT_MM),
-        ("", COUNT_MM),
+        ("[rig.encoder]\nresolution_um = 0.1\n", MIN_COUNT_MM),
+        ("[rig.encoder]\nresolution_um = -5\n", MIN_COUNT_MM),
+        ("[rig.encoder]\nresolution_um = 'coarse'\n", MIN_COUNT_MM),
+        ("rig = 3\n", MIN_COUNT_MM),
+        ("[rig]\nname = 'ours'\n", MIN_COUNT_MM),
+        ("[rig", MIN_COUNT_MM),
+        ("", MIN_COUNT_MM),
     ],
 )
 def test_the_encoders_count_is_what_the_settings_of_the_run_say(settings_toml: str, count_mm: float) -> None:
-    assert count_of(settings_toml) == count_mm
+    assert encoder_count_mm(settings_toml) == count_mm
 
 
 def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
     fine, coarse = (
-        choose(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
+        select_runs(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
     )
     assert {one.count_mm for one in fine.experiments} == {0.001}
     assert {one.count_mm for one in coarse.experiments} == {0.005}
@@ -96,37 +105,39 @@ def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
 def test_the_wander_is_six_standard_deviations_of_noise(sd_mm: float, knows_command: bool) -> None:
     time, command = stroke()
     position = noisy(sd_mm)(command, np.random.default_rng(3))
-    assert wander_of(time, position, command if knows_command else None) == pytest.approx(6 * sd_mm, rel=0.15)
+    assert position_wander_mm(time, position, command if knows_command else None) == pytest.approx(6 * sd_mm, rel=0.15)
 
 
 def test_what_a_stage_does_as_it_comes_to_rest_is_no_wander() -> None:
     time, command = stroke()
     ringing = 0.1 * np.exp(-np.maximum(time - 5.5, 0.0) / 0.3) * np.sin(60 * np.maximum(time - 5.5, 0.0))
-    position = counted(COUNT_MM)(command + ringing, np.random.default_rng())
-    assert wander_of(time, position, command) == wander_of(
-        time, counted(COUNT_MM)(command, np.random.default_rng()), command
+    position = counted(MIN_COUNT_MM)(command + ringing, np.random.default_rng())
+    assert position_wander_mm(time, position, command) == position_wander_mm(
+        time, counted(MIN_COUNT_MM)(command, np.random.default_rng()), command
     )
-    assert wander_of(time, noisy(0.1)(command, np.random.default_rng(0)), command) == MOST_MM
+    assert position_wander_mm(time, noisy(0.1)(command, np.random.default_rng(0)), command) == MAX_WANDER_MM
 
 
 @pytest.fixture(scope="module")
-def stribeck(tmp_path_factory: pytest.TempPathFactory) -> Selection:
+def stribeck(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
     return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
 
 
 ENCODERS = {
-    "0.5 µm": (noisy(0.0005), COUNT_MM),
-    "1 µm": (noisy(0.001), COUNT_MM),
-    "2 µm": (noisy(0.002), COUNT_MM),
-    "3 µm": (noisy(0.003), COUNT_MM),
-    "dither": (dithering(0.004), COUNT_MM),
+    "0.5 µm": (noisy(0.0005), MIN_COUNT_MM),
+    "1 µm": (noisy(0.001), MIN_COUNT_MM),
+    "2 µm": (noisy(0.002), MIN_COUNT_MM),
+    "3 µm": (noisy(0.003), MIN_COUNT_MM),
+    "dither": (dithering(0.004), MIN_COUNT_MM),
     "5 µm counts": (counted(0.005), 0.005),
     "10 µm counts": (counted(0.01), 0.01),
 }
 
 
 @pytest.mark.parametrize("encoder", ENCODERS)
-def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(stribeck: Selection, tmp_path: Path, encoder: str) -> None:
+def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
+    stribeck: RunSelection, tmp_path: Path, encoder: str
+) -> None:
     selection = with_position(stribeck, tmp_path / "other", *ENCODERS[encoder])
     moved = [one for one in selection.experiments if one.obeyed]
     assert len(moved) == len(selection.experiments)
@@ -134,7 +145,7 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(stribeck: Selection,
 
 
 @pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
-def test_such_an_encoder_does_not_change_the_verdict(stribeck: Selection, tmp_path: Path, encoder: str) -> None:
+def test_such_an_encoder_does_not_change_the_verdict(stribeck: RunSelection, tmp_path: Path, encoder: str) -> None:
     found = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL)
     assert (found.verdict, found.effects) == (Verdict.EFFECT, ("stribeck",))
 

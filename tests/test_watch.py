@@ -17,18 +17,16 @@ from urllib.request import Request, urlopen
 import pytest
 
 import dragrig
-from dragrig.campaigns import begin
+from dragrig.campaign_session import SessionOptions, start_campaign
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.people import Answer, Nobody, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import Status
-from dragrig.session_state import LOCK_FILE, STATE_FILE, SessionState, alone_in, read_state
-from dragrig.sessions import Terms
+from dragrig.rig.runfile.model import RunStatus
+from dragrig.session_state import LOCK_FILE, STATE_FILE, SessionState, read_state, session_lock
 from dragrig.setup import resolve
-from dragrig.watch_page import served
-from dragrig.watching import CampaignState, CampaignWatch
+from dragrig.watch import CampaignState, CampaignWatch, serve_state_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -44,7 +42,7 @@ prompt = "Take the capsule off"
 """
 
 
-class Onlooker(Nobody):
+class Onlooker(NullOperator):
     """Answers prompts, and looks at the campaign while the session is asked something and while it records."""
 
     def __init__(self, folder: Path) -> None:
@@ -139,7 +137,7 @@ def test_a_damaged_state_is_no_state(content: str, tmp_path: Path) -> None:
 
 def test_a_session_that_has_not_said_anything_yet_is_not_over(tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
-    with alone_in(tmp_path):
+    with session_lock(tmp_path):
         state = CampaignWatch(tmp_path).look()
     assert (state.doing, state.over) == ("preparing", False)
     assert not (tmp_path / LOCK_FILE).exists()
@@ -150,7 +148,7 @@ def test_one_session_of_a_campaign_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "one"
     told: list[str] = []
 
-    class Second(Nobody):
+    class Second(NullOperator):
         def ask(self, prompt: Prompt) -> Answer:
             for again in (
                 lambda: dragrig.resume(folder),
@@ -175,8 +173,8 @@ def test_sessions_that_begin_in_one_moment_have_a_folder_each(tmp_path: Path) ->
     at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
     setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
     with ThreadPoolExecutor(4) as some:
-        made = list(some.map(lambda _: begin(setup, None, Terms(Path(), origin=at), None), range(4)))
-    assert [one.session.status for one in made] == [Status.COMPLETE] * 4
+        made = list(some.map(lambda _: start_campaign(setup, None, SessionOptions(Path(), origin=at), None), range(4)))
+    assert [one.session.status for one in made] == [RunStatus.COMPLETE] * 4
     names = sorted(one.folder.name for one in made)
     assert names == ["20260504-093000-blank", *(f"20260504-093000-blank-{nth}" for nth in (2, 3, 4))]
 
@@ -188,7 +186,7 @@ def test_runs_made_again_or_skipped_count_once(tmp_path: Path) -> None:
     answers = iter((Answer.DONE, Answer.REDO, Answer.DONE, Answer.SKIP))
     at: list[tuple[int, int]] = []
 
-    class Person(Nobody):
+    class Person(NullOperator):
         def ask(self, prompt: Prompt) -> Answer:
             return next(answers)
 
@@ -202,7 +200,7 @@ def test_runs_made_again_or_skipped_count_once(tmp_path: Path) -> None:
 
 
 def test_a_browser_that_goes_away_is_no_matter(seen: Onlooker, capfd: pytest.CaptureFixture[str]) -> None:
-    with served(0) as page:
+    with serve_state_page(0) as page:
         page.html = b"x" * (1 << 24)
         with socket.create_connection(("127.0.0.1", page.port)) as gone:
             gone.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
@@ -221,7 +219,7 @@ def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_page_is_for_this_machine_alone(seen: Onlooker) -> None:
-    with served(0) as page:
+    with serve_state_page(0) as page:
         page.show(seen.recorded[0])
         address = f"http://127.0.0.1:{page.port}"
         with urlopen(f"{address}/state.json") as answer:
@@ -236,7 +234,7 @@ def test_the_page_shows_the_run_and_then_that_it_is_over(seen: Onlooker, browser
     from browsing import PHONE_PX, opened
     from playwright.sync_api import expect
 
-    with served(0) as server:
+    with serve_state_page(0) as server:
         server.show(seen.recorded[0])
         address = f"http://127.0.0.1:{server.port}/"
         with opened(browser, address, PHONE_PX) as (page, heard):

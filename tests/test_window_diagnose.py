@@ -14,11 +14,11 @@ from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from dragrig.diagnosing_apart import Told
-from dragrig.engine_host.messages import RigTerms
+from dragrig.engine_host.messages import RigSelection
+from dragrig.views.diagnosis_process import DiagnosisView
 from dragrig.window.main_window import MainWindow
-from dragrig.window.remembered import Remembered
-from dragrig.window.run.queue_model import Stage
+from dragrig.window.session_queue import QueueState
+from dragrig.window.widgets import StoredSettings
 
 pytestmark = pytest.mark.timeout(900)
 LONG_MS = 600_000
@@ -32,7 +32,7 @@ def window(
     dressed()
     lab = lab_in(tmp_path_factory.mktemp("lab"))
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-    made = MainWindow(RigTerms(rig=lab / "rig.toml"), lab, Remembered(settings), 600.0)
+    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), 600.0)
     made.show()
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     made.go_to(made.diagnose)
@@ -46,7 +46,7 @@ def until(qtbot: QtBot) -> Until:
 
 
 @pytest.fixture
-def diagnosed(window: MainWindow, until: Until) -> Told:
+def diagnosed(window: MainWindow, until: Until) -> DiagnosisView:
     """The diagnosis of the practice campaign, made once."""
     page = window.diagnose
     if page.results.told is None:
@@ -74,7 +74,7 @@ def test_a_diagnosis_under_way_is_cancelled_and_leaves_no_process(window: MainWi
     assert page.results.told is None
 
 
-def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Told) -> None:
+def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: DiagnosisView) -> None:
     results = window.diagnose.results
     assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
     assert results.isVisible()
@@ -87,7 +87,7 @@ def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Told)
     assert results.map.renderer().isValid()
 
 
-def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Told) -> None:
+def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: DiagnosisView) -> None:
     results = window.diagnose.results
     forces = [one for one in diagnosed.views if one.channel == "force"]
     assert {one.file for one in forces} == {file.name for file in PRACTICE.glob("*.h5")}
@@ -100,13 +100,13 @@ def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Told) 
         np.testing.assert_allclose(left, view.measured - view.before)
 
 
-def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: Told) -> None:
+def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: DiagnosisView) -> None:
     assert diagnosed.next_plan is not None
     assert not window.run.queue.entries
     press(window.diagnose.results.next)
     assert window.pages.currentWidget() is window.run
     (entry,) = window.run.queue.entries
-    assert entry.stage is Stage.WAITING
+    assert entry.stage is QueueState.WAITING
     assert [step.kind for step in entry.job.plan.steps] == [step.kind for step in diagnosed.next_plan.steps]
     for queued, wanted in zip(entry.job.plan.steps, diagnosed.next_plan.steps, strict=True):
         # The form adds what is usual to what is recommended.

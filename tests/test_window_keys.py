@@ -27,10 +27,10 @@ from PySide6.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from dragrig.diagnosing_apart import told
-from dragrig.engine_host.messages import Asked, RigTerms
+from dragrig.engine_host.messages import PromptShown, RigSelection
+from dragrig.views.diagnosis_process import diagnosis_view
 from dragrig.window.main_window import MainWindow
-from dragrig.window.remembered import Remembered
+from dragrig.window.widgets import StoredSettings
 
 pytestmark = pytest.mark.timeout(600)
 CONTROLS = (QAbstractButton, QAbstractItemView, QAbstractSpinBox, QComboBox, QLineEdit, QPlainTextEdit, QTabBar)
@@ -44,13 +44,13 @@ def window(
     dressed()
     lab = lab_in(tmp_path_factory.mktemp("lab"))
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-    made = MainWindow(RigTerms(rig=lab / "rig.toml"), lab, Remembered(settings), 600.0)
+    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), 600.0)
     made.resize(1500, 1000)
     made.show()
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
-    made.notices.ask(Asked(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
+    made.notices.ask(PromptShown(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
     made.notices.complain("something went wrong")
-    made.diagnose.results.show_told(told(STRIBECK))
+    made.diagnose.results.show_told(diagnosis_view(STRIBECK))
     made.diagnose.results.show()
     yield made
     made.close_in_order("the tests are over")

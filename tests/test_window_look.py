@@ -16,12 +16,11 @@ from PySide6.QtWidgets import QApplication, QTreeWidgetItem
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.diagnosing_apart import told
-from dragrig.looking import FORMATS, shown_trace
-from dragrig.window.diagnose.page import DiagnosePage
-from dragrig.window.look.page import LookPage
-from dragrig.window.remembered import Remembered
-from dragrig.window.widgets import top_items
+from dragrig.views.diagnosis_process import diagnosis_view
+from dragrig.views.run_view import FORMATS, shown_trace
+from dragrig.window.diagnose_page import DiagnosePage
+from dragrig.window.look_page import LookPage
+from dragrig.window.widgets import StoredSettings, top_items
 
 pytestmark = pytest.mark.timeout(600)
 
@@ -41,12 +40,12 @@ def until(qtbot: QtBot) -> Until:
 
 
 @pytest.fixture
-def remembered(tmp_path: Path) -> Remembered:
-    return Remembered(QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat))
+def remembered(tmp_path: Path) -> StoredSettings:
+    return StoredSettings(QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat))
 
 
 @pytest.fixture
-def page(qapp: QApplication, folder: Path, remembered: Remembered, until: Until) -> Iterator[LookPage]:
+def page(qapp: QApplication, folder: Path, remembered: StoredSettings, until: Until) -> Iterator[LookPage]:
     dressed()
     made = LookPage(folder, remembered)
     made.show()
@@ -193,7 +192,7 @@ def test_lost_samples_stay_a_gap(folder: Path) -> None:
 
 
 @pytest.fixture
-def diagnose(qapp: QApplication, remembered: Remembered) -> Iterator[DiagnosePage]:
+def diagnose(qapp: QApplication, remembered: StoredSettings) -> Iterator[DiagnosePage]:
     dressed()
     made = DiagnosePage(remembered)
     made.show()
@@ -204,7 +203,7 @@ def diagnose(qapp: QApplication, remembered: Remembered) -> Iterator[DiagnosePag
 
 def test_a_diagnosis_is_shown_with_all_that_it_says(diagnose: DiagnosePage) -> None:
     results = diagnose.results
-    results.show_told(told(STRIBECK))
+    results.show_told(diagnosis_view(STRIBECK))
     assert "0.93" in results.verdict.text()
     assert results.hypotheses.item(0, 3).text() == "the verdict"
     assert results.runs.count() == len(STRIBECK.views)
@@ -239,13 +238,13 @@ def test_a_diagnosis_can_be_cancelled(diagnose: DiagnosePage, folder: Path) -> N
 def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> None:
     from dataclasses import replace
 
-    from dragrig.analysis.gap.planning.results import Contest, NextExperiment, NextRun
-    from dragrig.config.plan import Step
+    from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
+    from dragrig.config.plan import PlanStep
 
-    step = Step.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
-    contest = Contest("stribeck", "adhesion", 2.0, 0.5)
+    step = PlanStep.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
+    contest = ModelPair("stribeck", "adhesion", 2.0, 0.5)
     found = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
-    diagnose.results.show_told(told(replace(STRIBECK, next_experiment=found)))
+    diagnose.results.show_told(diagnosis_view(replace(STRIBECK, next_experiment=found)))
     assert diagnose.results.next_words.text() == "A slow drag tells them apart."
     handed: list[object] = []
     diagnose.next_experiment.connect(lambda _, form: handed.append(form.plan.steps[0].parameters["speed_mm_s"]))

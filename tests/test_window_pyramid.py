@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.window.plots.pyramid import Pyramid
+from dragrig.window.trace_pyramid import TracePyramid
 
 
 @settings(deadline=None, max_examples=80)
@@ -20,7 +20,7 @@ def test_every_extreme_is_seen_at_every_zoom(
     blocks: list[int], base: int, columns: int, ends: tuple[float, float], seed: int
 ) -> None:
     values = np.random.default_rng(seed).normal(size=sum(blocks)).astype(np.float32)
-    pyramid = Pyramid(base)
+    pyramid = TracePyramid(base)
     at = 0
     for count in blocks:
         pyramid.append(values[at : at + count])
@@ -40,7 +40,7 @@ def test_every_extreme_is_seen_at_every_zoom(
 
 def test_close_by_each_sample_is_drawn_as_it_is() -> None:
     values = np.arange(100_000, dtype=np.float32)
-    pyramid = Pyramid()
+    pyramid = TracePyramid()
     pyramid.append(values)
     place, line = pyramid.view(500, 600, 200)
     np.testing.assert_array_equal(place, line)
@@ -51,7 +51,7 @@ def test_a_gap_hides_nothing_beside_it() -> None:
     values = np.ones(5000, np.float32)
     values[100:4000] = np.nan
     values[4500] = 7.0
-    pyramid = Pyramid()
+    pyramid = TracePyramid()
     pyramid.append(values)
     _, line = pyramid.view(0, 5000, 20)
     assert np.nanmax(line) == 7.0
@@ -60,7 +60,7 @@ def test_a_gap_hides_nothing_beside_it() -> None:
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_next_to_nothing_can_be_drawn(count: int) -> None:
-    pyramid = Pyramid()
+    pyramid = TracePyramid()
     pyramid.append(np.zeros(count, np.float32))
     place, _ = pyramid.view(0, 10, 100)
     assert len(place) == count
@@ -68,7 +68,7 @@ def test_next_to_nothing_can_be_drawn(count: int) -> None:
 
 def test_a_line_is_drawn_with_short_strokes_between_columns() -> None:
     values = np.random.default_rng(2).normal(size=100_000).astype(np.float32)
-    pyramid = Pyramid()
+    pyramid = TracePyramid()
     pyramid.append(values)
     _, line = pyramid.view(0, len(values), 300)
     across = np.abs(np.diff(line))[1::2]

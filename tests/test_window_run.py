@@ -17,12 +17,14 @@ from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.engine_host.messages import Answer, RigTerms, Status
-from dragrig.plan_forms import form_of
-from dragrig.rig.runfile import campaign
+from dragrig.engine_host.messages import RigSelection
+from dragrig.rig.operator import Answer
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.model import RunStatus
+from dragrig.views.plan_view import plan_form
 from dragrig.window.main_window import MainWindow
-from dragrig.window.remembered import Remembered
-from dragrig.window.run.queue_model import Stage
+from dragrig.window.session_queue import QueueState
+from dragrig.window.widgets import StoredSettings
 
 pytestmark = pytest.mark.timeout(600)
 BUSY_S = 600.0
@@ -31,8 +33,8 @@ BUSY_S = 600.0
 
 def opened(qtbot: QtBot, lab: Path, settings: Path, **terms: object) -> MainWindow:
     dressed()
-    rig = RigTerms(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
-    window = MainWindow(rig, lab, Remembered(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
+    rig = RigSelection(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
+    window = MainWindow(rig, lab, StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
     window.show()
     qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     return window
@@ -112,10 +114,10 @@ def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until
     press(window.run.new.start)
     until(lambda: not window.run.under_way)
     entry = window.run.queue.entries[-1]
-    assert entry.stage is Stage.COMPLETE
+    assert entry.stage is QueueState.COMPLETE
     assert "A session is under way" not in window.run.devices.told.text()
-    made = campaign(Path(entry.folder))
-    assert [run.status for run in made.runs] == [Status.COMPLETE, Status.COMPLETE]
+    made = read_campaign(Path(entry.folder))
+    assert [run.status for run in made.runs] == [RunStatus.COMPLETE, RunStatus.COMPLETE]
     assert {run.header.entry["operator"] for run in made.runs} == {"A. Person"}
     live = window.run.live.run
     assert live is not None
@@ -149,10 +151,10 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
             press(window.run.abort)
     until(lambda: not window.run.under_way)
     first, second = window.run.queue.entries
-    assert first.stage is Stage.ABORTED
+    assert first.stage is QueueState.ABORTED
     assert "window" in first.reason
-    assert second.stage is Stage.WAITING
-    assert campaign(Path(first.folder)).runs[0].reason == first.reason
+    assert second.stage is QueueState.WAITING
+    assert read_campaign(Path(first.folder)).runs[0].reason == first.reason
 
 
 def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until: Until) -> None:
@@ -186,7 +188,7 @@ def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until
     window.showNormal()
     assert moves > 20
     entry = window.run.queue.entries[-1]
-    assert entry.stage is Stage.COMPLETE, entry.reason
+    assert entry.stage is QueueState.COMPLETE, entry.reason
     (file,) = Path(entry.folder).glob("*.h5")
     run = dragrig.load(file)
     assert run.info.checks["lost_samples"] == 0
@@ -218,8 +220,8 @@ def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) 
         press(window.notices.answers[answer])
     until(lambda: not window.run.under_way)
     entry = window.run.queue.entries[-1]
-    assert entry.stage is Stage.COMPLETE
-    made = campaign(Path(entry.folder))
+    assert entry.stage is QueueState.COMPLETE
+    made = read_campaign(Path(entry.folder))
     assert (len(made.runs), len(made.good)) == (4, 2)
 
 
@@ -229,7 +231,7 @@ def test_abort_at_a_question_ends_the_session(window: MainWindow, until: Until) 
     until(window.notices.question.isVisible)
     press(window.notices.answers[Answer.ABORT])
     until(lambda: not window.run.under_way)
-    assert window.run.queue.entries[-1].stage is Stage.ABORTED
+    assert window.run.queue.entries[-1].stage is QueueState.ABORTED
     assert not window.notices.question.isVisible()
     press(window.notices.dismiss)
     assert not window.notices.complaint.isVisible()
@@ -247,7 +249,7 @@ def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tm
         assert "over the limit of 20 mN" in window.notices.trip_text.text()
         press(window.run.start_queue)
         assert "reset it" in window.notices.complaint_text.text()
-        assert [one.stage for one in window.run.queue.entries] == [Stage.TRIPPED, Stage.WAITING]
+        assert [one.stage for one in window.run.queue.entries] == [QueueState.TRIPPED, QueueState.WAITING]
         press(window.notices.reset)
         until(lambda: window.guard.text() == "guard: armed")
     finally:
@@ -269,7 +271,7 @@ def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainW
     assert window.run.queue.entries == entries[:2]
     press(window.run.start_queue)
     until(lambda: not window.run.under_way)
-    assert [(one.stage, one.reason) for one in window.run.queue.entries] == [(Stage.COMPLETE, "")] * 2
+    assert [(one.stage, one.reason) for one in window.run.queue.entries] == [(QueueState.COMPLETE, "")] * 2
     assert window.run.queue.left_s == 0
     looked: list[str] = []
     window.run.look_at.connect(looked.append)
@@ -321,10 +323,10 @@ def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: U
     press(window.run.new.start)
     assert "the engine has ended" in window.notices.complaint_text.text()
     assert not window.run.under_way
-    assert [one.stage for one in window.run.queue.entries] == [Stage.WAITING]
+    assert [one.stage for one in window.run.queue.entries] == [QueueState.WAITING]
     press(window.notices.restart)
     press(window.run.start_queue)  # before the new one is there
-    assert [one.stage for one in window.run.queue.entries] == [Stage.WAITING]
+    assert [one.stage for one in window.run.queue.entries] == [QueueState.WAITING]
     until(lambda: window.guard.text() == "guard: TRIPPED")
     assert window.engine.pid != pid
     assert not window.notices.lost.isVisible()
@@ -393,7 +395,7 @@ def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tm
     until(lambda: not window.run.under_way)
     window.run.new.mirror.clear()
     entry = window.run.queue.entries[-1]
-    assert entry.stage is Stage.COMPLETE
+    assert entry.stage is QueueState.COMPLETE
     (file,) = Path(entry.folder).glob("*.h5")
     item = window.run.queue_view.tree.topLevelItem(0)
     below = {item.child(at).text(0): item.child(at).text(3) for at in range(item.childCount())}
@@ -404,7 +406,7 @@ def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tm
 
 def test_a_plan_that_was_offered_can_be_chosen_again(window: MainWindow) -> None:
     plans = window.run.new.plans
-    window.run.offer_and_queue("next experiment", form_of("coulomb"))
+    window.run.offer_and_queue("next experiment", plan_form("coulomb"))
     offered = plans.currentIndex()
     plans.setCurrentIndex(plans.findData("drag"))
     plans.setCurrentIndex(offered)

@@ -9,18 +9,16 @@ from threading import Event as Signal
 from driving import until
 from simulated import settings
 
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.backend import BackendRequest
+from dragrig.rig.devices import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
+from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive.drive import DriveDouble
-from dragrig.sim_backend.doubles.drive.ports import SocketPort
-from dragrig.sim_backend.doubles.drive.velocity import drive_double
-from dragrig.sim_backend.doubles.fronts.c_abi import installed
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.drive_double import DriveDouble, make_drive_double
+from dragrig.sim_backend.doubles.serial_ports import SocketPort
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0
 UPDATE_S, AHEAD, LAG_S = 0.03, 5, 0.002
@@ -58,7 +56,7 @@ class StallingClock(DoubleClock):
 class VoltageRig(HardwareBackend):
     """The real rig in velocity mode, and the doubles that it does not know of."""
 
-    def __init__(self, request: BackendRequest, world: World, drive: DriveDouble) -> None:
+    def __init__(self, request: BackendRequest, world: SimulatedBench, drive: DriveDouble) -> None:
         super().__init__(request, world.clock)
         self.world, self.drive = world, drive
         self.doubles = ExitStack()
@@ -98,9 +96,9 @@ def velocity_rig(encoder: dict[str, object] | None = None, heartbeat_s: float = 
 
 
 def open_voltage_rig(rig: RigSettings) -> VoltageRig:
-    world = World(rig, FrictionModelSettings(), StallingClock())
+    world = SimulatedBench(rig, FrictionModelSettings(), StallingClock())
     with ExitStack() as opened:
-        drive = opened.enter_context(drive_double(world, find_dialect(rig.hardware.drive.dialect)))
+        drive = opened.enter_context(make_drive_double(world, find_dialect(rig.hardware.drive.dialect)))
         port = opened.enter_context(SocketPort(drive))
         opened.enter_context(installed(Card(world, world.put_out)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})

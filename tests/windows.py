@@ -53,14 +53,14 @@ Until = Callable[[Callable[[], bool]], None]
 
 def lab_in(folder: Path) -> Path:
     """Make a lab folder."""
-    from dragrig.lab import create
+    from dragrig.lab import create_lab
 
-    create(folder)
+    create_lab(folder)
     return folder
 
 
 def dressed() -> "QApplication":
     """Return the application, looking as it does for people."""
-    from dragrig.window.application import application
+    from dragrig.window.main_window import qt_application
 
-    return application()
+    return qt_application()

@@ -1,7 +1,9 @@
-"""Between simulation and reality: where a gap is, what it is, and how far an amended simulator closes it.
+"""Between simulation and rig: where a gap is, which effect causes it, and how far an amended simulator closes it.
 
-| package | what |
-|---|---|
-| `where` | shares of the gap by channel, protocol, phase, speed, position, session, strain and frequency |
-| `unknown` | where a gap is that no effect explains, what it depends on, and a law of it if one holds up |
+One way, from runs to the next run:
+
+`run_selection` → `run_data` → `candidates` → `studies` and `design` (linearised campaign) → `linear_fit` →
+`hypothesis_fit` and `nonparametric` → `forward_selection` → `features` → `classifier` → `excess` and `localise`
+(where) → `unknown_gap` → `gap_reduction` (how much) → `isolability` and `next_run_force`, `next_run_position` (what
+next) → `diagnose`.
 """

@@ -1,11 +1,12 @@
 """From runs to the parameters of a nominal model, with their uncertainty.
 
-| module | what |
+| module | content |
 |---|---|
-| `selection` | which runs may be used, and why the others are left out |
-| `results` | everything that an identification says, as values |
-| `relaxation`, `strain_law` | the five elements of each relaxation run, and how they depend on strain |
-| `coulomb` | the friction coefficient from the vacuum fixture |
-| `drag`, `boundary`, `determination` | the steady drag against speed, beside the model |
-| `joint` | one fit of everything |
+| `identify` | the whole identification of a specimen |
+| `identification` | its result, as values |
+| `joint_posterior` | one fit of a nominal model to all runs |
+| `relaxation_elements`, `maxwell_fit` | the five elements of each relaxation run, and how they depend on strain |
+| `coulomb_friction` | the friction coefficient from the vacuum fixture |
+| `steady_drag`, `speed_dependence` | the steady drag against speed, beside the model |
+| `steady_sliding` | the steady force of one sliding run |
 """

@@ -1,33 +1,33 @@
-"""All that a campaign says of one specimen, put together."""
+"""The whole identification of one specimen from a campaign."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
-from dragrig.analysis.identification.coulomb import identify_coulomb
-from dragrig.analysis.identification.drag import identify_drag
-from dragrig.analysis.identification.joint.fit import fit_jointly
-from dragrig.analysis.identification.relaxation import identify_relaxation
-from dragrig.analysis.identification.results import Identification, JointFit, Relaxation
-from dragrig.analysis.identification.selection import Selection
-from dragrig.analysis.identification.strain_law import wall_polynomials
-from dragrig.analysis.nominal.capsule import CapsuleModel
-from dragrig.analysis.nominal.capsule_parameters import CHANNEL
-from dragrig.analysis.nominal.protocol import NominalModel
-from dragrig.analysis.progress import Progress, silent
+from dragrig.analysis.computation import Progress, no_progress
+from dragrig.analysis.identification.coulomb_friction import identify_coulomb
+from dragrig.analysis.identification.identification import Identification, JointFit, RelaxationResult
+from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.relaxation_elements import identify_relaxation, wall_polynomials
+from dragrig.analysis.identification.steady_drag import identify_drag
+from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, CapsuleModel
+from dragrig.analysis.models.nominal_model import NominalModel
+from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 
 PartT = TypeVar("PartT")
-KINDS = {
+MISSING_KIND_REMARKS = {
     "relaxation": "no usable relaxation: the elements are known from the drag alone, if at all",
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
     "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
 }
-STEPS = 4
+PROGRESS_STEPS = 4
 
 
-def identify(selection: Selection, nominal: NominalModel, progress: Progress = silent) -> Identification:
+def identify_specimen(
+    selection: RunSelection, nominal: NominalModel, progress: Progress = no_progress
+) -> Identification:
     """Identify a specimen.
 
     The joint fit of the nominal model is always made. With the friction model of the capsule the relaxations, the
@@ -38,9 +38,9 @@ def identify(selection: Selection, nominal: NominalModel, progress: Progress = s
     AnalysisError
         Where the model predicts nothing of these runs, or a run lacks what it needs.
     """
-    progress(0, STEPS)
+    progress(0, PROGRESS_STEPS)
     joint = fit_jointly(selection, nominal)
-    progress(1, STEPS)
+    progress(1, PROGRESS_STEPS)
     found = Identification(
         specimen=selection.specimen,
         used=tuple(one.file for one in selection.experiments),
@@ -49,15 +49,15 @@ def identify(selection: Selection, nominal: NominalModel, progress: Progress = s
         relaxation=None,
         coulomb=None,
         drag=None,
-        remarks=(*selection.remarks, *_lacking(selection, nominal)),
+        remarks=(*selection.remarks, *_missing_kinds(selection, nominal)),
     )
     if isinstance(nominal, CapsuleModel):
-        found = _part_by_part(found, selection, identified_settings(nominal, joint), progress)
-    progress(STEPS, STEPS)
+        found = _identify_parts(found, selection, identified_settings(nominal, joint), progress)
+    progress(PROGRESS_STEPS, PROGRESS_STEPS)
     return found
 
 
-def determined(joint: JointFit) -> dict[str, float]:
+def determined_values(joint: JointFit) -> dict[str, float]:
     """Return the values of those parameters of which the runs say something; the others keep their nominal ones."""
     return {one.name: one.value for one in joint.parameters if one.determined}
 
@@ -66,17 +66,17 @@ def why_no_model(joint: JointFit) -> str | None:
     """Return why a joint fit gives no model of the runs, None where it gives one."""
     if not joint.converged:
         return "the joint fit did not converge, so that there is no model; see its remarks"
-    if not determined(joint):
+    if not determined_values(joint):
         return "these runs determine no parameter, so that there is no model of them"
     return None
 
 
 def identified_settings(nominal: CapsuleModel, joint: JointFit) -> FrictionModelSettings:
     """Return the friction model with what was determined in place, the rest nominal."""
-    return nominal.settings_of(determined(joint)) if joint.converged else nominal.settings
+    return nominal.settings_of(determined_values(joint)) if joint.converged else nominal.settings
 
 
-def with_own_wall(settings: FrictionModelSettings, relaxation: Relaxation) -> FrictionModelSettings:
+def with_identified_wall(settings: FrictionModelSettings, relaxation: RelaxationResult) -> FrictionModelSettings:
     """Return the friction model with polynomials through the specimen's own relaxations for its wall.
 
     Raises
@@ -94,8 +94,8 @@ def with_own_wall(settings: FrictionModelSettings, relaxation: Relaxation) -> Fr
     return settings.model_copy(update={"wall": "polynomial", "wall_polynomials": polynomials})
 
 
-def _part_by_part(
-    found: Identification, selection: Selection, model: FrictionModelSettings, progress: Progress
+def _identify_parts(
+    found: Identification, selection: RunSelection, model: FrictionModelSettings, progress: Progress
 ) -> Identification:
     remarks: list[str] = []
 
@@ -107,15 +107,19 @@ def _part_by_part(
             return None
 
     joint = found.joint
-    zeros = {one.file: one.zero for one in joint.runs if one.channel == CHANNEL} if joint and joint.converged else None
+    zeros = (
+        {one.file: one.zero for one in joint.runs if one.channel == FORCE_CHANNEL}
+        if joint and joint.converged
+        else None
+    )
     relaxation = part(lambda: identify_relaxation(selection), "relaxation")
-    progress(2, STEPS)
+    progress(2, PROGRESS_STEPS)
     coulomb = part(lambda: identify_coulomb(selection, model), "Coulomb test")
     drag = part(lambda: identify_drag(selection, model, zeros), "drag")
-    progress(3, STEPS)
+    progress(3, PROGRESS_STEPS)
     return replace(found, relaxation=relaxation, coulomb=coulomb, drag=drag, remarks=(*found.remarks, *remarks))
 
 
-def _lacking(selection: Selection, nominal: NominalModel) -> Iterator[str]:
+def _missing_kinds(selection: RunSelection, nominal: NominalModel) -> Iterator[str]:
     if isinstance(nominal, CapsuleModel):
-        yield from (sentence for kind, sentence in KINDS.items() if not selection.of_kind(kind))
+        yield from (sentence for kind, sentence in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind))

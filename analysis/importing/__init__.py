@@ -1,28 +1,27 @@
 """Foreign measurements in, run files out.
 
 `import_file` reads a table (text in any dialect, MAT, Parquet, TDMS, NumPy), maps its columns, converts their
-units, puts the rows onto an even grid and writes a run file. Libraries are loaded when a function is first
-asked for.
+units, puts the rows onto an even time grid and writes a run file. Each name loads its module at first use.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dragrig.analysis.importing.importer import Imported, import_file
+    from dragrig.analysis.importing.importer import ImportedRun, import_file
     from dragrig.analysis.importing.mapping import ColumnMap, ColumnSource, ImportSettings, parse_map
-    from dragrig.analysis.importing.sources import read_foreign
+    from dragrig.analysis.importing.readers import read_foreign
 
-__all__ = ["ColumnMap", "ColumnSource", "ImportSettings", "Imported", "import_file", "parse_map", "read_foreign"]
+__all__ = ["ColumnMap", "ColumnSource", "ImportSettings", "ImportedRun", "import_file", "parse_map", "read_foreign"]
 
 _HOME = {
     "ColumnMap": "mapping",
     "ColumnSource": "mapping",
     "ImportSettings": "mapping",
-    "Imported": "importer",
+    "ImportedRun": "importer",
     "import_file": "importer",
     "parse_map": "mapping",
-    "read_foreign": "sources",
+    "read_foreign": "readers",
 }
 
 

@@ -1,17 +1,136 @@
-"""A measurement as it stood in a foreign file: named columns of numbers."""
+"""A measurement as a foreign file holds it: named columns of numbers, and their units."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dragrig.analysis.importing.units import unit_of_name
+import numpy as np
+import numpy.typing as npt
+
 from dragrig.config.errors import ImportDataError
-from dragrig.config.loading import nearest
+from dragrig.config.settings import suggestion
 from dragrig.rig.arrays import FloatArray
+
+STANDARD_GRAVITY = 9.80665
+"""Standard gravity [m/s²]: turns gram-force into millinewtons."""
+
+TARGET_UNITS: Mapping[str, str] = {
+    "time": "s",
+    "force": "mN",
+    "position": "mm",
+    "command": "mm",
+    "motor_force": "mN",
+    "temperature": "degC",
+}
+"""Quantities of a run file that a column can be mapped to, with the unit it is stored in."""
+
+_LENGTHS = {"mm": 1.0, "µm": 1e-3, "nm": 1e-6, "cm": 10.0, "m": 1e3, "in": 25.4}
+_FORCES = {
+    "mN": 1.0,
+    "N": 1e3,
+    "kN": 1e6,
+    "µN": 1e-3,
+    "gf": STANDARD_GRAVITY,
+    "kgf": 1e3 * STANDARD_GRAVITY,
+    "lbf": 4448.2216152605,
+}
+CONVERTIBLE_UNITS: Mapping[str, Mapping[str, float]] = {
+    "s": {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "min": 60.0, "h": 3600.0},
+    "mN": _FORCES,
+    "mm": _LENGTHS,
+    "degC": {"degC": 1.0, "K": 1.0, "degF": 5 / 9},
+}
+"""For each unit of ours, the factor of every unit that can be turned into it."""
+_OFFSETS = {"K": -273.15, "degF": -32 * 5 / 9}
+
+OTHER_UNITS = ("mV", "V", "mA", "A", "rad", "deg", "rev", "counts", "1", "%", "MPa", "kPa", "Pa", "bar", "rad/s", "mm/s",
+           "m/s", "µm/s", "rpm", "Hz", "Nm", "W", "g", "kg")  # fmt: skip
+"""Units that only a stated factor turns into ours."""
+
+_SPELLINGS = {
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "us": "µs", "usec": "µs", "minutes": "min",
+    "hours": "h", "um": "µm", "micron": "µm", "microns": "µm", "micrometer": "µm", "inch": "in", "newton": "N",
+    "newtons": "N", "un": "µN", "kg-f": "kgf", "kp": "kgf", "g-f": "gf", "pond": "gf", "°c": "degC", "c": "degC",
+    "celsius": "degC", "deg c": "degC", "°f": "degF", "kelvin": "K", "volt": "V", "volts": "V", "ampere": "A",
+    "amps": "A", "radian": "rad", "radians": "rad", "°": "deg", "degree": "deg", "degrees": "deg", "turns": "rev",
+    "count": "counts", "cts": "counts", "-": "1", "percent": "%", "u/min": "rpm",
+}  # fmt: skip
+_EXACT = {unit: unit for group in CONVERTIBLE_UNITS.values() for unit in group} | {unit: unit for unit in OTHER_UNITS}
+_FOLDED = {unit.lower(): unit for unit in _EXACT if unit not in {"mN", "MPa", "mPa"}} | _SPELLINGS
 
 
 @dataclass(frozen=True, slots=True)
-class BadCell:
+class UnitScale:
+    """Turns numbers of a column into our unit: `values * factor + offset`."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def apply(self, values: npt.ArrayLike) -> FloatArray:
+        """Return the values in our unit; a scale that changes nothing leaves every bit as it is."""
+        array = np.asarray(values, dtype=np.float64)
+        return array if self == UnitScale() else array * self.factor + self.offset
+
+
+def canonical_unit(text: str) -> str | None:
+    """Return the usual spelling of a unit, or None when the text is none that is known."""
+    plain = text.strip().replace("μ", "µ").strip("[](){}").strip()  # the Greek letter and the micro sign look alike
+    if plain in _EXACT:
+        return plain
+    return _FOLDED.get(plain.lower())
+
+
+def unit_scale(quantity: str, unit: str, factor: float | None, offset: float) -> UnitScale:
+    """Return how a column in `unit` becomes a quantity of the run file.
+
+    Parameters
+    ----------
+    factor
+        Multiplies besides the unit's own factor; needed for a unit of another kind, where it says how
+        much of our unit one of theirs is.
+
+    Raises
+    ------
+    ImportDataError
+        When the unit is unknown, or of another kind and no factor is given.
+    """
+    target = TARGET_UNITS[quantity]
+    known = CONVERTIBLE_UNITS[target]
+    usual = canonical_unit(unit)
+    if usual is not None and usual in known:
+        stated = 1.0 if factor is None else factor
+        return UnitScale(known[usual] * stated, _OFFSETS.get(usual, 0.0) * stated + offset)
+    if factor is not None:
+        return UnitScale(factor, offset)
+    allowed = ", ".join(known)
+    if usual is None:
+        raise ImportDataError(
+            f"{quantity} in {unit!r} is not understood; allowed are {allowed}, or any other unit with a factor, as in "
+            f"{quantity}=COLUMN:{unit or 'UNIT'}*12.5 for 12.5 {target} per {unit or 'UNIT'}"
+        )
+    raise ImportDataError(
+        f"{quantity} in {usual} needs a factor, as in {quantity}=COLUMN:{usual}*12.5 for 12.5 {target} per {usual}; "
+        f"without one allowed are {allowed}"
+    )
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Split a column's name such as `Load [N]`, `Time(s)`, `Weg / mm` or `force_mN` into label and unit."""
+    two_part = re.fullmatch(r"(?P<label>.+)_(?P<above>[^_]+)_(?P<below>s|s2)", name)
+    if two_part and (unit := canonical_unit(f"{two_part['above']}/{two_part['below']}")):
+        return two_part["label"], unit
+    for pattern in (r"(?P<label>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*", r"(?P<label>.+?)\s*[/,]\s*(?P<unit>\S+)",
+                    r"(?P<label>.+)_(?P<unit>[^_]+)"):  # fmt: skip
+        found = re.fullmatch(pattern, name)
+        unit = canonical_unit(found["unit"]) if found else None
+        if found and unit is not None:
+            return found["label"].strip(), unit
+    return name, None
+
+
+@dataclass(frozen=True, slots=True)
+class InvalidCell:
     """A cell that is not the number it should be."""
 
     row: int
@@ -37,12 +156,12 @@ class ForeignColumn:
     name: str
     units: str
     values: FloatArray
-    bad: BadCell | None = None
+    bad: InvalidCell | None = None
 
     @property
     def label(self) -> str:
         """Name without its unit."""
-        return unit_of_name(self.name)[0]
+        return split_unit(self.name)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +218,7 @@ class ForeignTable:
         if name.isdecimal() and 1 <= int(name) <= len(self.columns):
             return self.columns[int(name) - 1]
         names = [one.name for one in self.columns]
-        raise ImportDataError(f"{self.path}: there is no column {name!r}; {nearest(name, names)}")
+        raise ImportDataError(f"{self.path}: there is no column {name!r}; {suggestion(name, names)}")
 
     def numbers(self, column: ForeignColumn, *, whole: bool) -> FloatArray:
         """Return a column's values after making sure that they are numbers.

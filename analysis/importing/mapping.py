@@ -1,4 +1,4 @@
-"""What a person says of a foreign file: which column is what, how it is written, what the run was."""
+"""The user's settings of an import: which column is which quantity, how the file is written, what the run was."""
 
 import re
 from collections.abc import Iterable
@@ -6,12 +6,11 @@ from typing import Literal
 
 from pydantic import AwareDatetime, Field, ValidationError, field_validator, model_validator
 
-from dragrig.analysis.importing.units import TARGETS
-from dragrig.config.base import Settings
+from dragrig.analysis.importing.foreign import CONVERTIBLE_UNITS, TARGET_UNITS, ForeignTable, canonical_unit
 from dragrig.config.errors import ImportDataError
-from dragrig.config.loading import describe, nearest
+from dragrig.config.settings import Settings, describe_validation_error, suggestion
 
-_UNIT = re.compile(
+_UNIT_PATTERN = re.compile(
     r"(?P<unit>[^*+]*?)\s*(\*\s*(?P<factor>[-+]?[\d.]+(e[-+]?\d+)?))?\s*(?P<offset>[-+]\s*[\d.]+(e[-+]?\d+)?)?", re.I
 )
 
@@ -48,7 +47,7 @@ class ColumnMap(Settings):
 
     def mapped(self) -> dict[str, ColumnSource]:
         """Return what is mapped, by quantity."""
-        sources = {name: getattr(self, name) for name in TARGETS}
+        sources = {name: getattr(self, name) for name in TARGET_UNITS}
         return {name: source for name, source in sources.items() if source is not None}
 
 
@@ -116,25 +115,27 @@ def parse_map(assignments: Iterable[str]) -> ColumnMap:
         quantity, equals, source = (part.strip() for part in text.partition("="))
         if not equals or not source:
             raise ImportDataError(f"--map {text}: is not of the form QUANTITY=COLUMN:UNIT, as in force=Load:N.")
-        if quantity not in TARGETS:
-            raise ImportDataError(f"--map {text}: {quantity!r} is not a quantity; {nearest(quantity, list(TARGETS))}")
+        if quantity not in TARGET_UNITS:
+            raise ImportDataError(
+                f"--map {text}: {quantity!r} is not a quantity; {suggestion(quantity, list(TARGET_UNITS))}"
+            )
         if quantity in found:
             raise ImportDataError(f"--map {text}: {quantity} is mapped twice; map it once.")
-        found[quantity] = _source(text, source)
+        found[quantity] = _parse_source(text, source)
     try:
         return ColumnMap.model_validate(found)
     except ValidationError as error:
-        raise ImportDataError(describe(error, ColumnMap, "--map")) from error
+        raise ImportDataError(describe_validation_error(error, ColumnMap, "--map")) from error
 
 
-def _source(text: str, source: str) -> dict[str, object]:
+def _parse_source(text: str, source: str) -> dict[str, object]:
     quoted = re.fullmatch(r"(?P<quote>[\"'])(?P<column>.+)(?P=quote)\s*(:(?P<unit>.*))?", source)
     if quoted:
         column, unit = quoted["column"], quoted["unit"] or ""
     else:
         column, colon, unit = source.rpartition(":")
         column, unit = (column, unit) if colon else (source, "")
-    parts = _UNIT.fullmatch(unit.strip())
+    parts = _UNIT_PATTERN.fullmatch(unit.strip())
     if parts is None or not column.strip():
         raise ImportDataError(f"--map {text}: {unit!r} is not of the form UNIT, UNIT*FACTOR or UNIT*FACTOR+OFFSET.")
     try:
@@ -143,3 +144,13 @@ def _source(text: str, source: str) -> dict[str, object]:
     except ValueError:
         raise ImportDataError(f"--map {text}: {unit!r} holds a number that cannot be read.") from None
     return {"column": column.strip(), "unit": parts["unit"].strip(), "factor": factor, "offset": offset}
+
+
+def guess_columns(table: ForeignTable) -> ColumnMap:
+    """Map the columns that are called like a quantity and state a unit of its kind: `force_N`, `Time (ms)`."""
+    found: dict[str, ColumnSource] = {}
+    for quantity, target in TARGET_UNITS.items():
+        called = [one for one in table.columns if one.label.casefold() == quantity and one.bad is None]
+        if len(called) == 1 and canonical_unit(called[0].units) in CONVERTIBLE_UNITS[target]:
+            found[quantity] = ColumnSource(column=called[0].name, unit=called[0].units)
+    return ColumnMap.model_validate(found)

@@ -1,13 +1,11 @@
-"""The paper beside its own model: what it prints, what that implies, and where the two do not fit together.
+"""The paper checked against its own model: what it prints, what that implies, and where the two disagree.
 
-| module | what |
+| module | content |
 |---|---|
-| `printed` | the numbers that the paper prints |
-| `finding` | a finding, with its numbers |
-| `wall`, `relaxation_test`, `contact`, `pressure`, `friction`, `coulomb_test`, `statistics` | findings by subject |
-| `findings` | all of them, in the order of the paper |
-| `elements` | Table 1 and Eq. 14 side by side, beside what was identified |
-| `curves` | skew resistance, forces and Eq. 14 as tables |
+| `published` | the numbers that the paper prints, and the form of a finding |
+| `wall_findings` | findings on the wall's parameters and on the contact |
+| `friction_findings` | findings on friction, the Coulomb test and R² |
+| `reproduction` | all findings in the order of the paper; Table 1 beside what was identified |
 
-Everything is computed from the model's equations when it is asked for; no result is typed in.
+Everything is computed from the model's equations on demand; no result is typed in.
 """

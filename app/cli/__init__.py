@@ -1,15 +1,15 @@
-"""The command line: `dragrig COMMAND`, one module of this package per command.
+"""The command line: `dragrig COMMAND`.
 
-A command's module is named after it (with an underscore where Python needs one) and calls its click command
-`command`. Only what a command prints is its business; what it does is in `dragrig.api` and below.
+`commands` lists every command with the module and attribute that hold it and loads none of them. Modules here print;
+what a command does is in `dragrig` and below.
 """
 
 from collections.abc import Sequence
 
-from dragrig.cli.console import exit_code_of
-from dragrig.cli.lazy import group
+from dragrig.cli.commands import dragrig_group
+from dragrig.cli.console import run_command_line
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, `sys.argv` unless given, and return its exit code."""
-    return exit_code_of(group, arguments)
+    return run_command_line(dragrig_group, arguments)

@@ -1,4 +1,4 @@
-"""The person at the terminal: answers to prompts, and what a session shows."""
+"""The operator at the terminal: answers prompts and sees a session's progress."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -7,17 +7,16 @@ from typing import Self
 
 import click
 
-from dragrig.cli.console import is_quiet
-from dragrig.cli.progress import Meter
-from dragrig.cli.wording import duration
-from dragrig.rig.acquiring import Outcome
-from dragrig.rig.people import Answer, Prompt
+from dragrig.cli.console import ProgressMeter, is_quiet
+from dragrig.present.numbers import duration_text
+from dragrig.rig.engine import AcquisitionOutcome
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile.model import RunStatus
 
 
-class Terminal:
+class TerminalOperator:
     """Puts a session's prompts, progress and checks on standard error, and reads answers from standard input."""
 
     def __init__(self, *, yes: bool) -> None:
@@ -25,7 +24,7 @@ class Terminal:
         self._real_time = False
         # Asked here: on the session's own thread there is no command line.
         self._quiet = is_quiet()
-        self._meter = Meter("", 1.0, quiet=self._quiet)
+        self._meter = ProgressMeter("", 1.0, quiet=self._quiet)
         self._pending: Sequence[PlannedRun] = ()
         self._seen_s = 0.0
 
@@ -50,7 +49,7 @@ class Terminal:
         words = ", ".join(f"[{one.value[0]}]{one.value[1:]}" for one in choices)
         click.echo(f"\n{prompt.text}.", err=True)
         if prompt.hands:
-            forget_typed()
+            discard_typed_input()
         while True:
             click.echo(f"  {words}: ", err=True, nl=False)
             line = sys.stdin.readline() if sys.stdin is not None else ""  # None when it was closed before we began
@@ -67,12 +66,12 @@ class Terminal:
         """Start the bar."""
         self._real_time = real_time
         self._pending = pending
-        self._meter = Meter(programme.plan.name, self._takes(pending), quiet=self._quiet)
+        self._meter = ProgressMeter(programme.plan.name, self._takes(pending), quiet=self._quiet)
 
     def waits(self, duration_s: float, why: str) -> None:
         """Say what is waited for, where time is real."""
         if self._real_time:
-            self._meter.say(f"  {why}: {duration(duration_s)}")
+            self._meter.say(f"  {why}: {duration_text(duration_s)}")
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Name the run that the bar is at."""
@@ -90,15 +89,15 @@ class Terminal:
         self._meter.advance(now - self._seen_s)
         self._seen_s = now
 
-    def run_ends(self, run: PlannedRun, outcome: Outcome) -> None:
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Say how the run ended and what its checks saw."""
-        self._meter.say(run_line(run, outcome))
+        self._meter.say(run_result_line(run, outcome))
 
     def _takes(self, runs: Iterable[PlannedRun]) -> float:
         return sum(run.duration_s + (run.wait_s if self._real_time else 0.0) for run in runs)
 
 
-def forget_typed() -> None:
+def discard_typed_input() -> None:
     """Drop what was typed before it was asked for: an Enter too many must not set a stage in motion."""
     if not sys.stdin.isatty():
         return
@@ -113,7 +112,7 @@ def forget_typed() -> None:
         termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
-def run_line(run: PlannedRun, outcome: Outcome) -> str:
+def run_result_line(run: PlannedRun, outcome: AcquisitionOutcome) -> str:
     """One line about a run that was made: how it ended, and what the checks right after it saw."""
     checks = outcome.checks.values
     seen = []
@@ -121,5 +120,5 @@ def run_line(run: PlannedRun, outcome: Outcome) -> str:
         seen.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
     seen.append(f"off the command by {1000 * float(checks['following_error_mm']):.1f} µm")
     line = f"{run.index:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(seen)}"
-    told = [outcome.reason] if outcome.status is not Status.COMPLETE else []
+    told = [outcome.reason] if outcome.status is not RunStatus.COMPLETE else []
     return "; ".join((line, *told, *(f"NOTE {warning}" for warning in outcome.checks.warnings)))

@@ -2,16 +2,21 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
 
 import click
 
-from dragrig.cli.console import QUIET
+from dragrig.cli.console import QUIET, print_json, print_remark, print_result
+
+if TYPE_CHECKING:
+    from dragrig.api.stage import MoveResult
+    from dragrig.rig.devices import TravelEnd
+
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Pace = Literal["fast", "real"] | float
-"""As `dragrig.pacing.Pace`, which the command line's start must not load."""
+"""As `dragrig.setup.Pace`, which the command line's start must not load."""
 
 
 def as_json(function: Callable[P, R]) -> Callable[P, R]:
@@ -22,11 +27,11 @@ def as_json(function: Callable[P, R]) -> Callable[P, R]:
 def quiet(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--quiet`: results and errors only."""
     return click.option(
-        "--quiet", "-q", is_flag=True, expose_value=False, callback=_keep_quiet, help="Show no progress, no remarks."
+        "--quiet", "-q", is_flag=True, expose_value=False, callback=_set_quiet, help="Show no progress, no remarks."
     )(function)
 
 
-def _keep_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+def _set_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     del parameter
     context.meta[QUIET] = value
 
@@ -36,19 +41,19 @@ def effects(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return click.option("--effect", "effects", metavar="ID[:KEY=VALUE,…]", multiple=True, help=what)
 
 
-_RIG = (
+_RIG_OPTIONS = (
     click.option("--rig", metavar="F|NAME", help="Rig settings; the lab folder's, or the shipped bench."),
     click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig; paper unless given."),
     click.option("--backend", metavar="NAME", help="Backend; the rig's own unless given."),
     click.option("--double", is_flag=True, help="The backend's double: a try without the hardware."),
 )
-_SETTINGS = (
-    *_RIG[:1],
+_SETTINGS_OPTIONS = (
+    *_RIG_OPTIONS[:1],
     click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
-    *_RIG[1:2],
+    *_RIG_OPTIONS[1:2],
     effects("What the simulated rig has beside the model, as dragrig gap effects lists it; repeatable."),
     click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
-    *_RIG[2:],
+    *_RIG_OPTIONS[2:],
     click.option(
         "--set",
         "assignments",
@@ -57,13 +62,13 @@ _SETTINGS = (
         help="Change a key of every step that has it, or rig.…, model.…, specimen.…, plan.…; repeatable.",
     ),
 )
-_SET_RIG = click.option(
+_SET_RIG_OPTION = click.option(
     "--set", "assignments", metavar="KEY=VALUE", multiple=True, help="Change rig.… or model.…; repeatable."
 )
 
 
 class RigOptions(TypedDict):
-    """What `rig` adds; it fits `dragrig.rigs.RigChoices`, which the command line's start must not load."""
+    """What `rig` adds; it fits `dragrig.setup.RigChoices`, which the command line's start must not load."""
 
     rig: str | None
     model: str | None
@@ -73,7 +78,7 @@ class RigOptions(TypedDict):
 
 
 class SettingsOptions(RigOptions):
-    """What `settings` adds; it fits `dragrig.setup.Choices`."""
+    """What `settings` adds; it fits `dragrig.setup.SetupChoices`."""
 
     specimen: str | None
     capsule: str | None
@@ -82,19 +87,19 @@ class SettingsOptions(RigOptions):
 
 def settings(function: Callable[P, R]) -> Callable[P, R]:
     """Add what says with which settings a plan runs: rig, specimen, model, effects, capsule, backend and `--set`."""
-    for option in reversed(_SETTINGS):
+    for option in reversed(_SETTINGS_OPTIONS):
         function = option(function)
     return function
 
 
 def rig(function: Callable[P, R]) -> Callable[P, R]:
     """Add what says which rig is meant: rig, model, backend, double and `--set`."""
-    for option in reversed((*_RIG, _SET_RIG)):
+    for option in reversed((*_RIG_OPTIONS, _SET_RIG_OPTION)):
         function = option(function)
     return function
 
 
-def _pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
+def _parse_pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
     words: dict[str, Pace] = {"fast": "fast", "real": "real"}
     if value is None or value in words:
         return None if value is None else words[value]
@@ -110,7 +115,7 @@ def pace(function: Callable[P, R]) -> Callable[P, R]:
     return click.option(
         "--pace",
         metavar="fast|real|N",
-        callback=_pace,
+        callback=_parse_pace,
         help="Of the simulated rig: fast unless given. Of a double: real unless given, or N times faster.",
     )(function)
 
@@ -132,7 +137,7 @@ def workers(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-def require_one(count: int, **files: Path | None) -> None:
+def require_single_campaign(count: int, **files: Path | None) -> None:
     """Raise `SettingsError` where a file for one campaign is asked for and several were given."""
     from dragrig.config.errors import SettingsError
 
@@ -154,7 +159,7 @@ def overwrite(function: Callable[P, R]) -> Callable[P, R]:
     return click.option("--overwrite", is_flag=True, help="Replace files that are there already.")(function)
 
 
-def made_folder(folder: Path) -> Path:
+def make_folder(folder: Path) -> Path:
     """Make the folder that `--out` names unless it is there; raises `OutputError`."""
     from dragrig.config.errors import OutputError
 
@@ -163,3 +168,32 @@ def made_folder(folder: Path) -> Path:
     except OSError as error:
         raise OutputError(f"{folder}: no folder can be made here ({error.strerror}); name another.") from error
     return folder
+
+
+def yes(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--yes`."""
+    said = "Answer every question with done that asks for nobody's hands or eyes at the rig."
+    return click.option("--yes", "-y", is_flag=True, help=said)(function)
+
+
+def override_limit(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--override-limit`, passed on as `override_limit`."""
+    said = "Go although this side's limit switch is pressed; everything else stays watched."
+    return click.option("--override-limit", "override", type=click.Choice(["low", "high"]), help=said)(function)
+
+
+def limit_side(word: str | None) -> "TravelEnd | None":
+    """Return the side that `--override-limit` names."""
+    from dragrig.rig.devices import TravelEnd
+
+    return None if word is None else TravelEnd(word)
+
+
+def print_move(moved: "MoveResult", *, as_json: bool) -> None:
+    """Print where the stage is, and what the guard is tripped on still."""
+    if as_json:
+        print_json(moved)
+        return
+    print_result(f"{moved.position_mm:.3f} mm")
+    if moved.trip is not None:
+        print_remark(f"The guard stays tripped: {moved.trip.message}.")

@@ -1,14 +1,24 @@
-"""Starting the host of an engine, asking it, and hearing it; nothing here waits for it."""
+"""Starts the engine host, sends it requests and reads its events; nothing here blocks on the host."""
 
 import multiprocessing
 from collections.abc import Iterator
 from contextlib import suppress
 
-from dragrig.engine_host.live import SAMPLES, LiveReader, shared_memory
-from dragrig.engine_host.messages import SILENCE_S, Beat, Event, Leave, Lost, Request, RigTerms
+from dragrig.engine_host.messages import (
+    RING_SAMPLES,
+    SILENCE_TIMEOUT_S,
+    Event,
+    Heartbeat,
+    HostLost,
+    LiveRingReader,
+    Request,
+    RigSelection,
+    StopHost,
+    shared_memory,
+)
 from dragrig.engine_host.server import serve
 
-_LEAVES_WITHIN_S = 30.0
+_CLOSE_TIMEOUT_S = 30.0
 """A stage that moves is stopped and its run finished before the process ends."""
 
 
@@ -23,11 +33,11 @@ class EngineClient:
         Size of the ring that live samples come through.
     """
 
-    def __init__(self, rig: RigTerms, silence_s: float = SILENCE_S, samples: int = SAMPLES) -> None:
+    def __init__(self, rig: RigSelection, silence_s: float = SILENCE_TIMEOUT_S, samples: int = RING_SAMPLES) -> None:
         context = multiprocessing.get_context("spawn")
         memory = shared_memory(context, samples)
         self._connection, theirs = context.Pipe()
-        self.live = LiveReader(memory)
+        self.live = LiveRingReader(memory)
         self._lost = False
         # Not a daemon, which would be killed with us in place of ending in good order.
         self._process = context.Process(
@@ -54,10 +64,10 @@ class EngineClient:
 
     def beat(self) -> None:
         """Say that we live."""
-        self.ask(Beat())
+        self.ask(Heartbeat())
 
     def events(self) -> Iterator[Event]:
-        """Yield what the host said since the last time; `Lost` once when it is gone."""
+        """Yield what the host said since the last time; `HostLost` once when it is gone."""
         try:
             while not self._lost and self._connection.poll(0):
                 event: Event = self._connection.recv()
@@ -65,11 +75,11 @@ class EngineClient:
         except (EOFError, OSError):
             self._lost = True
             self._process.join(5.0)
-            yield Lost(self._process.exitcode)
+            yield HostLost(self._process.exitcode)
 
-    def close(self, within_s: float = _LEAVES_WITHIN_S) -> None:
+    def close(self, within_s: float = _CLOSE_TIMEOUT_S) -> None:
         """End the host: a session under way is stopped and its run finished first."""
-        self.ask(Leave())
+        self.ask(StopHost())
         self._process.join(within_s)
         self._lost = True
         self._connection.close()

@@ -1,25 +1,30 @@
-"""What a client and the host of an engine tell each other: small frozen values, sent as pickles between two of us."""
+"""What client and engine host exchange: pickled frozen values, and live samples through a ring in shared memory."""
 
+import ctypes
 from dataclasses import dataclass
+from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import TypeAlias
 
+import numpy as np
+import numpy.typing as npt
+
 from dragrig.config.plan import Plan
-from dragrig.pacing import Pace
-from dragrig.rig.people import Answer
-from dragrig.rig.runfile.model import PHASE_NAMES, Status
-from dragrig.rigs import RigChoices
+from dragrig.rig.operator import Answer
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import PHASE_NAMES, RunStatus
+from dragrig.setup import Pace, RigChoices
 
-__all__ = ["PHASE_NAMES", "Answer", "Pace", "Status"]  # what messages hold, for clients that know no rig
+__all__ = ["PHASE_NAMES", "Answer", "Pace", "RunStatus"]  # what messages hold, for clients that know no rig
 
-SILENCE_S = 20.0
+SILENCE_TIMEOUT_S = 20.0
 """A client that says nothing for so long is taken for dead; one whose interpreter is held for seconds is not."""
-BEAT_S = 1.0
+HEARTBEAT_S = 1.0
 """How often a client is to say that it lives."""
 
 
 @dataclass(frozen=True, slots=True)
-class RigTerms:
+class RigSelection:
     """Which rig a host is for; none means the usual, as of `dragrig.examine`."""
 
     rig: Path | None = None
@@ -41,7 +46,7 @@ class RigTerms:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class SessionJob:
     """A session to carry out.
 
     Attributes
@@ -65,21 +70,21 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class StartSession:
     """Carry out a session."""
 
-    job: Job
+    job: SessionJob
 
 
 @dataclass(frozen=True, slots=True)
-class Abort:
+class AbortSession:
     """Stop the stage now, and end the session in good order."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class Reply:
+class PromptReply:
     """An answer to the question of this number."""
 
     question: int
@@ -87,37 +92,37 @@ class Reply:
 
 
 @dataclass(frozen=True, slots=True)
-class Examine:
+class ExamineRig:
     """Look at every device; nothing moves."""
 
 
 @dataclass(frozen=True, slots=True)
-class Reset:
+class ResetGuard:
     """Reset the guard's latch, if every condition is clear."""
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class Heartbeat:
     """The client lives."""
 
 
 @dataclass(frozen=True, slots=True)
-class Leave:
+class StopHost:
     """End the process, once the session under way has been ended."""
 
 
-Request: TypeAlias = Start | Abort | Reply | Examine | Reset | Beat | Leave
+Request: TypeAlias = StartSession | AbortSession | PromptReply | ExamineRig | ResetGuard | Heartbeat | StopHost
 
 
 @dataclass(frozen=True, slots=True)
-class Ready:
+class HostReady:
     """The host is up."""
 
     pid: int
 
 
 @dataclass(frozen=True, slots=True)
-class Device:
+class DeviceFinding:
     """What a look at one device found."""
 
     what: str
@@ -126,22 +131,22 @@ class Device:
 
 
 @dataclass(frozen=True, slots=True)
-class Examined:
+class RigExamined:
     """What a look at the rig found; `error` where it could not be finished."""
 
-    devices: tuple[Device, ...]
+    devices: tuple[DeviceFinding, ...]
     error: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Latched:
+class GuardState:
     """What the guard is latched on; empty when it is armed."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
-class RunLine:
+class QueuedRun:
     """A run of a session as a list shows it."""
 
     index: int
@@ -151,16 +156,16 @@ class RunLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Began:
+class SessionStarted:
     """A session starts with these runs still to make."""
 
     job: int
-    runs: tuple[RunLine, ...]
+    runs: tuple[QueuedRun, ...]
     real_time: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class SessionWaiting:
     """Nothing moves for a while."""
 
     duration_s: float
@@ -168,27 +173,27 @@ class Waiting:
 
 
 @dataclass(frozen=True, slots=True)
-class RunBegan:
+class RunStarted:
     """A run starts."""
 
-    run: RunLine
+    run: QueuedRun
     order: int
 
 
 @dataclass(frozen=True, slots=True)
-class RunEnded:
+class RunFinished:
     """A run ended; `warnings` is what the checks right after it saw."""
 
-    run: RunLine
+    run: QueuedRun
     order: int
-    status: Status
+    status: RunStatus
     reason: str
     samples: int
     warnings: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class PromptShown:
     """A question for the person at the rig; `hands` when something has to be done or looked at there."""
 
     question: int
@@ -199,7 +204,7 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class InMirror:
+class MirrorStatus:
     """How many files have an equal in the mirror, and which have none, each with why."""
 
     folder: Path
@@ -208,37 +213,201 @@ class InMirror:
 
 
 @dataclass(frozen=True, slots=True)
-class Warned:
+class OperatorWarning:
     """Something that a person has to know at once and that stops nothing."""
 
     sentence: str
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class SessionFinished:
     """A session is over; `status` is none where it never began, and `reason` says why."""
 
     job: int
-    status: Status | None
+    status: RunStatus | None
     reason: str
     folder: Path | None = None
-    mirror: InMirror | None = None
+    mirror: MirrorStatus | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RequestRefused:
     """What was asked cannot be done, in a person's words."""
 
     sentence: str
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class HostLost:
     """The host's process is gone; the client's own word, no message of the host's."""
 
     exit_code: int | None
 
 
 Event: TypeAlias = (
-    Ready | Examined | Latched | Began | Waiting | RunBegan | RunEnded | Asked | Warned | Ended | Refused | Lost
+    HostReady
+    | RigExamined
+    | GuardState
+    | SessionStarted
+    | SessionWaiting
+    | RunStarted
+    | RunFinished
+    | PromptShown
+    | OperatorWarning
+    | SessionFinished
+    | RequestRefused
+    | HostLost
 )
+
+
+RING_SAMPLES = 1 << 20
+"""Of the ring: over 17 min at 1 kHz, 4 s at 250 kHz."""
+_RING_MARGIN = 1 << 14
+"""What may be written while a reader copies; it keeps so far away from the oldest samples."""
+_FIELDS = 4
+_WRITTEN, _SERIAL, _BASE, _RATE_MHZ = range(_FIELDS)
+_BYTES_PER_SAMPLE = 4 + 4 + 1
+
+RingMemory = ctypes.Array[ctypes.c_byte]
+Floats = npt.NDArray[np.float32]
+Phases = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveSamples:
+    """Samples that were not read before, arrays of shape `(n,)`.
+
+    Attributes
+    ----------
+    serial
+        Tells one run from the next.
+    first_index
+        Of the first sample, from the run's start, lost samples counted.
+    missed
+        Samples right before these that were overwritten before anybody read them.
+    force, position
+        In mN and mm; NaN where the sampler lost samples.
+    """
+
+    serial: int
+    rate_hz: float
+    first_index: int
+    missed: int
+    force: Floats
+    position: Floats
+    phase: Phases
+
+
+def shared_memory(context: SpawnContext, samples: int = RING_SAMPLES) -> RingMemory:
+    """Return memory for a ring, to be handed to a process that is about to be started; it lives as long as they do."""
+    return context.RawArray(ctypes.c_byte, 8 * _FIELDS + _BYTES_PER_SAMPLE * samples)
+
+
+class _SampleRing:
+    def __init__(self, memory: RingMemory) -> None:
+        self.samples = (len(memory) - 8 * _FIELDS) // _BYTES_PER_SAMPLE
+        at, held = 8 * _FIELDS, memoryview(memory).cast("B")
+        self.head: npt.NDArray[np.int64] = np.frombuffer(held, np.int64, _FIELDS)
+        self.force: Floats = np.frombuffer(held, np.float32, self.samples, at)
+        self.position: Floats = np.frombuffer(held, np.float32, self.samples, at + 4 * self.samples)
+        self.phase: Phases = np.frombuffer(held, np.uint8, self.samples, at + 8 * self.samples)
+
+
+class LiveRingWriter:
+    """Puts readings into the ring; belongs to one thread."""
+
+    def __init__(self, memory: RingMemory) -> None:
+        self._ring = _SampleRing(memory)
+        self._begins = False
+
+    def begin(self) -> None:
+        """Say that what comes next belongs to another run."""
+        self._begins = True
+
+    def put(self, reading: Reading) -> None:
+        """Put a reading in; takes as long as copying it."""
+        head = self._ring.head
+        if self._begins:
+            self._open_run(reading)
+        written, base = int(head[_WRITTEN]), int(head[_BASE])
+        gap = base + reading.first_index - written
+        if gap > 0:
+            written = self._write(written, gap, np.float32(np.nan), np.float32(np.nan), reading.phase[:1])
+        force, position = reading.channels["force"], reading.channels["position"]
+        head[_WRITTEN] = self._write(written, len(force), force, position, reading.phase)
+
+    def _open_run(self, reading: Reading) -> None:
+        head, self._begins = self._ring.head, False
+        # Odd while the fields do not belong together.
+        head[_SERIAL] += 1
+        head[_BASE] = head[_WRITTEN]
+        head[_RATE_MHZ] = round(1000 * _sample_rate(reading))
+        head[_SERIAL] += 1
+
+    def _write(
+        self, written: int, count: int, force: npt.ArrayLike, position: npt.ArrayLike, phase: npt.ArrayLike
+    ) -> int:
+        ring = self._ring
+        kept = min(count, ring.samples)
+        places = _ring_slices(written + count - kept, kept, ring.samples)
+        done = count - kept
+        for place in places:
+            length = place.stop - place.start
+            for target, values in ((ring.force, force), (ring.position, position), (ring.phase, phase)):
+                source = np.asarray(values)
+                target[place] = source[done : done + length] if source.ndim and len(source) == count else source
+            done += length
+        return written + count
+
+
+class LiveRingReader:
+    """Reads what was put into the ring since it was last asked; any number of them, each in one thread."""
+
+    def __init__(self, memory: RingMemory) -> None:
+        self._ring = _SampleRing(memory)
+        self._cursor = 0
+        self._serial = 0
+
+    def read(self) -> LiveSamples | None:
+        """Return what is new; none when nothing is."""
+        head = self._ring.head
+        serial, base, rate, written = int(head[_SERIAL]), int(head[_BASE]), int(head[_RATE_MHZ]), int(head[_WRITTEN])
+        if serial % 2 or serial == 0:
+            return None
+        if serial != self._serial:
+            self._serial, self._cursor = serial, base
+        oldest = written - self._ring.samples + _read_margin(self._ring.samples)
+        start = max(self._cursor, oldest, base)
+        if written <= start:
+            return None
+        ring, places = self._ring, _ring_slices(start, written - start, self._ring.samples)
+        force = np.concatenate([ring.force[place] for place in places])
+        position = np.concatenate([ring.position[place] for place in places])
+        phase = np.concatenate([ring.phase[place] for place in places])
+        if int(head[_SERIAL]) != serial:
+            return None
+        # What was overwritten while it was copied is dropped.
+        torn = max(0, int(head[_WRITTEN]) - self._ring.samples - start)
+        if torn >= written - start:
+            return None
+        missed = start + torn - self._cursor
+        self._cursor = written
+        return LiveSamples(
+            serial, rate / 1000, start + torn - base, missed, force[torn:], position[torn:], phase[torn:]
+        )
+
+
+def _ring_slices(start: int, count: int, samples: int) -> list[slice]:
+    first = start % samples
+    if first + count <= samples:
+        return [slice(first, first + count)]
+    return [slice(first, samples), slice(0, first + count - samples)]
+
+
+def _read_margin(samples: int) -> int:
+    return min(_RING_MARGIN, samples // 4)
+
+
+def _sample_rate(reading: Reading) -> float:
+    last = reading.end_index - 1
+    return last / float(reading.time[-1]) if last > 0 and reading.time[-1] > 0 else 1000.0

@@ -1,15 +1,12 @@
-"""The window: a client of the engine's host, which it never waits for, and of the Python API.
+"""The window: a client of the engine host, which it never waits for, and of the Python API; only here is Qt imported.
 
 | module | what |
 |---|---|
-| `application` | the program: window, engine, the end |
-| `main_window` | pages, the rig's banner, the stop button, notices |
-| `engine_link` | the engine's events and live samples as Qt signals |
-| `theme`, `words` | how everything looks, and small widgets |
-| `remembered` | settings kept from one day to the next |
-| `background` | work on files beside the screen's thread |
-| `plots/` | traces that cost the same to draw however long they are |
-| `run/`, `look/`, `diagnose/` | the pages |
-
-Only this package imports Qt.
+| `main_window` | the application, the banner, the stop button, notices above the pages |
+| `background` | engine events, live samples and file work as Qt signals |
+| `widgets` | style sheet, small widgets, stored settings |
+| `plots`, `trace_pyramid` | plots whose drawing time does not depend on the trace's length |
+| `new_session`, `session_queue`, `live_view`, `run_page` | the page that runs plans |
+| `look_page` | the page that shows runs |
+| `diagnose_page` | the page that diagnoses a campaign |
 """

@@ -1,22 +1,25 @@
-"""Work on files beside the screen's thread."""
+"""Work beside the GUI thread: engine events and live samples as Qt signals, and file work in a worker thread."""
 
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from PySide6.QtCore import QObject, QRunnable, QThreadPool, Signal
+from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
 from dragrig.config.errors import DragrigError
+from dragrig.engine_host.client import EngineClient
+from dragrig.engine_host.messages import HEARTBEAT_S, SILENCE_TIMEOUT_S, HostLost, Request, RigSelection
 
 ResultT = TypeVar("ResultT")
 
 
-class _Told(QObject):
+class _WorkSignals(QObject):
     done = Signal(int, object)
     failed = Signal(int, str)
 
 
-class _Work(QRunnable):
-    def __init__(self, number: int, work: Callable[[], object], told: _Told) -> None:
+class _WorkItem(QRunnable):
+    def __init__(self, number: int, work: Callable[[], object], told: _WorkSignals) -> None:
         super().__init__()
         self._number, self._work, self._told = number, work, told
 
@@ -31,7 +34,7 @@ class _Work(QRunnable):
             self._told.done.emit(self._number, result)
 
 
-class Background(QObject):
+class FileWorker(QObject):
     """Does one kind of work, one piece at a time, and hands results over on the screen's thread."""
 
     def __init__(self, failed: Callable[[str], None], parent: QObject | None = None) -> None:
@@ -42,7 +45,7 @@ class Background(QObject):
         self._failed = failed
         self._number = 0
         self._wanted: dict[int, Callable[[object], None]] = {}
-        self._told = _Told(self)
+        self._told = _WorkSignals(self)
         self._told.done.connect(self._done)
         self._told.failed.connect(self._broke)
 
@@ -61,7 +64,7 @@ class Background(QObject):
         """Do some work after what was asked for before; `taken` gets its result."""
         self._number += 1
         self._wanted[self._number] = taken
-        self._pool.start(_Work(self._number, work, self._told))
+        self._pool.start(_WorkItem(self._number, work, self._told))
 
     def drop(self) -> None:
         """Leave what has not begun, and wait for what has."""
@@ -80,3 +83,62 @@ class Background(QObject):
     def _broke(self, number: int, sentence: str) -> None:
         if self._wanted.pop(number, None) is not None:
             self._failed(sentence)
+
+
+_ENGINE_POLL_MS = 33
+
+
+class EngineLink(QObject):
+    """Starts a host, asks it, and tells what it said; `restart` after it was lost."""
+
+    said = Signal(object)
+    """An event of the host's."""
+    sampled = Signal(object)
+    """Live samples."""
+
+    def __init__(self, rig: RigSelection, parent: QObject | None = None, silence_s: float = SILENCE_TIMEOUT_S) -> None:
+        super().__init__(parent)
+        self._rig, self._silence_s = rig, silence_s
+        self._client = EngineClient(rig, silence_s)
+        self._beat_at = 0.0
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self._look)
+        self._timer.start(_ENGINE_POLL_MS)
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the host."""
+        return self._client.pid
+
+    @property
+    def lost(self) -> bool:
+        """Whether the host is gone."""
+        return self._client.lost
+
+    def ask(self, request: Request) -> None:
+        """Send a request."""
+        self._client.ask(request)
+
+    def restart(self) -> None:
+        """Start another host in place of one that is gone."""
+        self._client.close(0.0)
+        self._client = EngineClient(self._rig, self._silence_s)
+
+    def close(self) -> None:
+        """End the host; a session under way is stopped and its run finished first."""
+        self._timer.stop()
+        self._client.close()
+
+    def _look(self) -> None:
+        now = time.monotonic()
+        if now - self._beat_at >= HEARTBEAT_S:
+            self._beat_at = now
+            self._client.beat()
+        # Events first: a run's beginning has to be known before its samples.
+        for event in self._client.events():
+            self.said.emit(event)
+            if isinstance(event, HostLost):
+                return
+        fresh = self._client.live.read()
+        if fresh is not None:
+            self.sampled.emit(fresh)

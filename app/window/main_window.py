@@ -1,37 +1,167 @@
-"""The window: banner of the rig, pages, stop button, notices."""
+"""The application and its main window: rig banner, pages, stop button, notices."""
 
+import gc
+import signal
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QStackedWidget, QWidget
+from PySide6.QtWidgets import QApplication, QButtonGroup, QFrame, QLayout, QMainWindow, QStackedWidget, QWidget
 
 from dragrig.engine_host.messages import (
-    SILENCE_S,
+    SILENCE_TIMEOUT_S,
     Answer,
-    Asked,
-    Ended,
     Event,
-    Latched,
-    Lost,
-    Ready,
-    Refused,
-    Reply,
-    Reset,
-    RigTerms,
-    Warned,
+    GuardState,
+    HostLost,
+    HostReady,
+    OperatorWarning,
+    PromptReply,
+    PromptShown,
+    RequestRefused,
+    ResetGuard,
+    RigSelection,
+    SessionFinished,
 )
-from dragrig.plan_forms import PlanForm
-from dragrig.planned import rig_in_words
-from dragrig.window.diagnose.page import DiagnosePage
-from dragrig.window.engine_link import EngineLink
-from dragrig.window.look.page import LookPage
-from dragrig.window.notices import Notices
-from dragrig.window.remembered import Remembered
-from dragrig.window.run.page import RunPage
-from dragrig.window.tidying import Tidying
-from dragrig.window.widgets import button, card, column, holder, label, row
+from dragrig.views.plan_view import PlanForm, describe_rig
+from dragrig.window.background import EngineLink
+from dragrig.window.diagnose_page import DiagnosePage
+from dragrig.window.look_page import LookPage
+from dragrig.window.run_page import RunPage
+from dragrig.window.widgets import StoredSettings, apply_style, bare_widget, button, card, column, label, row
+
+COLLECT_INTERVAL_MS = 200
+
+
+class GuiThreadCollector(QObject):
+    """Collects cyclic garbage now and then, in place of the interpreter.
+
+    The interpreter collects on whichever thread happens to allocate. On a thread that reads files it would take plots
+    apart that the screen's thread is drawing: each then waits for the other's lock for ever, and the window, with its
+    stop button, stands still.
+    """
+
+    def __init__(self, parent: QObject) -> None:
+        super().__init__(parent)
+        self._timer = QTimer(self)
+        self._timer.setInterval(COLLECT_INTERVAL_MS)
+        self._timer.timeout.connect(self._collect)
+
+    def begin(self) -> None:
+        """Take garbage over from the interpreter."""
+        gc.disable()
+        self._timer.start()
+
+    def end(self) -> None:
+        """Leave it to the interpreter again."""
+        self._timer.stop()
+        gc.enable()
+
+    def _collect(self) -> None:
+        gc.disable()  # another window, closed meanwhile, has given it back
+        counts, limits = gc.get_count(), gc.get_threshold()
+        for generation in (2, 1, 0):
+            if counts[generation] > limits[generation]:
+                gc.collect(generation)
+                return
+
+
+class NoticeBar(QWidget):
+    """Frames above the page that come and go.
+
+    Parameters
+    ----------
+    reset, answer, restart
+        Called when a person resets the guard, answers a question (with its number), starts the engine again.
+    """
+
+    def __init__(
+        self, reset: Callable[[], None], answer: Callable[[int, Answer], None], restart: Callable[[], None]
+    ) -> None:
+        super().__init__()
+        self._answer = answer
+        self._question: PromptShown | None = None
+        self.trip_text = label("", wrap=True)
+        self.reset = button("&Reset the guard", reset, "main", "Once its cause is seen to", "Ctrl+R")
+        self.trip = _notice_frame("trip", _text_and_button(self.trip_text, self.reset))
+        self.question_text = label("", "title", wrap=True)
+        self.answers = {
+            Answer.DONE: button("&Done", lambda: self._say(Answer.DONE), "main", "It is done: go on"),
+            Answer.REDO: button("R&edo the last run", lambda: self._say(Answer.REDO), help_="Its file is marked bad"),
+            Answer.SKIP: button("Ski&p", lambda: self._say(Answer.SKIP), help_="Leave out what this prepares"),
+            Answer.ABORT: button("A&bort", lambda: self._say(Answer.ABORT), help_="End the session here"),
+        }
+        self.hands = label("", "faint")
+        self.question = _notice_frame("notice", column(self.question_text, row(self.hands, 1, *self.answers.values())))
+        self.lost_text = label("", wrap=True)
+        self.restart = button("Start the en&gine again", restart, "main")
+        self.lost = _notice_frame("trip", _text_and_button(self.lost_text, self.restart))
+        self.complaint_text = label("", wrap=True)
+        self.dismiss = button("D&ismiss", self._dismiss, help_="Take this away")
+        self.complaint = _notice_frame("notice", _text_and_button(self.complaint_text, self.dismiss))
+        self.setLayout(column(self.lost, self.trip, self.question, self.complaint))
+        for frame in (self.lost, self.trip, self.question, self.complaint):
+            frame.hide()
+
+    def latched(self, reason: str) -> None:
+        """Tell what the guard is tripped on; nothing when it is armed."""
+        self.trip_text.setText(f"THE GUARD IS TRIPPED: {reason.rstrip('.')}. Nothing moves until it is reset.")
+        self.reset.setEnabled(True)
+        self.trip.setVisible(bool(reason))
+
+    def ask(self, asked: PromptShown) -> None:
+        """Put a question."""
+        self._question = asked
+        self.question_text.setText(f"{asked.text}.")
+        self.hands.setText("This needs somebody at the rig." if asked.hands else "")
+        self.answers[Answer.REDO].setVisible(asked.can_redo)
+        self.answers[Answer.SKIP].setVisible(asked.can_skip)
+        self.question.show()
+
+    def nothing_asked(self) -> None:
+        """Take the question away."""
+        self._question = None
+        self.question.hide()
+
+    def complain(self, sentence: str) -> None:
+        """Say what went wrong; a second one comes below the first."""
+        before = self.complaint_text.text() if self.complaint.isVisible() else ""
+        lines = [*before.splitlines(), sentence][-4:]
+        self.complaint_text.setText("\n".join(dict.fromkeys(lines)))
+        self.complaint.show()
+
+    def engine_lost(self, exit_code: int | None) -> None:
+        """Say that the engine is gone."""
+        self.nothing_asked()
+        self.trip.hide()
+        self.lost_text.setText(
+            "THE ENGINE HAS ENDED, because it heard nothing from this window for too long: the stage was stopped, and "
+            "the run under way finished."
+            if exit_code == 0
+            else f"THE ENGINE HAS ENDED (exit code {exit_code}). A drive that no longer hears it stops by itself; what "
+            "was recorded is finished with dragrig recover, or when its campaign goes on."
+        )
+        self.lost.show()
+
+    def _dismiss(self) -> None:
+        self.complaint.hide()
+
+    def _say(self, answer: Answer) -> None:
+        if self._question is not None:
+            self._answer(self._question.question, answer)
+            self.nothing_asked()
+
+
+def _notice_frame(role: str, layout: QLayout) -> QFrame:
+    return card(layout, role=role)
+
+
+def _text_and_button(text: QWidget, pressed: QWidget) -> QLayout:
+    layout = row(text, pressed)
+    layout.setStretch(0, 1)
+    return layout
 
 
 class MainWindow(QMainWindow):
@@ -49,19 +179,19 @@ class MainWindow(QMainWindow):
 
     def __init__(
         self,
-        rig: RigTerms,
+        rig: RigSelection,
         lab: Path | None = None,
-        remembered: Remembered | None = None,
-        silence_s: float = SILENCE_S,
+        remembered: StoredSettings | None = None,
+        silence_s: float = SILENCE_TIMEOUT_S,
     ) -> None:
         super().__init__()
-        self._tidying = Tidying(self)
+        self._tidying = GuiThreadCollector(self)
         self._tidying.begin()
-        self._remembered = remembered or Remembered()
-        self.words = rig_in_words(rig)
+        self._remembered = remembered or StoredSettings()
+        self.words = describe_rig(rig)
         self.setWindowTitle(f"dragrig: {self.words.name}, {self.words.title}")
         self.engine = EngineLink(rig, self, silence_s)
-        self.notices = Notices(self._reset, self._reply, self._restart)
+        self.notices = NoticeBar(self._reset, self._reply, self._restart)
         self.run = RunPage(self.engine, rig, self.words, lab, self._remembered)
         self.look = LookPage(Path(self.words.data_root), self._remembered)
         self.diagnose = DiagnosePage(self._remembered)
@@ -93,25 +223,25 @@ class MainWindow(QMainWindow):
     def take(self, event: Event) -> None:
         """Hear what the engine says."""
         match event:
-            case Ready():
+            case HostReady():
                 self.notices.lost.hide()
                 self.run.devices.look()
-            case Latched(reason):
+            case GuardState(reason):
                 self.notices.nothing_asked()
                 self.notices.latched(reason)
                 self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
-            case Asked():
+            case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
-            case Ended():
+            case SessionFinished():
                 self.notices.nothing_asked()
-            case Warned(sentence):
+            case OperatorWarning(sentence):
                 self.notices.complain(sentence)
-            case Refused(sentence):
+            case RequestRefused(sentence):
                 self.notices.nothing_asked()
                 self.notices.complain(sentence)
                 self.notices.reset.setEnabled(True)
-            case Lost(exit_code):
+            case HostLost(exit_code):
                 self.guard.setText("guard: no engine")
                 self.notices.engine_lost(exit_code)
             case _:
@@ -166,10 +296,10 @@ class MainWindow(QMainWindow):
 
     def _reset(self) -> None:
         self.notices.reset.setEnabled(False)
-        self.engine.ask(Reset())
+        self.engine.ask(ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
-        self.engine.ask(Reply(question, answer))
+        self.engine.ask(PromptReply(question, answer))
 
     def _restart(self) -> None:
         self.notices.lost.hide()
@@ -179,7 +309,7 @@ class MainWindow(QMainWindow):
         top = row(margin=8)
         for at, (name, page) in enumerate(pages.items()):
             self.pages.addWidget(page)
-            made = button(f"&{at + 1}  {name}", _show(self, page), "page", f"The page {name}", f"Ctrl+{at + 1}")
+            made = button(f"&{at + 1}  {name}", _page_opener(self, page), "page", f"The page {name}", f"Ctrl+{at + 1}")
             made.setCheckable(True)
             self._page_buttons.addButton(made, at)
             top.addWidget(made)
@@ -196,7 +326,7 @@ class MainWindow(QMainWindow):
         body = column(top, self.notices, self.pages)
         body.setStretch(2, 1)
         body.setSpacing(0)
-        self.setCentralWidget(holder(body))
+        self.setCentralWidget(bare_widget(body))
 
     def _recall(self) -> None:
         shape = self._remembered.shape("geometry")
@@ -206,5 +336,33 @@ class MainWindow(QMainWindow):
         self.go_to(self.pages.widget(place) if 0 <= place < self.pages.count() else self.run)
 
 
-def _show(window: MainWindow, page: QWidget) -> Callable[[], None]:
+def _page_opener(window: MainWindow, page: QWidget) -> Callable[[], None]:
     return lambda: window.go_to(page)
+
+
+def qt_application() -> QApplication:
+    """Return the one application of this process, dressed."""
+    running = QApplication.instance()
+    if isinstance(running, QApplication):
+        apply_style(running)
+        return running
+    made = QApplication(sys.argv[:1])
+    made.setApplicationName("dragrig")
+    apply_style(made)
+    return made
+
+
+def show_window(rig: RigSelection, lab: Path | None) -> int:
+    """Show the window until it is closed; return the exit code.
+
+    Raises
+    ------
+    SettingsError
+        When the rig's settings cannot be used.
+    """
+    made = qt_application()
+    window = MainWindow(rig, lab)
+    window.show()
+    # Python hears the signal when the engine's timer next runs some of it.
+    signal.signal(signal.SIGINT, lambda *_: window.close_in_order("Ctrl-C"))
+    return int(made.exec())

@@ -1,12 +1,13 @@
-"""Small widgets that every page is made of."""
+"""Style sheet, small widgets that every page uses, and settings stored between days."""
 
 import re
 from collections.abc import Callable, Sequence
 
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtCore import QByteArray, QSettings, Qt
+from PySide6.QtGui import QColor, QFont, QFontDatabase, QKeySequence, QPalette, QShortcut
 from PySide6.QtWidgets import (
     QAbstractItemView,
+    QApplication,
     QFrame,
     QHBoxLayout,
     QHeaderView,
@@ -22,7 +23,105 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-_NUMBER = re.compile(r"[-−+]?[\d.]+( \S+){0,3}")
+from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, GRID, PALE, PAPER, VERMILLION
+
+TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32
+SURFACE_COLOUR = "#F3F5F7"
+STOP_COLOUR = "#B00020"
+"""Of the stop button alone; white on it stands out for every kind of colour vision, and it says STOP."""
+
+_STYLE_SHEET = f"""
+* {{ font-size: {TEXT_PX}px; color: {BLACK}; }}
+QMainWindow, QDialog, QWidget#page {{ background: {SURFACE_COLOUR}; }}
+QLabel[role="title"] {{ font-size: {TITLE_PX}px; font-weight: 600; }}
+QLabel[role="faint"] {{ color: {GREY}; font-size: {SMALL_PX}px; }}
+QLabel[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
+QLabel[role="reading"] {{ font-size: {READING_PX}px; font-weight: 600; }}
+QLabel[role="fine"] {{ color: #00664B; font-weight: 600; }}
+QFrame[role="card"] {{ background: {PAPER}; border: 1px solid {GRID}; border-radius: 6px; }}
+QFrame[role="notice"] {{ background: #FFF4D6; border: 2px solid #8A5A00; border-radius: 6px; }}
+QFrame[role="trip"] {{ background: #FBE3E6; border: 3px solid {STOP_COLOUR}; border-radius: 6px; }}
+QFrame[role="simulated"] {{ background: #E3F1FA; border: 2px dashed {BLUE}; border-radius: 6px; }}
+QFrame[role="hardware"] {{ background: #FFE9D6; border: 3px solid {VERMILLION}; border-radius: 6px; }}
+QPushButton, QToolButton {{ background: {PAPER}; border: 1px solid {PALE}; border-radius: 5px; padding: 7px 14px; }}
+QToolButton[popupMode="2"] {{ padding-right: 30px; }}
+QToolButton::menu-indicator {{ subcontrol-origin: padding; subcontrol-position: right center; right: 9px; }}
+QPushButton:hover, QToolButton:hover {{ border-color: {BLUE}; }}
+QPushButton:focus, QToolButton:focus {{ border: 2px solid {BLUE}; padding: 6px 13px; }}
+QPushButton:disabled, QToolButton:disabled {{ color: {PALE}; background: {SURFACE_COLOUR}; }}
+QPushButton[role="main"] {{ background: {BLUE}; color: white; font-weight: 600; border-color: {BLUE}; }}
+QPushButton[role="main"]:focus {{ border: 2px solid {BLACK}; }}
+QPushButton[role="main"]:disabled {{ background: {PALE}; border-color: {PALE}; color: white; }}
+QPushButton[role="stop"] {{ background: {STOP_COLOUR}; color: white; font-size: 22px; font-weight: 800;
+    border: 3px solid #6B0013; border-radius: 8px; padding: 8px 26px; }}
+QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
+    background: transparent; font-size: 17px; padding: 10px 16px;
+    min-width: 112px; }}
+QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; font-weight: 700; }}
+QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
+QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
+    border-radius: 4px; padding: 5px 7px; selection-background-color: {BLUE}; selection-color: white; }}
+QLineEdit:focus, QPlainTextEdit:focus {{ border: 2px solid {BLUE}; }}
+QComboBox, QSpinBox, QDoubleSpinBox {{ min-height: 30px; }}
+QComboBox QAbstractItemView {{ background: {PAPER}; selection-background-color: {BLUE}; selection-color: white; }}
+QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid {GRID};
+    alternate-background-color: {SURFACE_COLOUR};
+    selection-background-color: #CFE6F5; selection-color: {BLACK}; }}
+QTableWidget::item {{ padding: 0 7px; }}
+QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
+QHeaderView::section {{ background: {SURFACE_COLOUR}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
+    color: {GREY}; }}
+QTabBar::tab {{ background: transparent; padding: 8px 16px; border: none; color: {GREY}; }}
+QTabBar::tab:selected {{ color: {BLACK}; font-weight: 600; border-bottom: 3px solid {BLUE}; }}
+QTabWidget::pane {{ border: 1px solid {GRID}; border-radius: 6px; background: {PAPER}; }}
+QScrollArea, QWidget#bare {{ background: transparent; border: none; }}
+QProgressBar {{ background: {GRID}; border: none; border-radius: 4px; text-align: center; min-height: 22px; }}
+QProgressBar::chunk {{ background: #8CC4E6; border-radius: 4px; }}
+QSplitter::handle {{ background: {SURFACE_COLOUR}; }}
+QToolTip {{ background: {BLACK}; color: white; border: none; padding: 6px; }}
+QCheckBox::indicator {{ width: 18px; height: 18px; }}
+QMenu {{ background: {PAPER}; border: 1px solid {PALE}; }}
+QMenu::item {{ padding: 6px 22px; }}
+QMenu::item:selected {{ background: {BLUE}; color: white; }}
+"""
+FINE_COLOUR = GREEN
+
+
+def apply_style(application: QApplication) -> None:
+    """Give the application its fonts, colours and sizes, alike on every machine and in dark and light desktops."""
+    from importlib.resources import files
+
+    import pyqtgraph
+
+    font = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"
+    bold = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans-Bold.ttf"
+    for one in (font, bold):
+        QFontDatabase.addApplicationFontFromData(one.read_bytes())
+    application.setStyle("Fusion")
+    application.setFont(QFont("DejaVu Sans"))
+    application.setPalette(_palette())
+    application.setStyleSheet(_STYLE_SHEET)
+    pyqtgraph.setConfigOptions(background=PAPER, foreground=BLACK, antialias=False)
+
+
+def _palette() -> QPalette:
+    palette = QPalette(QColor(SURFACE_COLOUR))
+    for role, colour in (
+        (QPalette.ColorRole.Window, SURFACE_COLOUR),
+        (QPalette.ColorRole.Base, PAPER),
+        (QPalette.ColorRole.AlternateBase, SURFACE_COLOUR),
+        (QPalette.ColorRole.Text, BLACK),
+        (QPalette.ColorRole.WindowText, BLACK),
+        (QPalette.ColorRole.ButtonText, BLACK),
+        (QPalette.ColorRole.Highlight, BLUE),
+        (QPalette.ColorRole.HighlightedText, PAPER),
+        (QPalette.ColorRole.PlaceholderText, GREY),
+    ):
+        palette.setColor(role, QColor(colour))
+    return palette
+
+
+_NUMBER_TEXT = re.compile(r"[-−+]?[\d.]+( \S+){0,3}")
 
 
 def label(text: str = "", role: str = "", *, wrap: bool = False) -> QLabel:
@@ -55,14 +154,14 @@ def button(text: str, pressed: Callable[[], None], role: str = "", help_: str = 
 def row(*widgets: QWidget | QLayout | int, margin: int = 0) -> QHBoxLayout:
     """Return widgets side by side; a number is a stretch."""
     made = QHBoxLayout()
-    _fill(made, widgets, margin)
+    _fill_layout(made, widgets, margin)
     return made
 
 
 def column(*widgets: QWidget | QLayout | int, margin: int = 0) -> QVBoxLayout:
     """Return widgets one below the other; a number is a stretch."""
     made = QVBoxLayout()
-    _fill(made, widgets, margin)
+    _fill_layout(made, widgets, margin)
     return made
 
 
@@ -74,14 +173,14 @@ def card(*widgets: QWidget | QLayout | int, role: str = "card", across: bool = F
     return made
 
 
-def holder(layout: QLayout) -> QWidget:
+def bare_widget(layout: QLayout) -> QWidget:
     """Return a bare widget with this layout."""
     made = QWidget()
     made.setLayout(layout)
     return made
 
 
-def give_role(widget: QWidget, role: str) -> None:
+def set_role(widget: QWidget, role: str) -> None:
     """Change a widget's role, and its looks with it."""
     widget.setProperty("role", role)
     widget.style().unpolish(widget)
@@ -105,7 +204,7 @@ def table(header: Sequence[str]) -> QTableWidget:
     return made
 
 
-def fill(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool = True) -> None:
+def fill_table(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool = True) -> None:
     """Put rows of text into a table; what reads as a number stands to the right, where there are columns of numbers."""
     target.setRowCount(len(rows))
     for at, cells in enumerate(rows):
@@ -113,7 +212,7 @@ def fill(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool =
             item = QTableWidgetItem(text)
             item.setToolTip(text)
             # The last column is as wide as is left.
-            if numbers and place < len(cells) - 1 and _NUMBER.fullmatch(text):
+            if numbers and place < len(cells) - 1 and _NUMBER_TEXT.fullmatch(text):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             target.setItem(at, place, item)
 
@@ -134,7 +233,7 @@ def parent_of(item: QTreeWidgetItem) -> QTreeWidgetItem | None:
     return item.parent()
 
 
-def _fill(layout: QHBoxLayout | QVBoxLayout, widgets: Sequence[QWidget | QLayout | int], margin: int) -> None:
+def _fill_layout(layout: QHBoxLayout | QVBoxLayout, widgets: Sequence[QWidget | QLayout | int], margin: int) -> None:
     layout.setContentsMargins(margin, margin, margin, margin)
     layout.setSpacing(8)
     for one in widgets:
@@ -144,3 +243,31 @@ def _fill(layout: QHBoxLayout | QVBoxLayout, widgets: Sequence[QWidget | QLayout
             layout.addWidget(one)
         else:
             layout.addLayout(one)
+
+
+class StoredSettings:
+    """Settings by name; what was never kept, or is of another kind, is the usual."""
+
+    def __init__(self, settings: QSettings | None = None) -> None:
+        self._settings = settings or QSettings("dragrig", "window")
+
+    def text(self, name: str, usual: str = "") -> str:
+        """Return a text."""
+        value = self._settings.value(name)
+        return value if isinstance(value, str) else usual
+
+    def number(self, name: str, usual: float) -> float:
+        """Return a number."""
+        try:
+            return float(self.text(name))
+        except ValueError:
+            return usual
+
+    def shape(self, name: str) -> QByteArray | None:
+        """Return a window's or a splitter's shape."""
+        value = self._settings.value(name)
+        return value if isinstance(value, QByteArray) else None
+
+    def keep(self, name: str, value: str | float | QByteArray) -> None:
+        """Keep a value."""
+        self._settings.setValue(name, value if isinstance(value, QByteArray) else str(value))

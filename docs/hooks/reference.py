@@ -18,10 +18,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def commands() -> str:
     """Write a chapter for each command, with its arguments and options."""
-    from dragrig.cli.lazy import group
+    from dragrig.cli.commands import dragrig_group
 
     parts = ["# Commands", "Each is `dragrig COMMAND`; `--help` says the same in the terminal."]
-    for command, path in _leaves(group, "dragrig"):
+    for command, path in _leaves(dragrig_group, "dragrig"):
         context = click.Context(command, info_name=path)
         parts += [f"## {path.removeprefix('dragrig ')}", _plain(command.help or "")]
         parts.append(f"```\n{command.get_usage(context).removeprefix('Usage: ')}\n```")
@@ -43,12 +43,11 @@ def _leaves(command: click.Command, path: str) -> Iterator[tuple[click.Command, 
 
 def settings() -> str:
     """Write a table for each group of settings, protocols included."""
-    from dragrig.config.capsule import Capsule
-    from dragrig.config.model import FrictionModelSettings
-    from dragrig.config.plan import Plan, Step
+    from dragrig.config.friction_model import FrictionModelSettings
+    from dragrig.config.plan import Plan, PlanStep
     from dragrig.config.rig import RigSettings
-    from dragrig.config.specimen import Specimen
-    from dragrig.rig.protocols.catalogue import kinds
+    from dragrig.config.specimen import Capsule, Specimen
+    from dragrig.rig.protocols.run_protocol import protocol_kinds
 
     parts = [
         "# Settings",
@@ -58,7 +57,7 @@ def settings() -> str:
     for title, root in {
         "Rig": RigSettings,
         "Plan": Plan,
-        "Step of a plan": Step,
+        "Step of a plan": PlanStep,
         "Capsule": Capsule,
         "Specimen": Specimen,
         "Friction model": FrictionModelSettings,
@@ -67,7 +66,7 @@ def settings() -> str:
         for name, model in _groups(root, ""):
             parts += [f"### `[{name}]`" if name else "", _first(model.__doc__), _fields(model)]
     parts += ["## Steps of a plan, by kind", "Beside the keys of every step, a step has those of its kind."]
-    for kind, protocol in kinds().items():
+    for kind, protocol in protocol_kinds().items():
         parts += [f"### {kind}", _first(protocol.__doc__), _fields(protocol)]
     return _page(parts)
 
@@ -103,7 +102,7 @@ def _range(schema: Mapping[str, object]) -> str:
 def run_file() -> str:
     """Write what a run file holds, from the one module that knows."""
     from dragrig.rig.runfile import schema
-    from dragrig.rig.runfile.model import PHASE_NAMES, Status
+    from dragrig.rig.runfile.model import PHASE_NAMES, RunStatus
 
     parts = [
         "# Run file",
@@ -121,13 +120,13 @@ def run_file() -> str:
             ],
         ),
         "## Datasets of the trace",
-        f"In `{schema.TRACE}`, each of as many samples as there are: `{'`, `'.join(schema.FRAME)}`, the signal "
+        f"In `{schema.TRACE}`, each of as many samples as there are: `{'`, `'.join(schema.FRAME_DATASETS)}`, the signal "
         f"({' or '.join(schema.SIGNALS)}), `position`, and whatever else was recorded. Some have fixed units:",
         _table(("dataset", "unit"), [(f"`{name}`", unit) for name, unit in schema.UNITS.items()]),
         "## Phases",
         _table(("number", "phase"), [(str(number), name) for number, name in enumerate(PHASE_NAMES)]),
         "## How a run may end",
-        ", ".join(f"`{one.value}`" for one in Status) + ".",
+        ", ".join(f"`{one.value}`" for one in RunStatus) + ".",
         "## Numbers of a protocol",
         _table(
             ("kind", "attributes of `/entry/protocol`"),
@@ -144,7 +143,7 @@ def run_file() -> str:
 def _whole_doc() -> str:
     from inspect import cleandoc
 
-    from dragrig.rig.runfile.digest import TraceDigest
+    from dragrig.rig.runfile.writer import TraceDigest
 
     return cleandoc(TraceDigest.__doc__ or "")
 

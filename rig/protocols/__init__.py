@@ -1,6 +1,5 @@
 """One file per kind of run: a validated description that yields its motion."""
 
-from dragrig.rig.protocols.base import Protocol
-from dragrig.rig.protocols.catalogue import kinds, swept
+from dragrig.rig.protocols.run_protocol import RunProtocol, expand_sweep, protocol_kinds
 
-__all__ = ["Protocol", "kinds", "swept"]
+__all__ = ["RunProtocol", "expand_sweep", "protocol_kinds"]

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Contact
-from dragrig.rig.protocols.base import StrokeProtocol
+from dragrig.rig.protocols.run_protocol import StrokeProtocol
 
 
-class Blank(StrokeProtocol):
+class BlankProtocol(StrokeProtocol):
     """The stage moves with nothing attached: the record shows the rig alone."""
 
     kind: ClassVar[str] = "blank"

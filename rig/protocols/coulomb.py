@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Contact
-from dragrig.rig.protocols.base import StrokeProtocol
+from dragrig.rig.protocols.run_protocol import StrokeProtocol
 
 
-class Coulomb(StrokeProtocol):
+class CoulombProtocol(StrokeProtocol):
     """Constant-speed drag through the gut held open: friction without wall contact pressure."""
 
     kind: ClassVar[str] = "coulomb"

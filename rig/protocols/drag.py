@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Contact
-from dragrig.rig.protocols.base import StrokeProtocol
+from dragrig.rig.protocols.run_protocol import StrokeProtocol
 
 
-class Drag(StrokeProtocol):
+class DragProtocol(StrokeProtocol):
     """Constant-speed drag through the gut closed around the capsule."""
 
     kind: ClassVar[str] = "drag"

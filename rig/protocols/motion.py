@@ -5,11 +5,11 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from dragrig.config.base import Settings
+from dragrig.config.settings import Settings
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase, Piece, still, trapezoid
-from dragrig.rig.protocols.base import Protocol
+from dragrig.rig.profile import Phase, Piece, stationary_piece, trapezoid
+from dragrig.rig.protocols.run_protocol import RunProtocol
 
 
 class Move(Settings):
@@ -27,7 +27,7 @@ class Move(Settings):
         return self
 
 
-class Motion(Protocol):
+class MotionProtocol(RunProtocol):
     """A drag with any sequence of strokes, recorded as one run."""
 
     kind: ClassVar[str] = "motion"
@@ -46,7 +46,7 @@ class Motion(Protocol):
     def _pieces(self) -> Iterator[Piece]:
         for stroke in self.strokes:
             yield from trapezoid(stroke.travel_mm, stroke.speed_mm_s, stroke.accel_mm_s2)
-            yield still(stroke.pause_s, Phase.HOLD)
+            yield stationary_piece(stroke.pause_s, Phase.HOLD)
 
     def summary(self) -> str:
         """Kind and number of strokes."""

@@ -7,10 +7,10 @@ from pydantic import Field, model_validator
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Piece, trapezoid
-from dragrig.rig.protocols.base import Protocol
+from dragrig.rig.protocols.run_protocol import RunProtocol
 
 
-class Relaxation(Protocol):
+class RelaxationProtocol(RunProtocol):
     """A fast ramp to a shear strain, and a long hold (section 3.2 of the paper)."""
 
     kind: ClassVar[str] = "relaxation"

@@ -1,35 +1,47 @@
-"""The run file: one run, one HDF5 file. h5py is loaded when a function is first asked for."""
+"""The run file: one run, one HDF5 file. h5py is loaded when a function is first used."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dragrig.rig.runfile.campaigns import Campaign, campaign, specimen_key
-    from dragrig.rig.runfile.finisher import Finished, Finisher
-    from dragrig.rig.runfile.marks import Mark, mark_bad, read_mark, unmark
-    from dragrig.rig.runfile.naming import run_file_name
+    from dragrig.rig.runfile.campaigns import (
+        Campaign,
+        RunMark,
+        mark_bad,
+        read_campaign,
+        read_mark,
+        specimen_key,
+        unmark,
+    )
+    from dragrig.rig.runfile.finisher import (
+        Finisher,
+        FinishResult,
+        RecoveredRecording,
+        RecoveryOutcome,
+        finish,
+        left_recordings,
+        recover,
+    )
     from dragrig.rig.runfile.reader import read_info, read_run, read_tail
     from dragrig.rig.runfile.recorder import Recorder
-    from dragrig.rig.runfile.recovery import Outcome, Recovered, left_recordings, recover
-    from dragrig.rig.runfile.repack import finish
-    from dragrig.rig.runfile.rewriting import VerifyResult, rewrite, store_filtered, verify
+    from dragrig.rig.runfile.schema import run_file_name
     from dragrig.rig.runfile.store import FolderStore
-    from dragrig.rig.runfile.whole import write_run
+    from dragrig.rig.runfile.writer import Verification, rewrite, store_filtered, verify, write_run
 
 __all__ = [
     "Campaign",
-    "Finished",
+    "FinishResult",
     "Finisher",
     "FolderStore",
-    "Mark",
-    "Outcome",
     "Recorder",
-    "Recovered",
-    "VerifyResult",
-    "campaign",
+    "RecoveredRecording",
+    "RecoveryOutcome",
+    "RunMark",
+    "Verification",
     "finish",
     "left_recordings",
     "mark_bad",
+    "read_campaign",
     "read_info",
     "read_mark",
     "read_run",
@@ -45,17 +57,21 @@ __all__ = [
 ]
 
 _HOME = {
-    "campaigns": ("Campaign", "campaign", "specimen_key"),
-    "finisher": ("Finished", "Finisher"),
-    "marks": ("Mark", "mark_bad", "read_mark", "unmark"),
-    "naming": ("run_file_name",),
-    "repack": ("finish",),
+    "campaigns": ("Campaign", "RunMark", "mark_bad", "read_campaign", "read_mark", "specimen_key", "unmark"),
+    "finisher": (
+        "FinishResult",
+        "Finisher",
+        "RecoveredRecording",
+        "RecoveryOutcome",
+        "finish",
+        "left_recordings",
+        "recover",
+    ),
     "reader": ("read_info", "read_run", "read_tail"),
     "recorder": ("Recorder",),
-    "recovery": ("Outcome", "Recovered", "left_recordings", "recover"),
-    "rewriting": ("VerifyResult", "rewrite", "store_filtered", "verify"),
+    "schema": ("run_file_name",),
     "store": ("FolderStore",),
-    "whole": ("write_run",),
+    "writer": ("Verification", "rewrite", "store_filtered", "verify", "write_run"),
 }
 
 

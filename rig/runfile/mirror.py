@@ -1,7 +1,7 @@
 """A second copy of each finished run file, on another disk, compared after it has been read back.
 
-The copying has a thread of its own and is waited for by nobody while runs are made. Whatever the mirror refuses is told
-and tried again with the next file and at the end; the measuring goes on.
+Copying has its own thread, and no run waits for it. What the mirror refuses is reported and tried again with the next
+file and at the end; the measurement goes on.
 """
 
 import contextlib
@@ -14,15 +14,16 @@ from pathlib import Path
 from threading import Thread
 
 from dragrig.config.errors import OutputError
-from dragrig.rig.runfile import files, naming
+from dragrig.rig.runfile import filesystem as files
+from dragrig.rig.runfile import schema as naming
 
-PIECE = 1 << 20
-PATIENCE_S = 120.0
+COPY_BYTES = 1 << 20
+MAX_STALL_S = 120.0
 """How long the end of a session waits for a mirror that gets nothing done."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mirrored:
+class MirrorReport:
     """What is in the mirror and what is not.
 
     Attributes
@@ -76,7 +77,7 @@ class Mirror:
         self._asked[file.name] = file
         self._jobs.put(file)
 
-    def close(self, patience_s: float = PATIENCE_S) -> Mirrored:
+    def close(self, patience_s: float = MAX_STALL_S) -> MirrorReport:
         """Try once more what failed, and say what is in the mirror; a mirror that hangs is given up."""
         self._jobs.put(None)
         seen = -1
@@ -86,13 +87,13 @@ class Mirror:
         hung = dict.fromkeys(
             self._asked.keys() - self._copied.keys() - self._missing.keys(), "the mirror does not answer"
         )
-        return Mirrored(self.folder, tuple(self._copied), {**self._missing, **hung})
+        return MirrorReport(self.folder, tuple(self._copied), {**self._missing, **hung})
 
     def _work(self) -> None:
         try:
             self._require_mirror()
         except (OSError, OutputError) as error:
-            self._told(f"NOT MIRRORED: {self.folder}: {_why(error)}; the runs are made all the same.")
+            self._told(f"NOT MIRRORED: {self.folder}: {_reason(error)}; the runs are made all the same.")
         while (file := self._jobs.get()) is not None:
             if self._try(file):
                 self._try_again()
@@ -107,7 +108,7 @@ class Mirror:
             self._require_mirror()
             copy_verified(file, self.folder / file.name, self._step)
         except (OSError, OutputError) as error:
-            why = _why(error)
+            why = _reason(error)
             if self._missing.get(file.name) != why:
                 self._missing[file.name] = why
                 self._told(f"NOT MIRRORED: {file.name} is not in {self.folder}: {why}; it stays where it was made.")
@@ -130,8 +131,8 @@ class Mirror:
         self._steps += 1
 
 
-def _why(error: Exception) -> str:
-    return files.said(error) if isinstance(error, OSError) else str(error)
+def _reason(error: Exception) -> str:
+    return files.error_text(error) if isinstance(error, OSError) else str(error)
 
 
 def copy_verified(source: Path, target: Path, step: Callable[[], None] = lambda: None) -> None:
@@ -152,37 +153,37 @@ def copy_verified(source: Path, target: Path, step: Callable[[], None] = lambda:
         When a disk refuses.
     """
     if target.exists():
-        if _digest(target, step) == _digest(source, step):
+        if _file_sha256(target, step) == _file_sha256(source, step):
             return
         raise OutputError("a file of this name is there and differs; it is left as it is")
     part = naming.part_path(target)
     try:
         wanted = hashlib.sha256()
         with source.open("rb") as from_, part.open("wb") as to:
-            while piece := from_.read(PIECE):
+            while piece := from_.read(COPY_BYTES):
                 wanted.update(piece)
                 to.write(piece)
                 step()
             to.flush()
             os.fsync(to.fileno())
-        if _digest(part, step) != wanted.digest():
+        if _file_sha256(part, step) != wanted.digest():
             raise OutputError("the copy reads back otherwise than it was written; replace that disk")
-        files.put_in_place(part, target)
+        files.move_into_place(part, target)
     finally:
-        files.drop(part)
+        files.remove_quietly(part)
 
 
-def _digest(path: Path, step: Callable[[], None]) -> bytes:
+def _file_sha256(path: Path, step: Callable[[], None]) -> bytes:
     found = hashlib.sha256()
     with path.open("rb") as file:
-        _forget_cached(file.fileno())
-        while piece := file.read(PIECE):
+        _drop_page_cache(file.fileno())
+        while piece := file.read(COPY_BYTES):
             found.update(piece)
             step()
     return found.digest()
 
 
-def _forget_cached(descriptor: int) -> None:
+def _drop_page_cache(descriptor: int) -> None:
     """Have a file read from its disk, as far as the system does as it is told."""
     advise = getattr(os, "posix_fadvise", None)
     if advise is not None:

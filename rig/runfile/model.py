@@ -15,7 +15,7 @@ Attribute = str | float | int | bool
 PHASE_NAMES = ("rest", "accelerate", "steady", "decelerate", "hold")
 
 
-class Status(StrEnum):
+class RunStatus(StrEnum):
     """How a run ended; `recording` stands only in a file that is still being written."""
 
     RECORDING = "recording"
@@ -61,7 +61,7 @@ class RunHeader:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class RunEvent:
     """Something that happened at a time of the run's own clock."""
 
     time_s: float
@@ -70,10 +70,10 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class RunEnding:
     """What is known once the last sample has been taken."""
 
-    status: Status
+    status: RunStatus
     reason: str = ""
     end_time: datetime | None = None
     checks: Mapping[str, Attribute] = field(default_factory=dict)
@@ -85,7 +85,7 @@ class RunInfo:
 
     path: Path
     format_version: int
-    status: Status
+    status: RunStatus
     header: RunHeader
     samples: int
     reason: str = ""
@@ -142,5 +142,5 @@ class Run:
 
     info: RunInfo
     trace: Trace
-    events: tuple[Event, ...] = ()
+    events: tuple[RunEvent, ...] = ()
     filtered: FilteredTrace | None = None

@@ -1,37 +1,387 @@
-"""Reading run files of every version, finished or still being recorded."""
+"""Reading run files of every version, finished or still being recorded, checked against the layout.
 
+What breaks the layout is a `LayoutError` that names the place; the public functions turn it into a `RunFileError` that
+names the file as well.
+"""
+
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
+from uuid import UUID
 
 import h5py
+import numpy as np
 
 from dragrig.config.errors import DragrigError, RunFileError
-from dragrig.rig.runfile import layout, schema
-from dragrig.rig.runfile.attributes import LayoutError, attributes_of
-from dragrig.rig.runfile.files import said
-from dragrig.rig.runfile.heaps import damaged_text
-from dragrig.rig.runfile.model import Event, FilteredTrace, Run, RunInfo, Trace
-from dragrig.rig.runfile.unfinished import UnfinishedFile, left_open
+from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
+from dragrig.rig.runfile import schema
+from dragrig.rig.runfile.filesystem import error_text
+from dragrig.rig.runfile.hdf5 import UnfinishedFile, find_damaged_text, is_open_for_writing
+from dragrig.rig.runfile.model import (
+    PHASE_NAMES,
+    Attribute,
+    Channel,
+    FilteredTrace,
+    Run,
+    RunEvent,
+    RunHeader,
+    RunInfo,
+    RunStatus,
+    Trace,
+)
+
+MAX_ATTRIBUTE_VALUES = 256
+"""An attribute with more values than this is damaged; asking for them could take all memory."""
+MAX_VALUE_BYTES = 1 << 16
+SCALAR_CLASSES = frozenset({h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM})
+
+
+class LayoutError(ValueError):
+    """A file that breaks the layout; the message names the place, its reader names the file."""
+
+
+def required_group(file: h5py.File, path: str) -> h5py.Group:
+    """Return a group that must exist."""
+    found = file.get(path)
+    if not isinstance(found, h5py.Group):
+        raise LayoutError(f"the group {path} is missing")
+    return found
+
+
+def required_dataset(file: h5py.File, path: str) -> h5py.Dataset:
+    """Return a dataset that must exist."""
+    found = file.get(path)
+    if not isinstance(found, h5py.Dataset):
+        raise LayoutError(f"the dataset {path} is missing")
+    return found
+
+
+def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
+    """Return all attributes as plain Python values; a list becomes comma-separated text."""
+    return {str(name): attribute_of(holder, name) for name in holder.attrs}
+
+
+def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
+    """Return one attribute as a plain Python value."""
+    attribute = holder.attrs.get_id(name)
+    shape, kind = attribute.shape, attribute.get_type()
+    if shape is not None and math.prod(shape) > MAX_ATTRIBUTE_VALUES:
+        raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
+    if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > MAX_VALUE_BYTES:
+        raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
+    return to_python(holder.attrs[name])
+
+
+def to_python(value: object) -> Attribute:
+    """Turn what h5py returns for an attribute into text, a number or a truth value."""
+    if isinstance(value, h5py.Empty):
+        return ""
+    if isinstance(value, np.ndarray):
+        items = value.ravel().tolist()
+        return to_python(items[0]) if len(items) == 1 else ", ".join(str(to_python(item)) for item in items)
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    return value if isinstance(value, str | float | int | bool) else str(value)
+
+
+def checked_attributes(file: h5py.File, path: str) -> dict[str, Attribute]:
+    """Return the attributes of a group after making sure that those the layout asks for are there and fit."""
+    found = attributes_of(file["/"] if path == "/" else required_group(file, path))
+    for name, fixed in schema.FIXED_ATTRIBUTES.get(path, {}).items():
+        if name not in found:
+            raise LayoutError(f"{path} lacks the attribute {name}")
+        if found[name] != fixed:
+            raise LayoutError(f"the attribute {name} of {path} is {found[name]!r} instead of {fixed!r}")
+    check_attributes(path, found)
+    return found
+
+
+def check_attributes(path: str, found: Mapping[str, Attribute]) -> None:
+    """Make sure that a group has the attributes that the layout asks of it, each of the right type."""
+    for name, kind in schema.REQUIRED_ATTRIBUTES.get(path, {}).items():
+        if name not in found:
+            raise LayoutError(f"{path} lacks the attribute {name}")
+        check_type(path, name, found[name], kind)
+    if path == schema.PROTOCOL:
+        for name in schema.PARAMETERS_OF_KIND.get(str(found["kind"]), ()):
+            if name not in found:
+                raise LayoutError(f"{path} lacks the attribute {name}, which the kind {found['kind']} needs")
+            check_type(path, name, found[name], float)
+
+
+def check_type(path: str, name: str, value: Attribute, kind: type) -> None:
+    """Make sure that an attribute is text, a whole number or a number that is not infinite."""
+    if kind is str:
+        fits = isinstance(value, str) and bool(value)
+    elif kind is int:
+        fits = isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    else:
+        fits = isinstance(value, int | float) and not isinstance(value, bool) and not math.isinf(value)
+    if not fits:
+        wanted = {str: "text", int: "a whole number from 0", float: "a number"}[kind]
+        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of {wanted}")
+
+
+def positive_rate(value: Attribute) -> float:
+    """Return a sample rate [Hz]."""
+    rate = float(value)
+    if not (math.isfinite(rate) and rate > 0):
+        raise LayoutError(f"the attribute sample_rate_hz of {schema.TRACE} is {rate} instead of a positive number")
+    return rate
+
+
+def timestamp(name: str, value: Attribute) -> datetime:
+    """Return a time of day that must carry its offset."""
+    try:
+        parsed = datetime.fromisoformat(str(value))
+    except ValueError:
+        parsed = None
+    if parsed is None or parsed.tzinfo is None:
+        raise LayoutError(f"the attribute {name} of /entry is {value!r} instead of an ISO 8601 time with its offset")
+    return parsed
+
+
+def one_allowed(path: str, name: str, value: Attribute, allowed: tuple[str, ...]) -> str:
+    """Return a text that must be one of a few."""
+    if value not in allowed:
+        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of one of {', '.join(allowed)}")
+    return str(value)
+
+
+def status_of(value: Attribute) -> RunStatus:
+    """Return how a run ended."""
+    return RunStatus(one_allowed(schema.ENTRY, "status", value, tuple(RunStatus)))
+
+
+def run_id_of(value: Attribute) -> str:
+    """Return a run's identity, which must be a UUID."""
+    try:
+        UUID(str(value))
+    except ValueError:
+        raise LayoutError(f"the attribute run_id of /entry is {value!r} instead of a UUID") from None
+    return str(value)
+
+
+MAX_DEFLATE_RATIO = 1100
+"""Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
+UNCHECKED_BYTES = 1 << 24
+
+
+def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
+    """Read what a file says of itself: attributes and shapes only."""
+    checked_attributes(file, "/")
+    entry = checked_attributes(file, schema.ENTRY)
+    trace = checked_attributes(file, schema.TRACE)
+    protocol = checked_attributes(file, schema.PROTOCOL)
+    capsule = checked_attributes(file, schema.CAPSULE)
+    specimen = checked_attributes(file, schema.SPECIMEN)
+    one_allowed(schema.SPECIMEN, "fixture", specimen["fixture"], schema.FIXTURES)
+    signal = one_allowed(schema.TRACE, "signal", trace["signal"], schema.SIGNALS)
+    samples, channels = _trace_shape(file, signal)
+    header = RunHeader(
+        run_id=run_id_of(entry["run_id"]),
+        start_time=timestamp("start_time", entry["start_time"]),
+        order=int(entry["order"]),
+        backend=str(entry["backend"]),
+        kind=str(protocol.pop("kind")),
+        sample_rate_hz=positive_rate(trace["sample_rate_hz"]),
+        channels=channels,
+        entry={name: value for name, value in entry.items() if name not in schema.HEADER_ATTRIBUTES},
+        protocol=protocol,
+        capsule=_without_class(capsule),
+        specimen=_without_class(specimen),
+        settings_toml=_text(file, schema.SETTINGS),
+    )
+    return RunInfo(
+        path=path,
+        format_version=schema.FORMAT_VERSION,
+        status=status_of(entry["status"]),
+        header=header,
+        samples=samples,
+        reason=str(entry.get("reason", "")),
+        end_time=timestamp("end_time", entry["end_time"]) if entry.get("end_time") else None,
+        checks=_without_class(attributes_of(required_group(file, schema.CHECKS))) if schema.CHECKS in file else {},
+        raw_sha256=str(entry.get("raw_sha256", "")),
+    )
+
+
+def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
+    """Read all samples, or the last so many; arrays are read-only."""
+    rows = slice(0 if last is None else max(0, info.samples - last), info.samples)
+    time = np.asarray(_column(file, schema.TIME, rows), dtype=np.float64)
+    if not np.isfinite(time).all():
+        raise LayoutError("/entry/trace/time holds NaN or infinity")
+    if not (np.diff(time) > 0).all():
+        raise LayoutError("/entry/trace/time does not rise from sample to sample")
+    phase = _phase(file, rows)
+    command = _column(file, schema.COMMAND, rows)
+    channels = {channel.name: _column(file, channel.name, rows) for channel in info.header.channels}
+    for array in (time, phase):
+        read_only(array)
+    return Trace(
+        sample_rate_hz=info.header.sample_rate_hz,
+        signal=str(attributes_of(file[schema.TRACE])["signal"]),
+        time=time,
+        command=command,
+        phase=phase,
+        channels=channels,
+        units={schema.TIME: "s", schema.COMMAND: "mm"} | {c.name: c.units for c in info.header.channels},
+    )
+
+
+def read_events_v1(file: h5py.File) -> tuple[RunEvent, ...]:
+    """Read the table of events; a file without one has none. Of a recording, the rows that are whole."""
+    if schema.EVENTS not in file:
+        return ()
+    table = required_dataset(file, schema.EVENTS)
+    if table.ndim != 1 or table.dtype.names != schema.EVENT_FIELDS:
+        raise LayoutError(f"/entry/events is not a table of {', '.join(schema.EVENT_FIELDS)}")
+    _require_plausible_size(table)
+    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if is_unfinished(file) else None]
+    return tuple(
+        RunEvent(float(time), str(to_python(kind)), str(to_python(message))) for time, kind, message in rows.tolist()
+    )
+
+
+def read_filtered_v1(file: h5py.File) -> FilteredTrace | None:
+    """Read what the filter stored, if it did."""
+    if schema.FILTERED not in file:
+        return None
+    group = required_group(file, schema.FILTERED)
+    columns: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
+    for name, dataset in group.items():
+        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1 or dataset.dtype.kind != "f":
+            raise LayoutError(f"{schema.FILTERED}/{name} is not a row of numbers")
+        _require_plausible_size(dataset)
+        columns[name] = np.asarray(dataset[:], dtype=np.float64)
+        read_only(columns[name])
+        units[name] = str(attributes_of(dataset).get("units", ""))
+    if schema.TIME not in columns:
+        raise LayoutError(f"the dataset {schema.FILTERED}/time is missing")
+    time = columns.pop(schema.TIME)
+    del units[schema.TIME]
+    if any(column.shape != time.shape for column in columns.values()):
+        raise LayoutError(f"the datasets of {schema.FILTERED} differ in length")
+    parameters = {k: v for k, v in attributes_of(group).items() if k not in {"NX_class", "signal", "axes"}}
+    return FilteredTrace(time=time, channels=columns, parameters=parameters, units=units)
+
+
+def valid_count(file: h5py.File, path: str, otherwise: int) -> int:
+    """Return how many rows a recording says are whole; `otherwise` where it does not say."""
+    dataset = file.get(path)
+    return min(int(np.ravel(dataset[()])[0]), otherwise) if isinstance(dataset, h5py.Dataset) else otherwise
+
+
+def is_unfinished(file: h5py.File) -> bool:
+    """Tell whether a file is a recording, whose datasets may be longer than what is whole of them."""
+    entry = required_group(file, schema.ENTRY)
+    return "status" in entry.attrs and attribute_of(entry, "status") == RunStatus.RECORDING
+
+
+def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]]:
+    trace = file[schema.TRACE]
+    for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
+        required_dataset(file, f"{schema.TRACE}/{name}")
+    lengths: dict[str, int] = {}
+    channels: list[Channel] = []
+    for name, dataset in trace.items():
+        where = f"{schema.TRACE}/{name}"
+        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
+            raise LayoutError(f"{where} is not a row of samples")
+        lengths[name] = int(dataset.shape[0])
+        if name == schema.PHASE:
+            continue
+        if dataset.dtype.kind != "f" or dataset.dtype.itemsize not in {4, 8}:
+            raise LayoutError(f"{where} holds {dataset.dtype} instead of float32 or float64")
+        units = _units(dataset, where, schema.UNITS.get(name))
+        if name not in schema.FRAME_DATASETS:
+            channels.append(Channel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
+    channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
+    return _common_length(file, lengths), tuple(channels)
+
+
+def _common_length(file: h5py.File, lengths: dict[str, int]) -> int:
+    samples = lengths[schema.TIME]
+    if is_unfinished(file):
+        return valid_count(file, schema.VALID_SAMPLES, min(lengths.values()))
+    for name, length in lengths.items():
+        if length != samples:
+            raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
+    return samples
+
+
+def _units(dataset: h5py.Dataset, where: str, wanted: str | None) -> str:
+    found = attributes_of(dataset)
+    if "units" not in found:
+        raise LayoutError(f"{where} lacks the attribute units")
+    if wanted is not None and found["units"] != wanted:
+        raise LayoutError(f"the attribute units of {where} is {found['units']!r} instead of {wanted!r}")
+    return str(found["units"])
+
+
+def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
+    dataset = file[schema.TRACE][name]
+    _require_plausible_size(dataset)
+    native = np.float32 if dataset.dtype.itemsize == 4 else np.float64
+    array: AnyFloatArray = dataset[rows].astype(native, copy=False)
+    read_only(array)
+    return array
+
+
+def _phase(file: h5py.File, rows: slice) -> PhaseArray:
+    dataset = file[schema.TRACE][schema.PHASE]
+    if dataset.dtype != np.uint8:
+        raise LayoutError(f"/entry/trace/phase holds {dataset.dtype} instead of uint8")
+    if "names" not in dataset.attrs:
+        raise LayoutError("/entry/trace/phase lacks the attribute names")
+    names = ", ".join(PHASE_NAMES)
+    if attributes_of(dataset)["names"] != names:
+        raise LayoutError(f"the attribute names of /entry/trace/phase is not {names}")
+    _require_plausible_size(dataset)
+    phase: PhaseArray = dataset[rows]
+    if phase.size and phase.max() >= len(PHASE_NAMES):
+        raise LayoutError(f"/entry/trace/phase holds {phase.max()}, above {len(PHASE_NAMES) - 1}")
+    return phase
+
+
+def _require_plausible_size(dataset: h5py.Dataset) -> None:
+    """Refuse a damaged shape before memory is asked for it."""
+    claimed = dataset.size * dataset.dtype.itemsize
+    if claimed > UNCHECKED_BYTES and claimed > MAX_DEFLATE_RATIO * dataset.id.get_storage_size():
+        raise LayoutError(f"{dataset.name} claims {claimed} bytes, which the file does not hold")
+
+
+def _text(file: h5py.File, path: str) -> str:
+    return str(to_python(required_dataset(file, path)[()])) if path in file else ""
+
+
+def _without_class(found: dict[str, Attribute]) -> dict[str, Attribute]:
+    return {name: value for name, value in found.items() if name != "NX_class"}
+
 
 ReadT = TypeVar("ReadT")
-LIVE_ATTEMPTS = 5
+MAX_LIVE_ATTEMPTS = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class LayoutReader:
     """How one version of the format is read."""
 
     info: Callable[[h5py.File, Path], RunInfo]
     trace: Callable[[h5py.File, RunInfo, int | None], Trace]
-    events: Callable[[h5py.File], tuple[Event, ...]]
+    events: Callable[[h5py.File], tuple[RunEvent, ...]]
     filtered: Callable[[h5py.File], FilteredTrace | None]
 
 
-LAYOUTS: Mapping[int, Layout] = {
-    1: Layout(layout.read_info, layout.read_trace, layout.read_events, layout.read_filtered),
+LAYOUT_READERS: Mapping[int, LayoutReader] = {
+    1: LayoutReader(read_info_v1, read_trace_v1, read_events_v1, read_filtered_v1),
 }
 """Every version that can be read; a new one is added, none is taken away."""
 
@@ -46,10 +396,10 @@ def read_info(path: Path) -> RunInfo:
     """
 
     def read() -> RunInfo:
-        with opened(path) as file, refused(path):
+        with open_run(path) as file, as_run_file_error(path):
             return layout_of(file).info(file, path)
 
-    return _steadily(read, path)
+    return _retry_while_recording(read, path)
 
 
 def read_run(path: Path, known: RunInfo | None = None) -> Run:
@@ -67,12 +417,12 @@ def read_run(path: Path, known: RunInfo | None = None) -> Run:
     """
 
     def read() -> Run:
-        with opened(path) as file, refused(path):
+        with open_run(path) as file, as_run_file_error(path):
             version = layout_of(file)
             info = version.info(file, path) if known is None else known
             return Run(info, version.trace(file, info, None), version.events(file), version.filtered(file))
 
-    return _steadily(read, path)
+    return _retry_while_recording(read, path)
 
 
 def read_tail(path: Path, seconds: float) -> Run:
@@ -85,25 +435,25 @@ def read_tail(path: Path, seconds: float) -> Run:
     """
 
     def read() -> Run:
-        with opened(path) as file, refused(path):
+        with open_run(path) as file, as_run_file_error(path):
             version = layout_of(file)
             info = version.info(file, path)
             last = max(1, round(seconds * info.header.sample_rate_hz))
             return Run(info, version.trace(file, info, last), version.events(file))
 
-    return _steadily(read, path)
+    return _retry_while_recording(read, path)
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[h5py.File]:
+def open_run(path: Path) -> Iterator[h5py.File]:
     """Open a run file for reading, also one that is being written; raises `RunFileError` when it cannot be opened."""
     with ExitStack() as stack:
-        with refused(path):
+        with as_run_file_error(path):
             if not path.is_file():
                 raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
-            if (place := damaged_text(path)) is not None:
+            if (place := find_damaged_text(path)) is not None:
                 raise LayoutError(f"its text is damaged at byte {place}")
-            if left_open(path):
+            if is_open_for_writing(path):
                 view = UnfinishedFile(stack.enter_context(path.open("rb", buffering=0)))
                 file = h5py.File(view, "r")
             else:
@@ -113,7 +463,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 
 @contextmanager
-def refused(path: Path) -> Iterator[None]:
+def as_run_file_error(path: Path) -> Iterator[None]:
     """Say whatever goes wrong while a file is read as a `RunFileError`."""
     try:
         yield
@@ -133,12 +483,12 @@ def refused(path: Path) -> Iterator[None]:
     except Exception as fault:
         # h5py reports damage as almost any class of exception; each means that the file cannot be read.
         raise RunFileError(
-            f"{path}: is damaged, cut short or no HDF5 file ({said(fault)}); restore it from a copy or bring"
+            f"{path}: is damaged, cut short or no HDF5 file ({error_text(fault)}); restore it from a copy or bring"
             " the data in with `dragrig import`"
         ) from fault
 
 
-def layout_of(file: h5py.File) -> Layout:
+def layout_of(file: h5py.File) -> LayoutReader:
     """Return how a file is read, by its version."""
     root = attributes_of(file)
     if root.get("format") != schema.FORMAT:
@@ -146,22 +496,22 @@ def layout_of(file: h5py.File) -> Layout:
     if "format_version" not in root:
         raise LayoutError("/ lacks the attribute format_version")
     version = root["format_version"]
-    if isinstance(version, int) and version in LAYOUTS and not isinstance(version, bool):
-        return LAYOUTS[version]
-    if isinstance(version, int) and version > max(LAYOUTS):
+    if isinstance(version, int) and version in LAYOUT_READERS and not isinstance(version, bool):
+        return LAYOUT_READERS[version]
+    if isinstance(version, int) and version > max(LAYOUT_READERS):
         raise RunFileError(
-            f"{file.filename}: has format_version {version}, newer than the {max(LAYOUTS)} that this dragrig reads;"
+            f"{file.filename}: has format_version {version}, newer than the {max(LAYOUT_READERS)} that this dragrig reads;"
             " install a newer dragrig"
         )
     raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
 
 
-def _steadily(read: Callable[[], ReadT], path: Path) -> ReadT:
+def _retry_while_recording(read: Callable[[], ReadT], path: Path) -> ReadT:
     """Read; again when a file that is being written changed under the reader's eyes."""
-    for _ in range(LIVE_ATTEMPTS - 1):
+    for _ in range(MAX_LIVE_ATTEMPTS - 1):
         try:
             return read()
         except RunFileError:
-            if not (path.is_file() and left_open(path)):
+            if not (path.is_file() and is_open_for_writing(path)):
                 raise
     return read()

@@ -1,22 +1,407 @@
-"""The recorder: takes samples from the acquiring thread and has them on file within a flush interval."""
+"""The recorder: takes samples from the acquiring thread and has them on file within a flush interval.
 
-from collections.abc import Mapping
+A ring buffer hands the samples to a thread that owns the recording: SWMR, uncompressed, every dataset created
+beforehand. Whatever moment its process dies at, what was flushed can be read up to `valid_samples`; a second thread
+syncs what was flushed to the disk itself.
+"""
+
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
+from io import BytesIO
 from pathlib import Path
+from threading import Condition, Lock, Thread
 from types import TracebackType
 from typing import Self
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
-from dragrig.rig.runfile import files, naming, schema, writing
-from dragrig.rig.runfile.attributes import LayoutError
-from dragrig.rig.runfile.model import Attribute, Ending, Event, RunHeader, Status
-from dragrig.rig.runfile.recording import RecordingFile, annotate_ending, annotate_entry, create_recording
-from dragrig.rig.runfile.ring import SampleRing
-from dragrig.rig.runfile.writer_thread import DiskRoom, NoteBox, WriterThread
+from dragrig.rig.runfile import filesystem as files
+from dragrig.rig.runfile import reader as layout
+from dragrig.rig.runfile import schema
+from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile import writer as writing
+from dragrig.rig.runfile.model import Attribute, Channel, RunEnding, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile.reader import LayoutError
+
+Columns = Mapping[str, npt.NDArray[np.generic]]
+
+
+class SampleRing:
+    """Preallocated columns of `capacity` samples between one giver and one taker.
+
+    The giver copies its samples in and waits while there is no room; nothing is dropped. The taker sees
+    what has gathered as views and hands their room back when it has written them. Each side touches only
+    its own part of the columns; the counters are guarded by a lock.
+
+    Parameters
+    ----------
+    types
+        Type of each column by name.
+    capacity
+        Samples that fit; the taker is woken when a quarter of them has gathered.
+    """
+
+    def __init__(self, types: Mapping[str, np.dtype[np.generic]], capacity: int) -> None:
+        self._columns = {name: np.empty(capacity, dtype) for name, dtype in types.items()}
+        self._capacity = capacity
+        self._gathered = capacity // 4
+        self._given = 0
+        self._taken = 0
+        self._closed = False
+        self._change = Condition()
+
+    def give(self, columns: Columns) -> bool:
+        """Copy samples in, in pieces where they do not fit at once; return False when the ring was closed."""
+        count = len(next(iter(columns.values())))
+        done = 0
+        while done < count:
+            room = self._wait_for_room()
+            if room == 0:
+                return False
+            step = min(room, count - done)
+            for slots, part in self._slots(self._given, step):
+                for name, column in self._columns.items():
+                    column[slots] = columns[name][done : done + step][part]
+            done += step
+            with self._change:
+                self._given += step
+                if self._given - self._taken >= self._gathered:
+                    self._change.notify_all()
+        return True
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until enough has gathered, at most `timeout_s`; return whether the ring is closed."""
+        with self._change:
+            self._change.wait_for(lambda: self._closed or self._given - self._taken >= self._gathered, timeout_s)
+            return self._closed
+
+    def take(self) -> Iterator[Columns]:
+        """Yield all that has gathered so far as views, each valid until the next is asked for."""
+        with self._change:
+            count = self._given - self._taken
+        for slots, part in self._slots(self._taken, count):
+            yield {name: column[slots] for name, column in self._columns.items()}
+            with self._change:
+                self._taken += part.stop - part.start
+                self._change.notify_all()
+
+    def close(self) -> None:
+        """Wake both sides: nothing more is given, and a giver that waits goes on."""
+        with self._change:
+            self._closed = True
+            self._change.notify_all()
+
+    def _wait_for_room(self) -> int:
+        with self._change:
+            self._change.wait_for(lambda: self._closed or self._given - self._taken < self._capacity)
+            return 0 if self._closed else self._capacity - (self._given - self._taken)
+
+    def _slots(self, position: int, count: int) -> Iterator[tuple[slice, slice]]:
+        """Yield where `count` samples from `position` on lie: slots of the ring, and which of them these are."""
+        first = position % self._capacity
+        ahead = min(count, self._capacity - first)
+        if ahead:
+            yield slice(first, first + ahead), slice(0, ahead)
+        if count > ahead:
+            yield slice(0, count - ahead), slice(ahead, count)
+
+
+class FileSyncer:
+    """Calls `fsync` on a file when asked; requests that come while one is under way become one.
+
+    A refusal is raised by the next `request`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._change = Condition()
+        self._asked = False
+        self._closed = False
+        self._fault: OSError | None = None
+        self._thread = Thread(target=self._sync, name=f"sync of {path.name}", daemon=True)
+        self._thread.start()
+
+    def request(self) -> None:
+        """Ask for a sync of all that was written so far."""
+        with self._change:
+            if self._fault is not None:
+                raise self._fault
+            self._asked = True
+            self._change.notify()
+
+    def close(self) -> None:
+        """End after the last sync asked for."""
+        with self._change:
+            self._closed = True
+            self._change.notify()
+        self._thread.join()
+
+    def _sync(self) -> None:
+        try:
+            while self._wait():
+                os.fsync(self._descriptor)
+        except OSError as fault:
+            with self._change:
+                self._fault = fault
+        finally:
+            os.close(self._descriptor)
+
+    def _wait(self) -> bool:
+        with self._change:
+            self._change.wait_for(lambda: self._asked or self._closed)
+            asked, self._asked = self._asked, False
+            return asked
+
+
+RECORDING_CHUNK = 4096
+EVENTS_CHUNK = 64
+VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
+VERSION_BOUNDS = ("v110", "v110")
+"""The oldest layout of HDF5 that can be written while others read."""
+
+
+def create_recording(path: Path, header: RunHeader) -> None:
+    """Make a recording without samples; it has its name only once it is whole."""
+    part = naming.part_path(path)
+    try:
+        part.write_bytes(_empty_recording(header.channels))
+        with h5py.File(part, "r+", libver=VERSION_BOUNDS, locking=False) as file:
+            writing.write_header(file, header, RunStatus.RECORDING)
+        part.replace(path)
+    finally:
+        files.remove_quietly(part)
+
+
+@cache
+def _empty_recording(channels: tuple[Channel, ...]) -> bytes:
+    """Return what the recordings of all runs with these channels begin as; making it takes longer than a header."""
+    image = BytesIO()
+    with h5py.File(image, "w", libver=VERSION_BOUNDS) as file:
+        units = writing.column_units(channels)
+        for name, dtype in writing.column_types(channels).items():
+            writing.write_dataset_attributes(
+                _growing_dataset(file, f"{schema.TRACE}/{name}", dtype, RECORDING_CHUNK), name, units
+            )
+        _growing_dataset(file, schema.EVENTS, schema.event_dtype(), EVENTS_CHUNK)
+        _growing_dataset(file, schema.ANNOTATIONS, np.dtype("u1"), RECORDING_CHUNK)
+        for name in VALID_COUNTS:
+            file.create_dataset(name, data=np.zeros(1, dtype="<u8"))
+    return image.getvalue()
+
+
+def _growing_dataset(file: h5py.File, path: str, dtype: np.dtype[np.generic], chunk: int) -> h5py.Dataset:
+    return file.create_dataset(path, shape=(0,), maxshape=(None,), chunks=(chunk,), dtype=dtype)
+
+
+class RecordingFile:
+    """An open recording. One thread owns it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = _open_for_swmr(path)
+        self._trace = {name: self._file[schema.TRACE][name] for name in self._file[schema.TRACE]}
+        self._sample_bytes = sum(int(dataset.dtype.itemsize) for dataset in self._trace.values())
+        self._events = self._file[schema.EVENTS]
+        self._annotations = self._file[schema.ANNOTATIONS]
+        self._valid = tuple(self._file[name] for name in VALID_COUNTS)
+        self.samples = 0
+        """Samples written, flushed or not."""
+
+    @property
+    def written_bytes(self) -> int:
+        """Size of the samples written."""
+        return self.samples * self._sample_bytes
+
+    def append(self, columns: Columns) -> None:
+        """Append samples to every dataset of the trace."""
+        end = self.samples + len(columns[schema.TIME])
+        for name, dataset in self._trace.items():
+            dataset.resize((end,))
+            dataset[self.samples : end] = columns[name]
+        self.samples = end
+
+    def append_events(self, events: Sequence[RunEvent]) -> None:
+        """Append rows to the table of events."""
+        _extend(self._events, writing.event_rows(events))
+
+    def append_annotations(self, annotations: Sequence[Mapping[str, object]]) -> None:
+        """Append what became known late, a line of JSON each."""
+        text = "".join(f"{json.dumps(line)}\n" for line in annotations)
+        _extend(self._annotations, np.frombuffer(text.encode(), dtype="u1"))
+
+    def flush(self) -> None:
+        """Hand everything to the operating system, then say how much of it is whole."""
+        self._file.flush()
+        whole = (self.samples, len(self._events), len(self._annotations))
+        for dataset, count in zip(self._valid, whole, strict=True):
+            dataset[0] = count
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; what was not flushed before is not counted as whole."""
+        self._file.close()
+
+    def discard(self) -> None:
+        """Let go of the file without writing to it again, after the disk refused data."""
+        files.abandon_hdf5_file(self._file)
+
+
+def _extend(dataset: h5py.Dataset, rows: np.ndarray[tuple[int], np.dtype[np.generic]]) -> None:
+    start = len(dataset)
+    dataset.resize((start + len(rows),))
+    dataset[start:] = rows
+
+
+def _open_for_swmr(path: Path) -> h5py.File:
+    """Open for writing and for others' reading in one step, so that no moment leaves an unreadable file.
+
+    The chunk cache is off: HDF5 writes each piece straight to its place instead of a whole chunk per flush.
+    HDF5's own lock is off: `files.writing` stands for it, and a child process that is just being started
+    would hold it a moment longer than we do.
+    """
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
+    access.set_file_locking(False, True)
+    elements, slots, _, preemption = access.get_cache()
+    access.set_cache(elements, slots, 0, preemption)
+    flags = h5py.h5f.ACC_RDWR | h5py.h5f.ACC_SWMR_WRITE
+    return h5py.File(h5py.h5f.open(os.fsencode(path), flags, fapl=access))
+
+
+def entry_annotation(entry: Mapping[str, Attribute]) -> dict[str, object]:
+    """Return the annotation that adds attributes to `/entry`."""
+    return {"entry": dict(entry)}
+
+
+def ending_annotation(ending: RunEnding) -> dict[str, object]:
+    """Return the annotation that says how the run ended."""
+    end_time = ending.end_time.isoformat() if ending.end_time else ""
+    said = {"status": str(ending.status), "reason": ending.reason, "end_time": end_time, "checks": dict(ending.checks)}
+    return {"ending": said}
+
+
+def read_annotations(file: h5py.File) -> tuple[dict[str, Attribute], RunEnding | None]:
+    """Read what became known late: attributes of `/entry`, and how the run ended if that was written."""
+    entry: dict[str, Attribute] = {}
+    ending: RunEnding | None = None
+    if schema.ANNOTATIONS in file:
+        valid = layout.valid_count(file, schema.VALID_ANNOTATION_BYTES, len(file[schema.ANNOTATIONS]))
+        for line in file[schema.ANNOTATIONS][:valid].tobytes().splitlines():
+            found = json.loads(line)
+            entry.update(found.get("entry", {}))
+            if said := found.get("ending"):
+                end_time = datetime.fromisoformat(said["end_time"]) if said["end_time"] else None
+                ending = RunEnding(RunStatus(said["status"]), said["reason"], end_time, said["checks"])
+    return entry, ending
+
+
+@dataclass(frozen=True, slots=True)
+class DiskSpace:
+    """How much room a run needs: what is still to come of it, its finished copy, and a reserve."""
+
+    folder: Path
+    reserve_bytes: int
+    run_bytes: int
+
+    def shortage(self, written_bytes: int) -> str | None:
+        """Say what is missing on the disk, or None while there is room."""
+        whole = max(self.run_bytes, written_bytes)
+        needed = whole - written_bytes + whole + self.reserve_bytes
+        free = files.free_bytes(self.folder)
+        if free >= needed:
+            return None
+        return f"{self.folder}: {free / 1e6:.1f} MB are free and {needed / 1e6:.1f} MB needed; make room"
+
+
+class NoteQueue:
+    """Events and annotations on their way to the writing thread; every method may be called from any."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._events: list[RunEvent] = []
+        self._annotations: list[Mapping[str, object]] = []
+
+    def event(self, event: RunEvent) -> None:
+        """Add an event."""
+        with self._lock:
+            self._events.append(event)
+
+    def annotation(self, line: Mapping[str, object]) -> None:
+        """Add what became known late."""
+        with self._lock:
+            self._annotations.append(line)
+
+    def drain(self) -> tuple[list[RunEvent], list[Mapping[str, object]]]:
+        """Return what was added since the last call."""
+        with self._lock:
+            drained = self._events, self._annotations
+            self._events, self._annotations = [], []
+        return drained
+
+
+class WriterThread(Thread):
+    """Writes until the ring is closed or the disk refuses.
+
+    `failure` and `shortage` are written by this thread alone: the fault that ended it, and what is missing
+    on the disk while it still writes.
+    """
+
+    def __init__(
+        self, file: RecordingFile, ring: SampleRing, notes: NoteQueue, room: DiskSpace, flush_s: float
+    ) -> None:
+        super().__init__(name=f"recorder of {file.path.name}", daemon=True)
+        self.failure: Exception | None = None
+        self.shortage: str | None = None
+        self._file = file
+        self._ring = ring
+        self._notes = notes
+        self._room = room
+        self._flush_s = flush_s
+        self._syncer = FileSyncer(file.path)
+
+    def run(self) -> None:
+        """Write, flush, close."""
+        try:
+            self._write_until_closed()
+            self._file.close()
+        except Exception as fault:  # noqa: BLE001 - kept for the acquiring thread, which raises it
+            self.failure = fault
+            self._file.discard()
+        finally:
+            self._ring.close()
+            self._syncer.close()
+
+    def _write_until_closed(self) -> None:
+        flushed = time.monotonic()
+        closed = False
+        while not closed:
+            closed = self._ring.wait(flushed + self._flush_s - time.monotonic())
+            now = time.monotonic()
+            for columns in self._ring.take():
+                self._file.append(columns)
+                self.shortage = self._room.shortage(self._file.written_bytes)
+            if closed or now >= flushed + self._flush_s:
+                self._flush()
+                flushed = now
+
+    def _flush(self) -> None:
+        events, annotations = self._notes.drain()
+        if events:
+            self._file.append_events(events)
+        if annotations:
+            self._file.append_annotations(annotations)
+        self._file.flush()
+        self._syncer.request()
+
 
 FLUSH_S = 0.1
 """Wall time between flushes: what a killed process loses at most, but for the time that a flush takes."""
@@ -66,16 +451,16 @@ class Recorder:
         self.lost_samples = 0
         """Samples that never came, so far."""
         self._rate = header.sample_rate_hz
-        self._types = _checked_types(path, header)
+        self._types = _column_types(path, header)
         self._next_index = 0
         self._closed = False
         self._shortage_told = False
         sample_bytes = sum(dtype.itemsize for dtype in self._types.values())
-        room = DiskRoom(path.parent, reserve_bytes, expected_samples * sample_bytes)
+        room = DiskSpace(path.parent, reserve_bytes, expected_samples * sample_bytes)
         with ExitStack() as stack:
-            stack.enter_context(files.writing(path))
-            file = _created(self.path, header, room)
-            self._notes = NoteBox()
+            stack.enter_context(files.lock_run(path))
+            file = _create_recording_file(self.path, header, room)
+            self._notes = NoteQueue()
             self._ring = SampleRing(self._types, RING_SAMPLES)
             self._thread = WriterThread(file, self._ring, self._notes, room, flush_s)
             self._thread.start()
@@ -88,7 +473,7 @@ class Recorder:
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._closed:
-            status = Status.ABORTED if isinstance(fault, KeyboardInterrupt) else Status.FAILED
+            status = RunStatus.ABORTED if isinstance(fault, KeyboardInterrupt) else RunStatus.FAILED
             self.close(status, str(fault) if fault else "the recorder was left without a finish reason")
 
     @property
@@ -96,7 +481,7 @@ class Recorder:
         """Why recording cannot go on, or None: the disk refused data or has too little room."""
         if self._thread.failure is not None:
             return RecordingError(
-                f"{self.path}: the disk refused data ({files.said(self._thread.failure)}); make room, then"
+                f"{self.path}: the disk refused data ({files.error_text(self._thread.failure)}); make room, then"
                 " `dragrig recover` finishes what was recorded"
             )
         return RecordingError(self._thread.shortage) if self._thread.shortage else None
@@ -135,17 +520,17 @@ class Recorder:
             self._shortage_told = True
             raise failure
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Note something that happened; it is on file with the next flush."""
         self._notes.event(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         """Add attributes of `/entry` that become known while the run goes on."""
-        self._notes.annotation(annotate_entry(entry))
+        self._notes.annotation(entry_annotation(entry))
 
     def close(
         self,
-        status: Status,
+        status: RunStatus,
         reason: str = "",
         end_time: datetime | None = None,
         checks: Mapping[str, Attribute] | None = None,
@@ -159,7 +544,7 @@ class Recorder:
         """
         if not self._closed:
             self._closed = True
-            self._notes.annotation(annotate_ending(Ending(status, reason, end_time, checks or {})))
+            self._notes.annotation(ending_annotation(RunEnding(status, reason, end_time, checks or {})))
             self._ring.close()
             self._thread.join()
             self._lock.close()
@@ -188,10 +573,10 @@ class Recorder:
         lost = first_index - self._next_index
         self.lost_samples += lost
         time_s = self._next_index / self._rate
-        self.event(Event(time_s, "gap", f"{lost} samples lost, {lost / self._rate:.6g} s"))
+        self.event(RunEvent(time_s, "gap", f"{lost} samples lost, {lost / self._rate:.6g} s"))
 
 
-def _checked_types(path: Path, header: RunHeader) -> dict[str, np.dtype[np.generic]]:
+def _column_types(path: Path, header: RunHeader) -> dict[str, np.dtype[np.generic]]:
     try:
         writing.check_header(header)
     except LayoutError as fault:
@@ -199,7 +584,7 @@ def _checked_types(path: Path, header: RunHeader) -> dict[str, np.dtype[np.gener
     return writing.column_types(header.channels)
 
 
-def _created(recording: Path, header: RunHeader, room: DiskRoom) -> RecordingFile:
+def _create_recording_file(recording: Path, header: RunHeader, room: DiskSpace) -> RecordingFile:
     for path in (recording, naming.finished_path(recording)):
         if path.exists():
             raise OutputError(f"{path}: there is a run file already; choose another name")
@@ -209,4 +594,6 @@ def _created(recording: Path, header: RunHeader, room: DiskRoom) -> RecordingFil
         create_recording(recording, header)
         return RecordingFile(recording)
     except (OSError, RuntimeError) as fault:
-        raise OutputError(f"{recording}: could not be made ({files.said(fault)}); choose another folder") from fault
+        raise OutputError(
+            f"{recording}: could not be made ({files.error_text(fault)}); choose another folder"
+        ) from fault

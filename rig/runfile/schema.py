@@ -1,8 +1,13 @@
-"""The one place that knows the names, attributes and units of the run file's layout."""
+"""The only place that knows the run file's layout: names, attributes and units in it, and names of the files beside it."""
 
+import re
 from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
 
 import numpy as np
+
+from dragrig.config.errors import OutputError
 
 FORMAT = "dragrig-run"
 FORMAT_VERSION = 1
@@ -24,7 +29,7 @@ EVENTS = "/entry/events"
 TIME = "time"
 COMMAND = "command"
 PHASE = "phase"
-FRAME = (TIME, COMMAND, PHASE)
+FRAME_DATASETS = (TIME, COMMAND, PHASE)
 """The datasets of a trace that are not recorded quantities."""
 
 SIGNALS = ("force", "motor_force")
@@ -55,16 +60,16 @@ REQUIRED_ATTRIBUTES: Mapping[str, Mapping[str, type]] = {
     SPECIMEN: {"name": str, "wall_thickness_mm": float, "fixture": str},
 }
 
-_MOVE = ("speed_mm_s", "travel_mm", "accel_mm_s2", "rest_s", "hold_s")
+_STROKE_PARAMETERS = ("speed_mm_s", "travel_mm", "accel_mm_s2", "rest_s", "hold_s")
 PARAMETERS_OF_KIND: Mapping[str, tuple[str, ...]] = {
-    "drag": _MOVE,
-    "coulomb": _MOVE,
-    "blank": _MOVE,
+    "drag": _STROKE_PARAMETERS,
+    "coulomb": _STROKE_PARAMETERS,
+    "blank": _STROKE_PARAMETERS,
     "relaxation": ("shear_strain", "ramp_speed_mm_s", "ramp_accel_mm_s2", "rest_s", "hold_s"),
 }
 """Numbers that `/entry/protocol` must hold for these kinds; other kinds say what they say."""
 
-WRITERS_ATTRIBUTES: frozenset[str] = frozenset(
+HEADER_ATTRIBUTES: frozenset[str] = frozenset(
     {"NX_class", "default", "status", "reason", "end_time", "raw_sha256", "run_id", "start_time", "order", "backend"}
 )
 """Attributes of `/entry` that stand in a `RunInfo` or in their own fields of a `RunHeader`, not in its `entry`."""
@@ -93,3 +98,55 @@ def event_dtype() -> np.dtype[np.void]:
             ("message", h5py.string_dtype("utf-8", EVENT_MESSAGE_BYTES)),
         ]
     )
+
+
+_KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
+
+
+def run_file_name(start_time: datetime, kind: str, order: int) -> str:
+    """Return `YYYYmmdd-HHMMSS-KIND-NNN.h5`, in the time zone of `start_time`.
+
+    Raises
+    ------
+    OutputError
+        When a kind would not make a file name on every system.
+    """
+    if not _KIND_PATTERN.fullmatch(kind):
+        raise OutputError(f"the kind {kind!r} cannot name a file; use small letters, digits, - and _")
+    return f"{start_time:%Y%m%d-%H%M%S}-{kind}-{order:03d}{FINISHED_SUFFIX}"
+
+
+def is_recording(path: Path) -> bool:
+    """Tell whether a name is that of a run that is still being recorded, or was left so."""
+    return path.name.endswith(RECORDING_SUFFIX)
+
+
+def run_name(path: Path) -> str:
+    """Return the name that a run's file, its recording, lock and mark have in common."""
+    suffix = RECORDING_SUFFIX if is_recording(path) else FINISHED_SUFFIX
+    return path.name.removesuffix(suffix)
+
+
+def finished_path(path: Path) -> Path:
+    """Return where the finished file of a run stands."""
+    return path.with_name(run_name(path) + FINISHED_SUFFIX)
+
+
+def recording_path(path: Path) -> Path:
+    """Return where the recording of a run stands."""
+    return path.with_name(run_name(path) + RECORDING_SUFFIX)
+
+
+def part_path(path: Path) -> Path:
+    """Return where a file is made before it is put in place."""
+    return path.with_name(path.name + PART_SUFFIX)
+
+
+def lock_path(path: Path) -> Path:
+    """Return the file whose lock the one process holds that writes a run."""
+    return path.with_name(run_name(path) + LOCK_SUFFIX)
+
+
+def mark_path(path: Path) -> Path:
+    """Return where a person's verdict on a run is kept."""
+    return path.with_name(run_name(path) + ".mark.toml")

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import OutputError, RecordingError
-from dragrig.rig.runfile import naming
-from dragrig.rig.runfile.finisher import Finished, Finisher
-from dragrig.rig.runfile.marks import mark_bad
-from dragrig.rig.runfile.model import Attribute, Event, RunHeader, Status
+from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile.campaigns import mark_bad
+from dragrig.rig.runfile.finisher import Finisher, FinishResult
+from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 
 
@@ -51,7 +51,7 @@ class FolderStore:
         self._told = told
         self._finisher = Finisher(told)
         self._paths: dict[int, Path] = {}
-        self.finished: list[Finished] = []
+        self.finished: list[FinishResult] = []
         """What became of the recordings, so far as `settle` has waited for them."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -111,7 +111,7 @@ class FolderSink:
         """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
         self._recorder.offer(first_index, arrays)
 
-    def event(self, event: Event) -> None:
+    def event(self, event: RunEvent) -> None:
         """Take an event."""
         self._recorder.event(event)
 
@@ -119,7 +119,7 @@ class FolderSink:
         """Take attributes of `/entry` that become known while the run goes on."""
         self._recorder.annotate(entry)
 
-    def close(self, status: Status, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record and hand it on; return where its file will stand, after `settle` at the latest."""
         recording = self._recorder.close(status, reason, end_time, checks)
         self._finisher.submit(recording)

@@ -1,24 +1,30 @@
-"""Campaigns whose hidden effects are known to nobody else: a plant of its own for examining a diagnosis.
+"""Campaigns with hidden effects: a separate plant that examines the diagnosis.
 
-The nominal equations are written a second time here, and no formula of an effect is shared with a catalogue.
+The nominal equations are written a second time here, and no formula of an effect is shared with the catalogue.
 """
 
+from dragrig.sim_backend.blind.blind_campaign import (
+    BlindCampaign,
+    draw_campaign,
+    parallel_session,
+    true_answer,
+    without_effects,
+)
+from dragrig.sim_backend.blind.campaign_files import write_campaign
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
-from dragrig.sim_backend.blind.files import make
-from dragrig.sim_backend.blind.programme import Listed
-from dragrig.sim_backend.blind.record import Signature, signature
-from dragrig.sim_backend.blind.secret import Secret, another_session, answer, draw, without_effects
+from dragrig.sim_backend.blind.plant import EffectSignature, effect_signatures
+from dragrig.sim_backend.blind.programme import RunList
 
 __all__ = [
     "CATALOGUE",
     "OUTSIDE",
-    "Listed",
-    "Secret",
-    "Signature",
-    "another_session",
-    "answer",
-    "draw",
-    "make",
-    "signature",
+    "BlindCampaign",
+    "EffectSignature",
+    "RunList",
+    "draw_campaign",
+    "effect_signatures",
+    "parallel_session",
+    "true_answer",
     "without_effects",
+    "write_campaign",
 ]

@@ -1,19 +1,20 @@
-"""What is run on a specimen, in which order and when: the programme of a campaign."""
+"""The runs of a campaign: which are made in which order and when, and the commanded motion of each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+import numpy.typing as npt
 
 RATE_HZ = 500.0
 PAUSE_S = 90.0
 """From the last sample of a run to the first of the next."""
-WALL_MM = 2.5
-SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
-FRESH_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
+PLANT_WALL_MM = 2.5
+DRAG_SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
+FRESH_DRAG_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
 PROGRAMMES = ("practice", "fresh")
-USUAL_DWELL_S = 60.0
+NOTED_DWELL_S = 60.0
 """Age of the contact at the first sample as it is noted, unless a list of runs says otherwise."""
 
 
@@ -30,7 +31,7 @@ class RunPlan:
     rest_s: float
     hold_s: float
     strain: float | None = None
-    dwell_s: float = USUAL_DWELL_S
+    dwell_s: float = NOTED_DWELL_S
 
     @property
     def bounds_s(self) -> tuple[float, float, float, float]:
@@ -51,7 +52,7 @@ class RunPlan:
         return round((self.bounds_s[3] + self.hold_s) * RATE_HZ)
 
 
-def programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
+def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
     """Return the runs of a programme, drags in random order.
 
     Parameters
@@ -66,11 +67,11 @@ def programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
         For any other name.
     """
     if name == "practice":
-        strains, coulomb, speeds = [0.5, 1.0, 1.5, 2.0], [0.5, 5.0, 40.0], [*SPEEDS_MM_S, *SPEEDS_MM_S]
+        strains, coulomb, speeds = [0.5, 1.0, 1.5, 2.0], [0.5, 5.0, 40.0], [*DRAG_SPEEDS_MM_S, *DRAG_SPEEDS_MM_S]
         blanks = [5.0, 40.0, 20.0][: 2 + int(random.random() < 0.3)]
-        speeds += random.choice(SPEEDS_MM_S, int(random.choice([0, 0, 0, 1, 2, 3])), replace=False).tolist()
+        speeds += random.choice(DRAG_SPEEDS_MM_S, int(random.choice([0, 0, 0, 1, 2, 3])), replace=False).tolist()
     elif name == "fresh":
-        strains, coulomb, speeds = [0.75, 1.25], [1.0, 15.0], [*FRESH_SPEEDS_MM_S, *FRESH_SPEEDS_MM_S]
+        strains, coulomb, speeds = [0.75, 1.25], [1.0, 15.0], [*FRESH_DRAG_SPEEDS_MM_S, *FRESH_DRAG_SPEEDS_MM_S]
         blanks = [10.0, 50.0]
     else:
         raise ValueError(f"{name!r} is no programme; take one of {', '.join(PROGRAMMES)}")
@@ -80,14 +81,14 @@ def programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class RunList:
     """A programme of one's own: its name, and its runs as they are commanded."""
 
     name: str
     runs: tuple[RunPlan, ...]
 
     @classmethod
-    def of(cls, name: str, runs: Sequence[Mapping[str, str | float]]) -> "Listed":
+    def of(cls, name: str, runs: Sequence[Mapping[str, str | float]]) -> "RunList":
         """Read a list of runs.
 
         Parameters
@@ -102,16 +103,16 @@ class Listed:
         ValueError
             For a kind that the plant does not have, or a way back.
         """
-        return cls(name, tuple(_read(order, one) for order, one in enumerate(runs)))
+        return cls(name, tuple(_run_plan(order, one) for order, one in enumerate(runs)))
 
 
-def _read(order: int, run: Mapping[str, str | float]) -> RunPlan:
+def _run_plan(order: int, run: Mapping[str, str | float]) -> RunPlan:
     kind = str(run["kind"])
     if kind not in {"relaxation", "drag", "coulomb", "blank"}:
         raise ValueError(f"the plant has no runs of kind {kind}; leave them out of the list")
     strain = float(run["shear_strain"]) if kind == "relaxation" else None
     ramp = "ramp_" if strain is not None else ""
-    travel = float(run["travel_mm"]) if strain is None else strain * WALL_MM
+    travel = float(run["travel_mm"]) if strain is None else strain * PLANT_WALL_MM
     if travel <= 0:
         raise ValueError(f"run {order} goes {travel:g} mm; the plant's strokes go forward")
     return RunPlan(
@@ -129,7 +130,7 @@ def _read(order: int, run: Mapping[str, str | float]) -> RunPlan:
 
 
 def _relaxation(strain: float) -> RunPlan:
-    return RunPlan("relaxation", 0, 0.0, 20.0, strain * WALL_MM, 2000.0, 1.0, 20.0, strain)
+    return RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, 1.0, 20.0, strain)
 
 
 def _stroke(kind: str, speed_mm_s: float) -> RunPlan:
@@ -142,3 +143,53 @@ def _timed(runs: Sequence[RunPlan]) -> tuple[RunPlan, ...]:
         timed.append(replace(run, order=order, start_s=round(start, 6)))
         start += (run.samples - 1) / RATE_HZ + PAUSE_S
     return tuple(timed)
+
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SampledMotion:
+    """Position [mm], velocity [mm/s] and acceleration [mm/s²] at the times `t` [s], each of shape `(N,)`."""
+
+    t: Floats
+    p: Floats
+    v: Floats
+    a: Floats
+
+
+def planned_motion(run: RunPlan, t: Floats, blunt_s: float = 0.0) -> SampledMotion:
+    """Return the commanded motion of a run.
+
+    Parameters
+    ----------
+    blunt_s
+        Time over which every change of acceleration is spread, centred on it: the mean of the trapezoid over a window
+        of that length, hence jerk-limited. 0 for the trapezoid itself.
+    """
+    from scipy.interpolate import PPoly
+
+    go, steady, brake, stop = run.bounds_s
+    knots = np.array([-10.0, go, steady, brake, stop, stop + run.hold_s + 10.0])
+    a = PPoly(np.array([[0.0, run.accel_mm_s2, 0.0, -run.accel_mm_s2, 0.0]]), knots)
+    v = a.antiderivative()
+    p = v.antiderivative()
+    if not blunt_s:
+        return SampledMotion(t, p(t), _zero_rounding(v(t)), _zero_rounding(a(t)))
+    early, late, area = t - blunt_s / 2, t + blunt_s / 2, p.antiderivative()
+    return SampledMotion(
+        t,
+        (area(late) - area(early)) / blunt_s,
+        _zero_rounding((p(late) - p(early)) / blunt_s),
+        _zero_rounding((v(late) - v(early)) / blunt_s),
+    )
+
+
+def sample_phases(run: RunPlan, t: Floats) -> npt.NDArray[np.uint8]:
+    """Return the phase of every sample, 0 rest to 4 hold, as the trapezoid has them."""
+    return np.searchsorted(np.array(run.bounds_s) - 1e-9, t, side="right").astype(np.uint8)
+
+
+def _zero_rounding(values: Floats) -> Floats:
+    """Round away what sums of pieces leave at standstill."""
+    return np.where(np.abs(values) < 1e-9, 0.0, values)

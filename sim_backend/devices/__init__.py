@@ -1,6 +1,5 @@
 """The simulated rig behind the device protocols of `dragrig.rig.devices`."""
 
-from dragrig.sim_backend.devices.backend import SimulatedBackend, open_backend
 from dragrig.sim_backend.devices.faults import (
     DriveFault,
     Faults,
@@ -12,6 +11,7 @@ from dragrig.sim_backend.devices.faults import (
     StaleData,
     StuckEncoder,
 )
+from dragrig.sim_backend.devices.simulated_backend import SimulatedBackend, open_backend
 
 __all__ = [
     "DriveFault",

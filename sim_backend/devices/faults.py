@@ -1,4 +1,4 @@
-"""Faults of a simulated rig, for tests and demonstrations: nothing that a person sets can cause one.
+"""Faults of a simulated rig, for tests and demonstrations: no user setting can cause one.
 
 All times count from the acquisition's first sample.
 """
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Side
+from dragrig.rig.devices import Acquisition, TravelEnd
 from dragrig.rig.profile import TIME_TOLERANCE_S
 
 
@@ -75,12 +75,12 @@ class ForceSpike:
 class LimitSwitch:
     """A limit switch that is pressed from an absolute position on, whatever acquisition is under way."""
 
-    side: Side
+    side: TravelEnd
     at_mm: float
 
     def pressed(self, position_mm: float) -> bool:
         """Whether a stage at this absolute position presses it."""
-        return position_mm <= self.at_mm if self.side is Side.LOW else position_mm >= self.at_mm
+        return position_mm <= self.at_mm if self.side is TravelEnd.LOW else position_mm >= self.at_mm
 
 
 def every_acquisition(acquisition: Acquisition) -> bool:

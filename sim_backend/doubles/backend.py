@@ -5,23 +5,20 @@ from contextlib import ExitStack
 from dataclasses import replace
 from threading import Event as Signal
 
-from dragrig.rig.backend import BackendRequest, Finding
-from dragrig.rig.devices import Acquisition, Block, Clock, Sampler, Stage
+from dragrig.rig.devices import Acquisition, BackendRequest, Block, Clock, RawReading, RigCheck, Sampler, Stage
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.rig.raw import RawReading
 from dragrig.rig.runfile.model import Channel
-from dragrig.sim_backend.devices.variation import draw_specimen
+from dragrig.sim_backend.devices.variability import draw_specimen_model
+from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive.ports import SocketPort
-from dragrig.sim_backend.doubles.drive.velocity import drive_double
-from dragrig.sim_backend.doubles.fronts.c_abi import installed
-from dragrig.sim_backend.doubles.world.clock import DoubleClock
-from dragrig.sim_backend.doubles.world.mishaps import Mishaps
-from dragrig.sim_backend.doubles.world.world import World
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.fault_injection import FaultInjector
+from dragrig.sim_backend.doubles.serial_ports import SocketPort
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 
-class TellingSampler:
+class NotifyingSampler:
     """The real sampler, with the world told what every acquisition meets: the one thing no wire carries."""
 
     def __init__(self, sampler: Sampler, tell: Callable[[Acquisition], None]) -> None:
@@ -76,10 +73,10 @@ class DoubleBackend:
         What goes wrong; nothing unless given.
     """
 
-    def __init__(self, request: BackendRequest, mishaps: Mishaps | None = None) -> None:
+    def __init__(self, request: BackendRequest, mishaps: FaultInjector | None = None) -> None:
         rig = request.rig
         simulated = rig.simulated
-        drawn = draw_specimen(request.model, simulated.seed) if simulated.variation.specimen else request.model
+        drawn = draw_specimen_model(request.model, simulated.seed) if simulated.variation.specimen else request.model
         self._facts: dict[str, str | float | int | bool] = {
             "double": "hardware",
             "seed": simulated.seed,
@@ -87,10 +84,10 @@ class DoubleBackend:
             "specimen_drawn": simulated.variation.specimen,
         }
         clock = DoubleClock(request.pace, request.origin)
-        self.world = World(rig, drawn, clock, mishaps)
+        self.world = SimulatedBench(rig, drawn, clock, mishaps)
         """The bench, for whoever wants to look behind the wires."""
         with ExitStack() as stack:
-            self.drive = stack.enter_context(drive_double(self.world, find_dialect(rig.hardware.drive.dialect)))
+            self.drive = stack.enter_context(make_drive_double(self.world, find_dialect(rig.hardware.drive.dialect)))
             """The drive, as its maker sees it."""
             port = stack.enter_context(SocketPort(self.drive))
             stack.enter_context(installed(Card(self.world, self.world.put_out)))
@@ -127,7 +124,7 @@ class DoubleBackend:
     @property
     def sampler(self) -> Sampler:
         """The real sampler on the card's double."""
-        return TellingSampler(self._real.sampler, self.world.present)
+        return NotifyingSampler(self._real.sampler, self.world.present)
 
     @property
     def clock(self) -> Clock:
@@ -138,7 +135,7 @@ class DoubleBackend:
         """Return what the real rig says of itself, and that it is none."""
         return {**self._real.description(), **self._facts}
 
-    def examine(self) -> Iterator[Finding]:
+    def examine(self) -> Iterator[RigCheck]:
         """Look at every double as at the real devices."""
         yield from self._real.examine()
 

@@ -1,5 +1,5 @@
-"""What the nominal model leaves out: the catalogue of candidate effects, one file each.
+"""The catalogue of candidate effects, which the nominal model leaves out: one file each.
 
-Each is a parameterised change to the simulator at one named place. `catalogue` finds them, `scene` is what they see
-of a run, `applied` puts several together.
+Each is a parameterised change to the simulator at one named place. `base` says what an effect declares and finds them,
+`run_state` is what they may depend on in a run, `chain` combines several.
 """

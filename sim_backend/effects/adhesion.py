@@ -6,16 +6,22 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 
 class Adhesion(ForceEffect):
     """A friction of its own, `force / (1 + |v| / speed)`, that no normal force changes."""
 
     id: ClassVar[str] = "adhesion"
-    place: ClassVar[Place] = Place.INTERFACE
-    domain: ClassVar[Domain] = Domain.SPEED
+    place: ClassVar[EffectLocation] = EffectLocation.INTERFACE
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SPEED
     summary: ClassVar[str] = (
         "The mucosa tacks to the capsule, whatever presses on it, and the less the faster it slides."
     )
@@ -25,11 +31,11 @@ class Adhesion(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("stribeck",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("force_mN", "mN", Role.SIZE, 15.0, 0.0, 200.0, "tack at rest"),
+        EffectParameter("force_mN", "mN", ParameterRole.SIZE, 15.0, 0.0, 200.0, "tack at rest"),
         EffectParameter(
             "speed_mm_s",
             "mm/s",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             8.0,
             0.5,
             60.0,
@@ -38,7 +44,7 @@ class Adhesion(ForceEffect):
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the force of tack, which acts where the gut closes on the capsule."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)

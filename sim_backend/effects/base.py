@@ -1,16 +1,27 @@
-"""What an effect declares: where it acts, parameters with units and priors, a source, and what it changes."""
+"""What an effect declares, and the catalogue of all effects.
+
+An effect declares where it acts, its parameters with units and priors, its source, and what it changes. The catalogue
+is every module of this package that has an `EFFECT`.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
+from types import MappingProxyType
 from typing import ClassVar
 
+from dragrig.config.errors import SettingsError
+from dragrig.config.settings import suggestion
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend import effects
+from dragrig.sim_backend.effects.run_state import RunState
 
 
-class Place(StrEnum):
+class EffectLocation(StrEnum):
     """Where an effect acts."""
 
     WALL = "wall"
@@ -21,7 +32,7 @@ class Place(StrEnum):
     ACQUISITION = "acquisition"
 
 
-class Role(StrEnum):
+class ParameterRole(StrEnum):
     """What a parameter is to an effect."""
 
     SIZE = "size"
@@ -32,7 +43,7 @@ class Role(StrEnum):
     """Where in its period something periodic begins [rad]."""
 
 
-class Link(IntEnum):
+class MeasuringLink(IntEnum):
     """Where an effect sits in the chain from capsule to file; the first acts first, ids decide among equals."""
 
     PAYLOAD = 0
@@ -42,7 +53,7 @@ class Link(IntEnum):
     CLOCK = 4
 
 
-class Domain(StrEnum):
+class EffectCoordinate(StrEnum):
     """What an effect is above all a function of."""
 
     SPEED = "speed"
@@ -78,7 +89,7 @@ class EffectParameter:
 
     name: str
     unit: str
-    role: Role
+    role: ParameterRole
     usual: float
     low: float
     high: float
@@ -101,8 +112,8 @@ class Effect(ABC):
     """
 
     id: ClassVar[str]
-    place: ClassVar[Place]
-    domain: ClassVar[Domain]
+    place: ClassVar[EffectLocation]
+    domain: ClassVar[EffectCoordinate]
     summary: ClassVar[str]
     """One sentence: what it is."""
     exposes: ClassVar[str]
@@ -125,17 +136,17 @@ class Effect(ABC):
     @property
     def size(self) -> EffectParameter:
         """How large it is."""
-        return next(one for one in self.parameters if one.role is Role.SIZE)
+        return next(one for one in self.parameters if one.role is ParameterRole.SIZE)
 
     @property
     def phase(self) -> EffectParameter | None:
         """Where its period begins; None for what is not periodic."""
-        return next((one for one in self.parameters if one.role is Role.PHASE), None)
+        return next((one for one in self.parameters if one.role is ParameterRole.PHASE), None)
 
     @property
     def shapes(self) -> tuple[EffectParameter, ...]:
         """What it depends on."""
-        return tuple(one for one in self.parameters if one.role is Role.SHAPE)
+        return tuple(one for one in self.parameters if one.role is ParameterRole.SHAPE)
 
     @property
     def usual(self) -> Mapping[str, float]:
@@ -145,7 +156,7 @@ class Effect(ABC):
     @property
     def of_session(self) -> bool:
         """Whether it depends on when in the session a run is made; if not, repeats of a run show it alike."""
-        return self.domain is Domain.SESSION
+        return self.domain is EffectCoordinate.SESSION
 
     @property
     def channel(self) -> str:
@@ -157,7 +168,7 @@ class ForceEffect(Effect):
     """An effect in wall, interface or specimen: a force on the capsule beside the nominal one."""
 
     @abstractmethod
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the true force that is added [mN], shape `(n,)`; zeros where the effect does not act.
 
         The sign is the scene's: positive resists motion towards positive position.
@@ -167,10 +178,10 @@ class ForceEffect(Effect):
 class SensorEffect(Effect):
     """An effect in the force sensor or its acquisition: what is shown of a force."""
 
-    link: ClassVar[Link] = Link.CELL
+    link: ClassVar[MeasuringLink] = MeasuringLink.CELL
 
     @abstractmethod
-    def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def shown(self, scene: RunState, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return what the channel shows [mN] of a force at the scene's times, shape `(n,)`."""
 
 
@@ -201,3 +212,26 @@ class EncoderEffect(Effect):
     @abstractmethod
     def recorded(self, time_s: FloatArray, position_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the recorded position [mm], counted from the first sample, of a true one, shapes `(n,)`."""
+
+
+@cache
+def catalogue() -> Mapping[str, Effect]:
+    """Return all effects by id, in order of their ids."""
+    names = sorted(f"{effects.__name__}.{one.name}" for one in iter_modules(effects.__path__) if not one.ispkg)
+    found = [getattr(import_module(name), "EFFECT", None) for name in names]
+    return MappingProxyType({one.id: one for one in found if isinstance(one, Effect)})
+
+
+def find_effect(name: str) -> Effect:
+    """Return an effect by id; raises `SettingsError` for one that the catalogue does not have."""
+    known = catalogue()
+    if name not in known:
+        raise SettingsError(f"effect {name}: is not in the catalogue; {suggestion(name, list(known))}")
+    return known[name]
+
+
+def confusable_effects(name: str) -> frozenset[str]:
+    """Return the effects that are hardly told from one, as either's entry says; none for what is no effect."""
+    known = catalogue()
+    own = known[name].aliases if name in known else ()
+    return frozenset({*own, *(other for other, one in known.items() if name in one.aliases)})

@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 
 class Breakaway(ForceEffect):
@@ -15,8 +21,8 @@ class Breakaway(ForceEffect):
 
     id: ClassVar[str] = "breakaway"
     called: ClassVar[str] = "breakaway friction"
-    place: ClassVar[Place] = Place.INTERFACE
-    domain: ClassVar[Domain] = Domain.TRANSIENT
+    place: ClassVar[EffectLocation] = EffectLocation.INTERFACE
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TRANSIENT
     summary: ClassVar[str] = "An aged contact needs more force to start and loses it over a short slip."
     exposes: ClassVar[str] = "the first tenths of a millimetre of Coulomb and drag runs"
     source: ClassVar[str] = (
@@ -25,13 +31,15 @@ class Breakaway(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("presliding",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("ratio", "1", Role.SIZE, 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, less 1"),
         EffectParameter(
-            "slip_mm", "mm", Role.SHAPE, 0.2, 0.02, 2.0, "slip that loses it", tried=(0.05, 0.1, 0.2, 0.4, 0.8)
+            "ratio", "1", ParameterRole.SIZE, 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, less 1"
+        ),
+        EffectParameter(
+            "slip_mm", "mm", ParameterRole.SHAPE, 0.2, 0.02, 2.0, "slip that loses it", tried=(0.05, 0.1, 0.2, 0.4, 0.8)
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the friction of the aged contact."""
         return np.asarray(scene.f_c * values["ratio"] * np.exp(-scene.stance.slid_mm / values["slip_mm"]))
 

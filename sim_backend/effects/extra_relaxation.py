@@ -6,28 +6,33 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
-from dragrig.sim_backend.effects.stresses import force_of_stress
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState, force_of_hoop_stress
 
-LEAST_SPREAD = 0.01
+MIN_SPREAD = 0.01
 """Less than this is one branch."""
 
-TERMS = 8
+N_BRANCHES = 8
 """Maxwell branches that stand for a spread of rates."""
 
 
-def chain(time_s: float, spread: float) -> tuple[list[float], list[float]]:
+def maxwell_chain(time_s: float, spread: float) -> tuple[list[float], list[float]]:
     """Return rates [1/s] and weights of Maxwell branches for a gamma distribution of rates of mean 1 / `time_s`."""
     from scipy.special import roots_genlaguerre
 
-    if spread < LEAST_SPREAD:
+    if spread < MIN_SPREAD:
         return [1 / time_s], [1.0]
-    nodes, weights = roots_genlaguerre(TERMS, 1 / spread - 1)
+    nodes, weights = roots_genlaguerre(N_BRANCHES, 1 / spread - 1)
     return (nodes * spread / time_s).tolist(), (weights / weights.sum()).tolist()
 
 
-def _kept(age_s: FloatArray, rates: list[float], weights: list[float]) -> FloatArray:
+def _relaxed(age_s: FloatArray, rates: list[float], weights: list[float]) -> FloatArray:
     kept = np.zeros_like(age_s)
     for rate, weight in zip(rates, weights, strict=True):
         kept += weight * np.exp(-rate * age_s)
@@ -42,8 +47,8 @@ class ExtraRelaxation(ForceEffect):
     """
 
     id: ClassVar[str] = "extra_relaxation"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.TIME
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TIME
     summary: ClassVar[str] = "The wall relaxes on, more slowly than both Maxwell branches."
     exposes: ClassVar[str] = "long holds: relaxations, and drag runs at low speed"
     source: ClassVar[str] = (
@@ -52,18 +57,32 @@ class ExtraRelaxation(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("force_drift", "hyperelastic_wall")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("share", "1", Role.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
+        EffectParameter("share", "1", ParameterRole.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
         EffectParameter(
-            "time_s", "s", Role.SHAPE, 8.0, 1.0, 120.0, "relaxation time", tried=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0)
+            "time_s",
+            "s",
+            ParameterRole.SHAPE,
+            8.0,
+            1.0,
+            120.0,
+            "relaxation time",
+            tried=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0),
         ),
         EffectParameter(
-            "spread", "1", Role.SHAPE, 0.0, 0.0, 2.0, "variance of the rates over their mean squared", tried=(0.0, 1.0)
+            "spread",
+            "1",
+            ParameterRole.SHAPE,
+            0.0,
+            0.0,
+            2.0,
+            "variance of the rates over their mean squared",
+            tried=(0.0, 1.0),
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the force of the third branch."""
-        rates, weights = chain(values["time_s"], values["spread"])
+        rates, weights = maxwell_chain(values["time_s"], values["spread"])
         if scene.sheared is not None:
             branches = [weight * scene.sheared.branch(rate) for rate, weight in zip(rates, weights, strict=True)]
             modulus = values["share"] * scene.sheared.moduli[2]
@@ -71,9 +90,9 @@ class ExtraRelaxation(ForceEffect):
         wall = scene.wall
         if wall is None:
             return np.zeros_like(scene.time_s)
-        front = values["share"] * wall.parameters.E3 * wall.strain * _kept(wall.age_s, rates, weights)
+        front = values["share"] * wall.parameters.E3 * wall.strain * _relaxed(wall.age_s, rates, weights)
         equator = values["share"] * wall.equator_parameters.E3 * wall.strain_at_equator
-        return force_of_stress(scene, wall, front, equator * _kept(wall.equator_age_s, rates, weights))
+        return force_of_hoop_stress(scene, wall, front, equator * _relaxed(wall.equator_age_s, rates, weights))
 
 
 EFFECT = ExtraRelaxation()

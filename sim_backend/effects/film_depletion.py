@@ -6,9 +6,15 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.paths import path_mm
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.dynamics import distance_travelled
+from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_MM = 40.0
 """Distance at which its size is named."""
@@ -18,8 +24,8 @@ class FilmDepletion(ForceEffect):
     """f_c grows by `ratio` over the first 40 mm, as `1 − exp(−distance / length)`; a long length makes that a line."""
 
     id: ClassVar[str] = "film_depletion"
-    place: ClassVar[Place] = Place.INTERFACE
-    domain: ClassVar[Domain] = Domain.POSITION
+    place: ClassVar[EffectLocation] = EffectLocation.INTERFACE
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.POSITION
     summary: ClassVar[str] = "Mucus is wiped off as the capsule travels, so that friction grows with distance."
     exposes: ClassVar[str] = "the slope along the stroke of Coulomb and drag runs, the same in position at all speeds"
     source: ClassVar[str] = (
@@ -28,15 +34,22 @@ class FilmDepletion(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("force_drift", "mesentery_tether")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("ratio", "1", Role.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
+        EffectParameter("ratio", "1", ParameterRole.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
         EffectParameter(
-            "length_mm", "mm", Role.SHAPE, 20.0, 2.0, 500.0, "where it saturates", tried=(4.0, 8.0, 16.0, 32.0, 300.0)
+            "length_mm",
+            "mm",
+            ParameterRole.SHAPE,
+            20.0,
+            2.0,
+            500.0,
+            "where it saturates",
+            tried=(4.0, 8.0, 16.0, 32.0, 300.0),
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the friction that is added."""
-        gone = -np.expm1(-path_mm(scene.motion, scene.time_s) / values["length_mm"])
+        gone = -np.expm1(-distance_travelled(scene.motion, scene.time_s) / values["length_mm"])
         return np.asarray(scene.f_c * values["ratio"] * gone / -np.expm1(-REFERENCE_MM / values["length_mm"]))
 
 

@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 WAVELENGTHS_MM = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 20, 1 / 1.5, 40))
 """Evenly spaced in wavenumber: over 40 mm no wavelength is more than a third of a period from one of them."""
@@ -18,8 +24,8 @@ class Folds(ForceEffect):
 
     id: ClassVar[str] = "folds"
     called: ClassVar[str] = "circular folds"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.POSITION
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.POSITION
     summary: ClassVar[str] = "Circular folds modulate the force periodically in position."
     exposes: ClassVar[str] = "the spectrum of drag runs against position, at the same wavelength at all speeds"
     source: ClassVar[str] = (
@@ -28,14 +34,14 @@ class Folds(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("velocity_ripple",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("depth", "1", Role.SIZE, 0.1, 0.0, 1.0, "amplitude over the nominal force"),
+        EffectParameter("depth", "1", ParameterRole.SIZE, 0.1, 0.0, 1.0, "amplitude over the nominal force"),
         EffectParameter(
-            "wavelength_mm", "mm", Role.SHAPE, 4.0, 1.2, 25.0, "distance of the folds", tried=WAVELENGTHS_MM
+            "wavelength_mm", "mm", ParameterRole.SHAPE, 4.0, 1.2, 25.0, "distance of the folds", tried=WAVELENGTHS_MM
         ),
-        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "of the sine where the run begins"),
+        EffectParameter("phase_rad", "rad", ParameterRole.PHASE, 0.0, -3.15, 3.15, "of the sine where the run begins"),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the modulation."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)

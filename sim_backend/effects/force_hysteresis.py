@@ -6,9 +6,15 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
-from dragrig.sim_backend.effects.scene import Scene
-from dragrig.sim_backend.friction.maxwell import linear_recursion
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ParameterRole,
+    SensorEffect,
+)
+from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.sim_backend.friction.wall import linear_recursion
 
 
 class ForceHysteresis(SensorEffect):
@@ -16,8 +22,8 @@ class ForceHysteresis(SensorEffect):
 
     id: ClassVar[str] = "force_hysteresis"
     called: ClassVar[str] = "hysteresis of the force sensor"
-    place: ClassVar[Place] = Place.FORCE_SENSOR
-    domain: ClassVar[Domain] = Domain.TRANSIENT
+    place: ClassVar[EffectLocation] = EffectLocation.FORCE_SENSOR
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TRANSIENT
     summary: ClassVar[str] = "Play or friction in the force chain holds back what is shown of a change of force."
     exposes: ClassVar[str] = "reversals of the force, small signals, the hold after a stop"
     source: ClassVar[str] = (
@@ -25,13 +31,20 @@ class ForceHysteresis(SensorEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("presliding",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("half_width_mN", "mN", Role.SIZE, 8.0, 0.0, 200.0, "half the width of the loop"),
+        EffectParameter("half_width_mN", "mN", ParameterRole.SIZE, 8.0, 0.0, 200.0, "half the width of the loop"),
         EffectParameter(
-            "reversal_mN", "mN", Role.SHAPE, 10.0, 0.5, 300.0, "change of force that turns it", tried=(5.0, 50.0)
+            "reversal_mN",
+            "mN",
+            ParameterRole.SHAPE,
+            10.0,
+            0.5,
+            300.0,
+            "change of force that turns it",
+            tried=(5.0, 50.0),
         ),
     )
 
-    def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def shown(self, scene: RunState, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the force less what is held back, which starts at nothing."""
         del scene
         change = np.diff(force_mN, prepend=force_mN[:1])

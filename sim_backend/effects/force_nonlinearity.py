@@ -6,10 +6,16 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, Place, Role, SensorEffect
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ParameterRole,
+    SensorEffect,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
-LOAD_MN = 500.0
+REFERENCE_LOAD_MN = 500.0
 """Load at which the size is told, between drag forces and the peaks of relaxations."""
 
 
@@ -18,21 +24,23 @@ class ForceNonlinearity(SensorEffect):
 
     id: ClassVar[str] = "force_nonlinearity"
     called: ClassVar[str] = "nonlinearity of the force sensor"
-    place: ClassVar[Place] = Place.FORCE_SENSOR
-    domain: ClassVar[Domain] = Domain.STRAIN
+    place: ClassVar[EffectLocation] = EffectLocation.FORCE_SENSOR
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.STRAIN
     summary: ClassVar[str] = "The force sensor's gain depends on the load."
     exposes: ClassVar[str] = "relaxation peaks against drag"
     source: ClassVar[str] = "power-law error of linearity; Wheeler and Ganji, Engineering Experimentation, chapter 2"
     aliases: ClassVar[tuple[str, ...]] = ("hyperelastic_wall",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("gain_error", "1", Role.SIZE, 0.08, -0.5, 0.5, "relative, at 500 mN"),
-        EffectParameter("power", "1", Role.SHAPE, 1.0, 0.3, 4.0, "how it grows with load", tried=(0.5, 1.0, 2.0)),
+        EffectParameter("gain_error", "1", ParameterRole.SIZE, 0.08, -0.5, 0.5, "relative, at 500 mN"),
+        EffectParameter(
+            "power", "1", ParameterRole.SHAPE, 1.0, 0.3, 4.0, "how it grows with load", tried=(0.5, 1.0, 2.0)
+        ),
     )
 
-    def shown(self, scene: Scene, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def shown(self, scene: RunState, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
         """Return the force times the gain at its load."""
         del scene
-        load = np.abs(force_mN) / LOAD_MN
+        load = np.abs(force_mN) / REFERENCE_LOAD_MN
         return np.asarray(force_mN * (1 + values["gain_error"] * load ** values["power"]))
 
 

@@ -6,9 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
-from dragrig.sim_backend.effects.stresses import Branches, force_of_stress
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import HoopStress, RunState, force_of_hoop_stress
 
 
 class HyperelasticWall(ForceEffect):
@@ -18,8 +23,8 @@ class HyperelasticWall(ForceEffect):
     """
 
     id: ClassVar[str] = "hyperelastic_wall"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.STRAIN
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.STRAIN
     summary: ClassVar[str] = "The muscular layer stiffens with strain, the more the faster it is strained."
     exposes: ClassVar[str] = "relaxations, whose peaks rise faster with strain; drag runs at speed"
     source: ClassVar[str] = (
@@ -28,12 +33,12 @@ class HyperelasticWall(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("extra_relaxation", "force_nonlinearity")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("stiffening", "1", Role.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
-        EffectParameter("power", "1", Role.SHAPE, 2.0, 0.5, 5.0, "power of the strain", tried=(1.0, 2.5)),
+        EffectParameter("stiffening", "1", ParameterRole.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
+        EffectParameter("power", "1", ParameterRole.SHAPE, 2.0, 0.5, 5.0, "power of the strain", tried=(1.0, 2.5)),
         EffectParameter(
             "slow_share",
             "1",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             0.2,
             0.0,
             1.0,
@@ -42,7 +47,7 @@ class HyperelasticWall(ForceEffect):
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the force of the further stress."""
         power, slow_share = values["power"], values["slow_share"]
         if scene.sheared is not None:
@@ -53,11 +58,11 @@ class HyperelasticWall(ForceEffect):
         wall = scene.wall
         if wall is None:
             return np.zeros_like(scene.time_s)
-        front, equator = Branches.on_hemisphere(wall), Branches.at_equator(wall)
+        front, equator = HoopStress.on_hemisphere(wall), HoopStress.at_equator(wall)
         along = values["stiffening"] * wall.strain**power * (front.fast + slow_share * (front.slow + front.spring))
         at_end = values["stiffening"] * wall.strain_at_equator**power
         at_end = at_end * (equator.fast + slow_share * (equator.slow + equator.spring))
-        return force_of_stress(scene, wall, along, at_end)
+        return force_of_hoop_stress(scene, wall, along, at_end)
 
 
 EFFECT = HyperelasticWall()

@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_MM = 10.0
 """Distance beyond the onset at which its force is named."""
@@ -17,28 +23,28 @@ class MesenteryTether(ForceEffect):
     """Beyond an onset it pulls with `force · ((distance − onset) / 10 mm)^power`, moving or not."""
 
     id: ClassVar[str] = "mesentery_tether"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.POSITION
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.POSITION
     summary: ClassVar[str] = "The mesentery or the fixture pulls back late in the stroke."
     exposes: ClassVar[str] = "growth beyond some position of drag runs, and what stays of it in the hold"
     source: ClassVar[str] = "toe and linear region of a slack membrane taken up; Fung, Biomechanics (1993), chapter 7"
     aliases: ClassVar[tuple[str, ...]] = ("film_depletion", "force_drift")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "pull 10 mm beyond the onset"),
+        EffectParameter("force_mN", "mN", ParameterRole.SIZE, 10.0, 0.0, 300.0, "pull 10 mm beyond the onset"),
         EffectParameter(
             "onset_mm",
             "mm",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             10.0,
             0.0,
             200.0,
             "distance where it begins",
             tried=(0.0, 10.0, 18.0, 25.0, 31.0),
         ),
-        EffectParameter("power", "1", Role.SHAPE, 1.0, 1.0, 4.0, "how it grows", tried=(1.0, 2.0)),
+        EffectParameter("power", "1", ParameterRole.SHAPE, 1.0, 1.0, 4.0, "how it grows", tried=(1.0, 2.0)),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the pull."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)

@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 3, 60))
 """Evenly spaced in frequency: in a run of 90 s no period is more than a third of a turn from one of them."""
@@ -17,8 +23,8 @@ class Peristalsis(ForceEffect):
     """Pulses `force · exp(sharpness · (cos(2π · session time / period + phase) − 1))`, while holding too."""
 
     id: ClassVar[str] = "peristalsis"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.SESSION
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SESSION
     summary: ClassVar[str] = "Living muscle contracts in pulses that are periodic in time, also while holding."
     exposes: ClassVar[str] = "the spectrum of drag runs against the session's clock"
     source: ClassVar[str] = (
@@ -27,13 +33,15 @@ class Peristalsis(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ()
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
-        EffectParameter("period_s", "s", Role.SHAPE, 8.0, 2.5, 40.0, "time from pulse to pulse", tried=PERIODS_S),
-        EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "more for shorter pulses", tried=(1.5,)),
-        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
+        EffectParameter("force_mN", "mN", ParameterRole.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
+        EffectParameter(
+            "period_s", "s", ParameterRole.SHAPE, 8.0, 2.5, 40.0, "time from pulse to pulse", tried=PERIODS_S
+        ),
+        EffectParameter("sharpness", "1", ParameterRole.SHAPE, 1.5, 0.0, 20.0, "more for shorter pulses", tried=(1.5,)),
+        EffectParameter("phase_rad", "rad", ParameterRole.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the pulses of a gut that is closed on the capsule."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)

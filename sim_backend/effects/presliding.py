@@ -6,10 +6,15 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.paths import deflection
-from dragrig.sim_backend.effects.scene import Scene
-from dragrig.sim_backend.effects.stresses import normal_force
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.dynamics import bristle_deflection
+from dragrig.sim_backend.effects.run_state import RunState, normal_force
 
 
 class Presliding(ForceEffect):
@@ -17,8 +22,8 @@ class Presliding(ForceEffect):
 
     id: ClassVar[str] = "presliding"
     called: ClassVar[str] = "presliding friction"
-    place: ClassVar[Place] = Place.INTERFACE
-    domain: ClassVar[Domain] = Domain.TRANSIENT
+    place: ClassVar[EffectLocation] = EffectLocation.INTERFACE
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TRANSIENT
     summary: ClassVar[str] = (
         "Friction builds up over a bristle deflection instead of at once, and stays locked in at standstill."
     )
@@ -29,11 +34,11 @@ class Presliding(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("breakaway", "force_hysteresis")
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of Coulomb friction that builds up so"),
+        EffectParameter("share", "1", ParameterRole.SIZE, 0.6, 0.0, 1.0, "share of Coulomb friction that builds up so"),
         EffectParameter(
             "deflection_mm",
             "mm",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             0.1,
             0.01,
             2.0,
@@ -42,11 +47,11 @@ class Presliding(ForceEffect):
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the friction of the bristles beside that of the share that they take."""
         if not scene.sliding:
             return np.zeros_like(scene.time_s)
-        bristles = deflection(scene.motion, scene.time_s, values["deflection_mm"])
+        bristles = bristle_deflection(scene.motion, scene.time_s, values["deflection_mm"])
         friction = scene.friction_coefficient * normal_force(scene) * bristles
         return np.asarray(values["share"] * (friction - scene.f_c))
 

@@ -6,7 +6,13 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, MotorEffect, Place, Role
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    MotorEffect,
+    ParameterRole,
+)
 from dragrig.sim_backend.effects.dynamics import resonator
 
 
@@ -18,19 +24,27 @@ class ServoLag(MotorEffect):
     """
 
     id: ClassVar[str] = "servo_lag"
-    place: ClassVar[Place] = Place.MOTOR
-    domain: ClassVar[Domain] = Domain.TRANSIENT
+    place: ClassVar[EffectLocation] = EffectLocation.MOTOR
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TRANSIENT
     summary: ClassVar[str] = "The stage lags behind its command and overshoots at the end."
     exposes: ClassVar[str] = "position against command, in proportion to speed"
     source: ClassVar[str] = "second-order servo loop with velocity feed-forward; Ellis, Control System Design Guide"
     aliases: ClassVar[tuple[str, ...]] = ("channel_latency",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("lag_s", "s", Role.SIZE, 0.01, 0.0, 0.5, "time behind the command at constant speed"),
+        EffectParameter("lag_s", "s", ParameterRole.SIZE, 0.01, 0.0, 0.5, "time behind the command at constant speed"),
         EffectParameter(
-            "frequency_hz", "Hz", Role.SHAPE, 20.0, 0.3, 100.0, "of the loop", tried=(1.0, 2.0, 4.0, 8.0, 16.0)
+            "frequency_hz", "Hz", ParameterRole.SHAPE, 20.0, 0.3, 100.0, "of the loop", tried=(1.0, 2.0, 4.0, 8.0, 16.0)
         ),
         EffectParameter(
-            "damping", "1", Role.SHAPE, 0.7, 0.1, 0.95, "share of critical", tried=(0.35, 0.8), possible=(0.001, 0.999)
+            "damping",
+            "1",
+            ParameterRole.SHAPE,
+            0.7,
+            0.1,
+            0.95,
+            "share of critical",
+            tried=(0.35, 0.8),
+            possible=(0.001, 0.999),
         ),
     )
 

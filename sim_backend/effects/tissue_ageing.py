@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_S = 3600.0
 """Session time at which its size is named."""
@@ -17,8 +23,8 @@ class TissueAgeing(ForceEffect):
     """Stiffness changes by `change` in the first hour, as `1 − exp(−time / constant)`: a line for a long constant."""
 
     id: ClassVar[str] = "tissue_ageing"
-    place: ClassVar[Place] = Place.SPECIMEN
-    domain: ClassVar[Domain] = Domain.SESSION
+    place: ClassVar[EffectLocation] = EffectLocation.SPECIMEN
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SESSION
     summary: ClassVar[str] = "Stiffness drifts with session time, as the tissue dries or loses its tone."
     exposes: ClassVar[str] = "a trend across relaxation and drag runs with their start time"
     source: ClassVar[str] = (
@@ -27,11 +33,13 @@ class TissueAgeing(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("preconditioning",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("change", "1", Role.SIZE, 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"),
+        EffectParameter(
+            "change", "1", ParameterRole.SIZE, 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"
+        ),
         EffectParameter(
             "power",
             "1",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             1.0,
             0.2,
             8.0,
@@ -40,7 +48,7 @@ class TissueAgeing(ForceEffect):
         ),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the force of the stiffness that is added."""
         aged = (np.maximum(scene.session_s, 0.0) / REFERENCE_S) ** values["power"]
         return np.asarray(scene.stiff * values["change"] * aged)

@@ -6,8 +6,14 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_MM_S = 60.0
 """Speed at which its force is named."""
@@ -17,8 +23,8 @@ class WallInertia(ForceEffect):
     """A dynamic pressure on the cross-section: `force · (v / 60 mm/s)²`."""
 
     id: ClassVar[str] = "wall_inertia"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.SPEED
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SPEED
     summary: ClassVar[str] = "The wall's mass must be pushed aside, with a force that grows with the square of speed."
     exposes: ClassVar[str] = "drag runs at high speed: the force is too high"
     source: ClassVar[str] = (
@@ -27,10 +33,10 @@ class WallInertia(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("wall_lift_off",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("force_mN", "mN", Role.SIZE, 20.0, 0.0, 300.0, "force at 60 mm/s"),
+        EffectParameter("force_mN", "mN", ParameterRole.SIZE, 20.0, 0.0, 300.0, "force at 60 mm/s"),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the force of inertia."""
         if not scene.closed:
             return np.zeros_like(scene.time_s)

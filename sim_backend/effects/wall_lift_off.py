@@ -6,11 +6,16 @@ from typing import ClassVar
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Domain, EffectParameter, ForceEffect, Place, Role
-from dragrig.sim_backend.effects.scene import Scene
-from dragrig.sim_backend.effects.stresses import Branches
+from dragrig.sim_backend.effects.base import (
+    EffectCoordinate,
+    EffectLocation,
+    EffectParameter,
+    ForceEffect,
+    ParameterRole,
+)
+from dragrig.sim_backend.effects.run_state import HoopStress, RunState
 
-TINY_MM = 1e-9
+MIN_LIFTED_MM = 1e-9
 """Keeps a length that is 0 from dividing by it."""
 
 
@@ -19,8 +24,8 @@ class WallLiftOff(ForceEffect):
 
     id: ClassVar[str] = "wall_lift_off"
     called: ClassVar[str] = "wall lift-off"
-    place: ClassVar[Place] = Place.WALL
-    domain: ClassVar[Domain] = Domain.SPEED
+    place: ClassVar[EffectLocation] = EffectLocation.WALL
+    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SPEED
     summary: ClassVar[str] = "At speed the wall cannot follow the hemisphere, and contact is lost from the front."
     exposes: ClassVar[str] = "drag runs above some 15 mm/s: f_e falls short"
     source: ClassVar[str] = (
@@ -29,29 +34,31 @@ class WallLiftOff(ForceEffect):
     )
     aliases: ClassVar[tuple[str, ...]] = ("wall_inertia",)
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"),
+        EffectParameter(
+            "share", "1", ParameterRole.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"
+        ),
         EffectParameter(
             "speed_mm_s",
             "mm/s",
-            Role.SHAPE,
+            ParameterRole.SHAPE,
             25.0,
             8.0,
             80.0,
             "where half the contact lifts",
             tried=(10.0, 15.0, 22.0, 33.0, 50.0),
         ),
-        EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
+        EffectParameter("power", "1", ParameterRole.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
     )
 
-    def added(self, scene: Scene, values: Mapping[str, float]) -> FloatArray:
+    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
         """Return the part of f_e that is lost; the edge is blurred by a third of the length that lifts off."""
         wall = scene.wall
         if wall is None:
             return np.zeros_like(scene.time_s)
         faster = (scene.speed_mm_s / values["speed_mm_s"]) ** values["power"]
         lifted_mm = wall.contact.length_mm * faster / (1 + faster)
-        beyond = wall.x_mm / np.maximum(lifted_mm, TINY_MM)[:, None]
-        gone = values["share"] * np.clip(2 - 1.5 * beyond, 0.0, 1.0) * Branches.on_hemisphere(wall).total
+        beyond = wall.x_mm / np.maximum(lifted_mm, MIN_LIFTED_MM)[:, None]
+        gone = values["share"] * np.clip(2 - 1.5 * beyond, 0.0, 1.0) * HoopStress.on_hemisphere(wall).total
         return np.asarray(-np.sign(scene.f_e) * wall.resistance(gone))
 
 

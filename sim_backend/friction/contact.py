@@ -1,16 +1,16 @@
-"""Capsule against wall: geometry of the contact and the pressure of a wall of known contact age.
+"""Contact of capsule and wall: geometry, and the pressure of a wall of known contact age.
 
-Units: mm, s, kPa, mN; kPa · mm² = mN. The contact coordinate x runs from 0, where the undisturbed gut
-first meets the hemisphere, to L at its equator.
+Units: mm, s, kPa, mN; kPa · mm² = mN. The contact coordinate x runs from 0, where the undisturbed gut first meets the
+hemisphere, to L at its equator.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.config.capsule import Capsule
 from dragrig.config.errors import SettingsError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.wall import WallParameters, model_wall
 
@@ -120,13 +120,13 @@ class HemisphereContact:
         """Return derivatives of the axial load by the logarithms of E1, E2, E3, η1 and η2, along a first axis of 5."""
         wall, per_stress = self._wall_at(x_mm)
         slope = per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
-        return by_element(wall, age_s) * slope
+        return stress_log_derivatives(wall, age_s) * slope
 
     def side_pressure_by_element(self, age_s: FloatArray) -> FloatArray:
         """Return derivatives of P(L) S by the same, shape `(5, n)`."""
         strain = self.strain_at_equator
         per_stress = strain * self.wall_thickness_mm / self.radius_mm * self.area_mm2
-        return by_element(self._parameters(np.asarray(strain)), age_s) * per_stress
+        return stress_log_derivatives(self._parameters(np.asarray(strain)), age_s) * per_stress
 
     def _hoop_stress_per_radius(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
         wall, per_stress = self._wall_at(x_mm)
@@ -144,7 +144,7 @@ class HemisphereContact:
         return model_wall(self.model, strain)
 
 
-def by_element(wall: WallParameters, age_s: FloatArray) -> FloatArray:
+def stress_log_derivatives(wall: WallParameters, age_s: FloatArray) -> FloatArray:
     """Return the derivatives of a relaxing stress per strain by the logarithms of E1, E2, E3, η1 and η2."""
     fast_age, slow_age = (age_s * rate for rate in wall.rates)
     fast, slow = wall.E1 * np.exp(-fast_age), wall.E2 * np.exp(-slow_age)

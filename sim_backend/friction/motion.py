@@ -12,7 +12,7 @@ import numpy.typing as npt
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile
 
-STANDSTILL_MM_S = 1e-9
+ROUNDING_MM_S = 1e-9
 """Slower than this is rounding."""
 
 SignArray = npt.NDArray[np.int8]
@@ -113,7 +113,7 @@ class ProfileMotion:
         acceleration = profile.acceleration_mm_s2[piece]
         breaks = np.append(begin, profile.duration_s)
         mean = velocity + 0.5 * acceleration * np.diff(breaks)
-        signs = np.where(np.abs(mean) < STANDSTILL_MM_S, 0.0, np.sign(mean)).astype(np.int8)
+        signs = np.where(np.abs(mean) < ROUNDING_MM_S, 0.0, np.sign(mean)).astype(np.int8)
         return cls(breaks, signs, acceleration == 0, profile.position(begin), velocity, acceleration)
 
     @property

@@ -1,4 +1,7 @@
-"""Force on a capsule that slides: f_e + f_v + f_c at any times of a motion (Eq. 1)."""
+"""Force on a sliding capsule, f_e + f_v + f_c (Eq. 1), at any times of a motion and at steady speed.
+
+The steady curves are the paper's Figs. 9 (friction against speed) and 7 (skew resistance along the contact).
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -6,22 +9,57 @@ from functools import partial
 from itertools import groupby
 
 import numpy as np
+import numpy.typing as npt
 from scipy.interpolate import PPoly
 
+from dragrig.config.errors import SettingsError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
-from dragrig.sim_backend.friction.environment import EnvironmentalResistance
-from dragrig.sim_backend.friction.history import ContactHistory, Stroke
+from dragrig.sim_backend.friction.contact_history import (
+    ContactHistory,
+    ContactStroke,
+    SmoothInterval,
+    join_intervals,
+    smooth_intervals,
+)
+from dragrig.sim_backend.friction.environmental_resistance import (
+    FINE_RULE,
+    EnvironmentalResistance,
+    QuadratureRule,
+    age_panel_edges,
+    gauss_legendre,
+    interpolate_panels,
+    time_panel_edges,
+)
 from dragrig.sim_backend.friction.motion import Motion
-from dragrig.sim_backend.friction.panels import graded_edges, interpolate
-from dragrig.sim_backend.friction.quadrature import FINE, Rule
-from dragrig.sim_backend.friction.stretches import Stretch, joined, stretches
-from dragrig.sim_backend.friction.viscous import viscous_force
+
+SHEAR_THINNING = 11.24
+"""Shear-thinning part of the apparent viscosity in Eq. 11."""
+THINNING_EXPONENT = 0.7552
+"""How fast it falls with the shear rate."""
+VISCOSITY_PLATEAU = 0.1148
+"""Apparent viscosity at high shear rates."""
+
+
+def viscous_force(velocity_mm_s: FloatArray, model: FrictionModelSettings, area_mm2: float) -> FloatArray:
+    """Viscous friction f_v [mN], of the sign and shape of the velocity.
+
+    `published` reads Eq. 10 as δ v with δ in mN·s/mm; `newtonian` as a shear stress δ (v/d) with δ in
+    Pa·s, acting on the contact surface `area_mm2`.
+    """
+    speed = np.abs(velocity_mm_s)
+    depth = model.mucus_thickness_mm
+    force = SHEAR_THINNING * depth**THINNING_EXPONENT * speed ** (1 - THINNING_EXPONENT) + VISCOSITY_PLATEAU * speed
+    scale = model.mucus_scale * (1.0 if model.viscous == "published" else area_mm2 / depth * 1e-3)
+    return np.asarray(np.copysign(force * scale, velocity_mm_s))
+
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity; g · m/s² = mN."""
 
-ELEMENTS = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale")
+ELEMENT_SCALES = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale")
 """Scales of the five elements in a model's settings."""
 
 
@@ -43,7 +81,7 @@ class Components:
 class SlidingForce:
     """Friction of a sliding run, prepared for any sample times.
 
-    `resistance` is f_e interpolated on `stretches` and `side` the radial force of the wall; both are None where the gut
+    `resistance` is f_e interpolated on `smooth_intervals` and `side` the radial force of the wall; both are None where the gut
     is held open, so that it presses on nothing. `spans` are the stretches joined as far as they are evaluated at once.
     `motion` is what friction takes its velocity from where that is not the history's, which leaves the shortest ways
     back out.
@@ -52,12 +90,12 @@ class SlidingForce:
     contact: HemisphereContact
     history: ContactHistory
     weight_mN: float
-    stretches: tuple[Stretch, ...]
-    spans: tuple[Stretch, ...]
+    stretches: tuple[SmoothInterval, ...]
+    spans: tuple[SmoothInterval, ...]
     resistance: PPoly | None
     side: SidePressure | None
     motion: Motion | None = None
-    rule: Rule = FINE
+    rule: QuadratureRule = FINE_RULE
 
     @classmethod
     def of(
@@ -66,19 +104,19 @@ class SlidingForce:
         history: ContactHistory,
         mass_g: float,
         pressing: bool,
-        rule: Rule = FINE,
+        rule: QuadratureRule = FINE_RULE,
         motion: Motion | None = None,
     ) -> "SlidingForce":
         """Evaluate f_e on its knots."""
-        parts = tuple(stretches(history, contact.length_mm))
+        parts = tuple(smooth_intervals(history, contact.length_mm))
         environment = EnvironmentalResistance.of(contact, history, rule)
         return cls(
             contact=contact,
             history=history,
             weight_mN=mass_g * GRAVITY_M_S2,
             stretches=parts,
-            spans=tuple(joined(parts)),
-            resistance=_interpolated(environment.at, contact.fastest_rate, parts, rule) if pressing else None,
+            spans=tuple(join_intervals(parts)),
+            resistance=_interpolate_strokes(environment.at, contact.fastest_rate, parts, rule) if pressing else None,
             side=contact.side_pressure() if pressing else None,
             motion=None if motion is history.motion else motion,
             rule=rule,
@@ -106,11 +144,11 @@ class SlidingForce:
 
     def by_element(self, time_s: FloatArray) -> FloatArray:
         """Return the total's derivatives by the logarithms of E1, E2, E3, η1, η2, rising times `(n,)` to `(5, n)`."""
-        slopes = np.zeros((len(ELEMENTS), time_s.size))
+        slopes = np.zeros((len(ELEMENT_SCALES), time_s.size))
         if self.side is None:
             return slopes
         environment = EnvironmentalResistance.of(self.contact, self.history, self.rule)
-        resistance = _interpolated(environment.by_element, self.contact.fastest_rate, self.stretches, self.rule)
+        resistance = _interpolate_strokes(environment.by_element, self.contact.fastest_rate, self.stretches, self.rule)
         time = np.clip(time_s, 0.0, self.history.motion.breaks_s[-1])
         for stretch, piece in self._divided(time):
             at = np.array([0.5 * (stretch.begin_s + stretch.end_s)]) if stretch.steady else time[piece]
@@ -120,14 +158,14 @@ class SlidingForce:
                 slopes[:, piece] += pressing * self._turned(self._velocity(time[piece]))
         return slopes
 
-    def _divided(self, rising_s: FloatArray) -> Iterator[tuple[Stretch, slice]]:
+    def _divided(self, rising_s: FloatArray) -> Iterator[tuple[SmoothInterval, slice]]:
         begins = np.searchsorted(rising_s, np.array([one.begin_s for one in self.spans[1:]]), side="left")
         edges = [0, *begins.tolist(), rising_s.size]
         for stretch, begin, end in zip(self.spans, edges[:-1], edges[1:], strict=True):
             if end > begin:
                 yield stretch, slice(begin, end)
 
-    def _fill(self, parts: FloatArray, stretch: Stretch, time_s: FloatArray) -> None:
+    def _fill(self, parts: FloatArray, stretch: SmoothInterval, time_s: FloatArray) -> None:
         """Write f_e, f_v and f_c; what is constant in the stretch is evaluated once, in its middle."""
         middle = np.array([0.5 * (stretch.begin_s + stretch.end_s)])
         parts[0] = 0.0 if self.resistance is None else self.resistance(middle if stretch.steady else time_s)
@@ -147,20 +185,23 @@ class SlidingForce:
         model = self.contact.model
         return np.asarray(model.friction_coefficient * np.tanh(velocity_mm_s / model.regularisation_mm_s))
 
-    def _normal_force(self, stretch: Stretch, time_s: FloatArray) -> FloatArray:
+    def _normal_force(self, stretch: SmoothInterval, time_s: FloatArray) -> FloatArray:
         """N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
         if self.side is None:
             return np.full_like(time_s, self.weight_mN)
         return self.weight_mN + self.side.force(self._equator_age(stretch, time_s))
 
-    def _equator_age(self, stretch: Stretch, time_s: FloatArray) -> FloatArray:
+    def _equator_age(self, stretch: SmoothInterval, time_s: FloatArray) -> FloatArray:
         position = self.history.motion.position(time_s)
         at_equator = self.history.wall_at(stretch.stroke, self.contact.length_mm, position)
         return np.maximum(time_s - self.history.begin(stretch.side, at_equator), 0.0)
 
 
-def _interpolated(
-    evaluate: Callable[[Stroke, FloatArray], FloatArray], rate: float, parts: tuple[Stretch, ...], rule: Rule
+def _interpolate_strokes(
+    evaluate: Callable[[ContactStroke, FloatArray], FloatArray],
+    rate: float,
+    parts: tuple[SmoothInterval, ...],
+    rule: QuadratureRule,
 ) -> PPoly:
     """Interpolate f_e, or what belongs to it, stroke by stroke: one panel where it is steady, graded ones elsewhere."""
     pieces: list[PPoly] = []
@@ -168,8 +209,110 @@ def _interpolated(
         stroke_parts = list(group)
         edges = [np.array([stroke_parts[0].begin_s])]
         for part in stroke_parts:
-            ends = [part.end_s] if part.steady else graded_edges(part.begin_s, part.end_s, rate)[1:]
+            ends = [part.end_s] if part.steady else time_panel_edges(part.begin_s, part.end_s, rate)[1:]
             edges.append(np.asarray(ends))
-        pieces.append(interpolate(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges), rule.times))
+        pieces.append(interpolate_panels(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges), rule.times))
     edges = [piece.x if index == 0 else piece.x[1:] for index, piece in enumerate(pieces)]
     return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))
+
+
+SKEW_SEARCH_POINTS = 2000
+"""Points of the contact among which the largest skew resistance is sought before it is refined."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyForces:
+    """Friction at steady speeds, arrays of shape `(n,)`.
+
+    Attributes
+    ----------
+    f_e, f_v, f_c, total
+        Environmental resistance, viscous and Coulomb friction, and their sum [mN].
+    side_pressure_force
+        Radial force P(L) S [mN], the part of N that the wall gives.
+    max_skew, x_of_max_skew
+        Largest skew resistance P(x) S [mN] on the contact, and where it is [mm].
+    """
+
+    speed_mm_s: FloatArray
+    f_e: FloatArray
+    f_v: FloatArray
+    f_c: FloatArray
+    total: FloatArray
+    side_pressure_force: FloatArray
+    max_skew: FloatArray
+    x_of_max_skew: FloatArray
+
+
+def steady_forces(
+    speeds_mm_s: npt.ArrayLike, model: FrictionModelSettings, capsule: Capsule, wall_thickness_mm: float
+) -> SteadyForces:
+    """Friction of a capsule that has moved at constant speed for longer than its contact.
+
+    Raises
+    ------
+    SettingsError
+        For a speed that is not positive, or a contact that the wall parameters do not reach.
+    """
+    speed = _positive_speeds(speeds_mm_s)
+    contact = HemisphereContact.of(capsule, wall_thickness_mm, model)
+    side = contact.side_pressure().force(contact.length_mm / speed)
+    f_e = _steady_resistance(contact, speed)
+    f_v = viscous_force(speed, model, contact.area_mm2)
+    normal = capsule.mass_g * GRAVITY_M_S2 + side
+    f_c = model.friction_coefficient * normal * np.tanh(speed / model.regularisation_mm_s)
+    max_skew, x_of_max_skew = _largest_skew(contact, speed)
+    return SteadyForces(speed, f_e, f_v, f_c, f_e + f_v + f_c, side, max_skew, x_of_max_skew)
+
+
+def skew_resistance(
+    x_mm: npt.ArrayLike,
+    speed_mm_s: npt.ArrayLike,
+    model: FrictionModelSettings,
+    capsule: Capsule,
+    wall_thickness_mm: float,
+) -> FloatArray:
+    """Skew resistance P(x) S [mN] at contact coordinates and speeds that broadcast against each other.
+
+    Beyond the equator, where x = L, it keeps its value for the length of the side contact; beyond that
+    and before the contact it is zero (section 3.3 of the paper). Raises as `steady_forces`.
+    """
+    contact = HemisphereContact.of(capsule, wall_thickness_mm, model)
+    x, speed = np.broadcast_arrays(np.asarray(x_mm, dtype=float), _positive_speeds(speed_mm_s))
+    on_contact = np.clip(x, 0.0, contact.length_mm)
+    touching = (x >= 0) & (x < contact.length_mm + model.side_contact_mm)
+    return np.where(touching, _skew_resistance(contact, on_contact, speed), 0.0)
+
+
+def _positive_speeds(speeds_mm_s: npt.ArrayLike) -> FloatArray:
+    speed = np.asarray(speeds_mm_s, dtype=float)
+    if not (np.isfinite(speed) & (speed > 0)).all():
+        raise SettingsError("Steady friction needs speeds above 0 mm/s")
+    return speed
+
+
+def _skew_resistance(contact: HemisphereContact, x_mm: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
+    return contact.pressure(x_mm, x_mm / speed_mm_s) * contact.area_mm2
+
+
+def _steady_resistance(contact: HemisphereContact, speed_mm_s: FloatArray) -> FloatArray:
+    """Integrate Eq. 9 over the contact, in panels that are geometric in contact age."""
+    nodes, weights = gauss_legendre(FINE_RULE.ages)
+    ages = age_panel_edges(contact.fastest_rate, float(np.max(contact.length_mm / speed_mm_s, initial=1.0)))
+    edges = np.minimum(ages * speed_mm_s[:, None], contact.length_mm)
+    width = np.diff(edges, axis=1)[..., None]
+    x = edges[:, :-1, None] + width * nodes
+    load = contact.axial_load(x, x / speed_mm_s[:, None, None])
+    return np.asarray((load * weights * width).sum(axis=(1, 2)))
+
+
+def _largest_skew(contact: HemisphereContact, speed_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Largest P(x) S and its x, sought twice: on the whole contact, then around the best point."""
+    low, high = np.zeros_like(speed_mm_s), np.full_like(speed_mm_s, contact.length_mm)
+    rows = np.arange(speed_mm_s.size)
+    for _ in range(2):
+        x = np.linspace(low, high, SKEW_SEARCH_POINTS, axis=1)
+        skew = _skew_resistance(contact, x, speed_mm_s[:, None])
+        best = skew.argmax(axis=1)
+        low, high = x[rows, np.maximum(best - 1, 0)], x[rows, np.minimum(best + 1, SKEW_SEARCH_POINTS - 1)]
+    return skew[rows, best], x[rows, best]

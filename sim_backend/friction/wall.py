@@ -1,16 +1,21 @@
-"""Parameters of the five-element wall: Eq. 14, Table 1, and where the two disagree."""
+"""The five-element wall: its published parameters, and its Maxwell branches integrated exactly through a motion.
+
+Parameter sets are Eq. 14, Table 1, or polynomials of the model. A branch is linear in its modulus, so it is evaluated
+for a modulus of 1: multiply by E.
+"""
 
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields
 from functools import cache
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import SettingsError
-from dragrig.config.model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray, read_only
+from dragrig.sim_backend.friction.motion import Pieces
 
 WallKind = Literal["eq14", "table1"]
 """Which published parameter set applies."""
@@ -71,7 +76,7 @@ class WallParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Disagreement:
+class ParameterSetDifference:
     """One entry of Table 1 beside what Eq. 14 and the quadratic through Table 1 say of it.
 
     `parameter` is E1, E2, E3 (kPa), eta1 or eta2 (kPa·s); differences are relative to Table 1.
@@ -107,19 +112,19 @@ def model_wall(model: FrictionModelSettings, strain: npt.ArrayLike) -> WallParam
     return WallParameters(*(np.asarray(np.polyval(row, eps)) for row in rows)).scaled(model)
 
 
-def disagreement() -> tuple[Disagreement, ...]:
+def parameter_set_differences() -> tuple[ParameterSetDifference, ...]:
     """Compare Eq. 14 and the quadratic through Table 1 with each of its 20 entries."""
-    return tuple(_disagreements())
+    return tuple(_iter_differences())
 
 
-def _disagreements() -> Iterator[Disagreement]:
+def _iter_differences() -> Iterator[ParameterSetDifference]:
     polynomial = astuple(wall_parameters("eq14", TABLE1_STRAIN))
     quadratic = astuple(wall_parameters("table1", TABLE1_STRAIN))
     names = [field.name for field in fields(WallParameters)]
     for column, strain in enumerate(TABLE1_STRAIN):
         for row, name in enumerate(names):
             entry, eq14, fitted = TABLE1[row][column], float(polynomial[row][column]), float(quadratic[row][column])
-            yield Disagreement(strain, name, entry, eq14, eq14 / entry - 1, fitted, fitted / entry - 1)
+            yield ParameterSetDifference(strain, name, entry, eq14, eq14 / entry - 1, fitted, fitted / entry - 1)
 
 
 def _coefficients(kind: WallKind) -> FloatArray:
@@ -131,3 +136,82 @@ def _table1_coefficients() -> FloatArray:
     coefficients = np.polyfit(TABLE1_STRAIN, np.transpose(TABLE1), 2).T
     read_only(coefficients)
     return np.asarray(coefficients)
+
+
+InexactArray = TypeVar("InexactArray", npt.NDArray[np.float64], npt.NDArray[np.complex128])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaxwellBranches:
+    """Branches of unit modulus through pieces of constant acceleration, without stress at the first of them.
+
+    Attributes
+    ----------
+    rates
+        Relaxation rates E/η [1/s], shape `(B,)`.
+    pieces
+        The motion, `K` pieces.
+    thickness_mm
+        Thickness of the wall that is sheared.
+    begin
+        Stress over modulus of each branch as each piece begins, shape `(B, K)`.
+    """
+
+    rates: FloatArray
+    pieces: Pieces
+    thickness_mm: float
+    begin: FloatArray
+
+    @classmethod
+    def through(cls, rates: FloatArray, pieces: Pieces, thickness_mm: float) -> "MaxwellBranches":
+        """Integrate dσ/dt = dε/dt − rate · σ through all pieces."""
+        duration = np.diff(pieces.start_s)
+        rate = rates[:, None]
+        driven = (
+            _driven_stress(rate, duration, pieces.velocity_mm_s[:-1], pieces.acceleration_mm_s2[:-1]) / thickness_mm
+        )
+        begin = np.zeros((rates.size, pieces.start_s.size))
+        begin[:, 1:] = linear_recursion(np.exp(-rate * duration), driven)
+        return cls(rates, pieces, thickness_mm, begin)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Stress over modulus at times not before the first piece; shape `(B, *time_s.shape)`."""
+        flat = time_s.ravel()
+        index, elapsed = locate_pieces(self.pieces, flat)
+        rate = self.rates[:, None]
+        kept = self.begin[:, index] * np.exp(-rate * elapsed)
+        velocity, acceleration = self.pieces.velocity_mm_s[index], self.pieces.acceleration_mm_s2[index]
+        stress = kept + _driven_stress(rate, elapsed, velocity, acceleration) / self.thickness_mm
+        return np.asarray(stress.reshape(self.rates.size, *time_s.shape))
+
+
+def shear_strain(pieces: Pieces, thickness_mm: float, time_s: FloatArray) -> FloatArray:
+    """Shear strain since the first piece at times not before it, of the shape of `time_s`."""
+    index, elapsed = locate_pieces(pieces, time_s)
+    velocity, acceleration = pieces.velocity_mm_s[index], pieces.acceleration_mm_s2[index]
+    return np.asarray((pieces.position_mm[index] + (velocity + 0.5 * acceleration * elapsed) * elapsed) / thickness_mm)
+
+
+def locate_pieces(pieces: Pieces, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """Return which piece each time lies in, and the time since that piece began."""
+    index = np.maximum(np.searchsorted(pieces.start_s, time_s, side="right") - 1, 0)
+    return index, np.asarray(time_s - pieces.start_s[index])
+
+
+def linear_recursion(factor: InexactArray, addend: InexactArray) -> InexactArray:
+    """Return y with y[0] = addend[0] and y[i] = factor[i] · y[i − 1] + addend[i] along the last axis, by doubling."""
+    factor, total = factor.copy(), addend.copy()
+    shift = 1
+    while shift < total.shape[-1]:
+        total[..., shift:] = total[..., shift:] + factor[..., shift:] * total[..., :-shift]
+        factor[..., shift:] = factor[..., shift:] * factor[..., :-shift]
+        shift *= 2
+    return total
+
+
+def _driven_stress(
+    rate: FloatArray, elapsed_s: FloatArray, velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """Stress over modulus, times wall thickness, that an unstressed branch takes up at constant acceleration."""
+    lag = -np.expm1(-rate * elapsed_s) / rate
+    return np.asarray(velocity * lag + acceleration * (elapsed_s - lag) / rate)

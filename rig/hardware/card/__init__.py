@@ -1,1 +1,1 @@
-"""What goes through the card: samples, digital lines, voltages."""
+"""The DAQ card: connection, tasks, sampler, and scaling of volts and counts."""

@@ -1,6 +1,12 @@
-"""How the card is reached: through the driver of this computer, or through an NI gRPC device server in another."""
+"""Access to the card through NI-DAQmx, locally or over an NI gRPC device server, and its errors as plain sentences.
+
+The status codes are those of NIDAQmx.h, listed in `nidaqmx.error_codes`.
+"""
 
 import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from socket import gethostname
 from threading import Lock
 from types import ModuleType
@@ -8,16 +14,25 @@ from typing import TYPE_CHECKING
 
 import nidaqmx
 import nidaqmx.system
+from nidaqmx.errors import (
+    DaqError,
+    DaqFunctionNotSupportedError,
+    DaqNotFoundError,
+    DaqNotSupportedError,
+    Error,
+    RpcError,
+)
 
-from dragrig.config.errors import DeviceError
+from dragrig.config.errors import DeviceError, StaleDataError
 from dragrig.config.hardware import CardSettings
 
 if TYPE_CHECKING:
     import grpc
 
-ANSWERS_WITHIN_S = 5.0
+
+SERVER_TIMEOUT_S = 5.0
 """Far longer than any read waits, and than a card takes to be programmed over a network."""
-_UNBOUNDED = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1))
+_UNLIMITED_MESSAGES = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1))
 
 
 class Connection:
@@ -29,7 +44,7 @@ class Connection:
         How long a call may take at a server before it counts as gone.
     """
 
-    def __init__(self, card: CardSettings, answers_within_s: float = ANSWERS_WITHIN_S) -> None:
+    def __init__(self, card: CardSettings, answers_within_s: float = SERVER_TIMEOUT_S) -> None:
         self._card = card
         self._answers_within_s = answers_within_s
         self._lock = Lock()
@@ -75,17 +90,17 @@ class Connection:
     def _options(self, session: str = "") -> nidaqmx.GrpcSessionOptions | None:
         if not self._card.server:
             return None
-        grpc = _grpc()
+        grpc = _import_grpc()
         with self._lock:
             if self._channel is None:
-                from dragrig.rig.hardware.card.deadline import Deadline
+                from dragrig.rig.hardware.card.deadline import CallTimeout
 
-                channel = grpc.insecure_channel(self._card.server, options=_UNBOUNDED)
-                self._channel = grpc.intercept_channel(channel, Deadline(self._answers_within_s))
+                channel = grpc.insecure_channel(self._card.server, options=_UNLIMITED_MESSAGES)
+                self._channel = grpc.intercept_channel(channel, CallTimeout(self._answers_within_s))
             return nidaqmx.GrpcSessionOptions(self._channel, session)
 
 
-def _grpc() -> ModuleType:
+def _import_grpc() -> ModuleType:
     try:
         import grpc
     except ImportError as error:
@@ -93,3 +108,104 @@ def _grpc() -> ModuleType:
             "hardware.card.server names a computer, and to reach it gRPC is needed: install dragrig[grpc]."
         ) from error
     return grpc
+
+
+OVERWRITTEN_CODE = -200279
+"""Samples were overwritten in the buffer before they were read."""
+READ_TIMEOUT_CODE = -200284
+"""A read timed out; what had arrived is there."""
+
+_UNPLUGGED = (
+    "card {device} does not answer any more while {doing}: it was unplugged or lost its power; check it, restart \
+the computer if it stays away, and look for it in NI MAX (NI-DAQmx {code})."
+)
+_RESERVED = (
+    "card {device} is taken by another program while {doing}: close whatever uses it (another dragrig, LabVIEW, \
+test panels of NI MAX) and try again (NI-DAQmx {code})."
+)
+_TOO_SLOW = "card {device} lost samples while {doing}, because this computer did not fetch them in time: end other \
+programs, or lower sampling.rate_hz (NI-DAQmx {code})."
+_TOO_FAST = "card {device} cannot sample so fast while {doing}: lower sampling.rate_hz, or leave out some of \
+hardware.card.inputs (NI-DAQmx {code})."
+_NO_TERMINAL = (
+    "card {device} has no such terminal while {doing}: check the channels, counters, PFI terminals and lines \
+under hardware.card against its pinout ({message}; NI-DAQmx {code})."
+)
+_UNKNOWN_ERROR = "card {device} failed while {doing}: {message} (NI-DAQmx {code}); look at it in NI MAX."
+
+_MESSAGES = {
+    -200220: "no card is called {device} (hardware.card.device): look up its name in NI MAX, or put the card in \
+(NI-DAQmx {code}).",
+    **dict.fromkeys((-201003, -88705, -88708, -200324, -50101), _UNPLUGGED),
+    **dict.fromkeys((-50103, -200022, -200587, -201105, -89137), _RESERVED),
+    **dict.fromkeys(
+        (-200361, -200141, -200010, -209829, -200714, -200613, -200222, -200283, OVERWRITTEN_CODE), _TOO_SLOW
+    ),
+    **dict.fromkeys((-200332, -200081, -200019), _TOO_FAST),
+    **dict.fromkeys((-200170, -200431, -200430, -89120, -89125), _NO_TERMINAL),
+}
+
+
+@contextmanager
+def driver_errors_wrapped(card: CardSettings, doing: str) -> Iterator[None]:
+    """Turn what the driver raises inside into a `DeviceError`.
+
+    Parameters
+    ----------
+    doing
+        What is being done, to follow the word while: "it is armed", "it samples", ….
+    """
+    try:
+        yield
+    except driver_errors() as error:
+        raise device_error(error, card, doing) from error
+
+
+def driver_errors() -> tuple[type[Exception], ...]:
+    """Return what a call of `nidaqmx` may raise; gRPC's own error only where gRPC is in use."""
+    grpc = sys.modules.get("grpc")
+    return (Error,) if grpc is None else (Error, grpc.RpcError)
+
+
+def device_error(error: Exception, card: CardSettings, doing: str) -> DeviceError:
+    """Return a driver's error as a person's sentence."""
+    device = f"{card.device} at {card.server}" if card.server else card.device
+    match error:
+        case DaqNotFoundError():
+            text = (
+                f"NI-DAQmx, the driver that card {device} needs, is not installed on this computer: install it from "
+                "ni.com/downloads, name the computer that has the card in hardware.card.server, or add --double to try "
+                "without a card."
+            )
+        case DaqNotSupportedError():
+            text = (
+                f"NI-DAQmx, the driver that card {device} needs, does not exist for {sys.platform}: use Windows or "
+                "Linux, or name the computer that has the card in hardware.card.server."
+            )
+        case DaqFunctionNotSupportedError():
+            text = f"the NI-DAQmx on this computer is too old for card {device}: update it from ni.com/downloads."
+        case DaqError():
+            text = _MESSAGES.get(error.error_code, _UNKNOWN_ERROR).format(
+                device=device, doing=doing, code=error.error_code, message=_first_sentence(error)
+            )
+        case RpcError():
+            text = (
+                f"no NI gRPC device server answers at {card.server} (hardware.card.server) while {doing}: start it "
+                f"there, or check address and firewall ({_first_sentence(error)})."
+            )
+        case _:
+            text = f"card {device} failed while {doing}: {_first_sentence(error)}; look at it in NI MAX."
+    return DeviceError(text)
+
+
+def no_samples_error(card: CardSettings, silent_s: float) -> StaleDataError:
+    """Return the error of a card that answers, but delivers no sample."""
+    return StaleDataError(
+        f"card {card.device} delivered no sample for {silent_s:g} s (guard.stale_data_s): check its sample clock, and "
+        "whether this computer is overloaded."
+    )
+
+
+def _first_sentence(error: Exception) -> str:
+    first = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    return first.split(". ")[0].rstrip(".")

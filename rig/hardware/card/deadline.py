@@ -1,4 +1,4 @@
-"""A limit to how long a call of a remote card may take: a server that hangs must not hang this program with it."""
+"""Time limit for calls of a remote card: a device server that hangs must not hang this program."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -8,18 +8,18 @@ import grpc
 CallT = TypeVar("CallT")
 
 
-class _InTime(grpc.ClientCallDetails):
+class _CallDetails(grpc.ClientCallDetails):
     """A call's details of which only the time is another; grpc keeps what is left out."""
 
     def __init__(self, timeout_s: float) -> None:
         self.timeout = timeout_s
 
 
-class Deadline(grpc.UnaryUnaryClientInterceptor):  # type: ignore[type-arg]  # generic in its stubs only
+class CallTimeout(grpc.UnaryUnaryClientInterceptor):  # type: ignore[type-arg]  # generic in its stubs only
     """Fails every call, as of a server that is gone, that has not returned in time."""
 
     def __init__(self, timeout_s: float) -> None:
-        self._details = _InTime(timeout_s)
+        self._details = _CallDetails(timeout_s)
 
     def intercept_unary_unary(
         self,

@@ -1,4 +1,4 @@
-"""What volts and counts mean: forces, positions, further quantities, and what the force input's rails say."""
+"""Scaling of volts and counts to forces, positions and further quantities, and detection of sensor overload."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.hardware import AnalogInputSettings, ForceInputSettings
-from dragrig.config.lab import Calibration
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
+from dragrig.rig.devices import Trip, TripCause
 from dragrig.rig.runfile.model import Channel
-from dragrig.rig.trips import Cause, Trip
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +72,11 @@ class Scaling:
             Counts, shape `(n,)`, and the one that is position 0.
         """
         channels: dict[str, AnyFloatArray] = {
-            "force": _linear(volts[0], self.mN_per_V, self.zero_mN),
+            "force": _scale_linearly(volts[0], self.mN_per_V, self.zero_mN),
             "position": (counts - origin) * self.mm_per_count,
         }
         for one, row in zip(self.inputs, volts[1:], strict=True):
-            channels[one.name] = _linear(row, one.per_V, -one.per_V * one.zero_V)
+            channels[one.name] = _scale_linearly(row, one.per_V, -one.per_V * one.zero_V)
         for array in channels.values():
             read_only(array)
         return channels
@@ -92,13 +91,13 @@ class Scaling:
             return None
         where = f"force input {self.force.channel} is at {strongest_V:.2f} V"
         if strongest_V < self.force.open_V:
-            return Trip(Cause.SENSOR_OVERLOAD, f"{where}: the force sensor is overloaded")
+            return Trip(TripCause.SENSOR_OVERLOAD, f"{where}: the force sensor is overloaded")
         return Trip(
-            Cause.SENSOR_OPEN, f"{where}, the amplifier's rail: the force sensor is unplugged or a wire is broken"
+            TripCause.SENSOR_OPEN, f"{where}, the amplifier's rail: the force sensor is unplugged or a wire is broken"
         )
 
 
-def _linear(volts: FloatArray, gain: float, zero: float) -> npt.NDArray[np.float32]:
+def _scale_linearly(volts: FloatArray, gain: float, zero: float) -> npt.NDArray[np.float32]:
     scaled = volts * gain
     scaled += zero
     return scaled.astype(np.float32)

@@ -1,20 +1,110 @@
-"""The two tasks that sample: analog inputs, and the encoder's counter latched by their sample clock.
+"""NI-DAQmx tasks of the card: sampled analog inputs and encoder, position counter, velocity output.
 
-The counter counts from its own start on, and the sample clock only latches it; so it is started first, and sample `k`
-of both tasks is the same instant.
+The encoder's counter counts from its own start on, and the analog inputs' sample clock only latches it; so it is
+started first, and sample `k` of both tasks is the same instant.
+
+A voltage output is a waveform that is generated while it is written: clocked by the card, never repeated. The card
+holds its last voltage when a task ends, for whatever reason; so a waveform ends at 0 V, and an underflow is followed by
+a single write of 0 V.
 """
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 
 import nidaqmx
-from nidaqmx.constants import AcquisitionType, EncoderType, LengthUnits, TerminalConfiguration
+import numpy as np
+from nidaqmx.constants import (
+    AcquisitionType,
+    EncoderType,
+    LengthUnits,
+    OverwriteMode,
+    ReadRelativeTo,
+    RegenerationMode,
+    TaskMode,
+    TerminalConfiguration,
+)
+from nidaqmx.errors import DaqError, DaqReadError
 from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
+from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
+from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import AnalogInputSettings, CardSettings, EncoderInputSettings, ForceInputSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.hardware.card.buffered import BufferedInput
-from dragrig.rig.hardware.card.connection import Connection
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
+
+StreamRead = Callable[[FloatArray, int, float], int]
+"""Read so many samples of each channel into an array, waiting at most so many seconds; return how many there are."""
+
+
+class OverwrittenError(Exception):
+    """The next sample is no longer in the buffer."""
+
+
+class BufferedInput:
+    """A continuous task whose samples are counted from its first one. Belongs to one thread at a time.
+
+    Parameters
+    ----------
+    task
+        Configured, with a sample clock.
+    read
+        How a stream reader of this task reads.
+    """
+
+    def __init__(self, task: nidaqmx.Task, read: StreamRead) -> None:
+        self._task = task
+        self._read = read
+        self._leapt = False
+        # So that samples that nobody fetched in time cost a gap and not the rest of the run.
+        task.in_stream.overwrite = OverwriteMode.OVERWRITE_UNREAD_SAMPLES
+
+    def commit(self) -> None:
+        """Reserve and program everything, so that the start takes no time."""
+        self._task.control(TaskMode.TASK_COMMIT)
+
+    def start(self) -> None:
+        """Take the first sample at the next edge of the sample clock."""
+        self._task.start()
+
+    @property
+    def acquired(self) -> int:
+        """How many samples were taken since the start."""
+        return int(self._task.in_stream.total_samp_per_chan_acquired)
+
+    def read(self, into: FloatArray, samples: int, timeout_s: float) -> int:
+        """Read up to `samples` of each channel; return how many came in time.
+
+        A short read leaves them together at the beginning of `into`, channel after channel.
+
+        Raises
+        ------
+        OverwrittenError
+            When the next sample is lost: leap over the loss.
+        """
+        try:
+            came = self._read(into, samples, timeout_s)
+        except DaqError as error:
+            if error.error_code == OVERWRITTEN_CODE:
+                raise OverwrittenError from error
+            if error.error_code != READ_TIMEOUT_CODE:
+                raise
+            came = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
+        if self._leapt and came:
+            self._read_from(ReadRelativeTo.CURRENT_READ_POSITION, 0)
+            self._leapt = False
+        return int(came)
+
+    def leap_to(self, index: int) -> None:
+        """Go on reading at the sample of this index."""
+        self._read_from(ReadRelativeTo.FIRST_SAMPLE, index)
+        self._leapt = True
+
+    def _read_from(self, point: ReadRelativeTo, offset: int) -> None:
+        stream = self._task.in_stream
+        stream.relative_to = point
+        stream.offset = offset
+
 
 PULSES_PER_PERIOD = 4
 """Counts of X4 decoding in a period of the encoder's signals.
@@ -38,8 +128,8 @@ class SampledTasks:
         with ExitStack() as stack:
             buffer_samples = round(rig.hardware.card.buffer_s * rig.sampling.rate_hz)
             clock = rig.sampling.rate_hz, buffer_samples
-            self.encoder = _encoder(connection, stack, metres_per_count(rig), clock)
-            self.analog = _analog(connection, stack, clock)
+            self.encoder = _encoder_input(connection, stack, metres_per_count(rig), clock)
+            self.analog = _analog_input(connection, stack, clock)
             self.analog.commit()
             self.encoder.commit()
             self._tasks = stack.pop_all()
@@ -59,7 +149,7 @@ def metres_per_count(rig: RigSettings) -> float:
     return rig.encoder.resolution_um * 1e-6
 
 
-def _analog(connection: Connection, stack: ExitStack, clock: tuple[float, int]) -> BufferedInput:
+def _analog_input(connection: Connection, stack: ExitStack, clock: tuple[float, int]) -> BufferedInput:
     card = connection.card
     task = stack.enter_context(connection.task("analog inputs"))
     inputs: tuple[ForceInputSettings | AnalogInputSettings, ...] = (card.force, *card.inputs)
@@ -78,12 +168,12 @@ def _analog(connection: Connection, stack: ExitStack, clock: tuple[float, int]) 
     return BufferedInput(task, reader.read_many_sample)
 
 
-def _encoder(
+def _encoder_input(
     connection: Connection, stack: ExitStack, metres_a_count: float, clock: tuple[float, int]
 ) -> BufferedInput:
     card = connection.card
     task = stack.enter_context(connection.task("encoder"))
-    add_encoder(task, card, metres_a_count)
+    add_encoder_channel(task, card, metres_a_count)
     rate_hz, buffer_samples = clock
     task.timing.cfg_samp_clk_timing(
         rate_hz,
@@ -96,7 +186,7 @@ def _encoder(
     return BufferedInput(task, reader.read_many_sample_double)
 
 
-def add_encoder(
+def add_encoder_channel(
     task: nidaqmx.Task,
     card: CardSettings,
     metres_a_count: float,
@@ -131,10 +221,10 @@ def add_encoder(
     channel.ci_encoder_b_input_term = f"/{card.device}/{wired.b}"
     if wired.z:
         channel.ci_encoder_z_input_term = f"/{card.device}/{wired.z}"
-    _filter(channel, wired)
+    _set_digital_filters(channel, wired)
 
 
-def _filter(channel: nidaqmx.task.channels.CIChannel, wired: EncoderInputSettings) -> None:
+def _set_digital_filters(channel: nidaqmx.task.channels.CIChannel, wired: EncoderInputSettings) -> None:
     if not wired.filter_ns:
         return
     shortest_s = wired.filter_ns * 1e-9
@@ -145,3 +235,208 @@ def _filter(channel: nidaqmx.task.channels.CIChannel, wired: EncoderInputSetting
     if wired.z:
         channel.ci_encoder_z_input_dig_fltr_enable = True
         channel.ci_encoder_z_input_dig_fltr_min_pulse_width = shortest_s
+
+
+_CALL_TIMEOUT_S = 0.1
+
+
+class PositionCounter:
+    """A counter on the encoder that runs from `begin` to `close`, beside the one that is sampled.
+
+    Parameters
+    ----------
+    counter
+        Such as ctr1.
+    mm_per_count
+        Signed: negative where the encoder counts down while the stage goes up.
+    """
+
+    def __init__(self, connection: Connection, counter: str, mm_per_count: float) -> None:
+        self._connection = connection
+        self._counter = counter
+        self._metres_per_count = abs(mm_per_count) / 1000.0
+        self._mm_per_metre = 1000.0 if mm_per_count > 0 else -1000.0
+        self._task: nidaqmx.Task | None = None
+
+    def begin(self, at_mm: float, *, index: bool = False) -> None:
+        """Count on from a position, which the stage is at now; the index pulse makes it 0 if it is to.
+
+        Raises
+        ------
+        DeviceError
+            When the card refuses.
+        """
+        self.close()
+        card = self._connection.card
+        with driver_errors_wrapped(card, "the position counter is started"), ExitStack() as stack:
+            task = stack.enter_context(self._connection.task("position counter"))
+            start_m = at_mm / self._mm_per_metre
+            add_encoder_channel(task, card, self._metres_per_count, self._counter, start_m=start_m, index=index)
+            task.start()
+            stack.pop_all()
+        self._task = task
+
+    def read(self) -> float:
+        """Return the position now [mm]; raises `DeviceError` when the card refuses."""
+        task = self._task
+        with driver_errors_wrapped(self._connection.card, "the position is read"):
+            return 0.0 if task is None else float(task.read(timeout=_CALL_TIMEOUT_S)) * self._mm_per_metre
+
+    def close(self) -> None:
+        """Release the counter; twice is once."""
+        task, self._task = self._task, None
+        if task is not None:
+            with driver_errors_wrapped(self._connection.card, "the position counter is released"):
+                task.close()
+
+
+AO_RANGE_V = 10.0
+AI_START_TRIGGER = "ai/StartTrigger"
+"""The edge with which the card takes the first sample of force and position."""
+UNDERFLOW_CODES = frozenset({-200290, -200621, -200018, -200016})
+"""Status codes of an output that was due and had not been written."""
+_AO_TASK_NAME = "velocity output"
+_BUFFER_FACTOR = 4
+
+
+class UnderflowError(DeviceError):
+    """A voltage was due that nobody had written."""
+
+
+class VoltageOutput:
+    """One output of the card. Belongs to one thread at a time; whoever makes it closes it.
+
+    Parameters
+    ----------
+    channel
+        Such as ao0.
+    rate_hz
+        Voltages per second.
+    ahead_samples
+        How many voltages are written ahead at most.
+    """
+
+    def __init__(self, connection: Connection, channel: str, rate_hz: float, ahead_samples: int) -> None:
+        self._connection = connection
+        self._channel = connection.terminal(channel)
+        self._rate_hz = rate_hz
+        self._buffer_samples = _BUFFER_FACTOR * ahead_samples
+        self._task: nidaqmx.Task | None = None
+        self._writer: AnalogSingleChannelWriter | None = None
+        self.written = 0
+        """Voltages of the present waveform that were written."""
+
+    @property
+    def generated(self) -> int:
+        """Return how many voltages of the present waveform were put out; 0 while it waits for its trigger.
+
+        Raises
+        ------
+        UnderflowError
+            When it ran dry.
+        DeviceError
+            When the card refuses.
+        """
+        task = self._task
+        if task is None:
+            return self.written
+        with (
+            driver_errors_wrapped(self._connection.card, "the velocity is put out"),
+            _underflow_wrapped(self._connection.card),
+        ):
+            return int(task.out_stream.total_samp_per_chan_generated)
+
+    def begin(self, volts: FloatArray, trigger: str = "") -> None:
+        """Put out a new waveform from its first voltages on: now, or with the first edge of a terminal of the card.
+
+        Parameters
+        ----------
+        volts
+            Contiguous, shape `(n,)`, at least what is to be written ahead.
+        trigger
+            Such as ai/StartTrigger; empty for now.
+
+        Raises
+        ------
+        DeviceError
+            When the card refuses.
+        """
+        card = self._connection.card
+        self.written = 0
+        with driver_errors_wrapped(card, "the velocity output is prepared"), ExitStack() as stack:
+            task = stack.enter_context(self._connection.task(_AO_TASK_NAME))
+            task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-AO_RANGE_V, max_val=AO_RANGE_V)
+            task.timing.cfg_samp_clk_timing(
+                self._rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=self._buffer_samples
+            )
+            task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+            task.out_stream.output_buf_size = self._buffer_samples
+            if trigger:
+                task.triggers.start_trigger.cfg_dig_edge_start_trig(f"/{card.device}/{trigger}")
+            writer = AnalogSingleChannelWriter(task.out_stream, auto_start=False)
+            writer.verify_array_shape = False
+            writer.write_many_sample(volts, timeout=_CALL_TIMEOUT_S)
+            task.start()
+            stack.pop_all()
+        self._task, self._writer, self.written = task, writer, len(volts)
+
+    def write(self, volts: FloatArray) -> None:
+        """Append voltages, a contiguous array of shape `(n,)`.
+
+        Raises
+        ------
+        UnderflowError
+            When it ran dry.
+        DeviceError
+            When the card refuses.
+        """
+        if self._writer is None:
+            raise DeviceError("the velocity output was not begun.")
+        with (
+            driver_errors_wrapped(self._connection.card, "the velocity is written"),
+            _underflow_wrapped(self._connection.card),
+        ):
+            self._writer.write_many_sample(volts, timeout=_CALL_TIMEOUT_S)
+        self.written += len(volts)
+
+    def end(self) -> None:
+        """End the waveform where it is; the card holds the voltage that it puts out now. Twice is once."""
+        task, self._task, self._writer = self._task, None, None
+        if task is None:
+            return
+        with driver_errors_wrapped(self._connection.card, "the velocity output is released"), task, suppress(DaqError):
+            # A waveform that ran dry refuses to stop, and is cleared all the same.
+            task.stop()
+
+    def zero(self) -> None:
+        """End the waveform and put out 0 V now.
+
+        Raises
+        ------
+        DeviceError
+            When the card refuses: then the voltage is unknown.
+        """
+        # What is wrong with the waveform is known already, or does not matter: 0 V does.
+        with suppress(DeviceError):
+            self.end()
+        with (
+            driver_errors_wrapped(self._connection.card, "0 V are put out"),
+            self._connection.task(_AO_TASK_NAME) as task,
+        ):
+            task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-AO_RANGE_V, max_val=AO_RANGE_V)
+            writer = AnalogSingleChannelWriter(task.out_stream, auto_start=True)
+            writer.write_many_sample(np.zeros(1), timeout=_CALL_TIMEOUT_S)
+
+
+@contextmanager
+def _underflow_wrapped(card: CardSettings) -> Iterator[None]:
+    try:
+        yield
+    except DaqError as error:
+        if error.error_code not in UNDERFLOW_CODES:
+            raise
+        raise UnderflowError(
+            f"card {card.device} ran out of velocity to put out, because this computer did not write it in time: end "
+            "other programs, or raise hardware.drive.velocity.ahead or update_s of the rig file "
+            f"(NI-DAQmx {error.error_code})."
+        ) from error

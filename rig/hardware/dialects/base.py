@@ -75,7 +75,7 @@ class Halt(StrEnum):
 
 _WITH_PARAMETER = {Command.SET, Command.READ}
 _WITH_VALUE = {Command.SET, Command.HOME, Command.GO}
-_ONCE = {Command.HOME, Command.GO}
+_NOT_REPEATABLE = {Command.HOME, Command.GO}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class Request:
     @property
     def repeatable(self) -> bool:
         """Whether it may be sent again when no reply came: it does no more the second time."""
-        return self.command not in _ONCE
+        return self.command not in _NOT_REPEATABLE
 
 
 @dataclass(frozen=True, slots=True)

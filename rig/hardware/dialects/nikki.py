@@ -23,7 +23,7 @@ from dragrig.rig.hardware.dialects.base import Command, FrameError, Halt, Parame
 
 _STX, _ETX = b"\x02", b"\x03"
 _CRC_LENGTH = 4
-_LONGEST = 64
+_MAX_FRAME_BYTES = 64
 
 _COMMANDS = {
     "ST": Command.STATUS,
@@ -102,7 +102,7 @@ class NikkiDialect:
         """Length up to and with the checksum; what never ends is given up after 64 bytes."""
         end = received.find(_ETX)
         if end < 0:
-            return _LONGEST if len(received) >= _LONGEST else 0
+            return _MAX_FRAME_BYTES if len(received) >= _MAX_FRAME_BYTES else 0
         length = end + 1 + _CRC_LENGTH
         return length if len(received) >= length else 0
 
@@ -110,20 +110,20 @@ class NikkiDialect:
         """Return the frame of a request."""
         text = ""
         if request.value is not None:
-            text = _digits(request.value, _steps(request.command, request.parameter))
-        return _frame(station, request.command, request.parameter, text)
+            text = _encode_value(request.value, _steps_per_unit(request.command, request.parameter))
+        return _build_frame(station, request.command, request.parameter, text)
 
     def decode(self, frame: bytes, station: int) -> Reply:
         """Return what the drive says."""
-        part, command, parameter = _parts(frame, station)
+        part, command, parameter = _parse_frame(frame, station)
         if part["refusal"] is not None:
             if part["refusal"] not in _REFUSALS:
                 raise FrameError(f"refusal {part['refusal']} is not known")
             return Reply(command, parameter, refusal=_REFUSALS[part["refusal"]])
         if part["mark"] is None:
             raise FrameError("a request where a reply was due")
-        value = _value(part["answer"], command, parameter)
-        status = None if part["status"] is None else _status(part["status"])
+        value = _decode_value(part["answer"], command, parameter)
+        status = None if part["status"] is None else _decode_status(part["status"])
         if (status is not None) != (command is Command.STATUS):
             raise FrameError("a status where none was due, or none where one was")
         if (value is not None) != (command in {Command.POSITION, Command.READ}):
@@ -132,11 +132,11 @@ class NikkiDialect:
 
     def decode_request(self, frame: bytes, station: int) -> Request:
         """Return what the program says."""
-        part, command, parameter = _parts(frame, station)
+        part, command, parameter = _parse_frame(frame, station)
         if part["mark"] is not None or part["refusal"] is not None:
             raise FrameError("a reply where a request was due")
         try:
-            return Request(command, parameter, _value(part["value"], command, parameter))
+            return Request(command, parameter, _decode_value(part["value"], command, parameter))
         except ValueError as error:
             raise FrameError(str(error)) from error
 
@@ -145,12 +145,12 @@ class NikkiDialect:
         if reply.refusal is not None:
             text = f"!{_REFUSAL_CODES[reply.refusal]}"
         elif reply.status is not None:
-            text = f"={_flags(reply.status)}"
+            text = f"={_encode_status(reply.status)}"
         elif reply.value is not None:
-            text = f"={_digits(reply.value, _steps(reply.command, reply.parameter))}"
+            text = f"={_encode_value(reply.value, _steps_per_unit(reply.command, reply.parameter))}"
         else:
             text = "="
-        return _frame(station, reply.command, reply.parameter, text)
+        return _build_frame(station, reply.command, reply.parameter, text)
 
     def resolution(self, parameter: Parameter) -> float:
         """One step of the parameter's whole numbers."""
@@ -161,7 +161,7 @@ class NikkiDialect:
         return _ALARMS.get(code, f"alarm {code:02X}, which the dialect does not know")
 
 
-def _frame(station: int, command: Command, parameter: Parameter | None, text: str) -> bytes:
+def _build_frame(station: int, command: Command, parameter: Parameter | None, text: str) -> bytes:
     if not 0 <= station <= 99:
         raise FrameError(f"station {station} is not between 0 and 99")
     number = "" if parameter is None else _PARAMETER_NAMES[parameter]
@@ -169,7 +169,7 @@ def _frame(station: int, command: Command, parameter: Parameter | None, text: st
     return covered + f"{crc_hqx(covered, 0):04X}".encode("ascii")
 
 
-def _parts(frame: bytes, station: int) -> tuple[dict[str, str | None], Command, Parameter | None]:
+def _parse_frame(frame: bytes, station: int) -> tuple[dict[str, str | None], Command, Parameter | None]:
     covered, checksum = frame[:-_CRC_LENGTH], frame[-_CRC_LENGTH:]
     if not (covered.startswith(_STX) and covered.endswith(_ETX)):
         raise FrameError("no start or end of a frame")
@@ -187,30 +187,30 @@ def _parts(frame: bytes, station: int) -> tuple[dict[str, str | None], Command, 
     return match.groupdict(), command, parameter
 
 
-def _steps(command: Command, parameter: Parameter | None) -> int:
+def _steps_per_unit(command: Command, parameter: Parameter | None) -> int:
     if parameter is not None:
         return _STEPS[parameter]
     return 1 if command is Command.HOME else _POSITION_STEPS
 
 
-def _digits(value: float, steps: int) -> str:
+def _encode_value(value: float, steps: int) -> str:
     if not isfinite(value) or abs(number := round(value * steps)) >= 10**10:
         raise FrameError(f"{value:g} does not fit into a frame")
     return f"{number:+d}"
 
 
-def _value(digits: str | None, command: Command, parameter: Parameter | None) -> float | None:
-    return None if digits is None else int(digits) / _steps(command, parameter)
+def _decode_value(digits: str | None, command: Command, parameter: Parameter | None) -> float | None:
+    return None if digits is None else int(digits) / _steps_per_unit(command, parameter)
 
 
-def _flags(status: Status) -> str:
+def _encode_status(status: Status) -> str:
     flags = _ENABLED * status.enabled | _HOMED * status.homed | _MOVING * status.moving
     if not 0 <= status.alarm <= 0xFF:
         raise FrameError(f"alarm {status.alarm} does not fit into a frame")
     return f"{flags:02X}{status.alarm:02X}{_HALT_CODES[status.halt]:X}"
 
 
-def _status(text: str) -> Status:
+def _decode_status(text: str) -> Status:
     flags, alarm, halt = int(text[:2], 16), int(text[2:4], 16), int(text[4], 16)
     if flags > _ENABLED | _HOMED | _MOVING or halt not in _HALTS:
         raise FrameError(f"status {text} has bits that are not known")

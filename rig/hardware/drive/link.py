@@ -1,6 +1,11 @@
-"""The serial line to the drive: one request and its reply at a time, and a stop before all others."""
+"""The serial link to the drive: one request and its reply at a time, and a stop before all other requests.
+
+The port is opened with pyserial; a pulled cable raises errors of several kinds, which are all caught here.
+"""
 
 import itertools
+import os
+import sys
 import threading
 import time
 from collections import deque
@@ -9,12 +14,66 @@ from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from statistics import median
 
+import serial
+
 from dragrig.config.errors import DeviceError
 from dragrig.config.hardware import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
-from dragrig.rig.hardware.drive.port import CABLE_ERRORS, WRITE_TIMEOUT, close_port, open_port
 
-_REMEMBERED = 15
+if sys.platform != "win32":
+    import termios
+
+    CABLE_ERRORS: tuple[type[Exception], ...] = (OSError, termios.error)
+else:
+    CABLE_ERRORS = (OSError,)
+"""What a pulled cable raises: SerialException is an OSError, a terminal's error is not."""
+
+_OPENING_ERRORS: tuple[type[Exception], ...] = (*CABLE_ERRORS, ValueError)
+WRITE_TIMEOUT_ERROR = serial.SerialTimeoutException
+"""What a write raises that took too long; to a socket, even though all of it was sent."""
+_PARITIES = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
+_STOP_BITS = {1: serial.STOPBITS_ONE, 2: serial.STOPBITS_TWO}
+_READS_PER_REPLY = 5
+
+
+def open_port(settings: DriveSettings) -> serial.Serial:
+    """Open the drive's port for this program alone, where the system can do that.
+
+    Raises
+    ------
+    DeviceError
+        When there is no such port, or another program has it.
+    """
+    try:
+        return serial.serial_for_url(
+            settings.port,
+            baudrate=settings.baud,
+            bytesize=serial.EIGHTBITS,
+            parity=_PARITIES[settings.parity],
+            stopbits=_STOP_BITS[settings.stop_bits],
+            timeout=settings.reply_s / _READS_PER_REPLY,
+            write_timeout=settings.reply_s,
+            exclusive=True,
+        )
+    except _OPENING_ERRORS as error:
+        number = error.errno if isinstance(error, OSError) else None
+        why = os.strerror(number) if number else str(error)
+        raise DeviceError(
+            f"the drive's port {settings.port} cannot be opened ({why}): connect it, close other programs that use "
+            "it, or correct hardware.drive.port of the rig file."
+        ) from error
+
+
+def close_port(port: serial.Serial) -> None:
+    """Close a port, whose cable may be gone."""
+    # pyserial forgets to close its socket when the other side was first.
+    connection = getattr(port, "_socket", None)
+    port.close()
+    if connection is not None:
+        connection.close()
+
+
+_ROUND_TRIPS_KEPT = 15
 _STOP = Request(Command.STOP)
 
 
@@ -26,7 +85,7 @@ class RefusedError(DeviceError):
         self.refusal = refusal
 
 
-class StoppedFirstError(DeviceError):
+class CancelledByStopError(DeviceError):
     """A request was dropped, because a stop was asked for after it was planned."""
 
 
@@ -51,7 +110,7 @@ class DriveLink:
         self._lock = threading.RLock()
         self._broken = ""
         self._closed = False
-        self._round_trips_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._round_trips_s: deque[float] = deque(maxlen=_ROUND_TRIPS_KEPT)
         # A counter and a SimpleQueue may be used by a signal handler that interrupts their own user; an Event may not.
         self._counter = itertools.count(1)
         self._stops = self._stopped = 0
@@ -115,7 +174,7 @@ class DriveLink:
         with self._lock:
             self._send_stop_if_due()
             if as_of is not None and as_of != self._stops:
-                raise StoppedFirstError(f"'{request.command}' was dropped, because the stage was stopped first.")
+                raise CancelledByStopError(f"'{request.command}' was dropped, because the stage was stopped first.")
             try:
                 return self._ask(request)
             except NoReplyError:
@@ -219,7 +278,7 @@ class DriveLink:
         # A reply that came too late for its own request would be taken for this one's.
         self._serial.reset_input_buffer()
         began_s = time.perf_counter()
-        with suppress(WRITE_TIMEOUT):  # whether the drive has heard it shows in its reply
+        with suppress(WRITE_TIMEOUT_ERROR):  # whether the drive has heard it shows in its reply
             self._serial.write(frame)
         received, complaint, is_late = b"", "nothing came", False
         while not is_late:

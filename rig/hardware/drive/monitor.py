@@ -1,32 +1,51 @@
-"""Watches drive and switches from a thread of its own, and keeps the drive fed only while the program is well.
+"""The monitor thread: polls drive and switches, and keeps drive and heartbeat relay alive while the program is well.
 
-A drive that hears nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees no
-edge. Both come from here, so that neither outlives the program; and both end when the program no longer looks at its
-data, so that they do not outlive its good sense either.
+A drive that receives nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees
+no edge. Both signals come from this thread, so that neither outlives the program; and both end when the program no longer
+reads its data (`Watchdog`), so that a hung program does not keep the stage moving.
 """
 
 import threading
 import time
 from collections.abc import Callable
 
-from dragrig.config.errors import DeviceError, plain
+from dragrig.config.errors import DeviceError, reason_of
 from dragrig.config.rig import RigSettings
-from dragrig.rig.hardware.coupling import Coupling
-from dragrig.rig.hardware.deadman import Deadman
-from dragrig.rig.hardware.lines import Lines, Pressed
-from dragrig.rig.trips import Cause, Trip
-
-_HURRY_S = 0.005
-_FEEDS_PER_SILENCE = 4
+from dragrig.rig.devices import Trip, TripCause
+from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
+from dragrig.rig.hardware.sync import MotionSamplingSync
 
 
-def interval_of(settings: RigSettings) -> float:
+class Watchdog:
+    """Remembers when it was fed last; whoever reads the data feeds it, the monitor's thread looks.
+
+    Its time is the wall's, whatever clock the rig lives by: a hung program is a matter of this computer.
+    """
+
+    def __init__(self) -> None:
+        self._fed_s = time.monotonic()
+
+    def feed(self) -> None:
+        """Say that the program is well. Costs nothing and waits for nobody."""
+        self._fed_s = time.monotonic()
+
+    @property
+    def unfed_s(self) -> float:
+        """Seconds since it was fed."""
+        return time.monotonic() - self._fed_s
+
+
+_FAST_POLL_S = 0.005
+_POLLS_PER_SILENCE = 4
+
+
+def poll_interval_s(settings: RigSettings) -> float:
     """Return the time between two looks: half a block's, or less where silence timeout or heartbeat are shorter."""
     # Half, so that a look with its questions over the link is done within a block.
     look_s = settings.sampling.block_s / 2
     wired = settings.hardware.card.lines
     heartbeat_s = wired.heartbeat_s if wired.heartbeat else look_s
-    return min(look_s, settings.hardware.drive.silence_s / _FEEDS_PER_SILENCE, heartbeat_s)
+    return min(look_s, settings.hardware.drive.silence_s / _POLLS_PER_SILENCE, heartbeat_s)
 
 
 class Monitor:
@@ -48,9 +67,9 @@ class Monitor:
         self,
         ask: Callable[[], Trip | None],
         stop: Callable[[], None],
-        lines: Lines,
-        coupling: Coupling,
-        deadman: Deadman,
+        lines: DigitalLines,
+        coupling: MotionSamplingSync,
+        deadman: Watchdog,
         hang_s: float,
         interval_s: float,
     ) -> None:
@@ -62,8 +81,8 @@ class Monitor:
         self._sampled_since_s: float | None = None
         self._fault: Trip | None = None
         self._latched: Trip | None = None
-        self._pressed = Pressed()
-        self._tolerated: Cause | None = None
+        self._pressed = SwitchStates()
+        self._tolerated: TripCause | None = None
         self._has_stopped = self._is_on = False
         self._ended = threading.Event()
         self._hurried = threading.Event()
@@ -75,7 +94,7 @@ class Monitor:
         return self._fault
 
     @property
-    def pressed(self) -> Pressed:
+    def pressed(self) -> SwitchStates:
         """Which switches were pressed at the last look."""
         return self._pressed
 
@@ -106,7 +125,7 @@ class Monitor:
         """Forget what was latched; what is still wrong comes back at the next look."""
         self._latched = None
 
-    def tolerate(self, cause: Cause | None) -> None:
+    def tolerate(self, cause: TripCause | None) -> None:
         """Let one limit switch forbid nothing, whatever it has done; None ends that."""
         self._tolerated = cause
         if self._latched is not None and self._latched.cause is cause:
@@ -125,20 +144,20 @@ class Monitor:
                 self._go_round()
         except Exception as error:
             # A monitor that is gone watches nothing: stop, and let the drive's own silence timeout end the rest.
-            self.latch(Trip(Cause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
+            self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
             raise
 
     def _go_round(self) -> None:
         if self._is_hung():
             self.latch(
-                Trip(Cause.WATCHDOG, f"the program did not look at its data for {self._hang_s:g} s while it moved")
+                Trip(TripCause.WATCHDOG, f"the program did not look at its data for {self._hang_s:g} s while it moved")
             )
             self._ended.wait(self._interval_s)
             return
         self._lines_beat()
         self.look()
         if self._hurried.is_set() and self._coupling.moving:
-            self._ended.wait(_HURRY_S)
+            self._ended.wait(_FAST_POLL_S)
         else:
             self._hurried.clear()
             self._hurried.wait(self._interval_s)
@@ -168,7 +187,7 @@ class Monitor:
         self._fault = trip
         if not moved or trip is None:
             self._has_stopped = self._has_stopped and moved
-            if self._is_on and trip is not None and trip.cause is Cause.EMERGENCY_STOP:
+            if self._is_on and trip is not None and trip.cause is TripCause.EMERGENCY_STOP:
                 # Pressed and let go between two motions: whoever pressed it may still have a hand at the rig.
                 self._latched = self._latched or trip
             return
@@ -183,18 +202,18 @@ class Monitor:
         try:
             self._lines.beat()
         except DeviceError as error:
-            self.latch(Trip(Cause.CARD_FAULT, plain(error)))
+            self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
 
     def _ask_lines(self) -> Trip | None:
         try:
             self._pressed = self._lines.pressed()
         except DeviceError as error:
             # Switches that nobody can read count as pressed.
-            return Trip(Cause.CARD_FAULT, plain(error))
+            return Trip(TripCause.CARD_FAULT, reason_of(error))
         return self._pressed.trip(but=self._tolerated)
 
     def _ask_drive(self) -> Trip | None:
         try:
             return self._ask()
         except DeviceError as error:
-            return Trip(Cause.DRIVE_FAULT, plain(error))
+            return Trip(TripCause.DRIVE_FAULT, reason_of(error))

@@ -1,6 +1,9 @@
-"""What a hidden effect is: a frozen value with an amplitude, shape parameters, and hooks where it acts."""
+"""What a hidden effect is: a frozen value with an amplitude, shape parameters, and hooks where it acts.
 
-from collections.abc import Mapping
+Also the linear systems and the rate-independent hysteresis that several share, sampled with the record.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Annotated, ClassVar, Self, get_type_hints
@@ -8,19 +11,18 @@ from zlib import crc32
 
 import numpy as np
 
-from dragrig.sim_backend.blind.motion import Floats, Motion
-from dragrig.sim_backend.blind.programme import RunPlan
+from dragrig.sim_backend.blind.programme import Floats, RunPlan, SampledMotion
 
-DRAG = frozenset({"drag"})
-SLIDING = frozenset({"drag", "coulomb"})
-TISSUE = frozenset({"drag", "relaxation"})
-EVERY = frozenset({"drag", "coulomb", "relaxation", "blank"})
-STILL_MM_S = 0.05
+DRAG_RUNS = frozenset({"drag"})
+SLIDING_RUNS = frozenset({"drag", "coulomb"})
+TISSUE_RUNS = frozenset({"drag", "relaxation"})
+ALL_RUNS = frozenset({"drag", "coulomb", "relaxation", "blank"})
+SIGN_CHANGE_MM_S = 0.05
 """Width of the change of sign about standstill."""
 
 
 @dataclass(frozen=True, slots=True)
-class Draw:
+class DrawnFrom:
     """Range that a parameter is drawn from: uniform, or uniform in its logarithm, or of either sign."""
 
     low: float
@@ -35,11 +37,11 @@ class Draw:
         return float(value * (random.choice([-1.0, 1.0]) if self.signed else 1.0))
 
 
-Phase = Annotated[float, Draw(0.0, 2 * np.pi)]
+DrawnPhase = Annotated[float, DrawnFrom(0.0, 2 * np.pi)]
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class RunConditions:
     """One run as an effect sees it.
 
     `session_s` holds the session's time at every sample, `command` and `motion` the commanded and the true motion.
@@ -47,8 +49,8 @@ class Scene:
 
     run: RunPlan
     seed: int
-    command: Motion
-    motion: Motion
+    command: SampledMotion
+    motion: SampledMotion
 
     @property
     def session_s(self) -> Floats:
@@ -58,7 +60,7 @@ class Scene:
     @property
     def direction(self) -> Floats:
         """Sign of the true velocity, smooth about standstill, shape `(N,)`."""
-        return np.tanh(self.motion.v / STILL_MM_S)
+        return np.tanh(self.motion.v / SIGN_CHANGE_MM_S)
 
     @property
     def speed(self) -> Floats:
@@ -71,7 +73,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class CapsuleForces:
     """Forces on the capsule [mN]: elastic, viscous, Coulomb, and the normal force, each of shape `(N,)`."""
 
     elastic: Floats
@@ -81,23 +83,23 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class HiddenEffect:
     """A hidden effect; subclasses override the hooks of the place where it acts.
 
     `name` is the catalogue's id, or one that the catalogue does not have; `form` the functional form. Parameters are
-    fields annotated with the `Draw` they come from; `amplitude` is the one that the size scales.
+    fields annotated with the `DrawnFrom` they come from; `amplitude` is the one that the size scales.
     """
 
     amplitude: float
 
     name: ClassVar[str]
     form: ClassVar[str]
-    kinds: ClassVar[frozenset[str]] = EVERY
+    kinds: ClassVar[frozenset[str]] = ALL_RUNS
     rank: ClassVar[int] = 0
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
 
-    def motion(self, motion: Motion, scene: Scene) -> Motion:
+    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
         """Return the true motion, made from what is commanded."""
         return motion
 
@@ -114,7 +116,7 @@ class Effect:
         """Return what the stress has beyond the model at a contact age and a strain, as a part of E3."""
         return np.zeros_like(age_s)
 
-    def passing(self, scene: Scene) -> Floats:
+    def passing(self, scene: RunConditions) -> Floats:
         """Return the speed that decides where the wall is in contact [mm/s], shape `(N,)`."""
         return scene.speed
 
@@ -122,23 +124,23 @@ class Effect:
         """Return the share of the pressure left at x / L = `where` at a speed [mm/s]; the two broadcast."""
         return np.ones(np.broadcast_shapes(where.shape, speed.shape))
 
-    def friction(self, scene: Scene) -> Floats | float:
+    def friction(self, scene: RunConditions) -> Floats | float:
         """Return the relative change of μ, shape `(N,)`."""
         return 0.0
 
-    def grip(self, direction: Floats, scene: Scene) -> Floats:
+    def grip(self, direction: Floats, scene: RunConditions) -> Floats:
         """Return the share of the Coulomb force that acts, with its sign, shape `(N,)`."""
         return direction
 
-    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
         """Return a force on the capsule beyond the model [mN], shape `(N,)`."""
         return 0.0
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force that is recorded [mN] where `force` acts, shape `(N,)`."""
         return force
 
-    def position(self, position: Floats, force: Floats, scene: Scene) -> Floats:
+    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
         """Return the position that the encoder sees [mm], shape `(N,)`."""
         return position
 
@@ -161,8 +163,75 @@ class Effect:
         return MappingProxyType({one.name: float(getattr(self, one.name)) for one in fields(self)})
 
 
-def _range(cls: type[Effect], name: str, hint: object) -> Draw:
+def _range(cls: type[HiddenEffect], name: str, hint: object) -> DrawnFrom:
     for extra in getattr(hint, "__metadata__", ()):
-        if isinstance(extra, Draw):
+        if isinstance(extra, DrawnFrom):
             return extra
     raise TypeError(f"{cls.__name__}.{name} does not say what range it is drawn from")
+
+
+def second_order(values: Floats, natural: float, damping: float, t: Floats) -> Floats:
+    """Return the answer of ω² / (s² + 2ζωs + ω²), at rest before the first sample, input linear between samples."""
+    from scipy.signal import cont2discrete, lfilter
+
+    system = (np.array([natural**2]), np.array([1.0, 2 * damping * natural, natural**2]))
+    numerator, denominator, _ = cont2discrete(system, float(t[1] - t[0]), method="foh")
+    return np.asarray(lfilter(np.ravel(numerator), denominator, values))
+
+
+def low_pass(values: Floats, time_s: float, damping: float, t: Floats) -> Floats:
+    """Return the values through two poles at `1 / time_s`, or a pair of them with less damping."""
+    return second_order(values, 1 / time_s, damping, t)
+
+
+def resonance(values: Floats, hertz: float, damping: float, t: Floats) -> Floats:
+    """Return the values as a mass on a spring passes them on: the quasi-static part and the ringing."""
+    return second_order(values, 2 * np.pi * hertz, damping, t)
+
+
+def delayed(values: Floats, seconds: Floats | float, t: Floats) -> Floats:
+    """Return the values as they were `seconds` ago; the ends are held."""
+    return np.interp(t - seconds, t, values)
+
+
+def first_order(values: Floats, time_s: float, t: Floats) -> Floats:
+    """Return the values through one pole at `1 / time_s`, at rest before the first sample."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-(t[1] - t[0]) / time_s))
+    return np.asarray(lfilter([1 - kept], [1.0, -kept], values))
+
+
+def play_operator(values: Floats, half: float) -> Floats:
+    """Return the output of a play of half-width `half`: it follows only once the gap is taken up."""
+    out = np.empty_like(values)
+    last = float(values[0])
+    for piece, way in _monotone_pieces(values):
+        follows = values[piece] - way * half
+        out[piece] = np.maximum(last, follows) if way > 0 else np.minimum(last, follows)
+        last = float(out[piece][-1])
+    return out
+
+
+def dahl_operator(values: Floats, width: float) -> Floats:
+    """Return a state within −1 to 1 that approaches the sign of the input's motion over `width` of the input."""
+    state = np.empty_like(values)
+    last = 0.0
+    for piece, way in _monotone_pieces(values):
+        passed = np.abs(values[piece] - values[max(piece.start - 1, 0)])
+        state[piece] = way - (way - last) * np.exp(-passed / width)
+        last = float(state[piece][-1])
+    return state
+
+
+def _monotone_pieces(values: Floats) -> Iterator[tuple[slice, int]]:
+    """Give the stretches in which the input goes one way, and which way."""
+    ways = np.sign(np.diff(values, prepend=values[0]))
+    moved = np.flatnonzero(ways)
+    if not moved.size:
+        yield slice(0, values.size), 1
+        return
+    filled = ways[moved[np.clip(np.searchsorted(moved, np.arange(values.size), side="right") - 1, 0, None)]]
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(filled)) + 1, [values.size]])
+    for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        yield slice(start, end), int(filled[start])

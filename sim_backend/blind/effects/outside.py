@@ -1,37 +1,46 @@
-"""Hidden effects in the force that the catalogue does not have; the right verdict is `unknown`."""
+"""Hidden effects that the catalogue does not have, in force, position and time; the right verdict is `unknown`."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import DRAG, EVERY, SLIDING, Draw, Effect, Parts, Phase, Scene
-from dragrig.sim_backend.blind.motion import Floats
+from dragrig.sim_backend.blind.effects.base import (
+    ALL_RUNS,
+    DRAG_RUNS,
+    SLIDING_RUNS,
+    CapsuleForces,
+    DrawnFrom,
+    DrawnPhase,
+    HiddenEffect,
+    RunConditions,
+)
+from dragrig.sim_backend.blind.programme import Floats, RunPlan
 
 
 @dataclass(frozen=True, slots=True)
-class AmplifierSaturates(Effect):
+class AmplifierSaturates(HiddenEffect):
     """Above a load the amplifier passes on only a part of what comes."""
 
     name, form, rank = "amplifier_saturates", "hard knee", 2
-    amplitude: Annotated[float, Draw(0.7, 1.0)]
-    load_mN: Annotated[float, Draw(500.0, 1000.0)]
+    amplitude: Annotated[float, DrawnFrom(0.7, 1.0)]
+    load_mN: Annotated[float, DrawnFrom(500.0, 1000.0)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         return np.asarray(force - self.amplitude * np.maximum(force - self.load_mN, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
-class StickSlip(Effect):
+class StickSlip(HiddenEffect):
     """At low speed the capsule sticks and slips by lengths that are never the same."""
 
-    name, form, kinds = "stick_slip", "irregular saw", SLIDING
-    amplitude: Annotated[float, Draw(10.0, 25.0)]
-    slip_mm: Annotated[float, Draw(0.15, 0.6, log=True)]
-    speed_mm_s: Annotated[float, Draw(2.0, 4.0)]
+    name, form, kinds = "stick_slip", "irregular saw", SLIDING_RUNS
+    amplitude: Annotated[float, DrawnFrom(10.0, 25.0)]
+    slip_mm: Annotated[float, DrawnFrom(0.15, 0.6, log=True)]
+    speed_mm_s: Annotated[float, DrawnFrom(2.0, 4.0)]
 
-    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
         """Return the force [mN]."""
         p = scene.motion.p
         lengths = self.slip_mm * scene.random("stick").gamma(4.0, 0.25, int(p.max() / self.slip_mm * 2) + 20)
@@ -43,27 +52,27 @@ class StickSlip(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentCrosstalk(Effect):
+class CurrentCrosstalk(HiddenEffect):
     """The motor's current couples into the force channel in proportion to the commanded speed [mN at 60 mm/s]."""
 
     name, form, rank = "current_crosstalk", "proportional to speed", 2
-    amplitude: Annotated[float, Draw(10.0, 25.0, signed=True)]
+    amplitude: Annotated[float, DrawnFrom(10.0, 25.0, signed=True)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         return force + self.amplitude * np.abs(scene.command.v) / 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class LooseCoupling(Effect):
+class LooseCoupling(HiddenEffect):
     """A loose coupling lets the force drop for stretches of random length."""
 
-    name, form, kinds = "loose_coupling", "random stretches", SLIDING
-    amplitude: Annotated[float, Draw(0.15, 0.45)]
-    length_mm: Annotated[float, Draw(1.5, 6.0)]
-    share: Annotated[float, Draw(0.15, 0.35)]
+    name, form, kinds = "loose_coupling", "random stretches", SLIDING_RUNS
+    amplitude: Annotated[float, DrawnFrom(0.15, 0.45)]
+    length_mm: Annotated[float, DrawnFrom(1.5, 6.0)]
+    share: Annotated[float, DrawnFrom(0.15, 0.35)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         p, random = scene.motion.p, scene.random("coupling")
         firm = random.exponential(self.length_mm * (1 / self.share - 1), 200)
@@ -74,27 +83,27 @@ class LooseCoupling(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GainSwitches(Effect):
+class GainSwitches(HiddenEffect):
     """The amplifier comes up with one of two gains, by chance from run to run."""
 
     name, form, rank = "gain_switches", "two gains", 2
-    amplitude: Annotated[float, Draw(0.10, 0.30)]
+    amplitude: Annotated[float, DrawnFrom(0.10, 0.30)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         return force * (1 - self.amplitude * float(scene.random("gain").random() < 0.5))
 
 
 @dataclass(frozen=True, slots=True)
-class FixtureCreeps(Effect):
+class FixtureCreeps(HiddenEffect):
     """The fixture gives way while the stage moves and creeps back after it stops, with nothing attached too."""
 
     name, form = "fixture_creeps", "two times"
-    amplitude: Annotated[float, Draw(8.0, 20.0)]
-    out_s: Annotated[float, Draw(0.3, 1.5)]
-    back_s: Annotated[float, Draw(0.5, 2.0)]
+    amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
+    out_s: Annotated[float, DrawnFrom(0.3, 1.5)]
+    back_s: Annotated[float, DrawnFrom(0.5, 2.0)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         go, _, _, stop = scene.run.bounds_s
         t = scene.motion.t
@@ -103,62 +112,62 @@ class FixtureCreeps(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class FoamResonance(Effect):
+class FoamResonance(HiddenEffect):
     """Extra force inside one band of speed, where the foam resonates."""
 
-    name, form, kinds = "foam_resonance", "peak in ln v", DRAG
-    amplitude: Annotated[float, Draw(12.0, 28.0)]
-    speed_mm_s: Annotated[float, Draw(7.0, 14.0)]
-    width: Annotated[float, Draw(0.25, 0.5)]
+    name, form, kinds = "foam_resonance", "peak in ln v", DRAG_RUNS
+    amplitude: Annotated[float, DrawnFrom(12.0, 28.0)]
+    speed_mm_s: Annotated[float, DrawnFrom(7.0, 14.0)]
+    width: Annotated[float, DrawnFrom(0.25, 0.5)]
 
-    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
         """Return the force [mN]."""
         off = np.log(np.maximum(scene.speed, 1e-6) / self.speed_mm_s) / self.width
         return np.asarray(self.amplitude * scene.direction * np.exp(-(off**2)))
 
 
 @dataclass(frozen=True, slots=True)
-class WallSeam(Effect):
+class WallSeam(HiddenEffect):
     """A seam in the wall: one bump at one position."""
 
-    name, form, kinds = "wall_seam", "single bump", DRAG
-    amplitude: Annotated[float, Draw(12.0, 30.0)]
-    place_mm: Annotated[float, Draw(8.0, 24.0)]
-    width_mm: Annotated[float, Draw(0.8, 2.5)]
+    name, form, kinds = "wall_seam", "single bump", DRAG_RUNS
+    amplitude: Annotated[float, DrawnFrom(12.0, 30.0)]
+    place_mm: Annotated[float, DrawnFrom(8.0, 24.0)]
+    width_mm: Annotated[float, DrawnFrom(0.8, 2.5)]
 
-    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
         """Return the force [mN]."""
         return np.asarray(self.amplitude * np.exp(-(((scene.motion.p - self.place_mm) / self.width_mm) ** 2)))
 
 
 @dataclass(frozen=True, slots=True)
-class ThermostatZero(Effect):
+class ThermostatZero(HiddenEffect):
     """The zero follows the room's heating, which switches on and off at times of the session, in every run."""
 
     name, form, rank = "thermostat_zero", "saw of session time", 2
-    amplitude: Annotated[float, Draw(8.0, 20.0)]
-    period_s: Annotated[float, Draw(9.0, 20.0)]
-    on: Annotated[float, Draw(0.15, 0.35)]
-    phase: Phase
+    amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
+    period_s: Annotated[float, DrawnFrom(9.0, 20.0)]
+    on: Annotated[float, DrawnFrom(0.15, 0.35)]
+    phase: DrawnPhase
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         turn = np.mod(scene.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
         return force + self.amplitude * (np.where(turn < self.on, turn / self.on, (1 - turn) / (1 - self.on)) - 0.5)
 
 
 @dataclass(frozen=True, slots=True)
-class TableVibration(Effect):
+class TableVibration(HiddenEffect):
     """The table shakes at a few hertz in every run, now more, now less."""
 
     name, form = "table_vibration", "narrow band"
-    amplitude: Annotated[float, Draw(4.0, 10.0)]
-    hertz: Annotated[float, Draw(3.0, 8.0)]
-    damping: Annotated[float, Draw(0.01, 0.04)]
+    amplitude: Annotated[float, DrawnFrom(4.0, 10.0)]
+    hertz: Annotated[float, DrawnFrom(3.0, 8.0)]
+    damping: Annotated[float, DrawnFrom(0.01, 0.04)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
-        from dragrig.sim_backend.blind.effects.linear import resonance
+        from dragrig.sim_backend.blind.effects.base import resonance
 
         t = scene.motion.t
         before = 2000
@@ -169,26 +178,26 @@ class TableVibration(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class MissingBits(Effect):
+class MissingBits(HiddenEffect):
     """The converter has lost its lowest bits: the force comes in steps [mN]."""
 
     name, form, rank = "missing_bits", "steps", 4
-    amplitude: Annotated[float, Draw(12.0, 24.0)]
+    amplitude: Annotated[float, DrawnFrom(12.0, 24.0)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         return np.round(force / self.amplitude) * self.amplitude if self.amplitude else force
 
 
 @dataclass(frozen=True, slots=True)
-class Suction(Effect):
+class Suction(HiddenEffect):
     """Suction that grows while the capsule stands and breaks as it moves."""
 
-    name, form, kinds = "suction", "grows at standstill", DRAG
-    amplitude: Annotated[float, Draw(10.0, 25.0)]
-    time_s: Annotated[float, Draw(0.5, 2.0)]
+    name, form, kinds = "suction", "grows at standstill", DRAG_RUNS
+    amplitude: Annotated[float, DrawnFrom(10.0, 25.0)]
+    time_s: Annotated[float, DrawnFrom(0.5, 2.0)]
 
-    def pull(self, parts: Parts, scene: Scene) -> Floats | float:
+    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
         """Return the force [mN]."""
         t, (go, _, _, stop) = scene.motion.t, scene.run.bounds_s
         standing = np.where(t < go, t, np.maximum(t - stop, 0.0))
@@ -196,33 +205,77 @@ class Suction(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class BrakeClamps(Effect):
+class BrakeClamps(HiddenEffect):
     """A brake closes some time after the stop and loads the sensor, the same way in every run."""
 
     name, form = "brake_clamps", "step after the stop"
-    amplitude: Annotated[float, Draw(8.0, 20.0, signed=True)]
-    after_s: Annotated[float, Draw(0.3, 1.5)]
+    amplitude: Annotated[float, DrawnFrom(8.0, 20.0, signed=True)]
+    after_s: Annotated[float, DrawnFrom(0.3, 1.5)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         return force + self.amplitude * (scene.motion.t > scene.run.bounds_s[3] + self.after_s)
 
 
 @dataclass(frozen=True, slots=True)
-class CableLoop(Effect):
+class CableLoop(HiddenEffect):
     """A cable that drags: its loop pushes in the middle of the stroke and pulls at the end, blanks included."""
 
-    name, form, kinds = "cable_loop", "one arch", EVERY
-    amplitude: Annotated[float, Draw(8.0, 20.0)]
-    place_mm: Annotated[float, Draw(14.0, 26.0)]
+    name, form, kinds = "cable_loop", "one arch", ALL_RUNS
+    amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
+    place_mm: Annotated[float, DrawnFrom(14.0, 26.0)]
 
-    def sensor(self, force: Floats, scene: Scene) -> Floats:
+    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
         """Return the force recorded."""
         p = scene.motion.p / self.place_mm
         return np.asarray(force + self.amplitude * p * (1 - p))
 
 
-FORMS: tuple[type[Effect], ...] = (
+OUTSIDE_FORCE_FORMS: tuple[type[HiddenEffect], ...] = (
     AmplifierSaturates, StickSlip, CurrentCrosstalk, LooseCoupling, GainSwitches, FixtureCreeps, FoamResonance,
     WallSeam, ThermostatZero, TableVibration, MissingBits, Suction, BrakeClamps, CableLoop,
 )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderMisses(HiddenEffect):
+    """The encoder misses counts, or counts twice, at random places; the amplitude is the distance of one jump [mm]."""
+
+    name, form, channel = "encoder_misses", "random jumps", "position"
+    amplitude: Annotated[float, DrawnFrom(0.05, 0.25, log=True)]
+    every_mm: Annotated[float, DrawnFrom(4.0, 15.0)]
+
+    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
+        """Return the position the encoder sees."""
+        random = scene.random("misses")
+        at = np.cumsum(random.exponential(self.every_mm, 60))
+        lost = self.amplitude * random.standard_normal(at.size)
+        return np.asarray(position - np.concatenate([[0.0], np.cumsum(lost)])[np.searchsorted(at, position)])
+
+
+@dataclass(frozen=True, slots=True)
+class StageYields(HiddenEffect):
+    """The stage yields elastically under the measured force [mm at 1 N], and nothing brings it back to the command."""
+
+    name, form, channel = "stage_yields", "spring", "position"
+    amplitude: Annotated[float, DrawnFrom(0.10, 0.40, log=True)]
+
+    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
+        """Return the position the encoder sees."""
+        return np.asarray(position - self.amplitude * (force - force[0]) / 1000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOff(HiddenEffect):
+    """The sampling clock is off by a part in some of the runs."""
+
+    name, form, channel = "clock_off", "some runs", "position"
+    amplitude: Annotated[float, DrawnFrom(0.01, 0.04, signed=True)]
+
+    def clock(self, run: RunPlan, t: Floats, seed: int) -> Floats:
+        """Return the true times of the samples."""
+        wrong = np.random.default_rng((seed, run.order, 77)).random() < 0.5
+        return t * (1 + self.amplitude) if wrong else t
+
+
+OUTSIDE_POSITION_FORMS: tuple[type[HiddenEffect], ...] = (EncoderMisses, StageYields, ClockOff)

@@ -1,4 +1,4 @@
-"""The part of NI-DAQmx's fixed vocabulary that the card's double speaks: status codes and constants, by NI's names.
+"""NI-DAQmx's status codes, constants and attributes that the card's double implements, with NI's names and numbers.
 
 The numbers are those of NIDAQmx.h; `nidaqmx.error_codes` and `nidaqmx.constants` list the same.
 """
@@ -6,7 +6,7 @@ The numbers are those of NIDAQmx.h; `nidaqmx.error_codes` and `nidaqmx.constants
 from enum import IntEnum
 
 
-class Code(IntEnum):
+class StatusCode(IntEnum):
     """Status codes."""
 
     INVALID_ATTRIBUTE_VALUE = -200077
@@ -74,7 +74,7 @@ class ChannelKind(IntEnum):
     DIGITAL_OUTPUT = 10153
 
 
-class Action(IntEnum):
+class TaskAction(IntEnum):
     """What `control` does to a task."""
 
     START = 0
@@ -86,7 +86,7 @@ class Action(IntEnum):
     ABORT = 6
 
 
-class Quantity(IntEnum):
+class SampleMode(IntEnum):
     """How many samples a task takes."""
 
     FINITE = 10178
@@ -94,14 +94,14 @@ class Quantity(IntEnum):
     SINGLE_POINT = 12522
 
 
-class Fill(IntEnum):
+class FillMode(IntEnum):
     """How samples of several channels lie in an array."""
 
     BY_CHANNEL = 0
     BY_SCAN = 1
 
 
-class RelativeTo(IntEnum):
+class ReadRelativeTo(IntEnum):
     """Where a read begins; its offset is added."""
 
     FIRST_SAMPLE = 10424
@@ -117,7 +117,7 @@ class Decoding(IntEnum):
     X4 = 10092
 
 
-class Length(IntEnum):
+class LengthUnit(IntEnum):
     """Units of a linear encoder's position."""
 
     METERS = 10219
@@ -125,7 +125,7 @@ class Length(IntEnum):
     TICKS = 10304
 
 
-class Terminals(IntEnum):
+class TerminalConfiguration(IntEnum):
     """How an analog input is wired."""
 
     DEFAULT = -1
@@ -134,7 +134,7 @@ class Terminals(IntEnum):
     DIFFERENTIAL = 10106
 
 
-class Grouping(IntEnum):
+class LineGrouping(IntEnum):
     """Whether digital lines make a channel each or one together."""
 
     CHANNEL_PER_LINE = 0
@@ -146,3 +146,192 @@ class Regeneration(IntEnum):
 
     ALLOWED = 10097
     NOT_ALLOWED = 10158
+
+
+class ChannelAttribute(IntEnum):
+    """Of virtual channels."""
+
+    TYPE = 0x187F
+    PHYSICAL = 0x18F5
+    AI_MAX = 0x17DD
+    AI_MIN = 0x17DE
+    AI_RANGE_HIGH = 0x1815
+    AI_RANGE_LOW = 0x1816
+    AI_TERMINALS = 0x1097
+    AI_MEASURES = 0x0695
+    AO_MAX = 0x1186
+    AO_MIN = 0x1187
+    CI_MEASURES = 0x18A0
+    CI_COUNT = 0x0148
+    CI_DECODING = 0x21E6
+    CI_Z_ENABLE = 0x0890
+    CI_Z_VALUE = 0x0888
+    CI_Z_PHASE = 0x0889
+    CI_A_TERMINAL = 0x219D
+    CI_B_TERMINAL = 0x219E
+    CI_Z_TERMINAL = 0x219F
+    CI_A_FILTER = 0x21FB
+    CI_A_FILTER_S = 0x21FC
+    CI_B_FILTER = 0x2200
+    CI_B_FILTER_S = 0x2201
+    CI_Z_FILTER = 0x2205
+    CI_Z_FILTER_S = 0x2206
+    CI_DISTANCE_PER_PULSE = 0x0911
+    CI_INITIAL_POSITION = 0x0915
+    CI_UNITS = 0x18A9
+
+
+class ReadAttribute(IntEnum):
+    """Of reading."""
+
+    RELATIVE_TO = 0x190A
+    OFFSET = 0x190B
+    OVERWRITE = 0x1211
+    AVAILABLE = 0x1223
+    TOTAL = 0x192A
+    POSITION = 0x1221
+    AUTO_START = 0x1826
+    ALL_AVAILABLE = 0x1215
+    CHANNELS = 0x1823
+    NUM_CHANNELS = 0x217B
+    LINES_PER_CHANNEL = 0x217C
+    DEFAULT_SAMPLES = 0x31E8
+
+
+class WriteAttribute(IntEnum):
+    """Of writing."""
+
+    REGENERATION = 0x1453
+    SPACE = 0x1460
+    TOTAL = 0x192B
+    POSITION = 0x1458
+    NUM_CHANNELS = 0x217E
+    LINES_PER_CHANNEL = 0x217F
+
+
+class BufferAttribute(IntEnum):
+    """Of buffers."""
+
+    INPUT = 0x186C
+    INPUT_ONBOARD = 0x230A
+    OUTPUT = 0x186D
+
+
+class TimingAttribute(IntEnum):
+    """Of timing."""
+
+    RATE = 0x1344
+    MAX_RATE = 0x22C8
+    SOURCE = 0x1852
+    TYPE = 0x1347
+    QUANTITY = 0x1300
+    SAMPLES = 0x1310
+
+
+class TaskAttribute(IntEnum):
+    """Of tasks."""
+
+    NAME = 0x1276
+    CHANNELS = 0x1273
+    NUM_CHANNELS = 0x2181
+    DEVICES = 0x230E
+    NUM_DEVICES = 0x29BA
+    COMPLETE = 0x1274
+
+
+class DeviceAttribute(IntEnum):
+    """Of devices."""
+
+    PRODUCT = 0x0631
+    SERIAL = 0x0632
+    PRODUCT_NUMBER = 0x231D
+    SIMULATED = 0x22CA
+    CATEGORY = 0x29A9
+    BUS = 0x2326
+    TERMINALS = 0x2A40
+    AI = 0x231E
+    AO = 0x231F
+    CI = 0x2324
+    CO = 0x2325
+    DI_LINES = 0x2320
+    DI_PORTS = 0x2321
+    DO_LINES = 0x2322
+    DO_PORTS = 0x2323
+    AI_MAX_SINGLE_RATE = 0x298C
+    AI_MAX_RATE = 0x298D
+    AI_RANGES = 0x2990
+    AO_RANGES = 0x299B
+
+
+class SystemAttribute(IntEnum):
+    """Of the driver."""
+
+    MAJOR = 0x1272
+    MINOR = 0x1923
+    UPDATE = 0x2F22
+    DEVICES = 0x193B
+    TASKS = 0x1267
+    CHANNELS = 0x1265
+    SCALES = 0x1266
+
+
+_ATTRIBUTE_TYPES: dict[str, dict[str, tuple[IntEnum, ...]]] = {
+    "task": {
+        "string": (TaskAttribute.NAME, TaskAttribute.CHANNELS, TaskAttribute.DEVICES),
+        "uint32": (TaskAttribute.NUM_CHANNELS, TaskAttribute.NUM_DEVICES),
+        "bool": (TaskAttribute.COMPLETE,),
+    },
+    "chan": {
+        "string": (ChannelAttribute.PHYSICAL, ChannelAttribute.CI_A_TERMINAL, ChannelAttribute.CI_B_TERMINAL, ChannelAttribute.CI_Z_TERMINAL),
+        "int32": (ChannelAttribute.TYPE, ChannelAttribute.AI_TERMINALS, ChannelAttribute.AI_MEASURES, ChannelAttribute.CI_MEASURES, ChannelAttribute.CI_DECODING,
+                  ChannelAttribute.CI_Z_PHASE, ChannelAttribute.CI_UNITS),
+        "uint32": (ChannelAttribute.CI_COUNT,),
+        "bool": (ChannelAttribute.CI_Z_ENABLE, ChannelAttribute.CI_A_FILTER, ChannelAttribute.CI_B_FILTER, ChannelAttribute.CI_Z_FILTER),
+        "double": (ChannelAttribute.AI_MAX, ChannelAttribute.AI_MIN, ChannelAttribute.AI_RANGE_HIGH, ChannelAttribute.AI_RANGE_LOW, ChannelAttribute.AO_MAX, ChannelAttribute.AO_MIN,
+                   ChannelAttribute.CI_Z_VALUE, ChannelAttribute.CI_A_FILTER_S, ChannelAttribute.CI_B_FILTER_S, ChannelAttribute.CI_Z_FILTER_S,
+                   ChannelAttribute.CI_DISTANCE_PER_PULSE, ChannelAttribute.CI_INITIAL_POSITION),
+    },
+    "read": {
+        "string": (ReadAttribute.CHANNELS,),
+        "int32": (ReadAttribute.RELATIVE_TO, ReadAttribute.OFFSET, ReadAttribute.OVERWRITE),
+        "uint32": (ReadAttribute.AVAILABLE, ReadAttribute.NUM_CHANNELS, ReadAttribute.LINES_PER_CHANNEL, ReadAttribute.DEFAULT_SAMPLES),
+        "uint64": (ReadAttribute.TOTAL, ReadAttribute.POSITION),
+        "bool": (ReadAttribute.AUTO_START, ReadAttribute.ALL_AVAILABLE),
+    },
+    "write": {
+        "int32": (WriteAttribute.REGENERATION,),
+        "uint32": (WriteAttribute.SPACE, WriteAttribute.NUM_CHANNELS, WriteAttribute.LINES_PER_CHANNEL),
+        "uint64": (WriteAttribute.TOTAL, WriteAttribute.POSITION),
+    },
+    "buffer": {"uint32": (BufferAttribute.INPUT, BufferAttribute.INPUT_ONBOARD, BufferAttribute.OUTPUT)},
+    "timing": {
+        "string": (TimingAttribute.SOURCE,),
+        "int32": (TimingAttribute.TYPE, TimingAttribute.QUANTITY),
+        "uint64": (TimingAttribute.SAMPLES,),
+        "double": (TimingAttribute.RATE, TimingAttribute.MAX_RATE),
+    },
+    "device": {
+        "string": (DeviceAttribute.PRODUCT, DeviceAttribute.TERMINALS, DeviceAttribute.AI, DeviceAttribute.AO, DeviceAttribute.CI, DeviceAttribute.CO, DeviceAttribute.DI_LINES,
+                   DeviceAttribute.DI_PORTS, DeviceAttribute.DO_LINES, DeviceAttribute.DO_PORTS),
+        "int32": (DeviceAttribute.CATEGORY, DeviceAttribute.BUS),
+        "uint32": (DeviceAttribute.SERIAL, DeviceAttribute.PRODUCT_NUMBER),
+        "bool": (DeviceAttribute.SIMULATED,),
+        "double": (DeviceAttribute.AI_MAX_SINGLE_RATE, DeviceAttribute.AI_MAX_RATE),
+        "double[]": (DeviceAttribute.AI_RANGES, DeviceAttribute.AO_RANGES),
+    },
+    "system": {
+        "string": (SystemAttribute.DEVICES, SystemAttribute.TASKS, SystemAttribute.CHANNELS, SystemAttribute.SCALES),
+        "uint32": (SystemAttribute.MAJOR, SystemAttribute.MINOR, SystemAttribute.UPDATE),
+    },
+}  # fmt: skip
+
+
+def attribute_type(group: str, attribute: int) -> str | None:
+    """Return the C type of an attribute's value; None for one that the double does not know.
+
+    It is one of int32, uint32, uint64, bool, double, string and double[].
+    """
+    for name, attributes in _ATTRIBUTE_TYPES.get(group, {}).items():
+        if attribute in attributes:
+            return name
+    return None

@@ -5,7 +5,7 @@ from nidaqmx.errors import DaqError
 from nidaqmx.utils import unflatten_channel_string
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.doubles.card.daqmx import CardError, Code, Terminals
+from dragrig.sim_backend.doubles.card.daqmx import CardError, StatusCode, TerminalConfiguration
 
 PRODUCT = "PCI-6229"
 PRODUCT_NUMBER = 0x70AA
@@ -55,10 +55,10 @@ def physical_names(text: str, device: str) -> list[str]:
     for name in names:
         owner, _, rest = name.strip().lstrip("/").partition("/")
         if owner.lower() != device.lower():
-            raise CardError(Code.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {owner}")
+            raise CardError(StatusCode.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {owner}")
         found.append(rest)
     if not found:
-        raise CardError(Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "Physical channel not specified.")
+        raise CardError(StatusCode.PHYSICAL_CHAN_DOES_NOT_EXIST, "Physical channel not specified.")
     return found
 
 
@@ -68,7 +68,7 @@ def known(name: str, names: tuple[str, ...], device: str) -> str:
         if one.lower() == name.lower():
             return one
     raise CardError(
-        Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+        StatusCode.PHYSICAL_CHAN_DOES_NOT_EXIST,
         f"Physical channel specified does not exist on this device.\n\nPhysical Channel Name: {name}\nDevice: {device}",
     )
 
@@ -83,7 +83,7 @@ def terminal(text: str, device: str) -> str:
         if one.lower() == plain.lower():
             return one
     raise CardError(
-        Code.INVALID_TERMINAL,
+        StatusCode.INVALID_TERMINAL,
         f"Source terminal to be routed could not be found on the device.\n\nSource Terminal: {text}\nDevice: {device}",
     )
 
@@ -97,14 +97,16 @@ def input_range(channel: str, terminals: int, min_V: float, max_V: float) -> flo
         For limits beyond ±10 V or the wrong way round, and for wiring that the channel does not have.
     """
     if min_V >= max_V:
-        raise CardError(Code.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
+        raise CardError(StatusCode.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
     try:
-        wired = Terminals(terminals)
+        wired = TerminalConfiguration(terminals)
     except ValueError as error:
-        raise CardError(Code.INVALID_ATTRIBUTE_VALUE, f"There is no terminal configuration {terminals}.") from error
-    if wired in {Terminals.DEFAULT, Terminals.DIFFERENTIAL} and channel not in AI_DIFFERENTIAL:
         raise CardError(
-            Code.INVALID_ATTRIBUTE_VALUE,
+            StatusCode.INVALID_ATTRIBUTE_VALUE, f"There is no terminal configuration {terminals}."
+        ) from error
+    if wired in {TerminalConfiguration.DEFAULT, TerminalConfiguration.DIFFERENTIAL} and channel not in AI_DIFFERENTIAL:
+        raise CardError(
+            StatusCode.INVALID_ATTRIBUTE_VALUE,
             f"Requested value is not a supported value for this property.\n\nProperty: AI.TermCfg\nChannel: {channel} "
             "has no differential pair of its own",
         )
@@ -113,7 +115,7 @@ def input_range(channel: str, terminals: int, min_V: float, max_V: float) -> flo
         if furthest <= range_V:
             return range_V
     raise CardError(
-        Code.INVALID_ATTRIBUTE_VALUE,
+        StatusCode.INVALID_ATTRIBUTE_VALUE,
         f"Requested value is not a supported value for this property.\n\nProperty: AI.Max\nRequested: {furthest:g} V\n"
         f"Maximum Value: {AI_RANGES_V[-1]:g}",
     )

@@ -1,0 +1,476 @@
+"""Excess of residuals over noise and repeatability, in bins fixed beforehand, and its significance by permutation.
+
+Whole runs are permuted, because blocks of one run are not independent. Excess energies have long tails; therefore
+their square roots, with sign, are compared, and p-values are familywise over all bins of an axis.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.rig.arrays import BoolArray, FloatArray, PhaseArray
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import Phase
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandPowers:
+    """Mean squares of a steady phase, its mean taken off, by the bands of `BANDS_HZ`.
+
+    Attributes
+    ----------
+    shown
+        What the residual has [the channel's unit squared], shape `(bands,)`.
+    expected
+        What noise has.
+    """
+
+    shown: FloatArray
+    expected: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualBlocks:
+    """What the nominal model, refitted, leaves of one channel of one run: means over `B` blocks.
+
+    Attributes
+    ----------
+    run_id
+        The run; its channels share it.
+    channel
+        `force` or `position`.
+    kind
+        The run's protocol.
+    contact
+        How capsule and gut met.
+    speed_mm_s
+        Commanded top speed.
+    strain
+        Commanded shear strain; 0 where nothing is sheared.
+    session_s
+        The first sample on the session's clock.
+    residual
+        Measured less model [the channel's unit], shape `(B,)`.
+    noise_sd
+        What it is expected to be without a gap: noise, repeatability and tolerance in one standard deviation.
+    width_s
+        Durations of the blocks.
+    time_s
+        Their middles, from the first sample on.
+    phase
+        Their phases.
+    position_mm
+        Where the stage is, from the first sample on.
+    bands
+        The steady phase by frequency, from the whole trace; from the blocks where it is missing.
+    origin_mm
+        Where on the rig the run begins.
+    level_mN
+        The force that was measured, shape `(B,)`, where it is at hand.
+    explained
+        What an effect that is known to be there adds to the residual [the channel's unit], shape `(B,)`: it is looked
+        at instead of the residual, and all of it is excess.
+    """
+
+    run_id: str
+    channel: str
+    kind: str
+    contact: Contact
+    speed_mm_s: float
+    strain: float
+    session_s: float
+    residual: FloatArray
+    noise_sd: FloatArray
+    width_s: FloatArray
+    time_s: FloatArray
+    phase: PhaseArray
+    position_mm: FloatArray
+    bands: BandPowers | None = None
+    level_mN: FloatArray | None = None
+    explained: FloatArray | None = None
+    origin_mm: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""
+        level = self.residual if self.level_mN is None else self.level_mN
+        arrays = (self.residual, self.noise_sd, self.width_s, self.time_s, self.phase, self.position_mm, level)
+        if len({one.shape for one in arrays}) != 1 or self.residual.ndim != 1 or not self.residual.size:
+            raise ValueError(f"Blocks of run {self.run_id} differ in their number, or there are none")
+        if not (np.isfinite(self.residual).all() and (self.noise_sd > 0).all() and (self.width_s > 0).all()):
+            raise ValueError(f"Blocks of run {self.run_id} need finite residuals, positive noise and positive widths")
+
+    @property
+    def deviation(self) -> FloatArray:
+        """The residual, or what is explained of it, over what is expected of it, shape `(B,)`."""
+        looked_at = self.residual if self.explained is None else self.explained
+        return np.asarray(looked_at / self.noise_sd)
+
+    @property
+    def weight(self) -> FloatArray:
+        """Each block's part of the run's duration, shape `(B,)`."""
+        return np.asarray(self.width_s / self.width_s.sum())
+
+    @property
+    def excess(self) -> FloatArray:
+        """Each block's part of the run's mean square above the expected one, in units of it, shape `(B,)`."""
+        return np.asarray(self.weight * (self.deviation**2 - (self.explained is None)))
+
+
+BANDS_HZ: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""Edges of the bands; the constant part belongs to none."""
+
+MIN_SPECTRUM_BLOCKS = 4
+
+
+def band_powers(signal: FloatArray, rate_hz: float) -> FloatArray:
+    """Return the mean square of an even signal in each band, its mean taken off, shape `(n,)` to `(bands,)`.
+
+    All bands together have the signal's variance, but for what lies above the last edge.
+    """
+    spectrum = np.abs(np.fft.rfft(signal - signal.mean())) ** 2 / signal.size**2
+    spectrum[1:] *= 2.0
+    if signal.size % 2 == 0:
+        spectrum[-1] /= 2.0
+    frequency = np.fft.rfftfreq(signal.size, 1 / rate_hz)
+    return np.asarray(np.histogram(frequency[1:], BANDS_HZ, weights=spectrum[1:])[0])
+
+
+def band_excess(blocks: ResidualBlocks) -> FloatArray:
+    """Return the excess of the steady phase by band, as a part of the run's expected mean square, shape `(bands,)`.
+
+    Without the trace's own powers the blocks are read as a staircase at their usual width, with white noise.
+    """
+    steady = blocks.phase == Phase.STEADY
+    nothing = np.zeros(len(BANDS_HZ) - 1)
+    if not steady.any():
+        return nothing
+    share = float(blocks.weight[steady].sum())
+    if blocks.bands is not None:
+        expected = float(np.average(blocks.noise_sd[steady] ** 2, weights=blocks.width_s[steady]))
+        return np.asarray(share * (blocks.bands.shown - blocks.bands.expected) / expected)
+    step = float(np.median(blocks.width_s[steady]))
+    time, value = blocks.time_s[steady], blocks.deviation[steady]
+    count = int((time[-1] - time[0]) / step + 1e-6) + 1
+    if count < MIN_SPECTRUM_BLOCKS:
+        return nothing
+    grid = time[0] + step * np.arange(count)
+    nearest = np.clip(np.searchsorted(0.5 * (time[1:] + time[:-1]), grid), 0, time.size - 1)
+    lines = np.histogram(np.fft.rfftfreq(count, step)[1:], BANDS_HZ)[0]
+    return np.asarray(share * (band_powers(value[nearest], 1 / step) - lines / max(int(lines.sum()), 1)))
+
+
+CHANNELS = ("force", "position")
+PROTOCOLS = ("drag", "coulomb", "relaxation", "blank")
+PHASE_NAMES = tuple(one.name.lower() for one in Phase)
+POSITION_BINS, SESSION_BINS = 10, 8
+
+IndexArray = npt.NDArray[np.intp]
+
+
+class ComparisonBasis(StrEnum):
+    """What the excess in a bin is compared with."""
+
+    RUNS = "runs"
+    """Other runs of the same kind, where a run lies in one bin as a whole."""
+    REST = "rest"
+    """The rest of the run, where every run has a part in the bin."""
+    NOISE = "noise"
+    """What is expected, where bins differ in what noise has in them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExcessAxis:
+    """One way to divide the excess of `R` runs into `J` bins.
+
+    Attributes
+    ----------
+    name
+        As in the report.
+    labels
+        Names of the bins, or none where `edges` has their ends.
+    edges
+        Lower and upper end of each bin, shape `(J, 2)`.
+    energy
+        Excess of each run in each bin, in units of the expected mean square, shape `(R, J)`.
+    time
+        Part of each run's duration in each bin, shape `(R, J)`.
+    against
+        What the excess in a bin is compared with.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    edges: FloatArray
+    energy: FloatArray
+    time: FloatArray
+    against: ComparisonBasis
+
+    @property
+    def ordered(self) -> bool:
+        """Whether neighbouring bins belong together."""
+        return not self.labels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignResiduals:
+    """The runs of a campaign in order of their kinds, with the blocks of each run's channels."""
+
+    ids: tuple[str, ...]
+    blocks: tuple[tuple[ResidualBlocks, ...], ...]
+
+    @classmethod
+    def of(cls, blocks: Sequence[ResidualBlocks]) -> "CampaignResiduals":
+        """Gather channels by run."""
+        by_run: dict[str, list[ResidualBlocks]] = {}
+        for one in blocks:
+            by_run.setdefault(one.run_id, []).append(one)
+        names = sorted(by_run, key=lambda name: (by_run[name][0].kind, by_run[name][0].session_s, name))
+        return cls(tuple(names), tuple(tuple(by_run[name]) for name in names))
+
+    @property
+    def first(self) -> tuple[ResidualBlocks, ...]:
+        """One channel of each run, for what belongs to the run as a whole."""
+        return tuple(channels[0] for channels in self.blocks)
+
+    @property
+    def energy(self) -> FloatArray:
+        """Excess of each run, shape `(R,)`."""
+        return np.array([sum(float(one.excess.sum()) for one in channels) for channels in self.blocks])
+
+    @property
+    def stratum(self) -> IndexArray:
+        """Number of each run's kind, rising, shape `(R,)`."""
+        return np.asarray(np.unique([one.kind for one in self.first], return_inverse=True)[1])
+
+
+def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
+    """Return all axes of a campaign."""
+    return (_channel_axis(runs), _protocol_axis(runs), _phase_axis(runs), _speed_axis(runs), _position_axis(runs), _session_axis(runs),
+            _strain_axis(runs), _band_axis(runs))  # fmt: skip
+
+
+def _channel_axis(runs: CampaignResiduals) -> ExcessAxis:
+    names = [one.channel for channels in runs.blocks for one in channels]
+    labels = tuple(dict.fromkeys((*CHANNELS, *names)))
+    energy, time = np.zeros((2, len(runs.ids), len(labels)))
+    for row, channels in enumerate(runs.blocks):
+        for one in channels:
+            energy[row, labels.index(one.channel)] += one.excess.sum()
+            time[row, labels.index(one.channel)] = 1.0
+    return ExcessAxis("channel", labels, _no_edges(labels), energy, time, ComparisonBasis.REST)
+
+
+def _protocol_axis(runs: CampaignResiduals) -> ExcessAxis:
+    kinds = [one.kind for one in runs.first]
+    labels = tuple(dict.fromkeys((*PROTOCOLS, *kinds)))
+    member = np.array(kinds)[:, None] == np.array(labels)
+    return _whole_run_axis("protocol", labels, _no_edges(labels), runs, member)
+
+
+def _phase_axis(runs: CampaignResiduals) -> ExcessAxis:
+    energy, time = _excess_within_runs(runs, lambda one: one.phase.astype(np.intp), len(PHASE_NAMES))
+    return ExcessAxis("phase", PHASE_NAMES, _no_edges(PHASE_NAMES), energy, time, ComparisonBasis.REST)
+
+
+def _speed_axis(runs: CampaignResiduals) -> ExcessAxis:
+    moves = np.array([one.contact is not Contact.STICKING for one in runs.first])
+    return _axis_by_value("speed_mm_s", runs, np.array([one.speed_mm_s for one in runs.first]), moves)
+
+
+def _strain_axis(runs: CampaignResiduals) -> ExcessAxis:
+    sticks = np.array([one.contact is Contact.STICKING for one in runs.first])
+    return _axis_by_value("strain", runs, np.array([one.strain for one in runs.first]), sticks)
+
+
+def _session_axis(runs: CampaignResiduals) -> ExcessAxis:
+    start = np.array([one.session_s for one in runs.first])
+    edges = np.linspace(float(start.min()), float(start.max()), SESSION_BINS + 1)
+    index = np.clip(np.searchsorted(edges, start, side="right") - 1, 0, SESSION_BINS - 1)
+    member = index[:, None] == np.arange(SESSION_BINS)
+    return _whole_run_axis("session", (), np.stack((edges[:-1], edges[1:]), axis=1), runs, member)
+
+
+def _position_axis(runs: CampaignResiduals) -> ExcessAxis:
+    longest = max((float(np.abs(one.position_mm).max()) for one in runs.first if _moves(one)), default=0.0)
+    edges = np.linspace(0.0, max(round(longest, 1), 0.1), POSITION_BINS + 1)
+
+    def index(one: ResidualBlocks) -> IndexArray:
+        found = np.clip(np.searchsorted(edges, np.abs(one.position_mm), side="right") - 1, 0, POSITION_BINS - 1)
+        under_way = (one.phase != Phase.REST) & (one.phase != Phase.HOLD)
+        return np.asarray(np.where(under_way & _moves(one), found, -1))
+
+    energy, time = _excess_within_runs(runs, index, POSITION_BINS)
+    return ExcessAxis("position", (), np.stack((edges[:-1], edges[1:]), axis=1), energy, time, ComparisonBasis.REST)
+
+
+def _band_axis(runs: CampaignResiduals) -> ExcessAxis:
+    energy = np.array([sum((band_excess(one) for one in channels), start=_NO_BANDS) for channels in runs.blocks])
+    edges = np.stack((BANDS_HZ[:-1], BANDS_HZ[1:]), axis=1)
+    return ExcessAxis("band_hz", (), edges, energy, np.ones_like(energy), ComparisonBasis.NOISE)
+
+
+_NO_BANDS = np.zeros(len(BANDS_HZ) - 1)
+
+
+def _moves(one: ResidualBlocks) -> bool:
+    return one.contact is not Contact.STICKING
+
+
+def _no_edges(labels: tuple[str, ...]) -> FloatArray:
+    return np.full((len(labels), 2), np.nan)
+
+
+def _axis_by_value(name: str, runs: CampaignResiduals, value: FloatArray, taking_part: BoolArray) -> ExcessAxis:
+    levels = np.unique(value[taking_part & (value > 0)])
+    member = (value[:, None] == levels) & taking_part[:, None]
+    return _whole_run_axis(name, (), np.stack((levels, levels), axis=1), runs, member)
+
+
+def _whole_run_axis(
+    name: str, labels: tuple[str, ...], edges: FloatArray, runs: CampaignResiduals, member: BoolArray
+) -> ExcessAxis:
+    return ExcessAxis(
+        name, labels, edges, runs.energy[:, None] * member, member.astype(np.float64), ComparisonBasis.RUNS
+    )
+
+
+def _excess_within_runs(
+    runs: CampaignResiduals, index_of: Callable[[ResidualBlocks], IndexArray], count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return excess and part of the duration of each run by bin; an index of −1 is in no bin."""
+    energy, time = np.zeros((2, len(runs.ids), count))
+    for row, channels in enumerate(runs.blocks):
+        for one in channels:
+            index = index_of(one)
+            inside = index >= 0
+            energy[row] += np.bincount(index[inside], one.excess[inside], count)
+            time[row] += np.bincount(index[inside], one.weight[inside], count) / len(channels)
+    return energy, time
+
+
+PERMUTATIONS = 999
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Significance:
+    """Familywise p-values of windows of neighbouring bins, or of single bins where they have no order.
+
+    Attributes
+    ----------
+    windows
+        First and last bin of each window, shape `(K, 2)`.
+    p
+        Chance of a statistic as large anywhere on the axis without a gap, shape `(K,)`.
+    """
+
+    windows: npt.NDArray[np.intp]
+    p: FloatArray
+
+    def of(self, first: int, last: int) -> float:
+        """Return the p-value of a window; 1 for the whole axis, which nothing stands out from."""
+        found = np.flatnonzero((self.windows == (first, last)).all(axis=1))
+        return float(self.p[found[0]]) if found.size else 1.0
+
+    @property
+    def least(self) -> float:
+        """The smallest of them, which is the axis' own."""
+        return float(self.p.min(initial=1.0))
+
+
+def permutation_test(axis: ExcessAxis, stratum: IndexArray, generator: np.random.Generator) -> Significance:
+    """Test all windows of an axis.
+
+    Between runs, their excess is permuted among runs of one kind (of all kinds, for the protocol): it stands out where
+    it belongs to the bin. Within runs, the sign of what a window has more than the rest of its run, and more than is
+    expected, is flipped run by run. Less than expected is no excess, whatever stands out in it.
+    """
+    windows = _windows(axis)
+    if not windows.size:
+        return Significance(windows, np.zeros(0))
+    bins = np.arange(axis.energy.shape[1])[:, None]
+    inside = ((bins >= windows[:, 0]) & (bins <= windows[:, 1])).astype(np.float64)
+    if axis.against is ComparisonBasis.RUNS:
+        kinds = np.zeros_like(stratum) if axis.name == "protocol" else stratum
+        statistic = _permutation_statistic(axis, inside, kinds, generator)
+    else:
+        statistic = _sign_flip_statistic(axis, inside, generator)
+    above = (axis.energy.sum(axis=0) @ inside) > 0
+    return Significance(windows, np.where(above, _familywise_p(statistic), 1.0))
+
+
+def overall_p(energy: FloatArray, generator: np.random.Generator) -> float:
+    """Return the p-value of an excess in all runs together, the sign of each run's flipped."""
+    return float(_familywise_p(_sign_flip_sums(_signed_root(energy)[:, None], generator))[0])
+
+
+def largest_excess_p(blocks: Sequence[ResidualBlocks]) -> float:
+    """Return the p-value of the largest mean square of all, as if all blocks of a run were one: no test is milder.
+
+    Permutations cannot tell few runs from chance, however large their excess.
+    """
+    from scipy.special import chdtrc
+
+    largest = max(1 + float(one.excess.sum()) for one in blocks)
+    return min(1.0, len(blocks) * float(chdtrc(1, largest)))
+
+
+def _windows(axis: ExcessAxis) -> IndexArray:
+    """Return windows that leave something outside; bins of no run are none."""
+    count = axis.energy.shape[1]
+    if not axis.ordered:
+        used = np.flatnonzero(axis.time.any(axis=0))
+        return np.stack((used, used), axis=1) if used.size > 1 else np.zeros((0, 2), dtype=np.intp)
+    first, last = np.triu_indices(count)
+    kept = last - first < count - 1
+    return np.stack((first[kept], last[kept]), axis=1)
+
+
+def _permutation_statistic(
+    axis: ExcessAxis, inside: FloatArray, stratum: IndexArray, generator: np.random.Generator
+) -> FloatArray:
+    """Return standardised sums over each window, shape `(1 + PERMUTATIONS, K)`, the first as found."""
+    part = axis.time.sum(axis=1) > 0
+    member = (axis.time @ inside)[part]
+    amplitude = _signed_root(axis.energy.sum(axis=1))[part]
+    kinds = np.unique(stratum[part], return_inverse=True)[1]
+    if not kinds.size:
+        return np.zeros((1 + PERMUTATIONS, inside.shape[1]))
+    centred = amplitude - (np.bincount(kinds, amplitude) / np.bincount(kinds))[kinds]
+    order = np.argsort(kinds + generator.random((PERMUTATIONS, kinds.size)), axis=1)
+    sums = np.vstack((centred, centred[order])) @ member
+    spread = sums[1:].std(axis=0)
+    return np.asarray(np.divide(sums, spread, out=np.zeros_like(sums), where=spread > 1e-9))
+
+
+def _sign_flip_statistic(axis: ExcessAxis, inside: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Return statistics of what each window has more than the rest of its run, shape `(1 + PERMUTATIONS, K)`."""
+    time, energy = axis.time @ inside, axis.energy @ inside
+    if axis.against is ComparisonBasis.NOISE:
+        return _sign_flip_sums(_signed_root(energy), generator)
+    rest_time, rest_energy = axis.time @ (1 - inside), axis.energy @ (1 - inside)
+    both = (time > 0) & (rest_time > 0)
+    safe = np.where(both, time, 1.0), np.where(both, rest_time, 1.0)
+    more = _signed_root(energy / safe[0]) - np.maximum(_signed_root(rest_energy / safe[1]), 0.0)
+    return _sign_flip_sums(np.where(both, more, 0.0), generator)
+
+
+def _sign_flip_sums(values: FloatArray, generator: np.random.Generator) -> FloatArray:
+    """Return sums over runs over the root of their squares, as found and under random signs of the runs."""
+    signs = np.where(generator.random((PERMUTATIONS, values.shape[0])) < 0.5, -1.0, 1.0)
+    scale = np.sqrt((values**2).sum(axis=0))
+    sums = np.vstack((values.sum(axis=0), signs @ values))
+    return np.asarray(np.divide(sums, scale, out=np.zeros_like(sums), where=scale > 0))
+
+
+def _familywise_p(statistic: FloatArray) -> FloatArray:
+    found, largest = statistic[0], statistic[1:].max(axis=1)
+    at_least = (largest[:, None] >= found - 1e-12).sum(axis=0)
+    return np.asarray((1 + at_least) / (1 + largest.size))
+
+
+def _signed_root(energy: FloatArray) -> FloatArray:
+    return np.asarray(np.sign(energy) * np.sqrt(np.abs(energy)))

@@ -1,1 +1,0 @@
-"""One fit of a nominal model to all runs of a specimen."""

@@ -1,0 +1,1 @@
+"""Noise, block means, and the linear-Gaussian fit that identification and gap share."""

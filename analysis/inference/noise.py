@@ -1,0 +1,268 @@
+"""Noise of a channel, from where its force stands still: white noise, and slow noise with exponential correlation.
+
+Stretches that stand still are the rests before a motion, the holds of capsules that nothing squeezes, and the ends of
+relaxations' holds, from which a cubic is subtracted.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.segments import Mask, at_rest, in_phase
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import Phase
+
+NOISE_BLOCK_S = 0.05
+"""Stretches are averaged in blocks of this length; faster noise is told by the differences of samples."""
+MIN_BLOCKS = 8
+MIN_DIFFERENCES = 12
+"""Fewer in all say nothing of the noise."""
+MAX_STRETCH_S = 60.0
+"""So much of a stretch is looked at."""
+RELAXATION_DEGREE = 3
+"""Power of time up to which the end of a relaxation is taken off."""
+MIN_MOVING_SAMPLES = 100
+"""Samples of steady motion that say what white noise is like where nothing rests."""
+NORMAL_MEDIAN = 0.6745
+"""Median over standard deviation of a normal distribution's magnitudes."""
+MIN_WHITE_SHARE = 1e-5
+"""Least white noise over the largest value of the channel, a step or so of a converter of 16 bit."""
+DEFAULT_CORRELATION_S = 0.2
+MAX_CORRELATION_S = 5.0
+DEFAULT_SLOW_SHARE = 1.0 / 3.0
+"""Slow noise over white noise where no stretch is long enough to tell."""
+DEFAULT_WHITE = 2.0
+"""White noise where no run shows any [mN], at the upper end of what such sensors have."""
+LINE_COHERENCE_S = 1.0
+"""So long a line is taken to keep the frequency that is known of it."""
+LINE_FIT_S = 0.5
+"""A line that is taken out of a stretch has an amplitude and a phase of its own in pieces of this length."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Noise of a channel, in its unit.
+
+    Attributes
+    ----------
+    white
+        Standard deviation of one sample's white noise.
+    slow, correlation_s
+        Standard deviation and correlation time of the slow noise.
+    degrees
+        Independent numbers that it was estimated from; 0 where it was assumed.
+    hum, hum_hz
+        Amplitude and frequency of a line that is known beforehand, 0 for none; its phase is not known.
+    """
+
+    white: float
+    slow: float
+    correlation_s: float
+    degrees: int
+    hum: float = 0.0
+    hum_hz: float = 0.0
+
+    def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
+        """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
+        tau = self.correlation_s
+        width = np.maximum(end_s - start_s, 1e-9)
+        share = -np.expm1(-width / tau) * tau / width
+        apart = np.maximum(start_s[None, :] - end_s[:, None], 0.0)
+        slow = np.exp(-(apart + apart.T) / tau) * share[:, None] * share[None, :]
+        np.fill_diagonal(slow, 2 * (tau / width) * (1 - share))
+        covariance = self.slow**2 * slow
+        covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
+        if self.hum > 0:
+            covariance += self._hum(0.5 * (start_s + end_s), end_s - start_s)
+        return np.asarray(covariance)
+
+    def _hum(self, middle_s: FloatArray, width_s: FloatArray) -> FloatArray:
+        apart = np.abs(middle_s[:, None] - middle_s[None, :])
+        kept = np.sinc(self.hum_hz * width_s)
+        wave = np.cos(2 * np.pi * self.hum_hz * apart) * np.exp(-apart / LINE_COHERENCE_S)
+        return np.asarray(0.5 * self.hum**2 * wave * kept[:, None] * kept[None, :])
+
+
+DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DEFAULT_CORRELATION_S, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _QuietStretch:
+    """Samples that differ by noise, and by a polynomial of time of this degree."""
+
+    values: FloatArray
+    rate_hz: float
+    degree: int
+
+
+@dataclass(frozen=True, slots=True)
+class _BlockLayout:
+    """What stretches of block means have in common: number, width and samples of the blocks, and the degree."""
+
+    blocks: int
+    width_s: float
+    samples: int
+    degree: int
+
+
+def estimate_noise(
+    experiments: Iterable[Experiment], channel: str, hum: float = 0.0, hum_hz: float = 0.0
+) -> NoiseModel:
+    """Estimate a channel's noise from all stretches at which it should stay the same, or merely relaxes.
+
+    Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
+    short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
+    noise is what neighbouring samples of steady motion differ by beyond a straight line, and `DEFAULT_NOISE` where there is no
+    steady motion either; both count as assumed.
+
+    Parameters
+    ----------
+    hum, hum_hz
+        Amplitude and frequency of a line that is known to be there: it is kept apart. 0 for none.
+    """
+    runs = tuple(experiments)
+    if hum > 0:
+        stretches = [_remove_line(one, hum_hz) for one in _quiet_stretches(runs, channel)]
+        return replace(_estimate_from(stretches, runs, channel), hum=hum, hum_hz=hum_hz)
+    return _estimate_from(_quiet_stretches(runs, channel), runs, channel)
+
+
+def _estimate_from(stretches: Iterable[_QuietStretch], runs: Sequence[Experiment], channel: str) -> NoiseModel:
+    squares, count, largest = 0.0, 0, 0.0
+    groups: dict[_BlockLayout, list[FloatArray]] = {}
+    for stretch in stretches:
+        squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
+        count += len(stretch.values) - 1
+        largest = max(largest, float(np.abs(stretch.values).max()))
+        layout, means = _block_means(stretch)
+        if layout.blocks >= MIN_BLOCKS:
+            groups.setdefault(layout, []).append(means)
+    if count < MIN_DIFFERENCES:
+        return _estimate_in_motion(runs, channel)
+    white = max(float(np.sqrt(squares / count)), MIN_WHITE_SHARE * largest, 1e-9)
+    slow, correlation_s = (
+        _fit_slow_noise(groups, white) if groups else (DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S)
+    )
+    # Differences of neighbours hold two independent numbers in three.
+    return NoiseModel(white, slow, correlation_s, count * 2 // 3)
+
+
+def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> NoiseModel:
+    """Return the noise that steady motion shows from sample to sample; what is slower cannot be told from a signal."""
+    bends, largest = [np.zeros(0)], 0.0
+    for experiment in experiments:
+        trace = experiment.run.trace
+        if channel not in trace.channels:
+            continue
+        values = np.asarray(trace.channels[channel], dtype=np.float64)
+        for start, stop in _mask_spans(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values)):
+            bends.append(np.abs(np.diff(values[start:stop], 2)) / np.sqrt(6.0))
+            largest = max(largest, float(np.abs(values[start:stop]).max()))
+    whole = np.concatenate(bends)
+    if whole.size < MIN_MOVING_SAMPLES:
+        return DEFAULT_NOISE
+    white = max(float(np.median(whole)) / NORMAL_MEDIAN, MIN_WHITE_SHARE * largest, 1e-9)
+    return NoiseModel(white, DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S, 0)
+
+
+def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterator[_QuietStretch]:
+    for experiment in experiments:
+        trace = experiment.run.trace
+        if channel not in trace.channels:
+            continue
+        values = np.asarray(trace.channels[channel], dtype=np.float64)
+        usable = experiment.valid & np.isfinite(values)
+        still, relaxing = at_rest(trace), np.zeros_like(usable)
+        if experiment.contact is Contact.NONE:
+            still = still | in_phase(trace, Phase.HOLD)
+        elif experiment.contact is Contact.STICKING:
+            hold = np.flatnonzero(in_phase(trace, Phase.HOLD))
+            relaxing[hold[hold.size - min(hold.size // 2, int(MAX_STRETCH_S * trace.sample_rate_hz)) :]] = True
+        for part, degree in ((still, 0), (relaxing, RELAXATION_DEGREE)):
+            for start, stop in _mask_spans(part & usable):
+                if stop - start > 2:
+                    yield _QuietStretch(values[start:stop], trace.sample_rate_hz, degree)
+
+
+def _remove_line(stretch: _QuietStretch, hertz: float) -> _QuietStretch:
+    """Take a line out of a stretch, piece by piece, beside a straight line in each."""
+    size = max(round(LINE_FIT_S * stretch.rate_hz), MIN_DIFFERENCES)
+    pieces = np.array_split(stretch.values, max(stretch.values.size // size, 1))
+    return replace(stretch, values=np.concatenate([one - _fit_line(one, hertz / stretch.rate_hz) for one in pieces]))
+
+
+def _fit_line(values: FloatArray, turns: float) -> FloatArray:
+    """Return the sine of so many turns per sample that fits best beside a straight line, shape `(n,)`."""
+    sample = np.arange(values.size, dtype=np.float64)
+    angle = 2 * np.pi * turns * sample
+    columns = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(sample), sample))
+    found = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return np.asarray(columns[:, :2] @ found[:2])
+
+
+def _mask_spans(mask: Mask) -> list[tuple[int, int]]:
+    """Return where each stretch of a mask begins and stops."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def _block_means(stretch: _QuietStretch) -> tuple[_BlockLayout, FloatArray]:
+    size = max(1, round(NOISE_BLOCK_S * stretch.rate_hz))
+    blocks = min(len(stretch.values) // size, round(MAX_STRETCH_S * stretch.rate_hz / size))
+    means = stretch.values[: blocks * size].reshape(blocks, size).mean(axis=1)
+    return _BlockLayout(blocks, size / stretch.rate_hz, size, stretch.degree), means
+
+
+def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) -> tuple[float, float]:
+    from scipy.optimize import minimize
+
+    stacks = [(layout, np.array(means)) for layout, means in groups.items()]
+
+    def misfit(logs: FloatArray) -> float:
+        correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
+        noise = NoiseModel(white, white * float(np.exp(logs[0])), correlation_s, 0)
+        return sum(_restricted_likelihood(noise, layout, means) for layout, means in stacks) + _prior_penalty(logs)
+
+    found = minimize(
+        misfit,
+        np.log([DEFAULT_SLOW_SHARE, DEFAULT_CORRELATION_S]),
+        method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.01},
+    )
+    ratio, correlation = np.exp(found.x)
+    return white * float(ratio), float(np.clip(correlation, 0.01, MAX_CORRELATION_S))
+
+
+def _prior_penalty(logs: FloatArray) -> float:
+    """Return a weak prior around the usual noise, a factor of three either way, for stretches that say little."""
+    return float(np.sum(((logs - np.log([DEFAULT_SLOW_SHARE, DEFAULT_CORRELATION_S])) / np.log(3.0)) ** 2))
+
+
+def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: FloatArray) -> float:
+    """Return −2 log restricted likelihood of stretches of block means, shape `(R, blocks)`.
+
+    What a block adds to the one before, which the correlation makes it remember, is correlated with its neighbours
+    alone: in these innovations the covariance is a band, and its determinant stays the same.
+    """
+    from scipy.linalg import cholesky_banded, solve_banded
+
+    start = np.array([0.0, layout.width_s])
+    two = noise.covariance(start, start + layout.width_s, np.full(2, float(layout.samples)))
+    memory = float(np.exp(-layout.width_s / noise.correlation_s))
+    band = np.empty((2, layout.blocks))
+    band[0] = two[0, 0] * (1 + memory**2) - 2 * memory * two[0, 1]
+    band[0, 0] = two[0, 0]
+    band[1] = two[0, 1] - memory * two[0, 0]
+    root = cholesky_banded(band, lower=True, check_finite=False)
+    powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, layout.blocks), layout.degree)
+    signals = np.hstack((powers, means.T))
+    signals[1:] -= memory * signals[:-1].copy()
+    whitened = solve_banded((1, 0), root, signals, check_finite=False)
+    basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
+    left = whitened[:, layout.degree + 1 :]
+    misfit = float(np.sum(left**2) - np.sum((basis.T @ left) ** 2))
+    logs = np.log(root[0]).sum() + np.log(np.abs(np.diag(triangle))).sum()
+    return misfit + 2 * len(means) * float(logs)

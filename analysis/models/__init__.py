@@ -1,0 +1,11 @@
+"""Nominal models: what a rig measures when nothing is wrong with it.
+
+| module | content |
+|---|---|
+| `experiment` | one run as a model sees it: protocol, specimen, and the measured motion |
+| `kinematics` | velocity and acceleration from a position in encoder counts |
+| `nominal_model` | the interface of a model, and the base class of a user's own |
+| `capsule_model` | the paper's friction model |
+| `drive_model` | the stage alone, from its recorded motor force |
+| `catalogue` | models by name, by entry point, or from a user's file, checked before use |
+"""

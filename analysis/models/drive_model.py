@@ -1,0 +1,205 @@
+"""The stage alone, from its motor force: moving mass, viscous and Coulomb friction, and an offset.
+
+``motor_force = m·a + c·v + F·tanh(v / 0.05 mm/s) + offset + gain·load``, linear in every parameter. The load is what
+the force sensor measured in the same run, where something was attached to it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.models.kinematics import Kinematics, fit_kinematics
+from dragrig.analysis.models.nominal_model import NominalModel, Parameter, Prediction, Predictor, Variation
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
+
+LOAD_CHANNEL = "force"
+BLANK_KIND, EXTERNAL_BACKEND = "blank", "external"
+WINDOW_SHARE = 0.1
+"""Window of the smoothing over the time since the motion last changed: forces change fast at first, then slowly."""
+MAX_WINDOW_S = 0.25
+SLOW_NOISE_SHARE = 0.45
+"""Slow noise of the sensor over its white noise: a third, and more for it outlasts the windows."""
+NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal variable."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredLoad:
+    """A measured force, the sensor's zero included, averaged over windows that end where the motion changes.
+
+    Attributes
+    ----------
+    time_s, impulse_mNs
+        Running integral of the force, shape `(N,)`; empty where nothing hangs on the sensor.
+    changes_s
+        When the motion changes, from the first sample to the last.
+    step_s, noise_mN
+        Of the samples.
+    lost_mN, lost_s
+        Where samples are missing, the load is no better known than this.
+    """
+
+    time_s: FloatArray
+    impulse_mNs: FloatArray
+    changes_s: FloatArray
+    step_s: float
+    noise_mN: float
+    lost_mN: float
+    lost_s: FloatArray
+
+    @classmethod
+    def of(cls, experiment: Experiment, changes_s: FloatArray) -> "MeasuredLoad":
+        """Take the force of a run; none where nothing hung on the sensor, or there was no sensor."""
+        trace, nothing = experiment.run.trace, np.zeros(0)
+        step = 1.0 / trace.sample_rate_hz
+        if LOAD_CHANNEL not in trace.channels or _is_unloaded(experiment):
+            return cls(nothing, nothing, changes_s, step, 0.0, 0.0, nothing)
+        raw = np.asarray(trace.channels[LOAD_CHANNEL], dtype=np.float64)
+        seen = np.isfinite(raw) & (experiment.valid | (trace.signal != LOAD_CHANNEL))
+        if not seen.any():
+            return cls(nothing, nothing, changes_s, step, 0.0, 0.0, nothing)
+        time = experiment.time_s
+        force = np.interp(time, time[seen], raw[seen])
+        means = 0.5 * (force[1:] + force[:-1]) * np.diff(time)
+        noise = float(np.median(np.abs(np.diff(raw[seen])))) / NORMAL_MEDIAN / np.sqrt(2) if seen.sum() > 1 else 0.0
+        impulse = np.concatenate(([0.0], np.cumsum(means)))
+        return cls(time, impulse, changes_s, step, noise, float(np.ptp(raw[seen])), time[~seen])
+
+    def hangs(self, time_s: FloatArray) -> FloatArray:
+        """Return 1 while something hangs on the sensor, else 0, shape `(n,)`."""
+        return np.full(len(time_s), 1.0 if self.time_s.size else 0.0)
+
+    def force(self, time_s: FloatArray) -> FloatArray:
+        """Smoothed force [mN] at times of shape `(n,)`."""
+        if not self.time_s.size:
+            return np.zeros(len(time_s))
+        width = self._width(time_s)
+        begin = np.clip(time_s - 0.5 * width, self.time_s[0], self.time_s[-1] - width)
+        first, last = (np.interp(one, self.time_s, self.impulse_mNs) for one in (begin, begin + width))
+        return np.asarray((last - first) / width)
+
+    def uncertainty(self, time_s: FloatArray) -> FloatArray:
+        """Return the standard deviation [mN] of the smoothed force, shape `(n,)`."""
+        if not self.time_s.size:
+            return np.zeros(len(time_s))
+        width = self._width(time_s)
+        found = self.noise_mN * np.sqrt(self.step_s / width + SLOW_NOISE_SHARE**2)
+        if self.lost_s.size:
+            after = np.searchsorted(self.lost_s, time_s).clip(1, max(len(self.lost_s) - 1, 1))
+            nearest = np.abs(self.lost_s[np.stack((after - 1, after.clip(max=len(self.lost_s) - 1)))] - time_s).min(0)
+            found = np.where(nearest <= 0.5 * width + self.step_s, self.lost_mN, found)
+        return np.asarray(found)
+
+    def _width(self, time_s: FloatArray) -> FloatArray:
+        piece = np.searchsorted(self.changes_s, time_s, side="right").clip(1, len(self.changes_s) - 1)
+        since, left = time_s - self.changes_s[piece - 1], self.changes_s[piece] - time_s
+        return np.asarray(np.clip(np.minimum(WINDOW_SHARE * since, 2 * left), self.step_s, MAX_WINDOW_S))
+
+
+def _is_unloaded(experiment: Experiment) -> bool:
+    # A measurement from elsewhere does not say what it was fixed to; only its kind tells.
+    imported = experiment.run.info.header.backend == EXTERNAL_BACKEND
+    return experiment.kind == BLANK_KIND or (experiment.contact is Contact.NONE and not imported)
+
+
+MOTOR_FORCE_CHANNEL = "motor_force"
+NEWTONS_PER_G_MM_S2 = 1e-3
+"""Millinewtons that accelerate one gram by one mm/s²."""
+TURNING_SPEED_MM_S = 0.05
+"""Speed over which Coulomb friction turns its sign, the friction model's own for the capsule.
+
+A sign would have no derivative, and no encoder tells a slower creep from rest: at 1 µm per count and 500 Hz one count
+more or less already is 0.25 mm/s.
+"""
+LOAD_ZERO_SD_MN = 10.0
+"""Unknown zero of the force sensor in each run with a load; a tared sensor's is a few mN."""
+
+DRIVE_PARAMETERS = (
+    Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates"),
+    Parameter("viscous_mN_s_mm", "mN·s/mm", 0.0, 1e3, positive=False, meaning="friction per speed"),
+    Parameter("coulomb_mN", "mN", 0.0, 1e4, positive=False, meaning="friction at any speed"),
+    Parameter("offset_mN", "mN", 0.0, 1e4, positive=False, meaning="force at rest without load"),
+    Parameter("load_gain", "1", 1.0, 0.02, meaning="motor force per force at the sensor"),
+)
+
+
+class DriveModel(NominalModel):
+    """Mass, friction and offset of a stage; a run's unknown sensor zero is its variation `load_zero_mN`."""
+
+    @property
+    def name(self) -> str:
+        """What the model is called."""
+        return "drive"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """As the rig settings name them, so wide beforehand that any stage is found."""
+        return DRIVE_PARAMETERS
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """The sensor's zero, which the load holds."""
+        return (Variation("load_zero_mN", LOAD_ZERO_SD_MN, "mN"),)
+
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare the motor force of a run; nothing where none was recorded.
+
+        Raises
+        ------
+        AnalysisError
+            Where the motion cannot be used, or the run does not say what held the gut.
+        """
+        if MOTOR_FORCE_CHANNEL not in experiment.run.trace.channels:
+            return {}
+        motion = fit_kinematics(experiment)
+        return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, MeasuredLoad.of(experiment, motion.joints_s))}
+
+    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
+        """Return rig settings that make the simulated stage this one; friction that came out below zero is none."""
+        found = {name: float(values[name]) for name in ("moving_mass_g", "offset_mN")}
+        found |= {name: max(0.0, float(values[name])) for name in ("viscous_mN_s_mm", "coulomb_mN")}
+        return {"simulated": {"motor": found}}
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePredictor(Predictor):
+    """The motor force of one run."""
+
+    motion: Kinematics
+    load: MeasuredLoad
+
+    @property
+    def events_s(self) -> FloatArray:
+        """Where the acceleration changes."""
+        return self.motion.joints_s
+
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        """Predict the motor force."""
+        return Prediction(values @ self.sensitivities(values, time_s), self.load.hangs(time_s)[None])
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return what each parameter multiplies, shape `(5, n)`."""
+        del values
+        return np.vstack((self._moving(time_s), np.ones_like(time_s), self.load.force(time_s)))
+
+    def friction(self, values: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return viscous and Coulomb friction [mN], shapes `(n,)`."""
+        _, viscous, coulomb = values[:3, None] * self._moving(time_s)
+        return viscous, coulomb
+
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return what the moments at which the motion changes, and the load, leave uncertain."""
+        doubt = self.motion.doubt(lambda times: values[:3] @ self._moving(times), time_s)
+        inertia = values[0] * NEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
+        return np.asarray(np.hypot(np.hypot(doubt, inertia), self.load.uncertainty(time_s)))
+
+    def _moving(self, time_s: FloatArray) -> FloatArray:
+        velocity = self.motion.velocity(time_s)
+        acceleration = NEWTONS_PER_G_MM_S2 * self.motion.acceleration(time_s)
+        return np.vstack((acceleration, velocity, np.tanh(velocity / TURNING_SPEED_MM_S)))
+
+
+MODEL = DriveModel()

@@ -1,0 +1,313 @@
+"""The interface of a nominal model: parameters with priors, and predicted channels of a run.
+
+A user's own model is one file with a `MODEL` that fulfils `NominalModel`; deriving it from `ChannelModel` leaves only
+one channel to be predicted from how the stage moves. `docs/own-model.md` has a worked example. Values of parameters
+travel as arrays in the order of `NominalModel.parameters`.
+"""
+
+from abc import abstractmethod
+from collections.abc import Collection, Hashable, Mapping
+from dataclasses import dataclass
+from math import inf
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.models.kinematics import Kinematics, fit_kinematics
+from dragrig.rig.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A quantity of a nominal model that runs are to determine, with what is known of it before any run.
+
+    Attributes
+    ----------
+    name, unit
+        As in settings; a unit of `1` for none.
+    nominal
+        Value before any run.
+    prior_sd
+        Standard deviation of what is known beforehand: of the value itself, or relative to it when `positive`.
+    positive
+        Whether the value cannot be 0 or below; its prior is lognormal then, with median `nominal`.
+    meaning
+        A few words for tables.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    prior_sd: float
+    positive: bool = True
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """A part of the prediction that differs from run to run.
+
+    Attributes
+    ----------
+    name, sd
+        What differs, and by how much: one standard deviation.
+    unit
+        `1` where the part differs by a factor, `sd` being relative; another where so much of it is added.
+    """
+
+    name: str
+    sd: float
+    unit: str = "1"
+
+    @property
+    def usual(self) -> float:
+        """What a run has that does not differ: a factor of 1, or nothing added."""
+        return 1.0 if self.unit == "1" else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A product of powers of positive parameters, which runs may determine where they cannot tell its factors apart."""
+
+    name: str
+    unit: str
+    powers: Mapping[str, float]
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """A channel at `n` times.
+
+    Attributes
+    ----------
+    total
+        The channel without the sensor's zero, shape `(n,)`.
+    varying
+        What each of the model's variations multiplies, shape `(V, n)`, in their order.
+    """
+
+    total: FloatArray
+    varying: FloatArray
+
+
+class Predictor(Protocol):
+    """One channel of one run, prepared: all that does not depend on the parameters is computed already."""
+
+    @property
+    def events_s(self) -> FloatArray:
+        """Times within the run at which the prediction may jump or bend, shape `(K,)`."""
+        ...
+
+    @property
+    def likeness(self) -> Hashable:
+        """What is equal where the same is predicted whatever the values and times; unless said, each is its own.
+
+        Of predictors that are alike one is asked for all, as of repeats whose motion is the same bit for bit.
+        """
+        return id(self)
+
+    @abstractmethod
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        """Predict the channel at rising times, shape `(n,)`, for parameter values of shape `(P,)`."""
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return the derivative of the predicted total by every parameter, shape `(P, n)`; here by differences."""
+        return central_differences(self, values, time_s)
+
+    def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return `sensitivities`; those by parameters of these names nobody asks for, and they mean nothing."""
+        del names
+        return self.sensitivities(values, time_s)
+
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return how well the channel can be predicted from the measured motion, one standard deviation, shape `(n,)`.
+
+        A motion that is known to a few µm leaves a start or stop uncertain by milliseconds; here 0.
+        """
+        del values
+        return np.zeros_like(time_s)
+
+
+class NominalModel(Protocol):
+    """A model of rig and specimen without any of the effects that a diagnosis looks for."""
+
+    @property
+    def name(self) -> str:
+        """What the model is called."""
+        ...
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What runs are to determine."""
+        ...
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """Parts of the prediction that differ from run to run; none unless said."""
+        return ()
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """Products of parameters worth reporting; none unless said."""
+        return ()
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """Standard deviation of the unknown zero that every run has, by channel; one that is not named has none."""
+        return MappingProxyType({})
+
+    @abstractmethod
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare the channels of a run that the model predicts; empty where it says nothing of such a run.
+
+        Raises
+        ------
+        AnalysisError
+            One sentence, where the run lacks what the model needs.
+        """
+
+    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
+        """Return what a settings file holds of identified values: their names and values unless a model says more."""
+        return {"nominal": self.name, "parameters": dict(values)}
+
+
+RELATIVE_STEP = 1e-4
+
+
+def central_differences(predictor: Predictor, values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Return central differences of a prediction by every parameter, shape `(P, n)`."""
+    rows = []
+    for index, value in enumerate(values):
+        step = RELATIVE_STEP * (abs(float(value)) or 1.0)
+        ahead, behind = values.copy(), values.copy()
+        ahead[index], behind[index] = value + step, value - step
+        rows.append((predictor.predict(ahead, time_s).total - predictor.predict(behind, time_s).total) / (2 * step))
+    return np.array(rows).reshape(len(values), len(time_s))
+
+
+TURNING_SPEED_MM_S = 0.05
+"""Speed over which a direction turns its sign, the friction model's own."""
+VALUE_STEP, PRIOR_STEP = 1e-4, 1e-6
+"""Steps of derivatives by differences, relative to the value and to the prior's width."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionState:
+    """How the stage moves at times of a run, arrays of shape `(n,)`.
+
+    Attributes
+    ----------
+    time_s
+        Since the first sample; rising, not evenly.
+    position_mm, velocity_mm_s, acceleration_mm_s2
+        Measured motion, position since the first sample; exactly at rest where the stage rests.
+    experiment
+        The run: what was done, to what, and everything recorded.
+    """
+
+    time_s: FloatArray
+    position_mm: FloatArray
+    velocity_mm_s: FloatArray
+    acceleration_mm_s2: FloatArray
+    experiment: Experiment
+
+    @property
+    def speed_mm_s(self) -> FloatArray:
+        """Velocity without its sign."""
+        return np.abs(self.velocity_mm_s)
+
+    @property
+    def direction(self) -> FloatArray:
+        """1 forwards, -1 backwards, 0 at rest; in between below some 0.05 mm/s."""
+        return np.tanh(self.velocity_mm_s / TURNING_SPEED_MM_S)
+
+
+class ChannelModel(NominalModel):
+    """A model of one channel. A subclass gives `name` and `parameters` and says what is measured at a moment.
+
+    Attributes
+    ----------
+    channel
+        The recorded quantity that is predicted.
+    zero_sd_mN
+        Standard deviation of the sensor's unknown zero in every run; 0 where the zero is known.
+    run_to_run
+        Relative standard deviation by which the whole prediction differs between runs; 0 where it does not.
+    follows_s
+        Time over which the prediction runs straight even in steady motion; shorter than half a second only where
+        something changes quickly there, as cogging does.
+    """
+
+    channel: str = "force"
+    zero_sd_mN: float = 5.0
+    run_to_run: float = 0.0
+    follows_s: float = inf
+
+    @abstractmethod
+    def predict(self, values: Mapping[str, float], at: MotionState) -> FloatArray:
+        """Return the channel without its zero, shape `(n,)`, for parameter values by name."""
+
+    def suits(self, experiment: Experiment) -> bool:
+        """Tell whether the model has something to say of a run; of every run unless a subclass says otherwise."""
+        del experiment
+        return True
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """One factor of each run where runs differ."""
+        return (Variation("run_to_run", self.run_to_run),) if self.run_to_run else ()
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """The sensor's zero."""
+        return {self.channel: self.zero_sd_mN} if self.zero_sd_mN else {}
+
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare a run that suits and recorded the channel; raises `AnalysisError` as `fit_kinematics`."""
+        if self.channel not in experiment.run.trace.channels or not self.suits(experiment):
+            return {}
+        return {self.channel: _ChannelPredictor(self, experiment, fit_kinematics(experiment))}
+
+
+@dataclass(frozen=True, eq=False)
+class _ChannelPredictor(Predictor):
+    model: ChannelModel
+    experiment: Experiment
+    motion: Kinematics
+
+    @property
+    def events_s(self) -> FloatArray:
+        begin, end = self.motion.joints_s[[0, -1]].tolist()
+        if not self.model.follows_s < end - begin:
+            return self.motion.joints_s
+        return np.union1d(self.motion.joints_s, np.arange(begin, end, self.model.follows_s))
+
+    def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
+        total = self._total(values, time_s)
+        return Prediction(total, np.repeat(total[None], len(self.model.variations), axis=0))
+
+    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        rows = []
+        for index, parameter in enumerate(self.model.parameters):
+            value = float(values[index])
+            width = 0.0 if parameter.positive else PRIOR_STEP * parameter.prior_sd
+            step = max(VALUE_STEP * abs(value), width)
+            ahead, behind = values.copy(), values.copy()
+            ahead[index], behind[index] = value + step, value - step
+            rows.append((self._total(ahead, time_s) - self._total(behind, time_s)) / (2 * step))
+        return np.array(rows)
+
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        doubt = self.motion.doubt(lambda times: self._total(values, times), time_s)
+        accelerated = self._total(values, time_s, self.motion.acceleration_error(time_s))
+        return np.hypot(doubt, accelerated - self._total(values, time_s))
+
+    def _total(self, values: FloatArray, time_s: FloatArray, error: FloatArray | float = 0.0) -> FloatArray:
+        motion, experiment = self.motion, self.experiment
+        acceleration = motion.acceleration(time_s) + error
+        at = MotionState(time_s, experiment.position(time_s), motion.velocity(time_s), acceleration, experiment)
+        named = {one.name: float(value) for one, value in zip(self.model.parameters, values, strict=True)}
+        return np.asarray(self.model.predict(named, at), dtype=np.float64)

@@ -1,0 +1,102 @@
+"""Numbers that the paper prints and that are no settings of the model, and the form of a finding; mm, s, mN, kPa, g."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal
+from math import isfinite
+from typing import Final
+
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule
+
+COULOMB_FORCE_MN: Final = 40.07
+"""Mean force of the Coulomb test (Fig. 8)."""
+COULOMB_SPEED_MM_S: Final = 0.5
+COULOMB_MASS_G: Final = 50.1
+COULOMB_DIAMETER_MM: Final = 13.0
+"""Diameter of the Coulomb test's capsule, and the diameter to which the fixture opens the gut."""
+FRICTION_COEFFICIENT: Final = 0.082
+SENSOR_ACCURACY_MN: Final = 5.0
+WALL_THICKNESS_MM: Final = 2.5
+BOUNDARY_MM_S: Final = 20.0
+"""Speed that parts the bands of R²."""
+R2_BELOW: Final = 0.8769
+R2_ABOVE: Final = 0.1666
+SPEEDS_MM_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+"""Speeds of the drag programme; the paper's text names only its range by the axes of its figures."""
+LOWEST_MM_S, HIGHEST_MM_S = SPEEDS_MM_S[0], SPEEDS_MM_S[-1]
+
+PAPER_MODEL: Final = FrictionModelSettings()
+"""The model as printed: Eq. 14, mucus as published, μ = 0.082."""
+PAPER_CAPSULE: Final = Capsule(name="drag", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=COULOMB_MASS_G)
+"""The dummy of the drag and relaxation tests."""
+
+
+@dataclass(frozen=True, slots=True)
+class FindingNumber:
+    """A computed number; `quantity` names it, `digits` are the significant ones that are shown.
+
+    `signed` shows a plus sign too.
+    """
+
+    quantity: str
+    value: float
+    unit: str = ""
+    digits: int = 3
+    signed: bool = False
+
+    def __str__(self) -> str:
+        sign = "+" if self.signed and self.value > 0 else ""
+        return f"{sign}{rounded(self.value, self.digits)} {self.unit}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class PaperFinding:
+    """One finding.
+
+    Attributes
+    ----------
+    key
+        Short name for tables.
+    where
+        The paper's equations, tables or sections concerned.
+    paper
+        What the paper says, in other words.
+    shown
+        What the numbers show.
+    practice
+        What dragrig does.
+    """
+
+    key: str
+    title: str
+    where: str
+    paper: str
+    numbers: tuple[FindingNumber, ...]
+    shown: str
+    practice: str
+
+    def value(self, quantity: str) -> float:
+        """Return one of the numbers; raises `KeyError` for one that is not there."""
+        return {one.quantity: one.value for one in self.numbers}[quantity]
+
+
+def rounded(value: float, digits: int = 3) -> str:
+    """Spell a number to so many significant digits, without an exponent: 0.0816, 113, −7.2."""
+    if not isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    return format(Decimal(f"{value:.{digits - 1}e}"), "f").replace("-", "−")
+
+
+def percent(difference: float, digits: int = 2) -> str:
+    """Spell a relative difference with its sign: +20 %, −0.35 %."""
+    sign = "+" if difference > 0 else ""
+    return f"{sign}{rounded(100 * difference, digits)} %"
+
+
+def rounded_list(numbers: Iterable[float], digits: int = 3) -> str:
+    """Spell several numbers in a row: 1, 2 and 3."""
+    words = [rounded(one, digits) for one in numbers]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

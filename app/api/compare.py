@@ -1,0 +1,139 @@
+"""Compare two campaigns, two runs, or measured runs with the friction model; write table and pictures."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from dragrig.analysis.comparison.compare import compare_sides
+from dragrig.analysis.comparison.comparison import ComparedSide, Comparison, comparison_frame
+from dragrig.analysis.comparison.sides import model_side, side_from_path, side_from_runs
+from dragrig.analysis.computation import Progress, no_progress
+from dragrig.config.errors import AnalysisError, OutputError
+from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
+from dragrig.config.settings import find_settings
+from dragrig.rig.runfile.model import Run
+from dragrig.run_inputs import run_files
+from dragrig.setup import with_effects
+
+Comparable = str | Path | Run | Iterable[Run]
+"""A campaign's folder, a run file, a run in memory, or several."""
+COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview.png"
+
+
+def compare(
+    a: Comparable,
+    b: Comparable | None = None,
+    *,
+    model: str | Path | FrictionModelSettings | None = None,
+    effects: Sequence[str | EffectSettings] = (),
+    specimen: str | None = None,
+    progress: Progress = no_progress,
+) -> Comparison:
+    """Compare two campaigns, two runs, or either with the friction model: the plain look before a diagnosis.
+
+    Runs are paired by what was done in them (kind, speed, strain, way, capsule, fixture), repeats in order. Runs that
+    are marked bad or did not end as planned are left out, unless the file itself is named.
+
+    Parameters
+    ----------
+    a, b
+        A campaign's folder, a run file, or runs in memory; all differences are B − A.
+    model
+        In place of `b`, a friction model: every run of `a` is simulated again on its own recorded motion, noise-free.
+    effects
+        What the model has beside its own, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+    specimen
+        Name or id of the specimen that is meant, on each side that holds several; all of them unless given.
+
+    Returns
+    -------
+    `pairs` with their measures, traces and phases; `groups`, the largest differences first; runs without a partner
+    and why; `sentences` for a person.
+
+    Raises
+    ------
+    AnalysisError
+        When no run of one has a partner in the other.
+    RunFileError, SettingsError
+        When a file, a folder or the model cannot be read.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> slow, fast = (dragrig.simulate("drag", assignments=[f"model.mucus_scale={k}", "way_back=stay"]) for k in (1, 3))
+    >>> found = dragrig.compare(slow, fast)
+    >>> found.groups[0].measure, found.groups[0].verdict.value
+    ('steady force', 'differs')
+    """
+    if model is None and effects:
+        raise AnalysisError("Effects belong to a model; name the model too.")
+    if (b is None) == (model is None):
+        raise AnalysisError("A comparison takes a second campaign or a model; give one of the two.")
+    first = _comparison_side(a, specimen, "A")
+    if b is not None:
+        return compare_sides(first, _comparison_side(b, specimen, "B"), progress)
+    if isinstance(model, FrictionModelSettings):
+        settings, name = model, model.name
+    else:
+        settings, name = find_settings(FrictionModelSettings, "model", str(model)), Path(str(model)).stem
+    return compare_sides(first, model_side(first, with_effects(settings, effects), name), progress)
+
+
+def write_comparison(
+    comparison: Comparison, folder: Path, *, overwrite: bool = False, progress: Progress = no_progress
+) -> Iterator[Path]:
+    """Write the table as CSV, the overview, and a picture of each pair whose traces can be laid over each other.
+
+    Yields
+    ------
+    Each file as it is written; a name that is taken gets a number unless `overwrite`.
+
+    Raises
+    ------
+    OutputError
+        When the folder refuses.
+    RunFileError
+        When a run cannot be read any more.
+    """
+    from dragrig.present.comparison import comparison_figure, comparison_overview_figure
+    from dragrig.present.figure_files import save_figure_in
+
+    drawable = [pair for pair in comparison.pairs if pair.phases]
+    total = len(drawable) + 1
+    progress(0, total)
+    yield save_figure_in(folder, COMPARISON_OVERVIEW, comparison_overview_figure(comparison), overwrite)
+    yield _save_table(comparison, folder, overwrite=overwrite)
+    names = comparison.a.name, comparison.b.name
+    for done, pair in enumerate(drawable, start=1):
+        progress(done, total)
+        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", comparison_figure(pair, names), overwrite)
+    progress(total, total)
+
+
+def comparison_folder(comparison: Comparison, a: str | Path) -> Path:
+    """Return a new folder's name for a comparison: beside the runs of A."""
+    beside = Path(a) if Path(a).is_dir() else Path(a).parent
+    other = comparison.b.name.removesuffix(".h5").replace(" ", "-")
+    return beside / f"compared-with-{other}"
+
+
+def _comparison_side(given: Comparable, specimen: str | None, name: str) -> ComparedSide:
+    if isinstance(given, Run):
+        return side_from_runs([given], name)
+    if not isinstance(given, str | Path):
+        return side_from_runs(given, name)
+    run_files([given])
+    return side_from_path(Path(given), specimen)
+
+
+def _save_table(comparison: Comparison, folder: Path, *, overwrite: bool) -> Path:
+    path = folder / COMPARISON_TABLE
+    number = 1
+    while path.exists() and not overwrite:
+        number += 1
+        path = folder / f"{Path(COMPARISON_TABLE).stem}-{number}{Path(COMPARISON_TABLE).suffix}"
+    text = comparison_frame(comparison).to_csv(index=False, lineterminator="\n")
+    try:
+        path.write_text(text, "utf-8", newline="\n")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
+    return path

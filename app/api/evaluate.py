@@ -1,0 +1,314 @@
+"""Load, filter, tabulate, export and import runs, and tabulate what the friction model predicts."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from dragrig.analysis.campaign_table import as_frame, table_row
+from dragrig.analysis.campaign_table import table_rows as table_of
+from dragrig.analysis.export import CsvStyle, ExportFormat, export_campaign, export_run, write_export
+from dragrig.analysis.importing import ColumnMap, ImportedRun, ImportSettings, import_file, parse_map
+from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, filter_file, filter_run
+from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
+from dragrig.config.settings import Table, find_settings, merge_tables, parse, read_toml
+from dragrig.config.specimen import Capsule, Specimen
+from dragrig.rig.runfile import Campaign, read_campaign, read_info, read_run
+from dragrig.rig.runfile.model import Run
+from dragrig.setup import with_effects
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+ExportFormatName = Literal["csv", "parquet", "mat", "npz"]
+
+
+def load(path: str | Path) -> Run:
+    """Read a run file whole.
+
+    Raises
+    ------
+    RunFileError
+        When it is missing, foreign, damaged, or of a newer format.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> run = dragrig.load("20260504-091500-drag-000.h5")  # doctest: +SKIP
+    >>> run.trace.force.mean(), run.info.header.protocol["speed_mm_s"]  # doctest: +SKIP
+    """
+    return read_run(Path(path))
+
+
+def campaign(folder: str | Path) -> Campaign:
+    """Look at every run file of a folder, attributes only; `campaign(folder).good` leaves out those marked bad.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+    """
+    return read_campaign(Path(folder))
+
+
+def filter_settings(
+    sample_rate_hz: float, window_s: float | None, window_samples: int | None, order: int | None, derivative: int
+) -> SavgolSettings:
+    """Return a filter's settings: the usual window and order at this rate where none are given.
+
+    Raises
+    ------
+    AnalysisError
+        When they contradict each other.
+    """
+    usual = default_filter_settings(sample_rate_hz)
+    if window_s is None and window_samples is None:
+        window_s, window_samples = usual.window_s, usual.window_samples
+    return SavgolSettings(window_s, window_samples, usual.order if order is None else order, derivative)
+
+
+def filter(  # noqa: A001  # the word that people look for
+    run: Run | str | Path,
+    *,
+    window_s: float | None = None,
+    window_samples: int | None = None,
+    order: int | None = None,
+    derivative: int = 0,
+) -> Run:
+    """Smooth every force of a run with a Savitzky–Golay filter, and measure the speed from its position.
+
+    Parameters
+    ----------
+    run
+        A run in memory, which stays as it is; or a run file, in which the result is stored beside the raw trace.
+    window_s, window_samples
+        Length of the window, one of the two; 0.05 s unless given.
+    order
+        Order of the polynomial; 3 unless given.
+    derivative
+        0 smooths the forces, k gives their k-th derivative by time.
+
+    Returns
+    -------
+    The run with its `filtered` trace: `filtered.channels["force"]`, `["speed"]`, …, shape `(N,)` each.
+
+    Raises
+    ------
+    AnalysisError
+        When the window does not suit the order, the rate or the run.
+    RunFileError, OutputError
+        When the file cannot be read or replaced.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> drag, back = dragrig.simulate("drag")
+    >>> smooth = dragrig.filter(drag, window_s=0.1).filtered.channels["force"]
+    """
+    if isinstance(run, Run):
+        settings = filter_settings(run.trace.sample_rate_hz, window_s, window_samples, order, derivative)
+        return replace(run, filtered=filter_run(run, settings).trace)
+    path = Path(run)
+    rate = read_info(path).header.sample_rate_hz
+    filter_file(path, filter_settings(rate, window_s, window_samples, order, derivative))
+    return read_run(path)
+
+
+def table(runs: str | Path | Iterable[Run]) -> "pd.DataFrame":
+    """Tabulate a campaign, one row per run: kind, speed, steady force and its standard error, checks, ….
+
+    Parameters
+    ----------
+    runs
+        A campaign's folder, or runs in memory.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> frame = dragrig.table(dragrig.simulate("drag"))
+    >>> frame[["kind", "speed_mm_s", "steady_force_mN", "steady_force_error_mN"]]  # doctest: +SKIP
+    """
+    rows = table_of(Path(runs)) if isinstance(runs, str | Path) else tuple(table_row(run) for run in runs)
+    return as_frame(rows)
+
+
+def export(
+    run: Run | str | Path,
+    to: str | Path,
+    *,
+    format: ExportFormatName = "csv",  # noqa: A002  # as on the command line
+    decimal: str = ".",
+    delimiter: str = "",
+    overwrite: bool = False,
+) -> tuple[Path, ...]:
+    """Write runs for other programs.
+
+    Parameters
+    ----------
+    run
+        A run in memory, a run file, or a campaign's folder (runs marked bad are left out).
+    to
+        A file, or a folder; a folder for a campaign.
+    decimal, delimiter
+        Of CSV: `.` or `,`; comma, or semicolon with decimal commas, unless given.
+
+    Returns
+    -------
+    The files written.
+
+    Raises
+    ------
+    OutputError
+        When a file exists already, or the folder refuses.
+    RunFileError, AnalysisError
+        When the run cannot be read, or decimal mark and delimiter are the same.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.export("runs/first", "csv", decimal=",", delimiter=";")  # doctest: +SKIP
+    """
+    kind, style = ExportFormat(format), CsvStyle(decimal, delimiter)
+    if isinstance(run, Run):
+        return (write_export(run, Path(to), kind, style, overwrite=overwrite),)
+    if Path(run).is_dir():
+        return export_campaign(Path(run), Path(to), kind, style, overwrite=overwrite).written
+    return (export_run(Path(run), Path(to), kind, style, overwrite=overwrite),)
+
+
+def model(
+    speeds_mm_s: Sequence[float] = (0.5, 1, 2, 5, 10, 15, 20, 30, 40, 50, 60),
+    *,
+    model: str | Path | FrictionModelSettings = "paper",
+    effects: Sequence[str | EffectSettings] = (),
+    capsule: str | Path = "drag",
+    specimen: str | Path = "jejunum",
+) -> "pd.DataFrame":
+    """Tabulate what the friction model says of sliding at steady speeds.
+
+    Parameters
+    ----------
+    effects
+        What the simulated rig has beside the model's, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+
+    Returns
+    -------
+    Columns speed_mm_s, f_e_mN (environmental resistance), f_v_mN (viscous), f_c_mN (Coulomb), total_mN; with effects
+    also effects_mN, what they add on the last half of a drag of 40 mm.
+
+    Raises
+    ------
+    SettingsError
+        For a speed that is not positive, or unknown names.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.model([1, 10]).round(1)  # doctest: +SKIP
+    """
+    import pandas as pd
+
+    from dragrig.sim_backend.friction import steady_forces
+
+    settings = (
+        model if isinstance(model, FrictionModelSettings) else find_settings(FrictionModelSettings, "model", str(model))
+    )
+    body = find_settings(Capsule, "capsule", str(capsule))
+    settings = with_effects(settings, effects)
+    thickness = find_settings(Specimen, "specimen", str(specimen)).wall_thickness_mm
+    forces = steady_forces(speeds_mm_s, settings, body, thickness)
+    frame = pd.DataFrame(
+        {
+            "speed_mm_s": forces.speed_mm_s,
+            "f_e_mN": forces.f_e,
+            "f_v_mN": forces.f_v,
+            "f_c_mN": forces.f_c,
+            "total_mN": forces.total,
+        }
+    )
+    if settings.effects:
+        from dragrig.sim_backend.devices.channels import steady_effect_forces
+
+        frame.insert(4, "effects_mN", steady_effect_forces(forces.speed_mm_s, settings, body, thickness))
+        frame["total_mN"] += frame["effects_mN"]
+    return frame
+
+
+def import_settings(
+    assignments: Sequence[str], given: Mapping[str, object], file: str | Path | None = None
+) -> ImportSettings:
+    """Put together how a measurement is read.
+
+    Parameters
+    ----------
+    assignments
+        Which column is which quantity, each `QUANTITY=COLUMN:UNIT`, as `force=Load:N`.
+    given
+        Further keys of `ImportSettings`, as `decimal` or `sample_rate_hz`.
+    file
+        TOML file with the same keys; what is given besides wins.
+
+    Raises
+    ------
+    SettingsError, ImportDataError
+        For a key, a value or an assignment that is not allowed.
+    """
+    base: Table = read_toml(Path(file)) if file is not None else {}
+    columns: ColumnMap = parse_map(assignments)
+    changes: Table = {**given, "columns": columns.model_dump(exclude_none=True, exclude_unset=True)}
+    return parse(ImportSettings, merge_tables(base, changes), str(file) if file is not None else "import")
+
+
+def next_run_order(folder: Path) -> int:
+    """Return the order that the next run of a folder gets: after all that are there."""
+    return max((one.header.order + 1 for one in read_campaign(folder).runs), default=0)
+
+
+def import_run(
+    path: str | Path,
+    to: str | Path,
+    columns: Mapping[str, str] | None = None,
+    *,
+    settings: str | Path | None = None,
+    **given: object,
+) -> ImportedRun:
+    """Turn a foreign measurement (CSV and other text, MAT, Parquet, TDMS, NPZ) into a run file.
+
+    Parameters
+    ----------
+    to
+        A run file to be, or a folder in which it gets its usual name.
+    columns
+        Which column is which quantity: `{"time": "t:s", "force": "Load:N"}`. Needed unless the file is an
+        export of this software.
+    settings
+        TOML file with the same keys, for measurements that come again and again.
+    given
+        Further settings: `decimal`, `delimiter`, `encoding`, `sample_rate_hz`, `resample_hz`, `kind`, …. In a
+        folder, `order` follows those of the runs that are there.
+
+    Raises
+    ------
+    ImportDataError
+        When the file does not hold what the settings say.
+    OutputError
+        When something stands at the target already, or it cannot be written.
+    SettingsError
+        For a setting that is not allowed.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.import_run("old.csv", "runs", {"time": "1:s", "force": "Load:N"}, decimal=",")  # doctest: +SKIP
+    """
+    target = Path(to)
+    if target.is_dir():
+        given.setdefault("order", next_run_order(target))
+    assignments = [f"{quantity}={source}" for quantity, source in (columns or {}).items()]
+    return import_file(Path(path), target, import_settings(assignments, given, settings))

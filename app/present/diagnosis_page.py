@@ -1,0 +1,562 @@
+"""Figures and HTML page of a gap diagnosis: location map, ranking, runs before and after."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MultipleLocator
+
+from dragrig.analysis.gap.diagnosis import (
+    AxisLocation,
+    Diagnosis,
+    GapLocation,
+    PhaseCell,
+    RankedHypothesis,
+    RunTraces,
+    Verdict,
+)
+from dragrig.analysis.gap.diagnosis_text import (
+    as_sentence,
+    calibration_sentence,
+    capitalise,
+    detection_limit_sentence,
+    display_name,
+    domain_sentence,
+    effect_description,
+    is_stated_verdict,
+    probability_text,
+    shrink_sentences,
+    verdict_sentences,
+)
+from dragrig.analysis.gap.excess import CHANNELS, PROTOCOLS
+from dragrig.analysis.gap.localise import ALPHA
+from dragrig.present.diagnosis import diagnosis_tables
+from dragrig.present.document import InlineFigure
+from dragrig.present.drawing import (
+    HEADER_IN,
+    SMALL_PT,
+    TEXT_PT,
+    LineStyle,
+    PanelBox,
+    add_panel,
+    draw_line,
+    figure_style,
+    fit_y_range,
+    new_figure,
+    panel_width_in,
+    set_time_range,
+    set_y_label,
+    shortened_to_width,
+    text_width_in,
+    write_legend,
+    write_title,
+)
+from dragrig.present.figure_files import inline_figure
+from dragrig.present.html_page import render_template
+from dragrig.present.palette import BLACK, BLUE, GREY, PALE, SKY, VERMILLION
+from dragrig.rig.arrays import FloatArray
+
+LOCATION_WIDTH_IN, LOCATION_LEFT_IN, LOCATION_RIGHT_IN, LOCATION_FOOT_IN = 14.0, 0.45, 0.45, 0.75
+LOCATION_CELL_IN, LOCATION_DOMAINS_IN, LOCATION_GAP_IN, LOCATION_NAME_IN = 0.46, 3.3, 1.5, 4.5
+LOCATION_BARS_IN, LOCATION_BARS_GAP_IN, LOCATION_BETWEEN_IN, LOCATION_TITLES_IN = 1.9, 0.62, 1.25, 0.55
+DARKEST_SD = 30.0
+"""From here on a cell of the map is as dark as it can be."""
+FAINT_SD = 0.5
+"""Less than this is written faintly."""
+WHITE_TEXT_SD = 6.0
+"""From here on what is written in a cell is white."""
+
+LOCATION_AXES = {
+    "speed_mm_s": ("Speed (mm/s)", 1.0),
+    "position": ("Position (mm)", 1.0),
+    "session": ("Session time (min)", 1 / 60),
+    "strain": ("Shear strain (%)", 100.0),
+    "band_hz": ("Frequency (Hz)", 1.0),
+}
+"""Titles, and what ends of bins are multiplied by."""
+
+_EXCESS_COLOURS = LinearSegmentedColormap.from_list("excess", ["#FFFFFF", "#F6C9A8", VERMILLION, "#7A2E00"])
+
+
+def location_figure(where: GapLocation, name: str = "") -> Figure:
+    """Draw where a gap is.
+
+    Above, how far each channel exceeds what is expected of it, in standard deviations, by protocol and phase; beside
+    it, how much of the residual each domain accounts for. Below, shares of the excess along speed, position, session,
+    strain and frequency; below each panel the narrowest neighbouring bins that have most of it, which are dark where
+    they stand out beyond chance.
+
+    Parameters
+    ----------
+    where
+        What `locate` found.
+    name
+        What the campaign is called.
+    """
+    rows = _map_rows(where.cells)
+    map_in = LOCATION_CELL_IN * len(rows)
+    tall = (
+        HEADER_IN
+        + LOCATION_TITLES_IN
+        + max(map_in, 7 * 0.3)
+        + LOCATION_BETWEEN_IN
+        + LOCATION_BARS_IN
+        + LOCATION_FOOT_IN
+    )
+    labels_in = (
+        LOCATION_LEFT_IN + max((text_width_in(_map_row_label(row), TEXT_PT) for row in rows), default=0.0) + 0.15
+    )
+    with figure_style():
+        figure = new_figure(LOCATION_WIDTH_IN, tall)
+        subtitle = shortened_to_width(
+            _location_subtitle(where, name), SMALL_PT, LOCATION_WIDTH_IN - LOCATION_LEFT_IN - LOCATION_RIGHT_IN
+        )
+        write_title(figure, LOCATION_LEFT_IN, _location_title(where), subtitle)
+        top = tall - HEADER_IN - LOCATION_TITLES_IN
+        domains_at = LOCATION_WIDTH_IN - LOCATION_RIGHT_IN - LOCATION_DOMAINS_IN
+        wide = domains_at - LOCATION_GAP_IN - labels_in
+        _draw_excess_map(add_panel(figure, PanelBox(labels_in, top - map_in, wide, map_in)), where.cells, rows)
+        _draw_domain_scores(
+            add_panel(
+                figure, PanelBox(domains_at, top - max(map_in, 7 * 0.3), LOCATION_DOMAINS_IN, max(map_in, 7 * 0.3))
+            ),
+            where,
+        )
+        room = LOCATION_WIDTH_IN - LOCATION_LEFT_IN - 0.45 - LOCATION_RIGHT_IN
+        each = (room - (len(LOCATION_AXES) - 1) * LOCATION_BARS_GAP_IN) / len(LOCATION_AXES)
+        for number, (axis, (title, unit)) in enumerate(LOCATION_AXES.items()):
+            place = PanelBox(
+                LOCATION_LEFT_IN + 0.45 + number * (each + LOCATION_BARS_GAP_IN),
+                LOCATION_FOOT_IN,
+                each,
+                LOCATION_BARS_IN,
+            )
+            axes = add_panel(figure, place)
+            _draw_axis_shares(axes, where.location(axis), title, unit)
+            if number == 0:
+                axes.set_ylabel("Share (%)")
+        return figure
+
+
+def _location_title(where: GapLocation) -> str:
+    if not where.present:
+        return "No gap beyond noise and repeatability"
+    channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
+    in_channel, in_runs = (max(shares, key=lambda one: shares[one]) for shares in (channel, protocol))
+    share = f"{100 * protocol[in_runs]:.0f} %"
+    matter = f", above all a matter of {where.domain}" if where.domain else ""
+    return f"Gap in {in_channel}, {share} of it in {in_runs} runs{matter}"
+
+
+def _location_subtitle(where: GapLocation, name: str) -> str:
+    p = f"p = {where.p:.2g}" if where.p >= 0.001 else "p < 0.001"
+    excess = (
+        f"excess over what noise, repeatability and tolerance explain: {_sd_text(where.rms)} standard deviations, {p}"
+    )
+    return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, LOCATION_NAME_IN), excess) if part)
+
+
+def _map_rows(cells: Sequence[PhaseCell]) -> list[tuple[str, str]]:
+    """Return protocols and channels as a report lists them, those of one's own last."""
+    known = [*PROTOCOLS, *(one.protocol for one in cells)], [*CHANNELS, *(one.channel for one in cells)]
+    found = {(one.protocol, one.channel) for one in cells}
+    return sorted(found, key=lambda row: (known[0].index(row[0]), known[1].index(row[1])))
+
+
+def _map_row_label(row: tuple[str, str]) -> str:
+    return f"{row[0]}, {row[1]}"
+
+
+def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tuple[str, str]]) -> None:
+    """Draw a cell for each phase of each protocol and channel, its excess in words; hatched where nothing was seen."""
+    phases = list(dict.fromkeys(one.phase for one in cells))
+    shade = Normalize(0.0, np.log1p(DARKEST_SD), clip=True)
+    for one in cells:
+        row, column = rows.index((one.protocol, one.channel)), phases.index(one.phase)
+        seen = one.rms is not None
+        colour = _EXCESS_COLOURS(shade(np.log1p(one.rms))) if one.rms is not None else "#FFFFFF"
+        axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, facecolor=colour, edgecolor="#D3D9DF",
+                                 hatch=None if seen else "///"))  # fmt: skip
+        if one.rms is not None:
+            faint, dark = one.rms < FAINT_SD, one.rms >= WHITE_TEXT_SD
+            axes.text(column, row, _sd_text(one.rms), ha="center", va="center", fontsize=SMALL_PT,
+                      color="white" if dark else GREY if faint else BLACK)  # fmt: skip
+    axes.set_xlim(-0.5, len(phases) - 0.5)
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.set_xticks(range(len(phases)), phases)
+    axes.set_yticks(range(len(rows)), [_map_row_label(row) for row in rows], fontsize=TEXT_PT)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    axes.set_title("Excess in standard deviations of what is expected", loc="left", fontsize=TEXT_PT)
+
+
+def _sd_text(value: float) -> str:
+    if value < 0.05:
+        return "0"
+    return f"{value:.1f}" if value < 10 else f"{value:.0f}"
+
+
+def _draw_domain_scores(axes: Axes, where: GapLocation) -> None:
+    """Draw how much of the residual follows from other runs by each coordinate."""
+    axes.set_title("Follows from other runs by", loc="left", fontsize=TEXT_PT)
+    if not where.domain_scores:
+        _write_empty_panel(axes, "no gap")
+        return
+    names = sorted(where.domain_scores, key=lambda one: where.domain_scores[one])
+    scores = [100 * where.domain_scores[one] for one in names]
+    colours = [VERMILLION if one == where.domain else PALE for one in names]
+    axes.barh(range(len(names)), scores, color=colours, height=0.7)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_xlim(0, 100)
+    axes.xaxis.set_major_locator(MultipleLocator(25))
+    axes.set_xlabel("of the residual's squares (%)", fontsize=SMALL_PT)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
+
+
+def _draw_axis_shares(axes: Axes, location: AxisLocation, title: str, unit: float) -> None:
+    """Draw shares along an axis; the narrowest bins that have most of the excess stand out."""
+    axes.set_title(title, loc="left", fontsize=TEXT_PT)
+    if location.low is None or location.high is None:
+        _write_empty_panel(axes, "no excess here")
+        return
+    low, high = location.low, location.high
+    inside = [one.low is not None and one.high is not None and one.low >= low and one.high <= high
+              for one in location.bins]  # fmt: skip
+    colours = [VERMILLION if most and location.p < ALPHA else PALE for most in inside]
+    axes.bar(range(len(location.bins)), [100 * one.share for one in location.bins], color=colours, width=0.86)
+    _set_bin_ticks(axes, location, unit)
+    axes.set_ylim(0, 118 * max(one.share for one in location.bins))
+    axes.grid(visible=False, axis="x")
+    axes.set_xlabel(_location_text(location, unit), fontsize=SMALL_PT, color=VERMILLION if location.p < ALPHA else GREY)
+
+
+def _set_bin_ticks(axes: Axes, location: AxisLocation, unit: float) -> None:
+    """Name levels below their bars, and ends of bins between them, as many as there is room for."""
+    levels = all(one.low == one.high for one in location.bins)
+    ends = [one.low for one in location.bins] + ([] if levels else [location.bins[-1].high])
+    words = [_three_digits(unit * end) for end in ends if end is not None]
+    places = np.arange(len(words)) - (0.0 if levels else 0.5)
+    room = panel_width_in(axes) / max(len(location.bins), 1)
+    step = max(1, int(np.ceil((max(text_width_in(word, SMALL_PT) for word in words) + 0.08) / room)))
+    shown = sorted({*range(0, len(words) - step, step), len(words) - 1})
+    axes.set_xticks(places[shown].tolist(), [words[one] for one in shown])
+    axes.set_xlim(-0.6, len(location.bins) - 0.4)
+
+
+def _location_text(location: AxisLocation, unit: float) -> str:
+    ends = [_three_digits(unit * end) for end in (location.low, location.high) if end is not None]
+    where = ends[0] if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]}"
+    chance = "p < 0.002" if location.p <= 0.001 else f"p = {location.p:.2g}"
+    return f"{100 * location.share:.0f} % in {where}, {chance}"
+
+
+def _three_digits(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _write_empty_panel(axes: Axes, words: str) -> None:
+    axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=GREY)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.grid(visible=False)
+
+
+RANKING_WIDTH_IN, RANKING_ROW_IN, RANKING_HEAD_IN, RANKING_FOOT_IN, RANKING_LEFT_IN, RANKING_RIGHT_IN = (
+    13.0,
+    0.42,
+    1.75,
+    0.85,
+    0.4,
+    1.1,
+)
+RANKING_MAX_ROWS, RANKING_MIN_PROBABILITY = 10, 0.002
+
+
+def ranking_figure(diagnosis: Diagnosis) -> Figure:
+    """Draw the hypotheses of a diagnosis that are not next to impossible, the most probable first.
+
+    Dark: what the verdict names; light blue: what these runs cannot tell from it; grey: the others.
+    """
+    rows = _ranking_rows(diagnosis.ranking)
+    with figure_style():
+        names = [capitalise(display_name(one.hypothesis)) for one in rows]
+        left = RANKING_LEFT_IN + max((text_width_in(name, TEXT_PT) for name in names), default=1.0) + 0.2
+        tall = RANKING_HEAD_IN + RANKING_ROW_IN * len(rows) + RANKING_FOOT_IN
+        figure = new_figure(RANKING_WIDTH_IN, tall)
+        said = shortened_to_width(verdict_sentences(diagnosis)[0], SMALL_PT, RANKING_WIDTH_IN - 2 * RANKING_LEFT_IN)
+        write_title(figure, RANKING_LEFT_IN, "How probable each hypothesis is", said)
+        axes = add_panel(
+            figure,
+            PanelBox(left, RANKING_FOOT_IN, RANKING_WIDTH_IN - left - RANKING_RIGHT_IN, RANKING_ROW_IN * len(rows)),
+        )
+        for row, one in enumerate(rows):
+            axes.barh(row, one.probability, height=0.62, color=_ranking_colour(one, diagnosis), linewidth=0)
+            text = probability_text(one.probability)
+            axes.annotate(
+                text, (one.probability, row), (6, 0), textcoords="offset points", va="center", fontsize=TEXT_PT
+            )
+        axes.set_yticks(range(len(rows)), names, fontsize=TEXT_PT)
+        axes.set_ylim(len(rows) - 0.5, -0.5)
+        axes.set_xlim(0.0, 1.0)
+        axes.set_xlabel("Probability")
+        axes.grid(visible=False, axis="y")
+        axes.tick_params(axis="y", length=0)
+        _draw_ranking_legend(figure, diagnosis)
+        return figure
+
+
+def _ranking_rows(ranking: Sequence[RankedHypothesis]) -> list[RankedHypothesis]:
+    ordered = sorted(ranking, key=lambda one: -one.probability)
+    return [one for at, one in enumerate(ordered) if at < 3 or one.probability >= RANKING_MIN_PROBABILITY][
+        :RANKING_MAX_ROWS
+    ]
+
+
+def _ranking_colour(one: RankedHypothesis, diagnosis: Diagnosis) -> str:
+    if is_stated_verdict(one, diagnosis):
+        return BLUE
+    return SKY if set(one.hypothesis.split("+")) & set(diagnosis.confusable_with) else PALE
+
+
+def _draw_ranking_legend(figure: Figure, diagnosis: Diagnosis) -> None:
+    width, height = figure.get_size_inches()
+    words = [(BLUE, "the verdict")]
+    if diagnosis.confusable_with:
+        words.append((SKY, "cannot be told from it with these runs"))
+    words.append((PALE, "others"))
+    x, y = RANKING_LEFT_IN, height - 1.3
+    for colour, word in words:
+        figure.text(x / width, y / height, "■", color=colour, fontsize=TEXT_PT, va="center")
+        ink = GREY if colour == PALE else BLACK
+        figure.text((x + 0.22) / width, y / height, word, color=ink, fontsize=SMALL_PT, va="center")
+        x += 0.22 + text_width_in(word, SMALL_PT) + 0.35
+
+
+BEFORE_AFTER_WIDTH_IN, BEFORE_AFTER_ROW_IN, BEFORE_AFTER_HEAD_IN, BEFORE_AFTER_FOOT_IN, BEFORE_AFTER_BETWEEN_IN = (
+    13.0,
+    2.2,
+    1.75,
+    0.8,
+    0.8,
+)
+BEFORE_AFTER_LEFT_IN, BEFORE_AFTER_GUTTER_IN, BEFORE_AFTER_RIGHT_IN = 1.15, 1.15, 0.35
+MEASURED_LINE = LineStyle("measured", PALE, 4.0)
+BEFORE_LINE = LineStyle("model before", VERMILLION, 1.9, dashed=True)
+AFTER_LINE = LineStyle("model after", BLUE, 1.6)
+RESIDUAL_BEFORE_LINE = LineStyle("left before", VERMILLION, 2.2)
+RESIDUAL_AFTER_LINE = LineStyle("left after", BLUE, 1.2)
+MODEL_LINE = LineStyle("model", BLUE, 1.6)
+RESIDUAL_LINE = LineStyle("left", BLUE, 1.4)
+MOTION_SHARE = 0.01
+"""Part of the travel by which motion has begun, and that is missing while it has not ended."""
+SLIDING_RUN_KINDS = frozenset({"drag", "coulomb", "blank"})
+
+
+def before_after_figure(views: Sequence[RunTraces], floor_mN: float | None = None, *, named: bool = True) -> Figure:
+    """Draw runs in rows.
+
+    Parameters
+    ----------
+    views
+        One row each: left what was measured and both predictions, right what each of them leaves. Of a run that
+        slides, as much rest and hold is shown as it takes to slide.
+    floor_mN
+        Noise and scatter of repeats, marked in grey beside forces.
+    named
+        Whether an effect is named; only the model without one is drawn otherwise.
+    """
+    rows = len(views)
+    with figure_style():
+        tall = (
+            BEFORE_AFTER_HEAD_IN
+            + BEFORE_AFTER_ROW_IN * rows
+            + BEFORE_AFTER_BETWEEN_IN * (rows - 1)
+            + BEFORE_AFTER_FOOT_IN
+        )
+        figure = new_figure(BEFORE_AFTER_WIDTH_IN, tall)
+        told = "Left, what was measured and what the model says; right, measured − model"
+        write_title(figure, BEFORE_AFTER_LEFT_IN, "Before and after" if named else "The model beside the runs", told)
+        wide = (BEFORE_AFTER_WIDTH_IN - BEFORE_AFTER_LEFT_IN - BEFORE_AFTER_GUTTER_IN - BEFORE_AFTER_RIGHT_IN) / 2
+        for row, view in enumerate(views):
+            bottom = BEFORE_AFTER_FOOT_IN + (rows - 1 - row) * (BEFORE_AFTER_ROW_IN + BEFORE_AFTER_BETWEEN_IN)
+            left = add_panel(figure, PanelBox(BEFORE_AFTER_LEFT_IN, bottom, wide, BEFORE_AFTER_ROW_IN))
+            right = add_panel(
+                figure,
+                PanelBox(BEFORE_AFTER_LEFT_IN + wide + BEFORE_AFTER_GUTTER_IN, bottom, wide, BEFORE_AFTER_ROW_IN),
+                left,
+            )
+            _draw_run_row(left, right, view, floor_mN if view.unit == "mN" else None, named=named)
+            if row == 0 and floor_mN is not None:
+                right.set_title("grey: noise and scatter of repeats", loc="right", fontsize=SMALL_PT, color=GREY)
+            if row == rows - 1:
+                left.set_xlabel("Time (s)")
+                right.set_xlabel("Time (s)")
+        return figure
+
+
+def representative_runs(views: Sequence[RunTraces], most: int = 7) -> tuple[RunTraces, ...]:
+    """Choose runs to show: drags at the lowest, a middle and the highest speed, and of each other kind the worst left.
+
+    Returns
+    -------
+    At most `most` views, drags first; of each channel that views were made of.
+    """
+    chosen: list[RunTraces] = []
+    for channel in dict.fromkeys(view.channel for view in views):
+        here = [view for view in views if view.channel == channel]
+        drags = sorted((view for view in here if view.kind == "drag"), key=_mean_speed)
+        middle = len(drags) // 2
+        chosen += [drags[at] for at in dict.fromkeys((0, middle, len(drags) - 1)) if drags]
+        for kind in dict.fromkeys(view.kind for view in here if view.kind != "drag"):
+            chosen.append(max((view for view in here if view.kind == kind), key=_rms_before))
+    return tuple(chosen[:most])
+
+
+def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | None, *, named: bool) -> None:
+    shown = _shown_range_s(view)
+    inside = (view.time_s >= shown[0]) & (view.time_s <= shown[1])
+    time, measured = view.time_s[inside], view.measured[inside]
+    models = [
+        (view.before[inside], BEFORE_LINE, RESIDUAL_BEFORE_LINE),
+        (view.after[inside], AFTER_LINE, RESIDUAL_AFTER_LINE),
+    ]
+    if not named:
+        models = [(view.before[inside], MODEL_LINE, RESIDUAL_LINE)]
+    draw_line(left, time, measured, MEASURED_LINE)
+    for values, pen, _ in models:
+        draw_line(left, time, values, pen)
+    fit_y_range(left, (measured, *(values for values, _, _ in models)), _min_span(view))
+    for values, _, pen in models:
+        draw_line(right, time, measured - values, pen)
+    fit_y_range(right, [measured - values for values, _, _ in models], _min_span(view))
+    right.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
+    if floor_mN is not None and np.isfinite(floor_mN):
+        right.axhspan(-floor_mN, floor_mN, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
+    quantity = f"{view.channel.replace('_', ' ').capitalize()} ({view.unit})"
+    set_y_label(left, quantity)
+    set_y_label(right, f"Left ({view.unit})")
+    write_legend(left, (MEASURED_LINE, *(pen for _, pen, _ in models)))
+    if named:
+        write_legend(right, [pen for _, _, pen in models])
+    left.set_title(
+        shortened_to_width(f"{view.label}, {view.file}", TEXT_PT, BEFORE_AFTER_WIDTH_IN / 2 - 1),
+        loc="left",
+        fontsize=TEXT_PT,
+    )
+    set_time_range(left, *shown)
+
+
+def _shown_range_s(view: RunTraces) -> tuple[float, float]:
+    """Return from when to when [s] a run is shown."""
+    first, last = float(view.time_s[0]), float(view.time_s[-1])
+    begin, end = _motion_range_s(view)
+    if view.kind not in SLIDING_RUN_KINDS or not end > begin:
+        return first, last
+    apart = end - begin
+    return max(first, begin - 0.4 * apart), min(last, end + 0.8 * apart)
+
+
+def _motion_range_s(view: RunTraces) -> tuple[float, float]:
+    moved = np.abs(view.position_mm - view.position_mm[0])
+    travel = float(moved.max(initial=0.0))
+    if not travel > 0:
+        return 0.0, 0.0
+    under_way = np.flatnonzero((moved > MOTION_SHARE * travel) & (moved < (1 - MOTION_SHARE) * travel))
+    if under_way.size == 0:
+        return 0.0, 0.0
+    return float(view.time_s[under_way[0]]), float(view.time_s[under_way[-1]])
+
+
+def _mean_speed(view: RunTraces) -> float:
+    begin, end = _motion_range_s(view)
+    travel = float(np.ptp(view.position_mm)) if view.position_mm.size else 0.0
+    return travel / (end - begin) if end > begin else 0.0
+
+
+def _rms_before(view: RunTraces) -> float:
+    left: FloatArray = view.measured - view.before
+    return float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
+
+
+def _min_span(view: RunTraces) -> float:
+    return 4.0 if view.unit == "mN" else 0.004
+
+
+def inline_diagnosis_figures(diagnosis: Diagnosis) -> dict[str, InlineFigure]:
+    """Draw all figures; runs are missing where the diagnosis has no views of them."""
+    drawn = {
+        "where": inline_figure(
+            location_figure(diagnosis.where),
+            "A map of channels, protocols and phases; below it, shares of the excess along speed, position, session, "
+            "strain and frequency.",
+            "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of the "
+            "residual each domain accounts for. Below, shares of the excess, in colour where they stand out.",
+        ),
+        "ranking": inline_figure(
+            ranking_figure(diagnosis),
+            "Horizontal bars: the probability of each hypothesis, the most probable first.",
+            "Probability of each hypothesis that is not next to impossible.",
+        ),
+    }
+    views = representative_runs(diagnosis.views)
+    if views:
+        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+        drawn["before-after"] = inline_figure(
+            before_after_figure(views, floor, named=bool(diagnosis.effects)),
+            "A row for each run: left, the measurement and what the model says; right, what is left of it.",
+            "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model "
+            "without an effect explains worst. The grey band is noise and scatter of repeats.",
+        )
+    return drawn
+
+
+def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
+    """Return the report as one HTML page.
+
+    Parameters
+    ----------
+    source
+        The campaign.
+    model
+        The file that the amended model was written to; None where there is none.
+    """
+    verdict, *more = verdict_sentences(diagnosis)
+    return render_template(
+        "gap.html",
+        {
+            "title": f"Gap diagnosis: {diagnosis.specimen}",
+            "verdict": verdict,
+            "more": more,
+            "effects": [effect_description(one) for one in diagnosis.effects],
+            "meaning": calibration_sentence(diagnosis),
+            "seen": "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis),
+            "cannot_answer": [as_sentence(one) for one in diagnosis.cannot_answer],
+            "settings": _diagnosis_settings(diagnosis, source),
+            "where": domain_sentence(diagnosis.where),
+            "shrink": ()
+            if diagnosis.shrink is None
+            else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
+            "unknown": diagnosis.unknown,
+            "remarks_": diagnosis.remarks,
+            "model": model,
+            "diagnosis": diagnosis,
+            "tables": diagnosis_tables(diagnosis),
+            "pictures": inline_diagnosis_figures(diagnosis),
+        },
+    )
+
+
+def _diagnosis_settings(diagnosis: Diagnosis, source: str) -> dict[str, str]:
+    used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
+    told = {
+        "Campaign": source,
+        "Specimen": diagnosis.specimen,
+        "Nominal model": diagnosis.nominal,
+        "Runs": f"{used} used, {len(diagnosis.left_out)} left out",
+        "Too small to matter": f"below {diagnosis.tolerance_mN:g} mN (--tolerance)",
+    }
+    return {name: value for name, value in told.items() if value}

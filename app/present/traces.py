@@ -1,0 +1,557 @@
+"""Traces of a run as panels over one time axis: raw and filtered force, position, speed, phases and events."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import floor, log10
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dragrig.analysis.measures import measure
+from dragrig.analysis.savgol import filter_run
+from dragrig.analysis.segments import steady_stretch
+from dragrig.config.errors import AnalysisError
+from dragrig.present.drawing import (
+    SMALL_PT,
+    LineStyle,
+    PanelBox,
+    add_panel,
+    draw_line,
+    fit_y_range,
+    hide_time_labels,
+    panel_height_in,
+    panel_width_in,
+    set_time_range,
+    set_y_label,
+    spread_labels,
+    text_width_in,
+    write_legend,
+)
+from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, PALE, PAPER, PURPLE, VERMILLION
+from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray, PhaseArray
+from dragrig.rig.profile import Phase
+from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, FilteredTrace, Run, RunEvent
+
+ENVELOPE_COLUMNS = 2000
+"""Columns that an envelope keeps; about the pixels that a picture is wide."""
+
+GAP_PERIODS = 1.5
+"""A sample that comes so many periods after the one before it comes after a gap."""
+
+
+def gaps_after_samples(time: FloatArray, sample_rate_hz: float) -> BoolArray:
+    """Tell after which samples others are missing.
+
+    Parameters
+    ----------
+    time
+        Shape `(N,)`, rising [s].
+
+    Returns
+    -------
+    Shape `(N - 1,)`. What comes later than one and a half periods, by the rate or by the time
+    between samples that is usual in this trace, comes after a gap.
+    """
+    if time.size < 2:
+        return np.zeros(0, dtype=np.bool_)
+    step = np.diff(time)
+    usual = max(1.0 / sample_rate_hz, float(np.median(step)))
+    return np.asarray(step > GAP_PERIODS * usual)
+
+
+def min_max_envelope(
+    time: FloatArray, value: AnyFloatArray, gap: BoolArray, columns: int = ENVELOPE_COLUMNS
+) -> tuple[FloatArray, FloatArray]:
+    """Return a line `(t, y)` that looks like the trace at `columns` pixels' width.
+
+    Each column keeps its smallest and its largest value. The line is broken (by NaN) at gaps and
+    where the trace itself is not finite. A trace of at most `4 * columns` samples comes back whole.
+
+    Parameters
+    ----------
+    time, value
+        Shape `(N,)`.
+    gap
+        Shape `(N - 1,)`, as from `gaps_after_samples`.
+    """
+    finite = np.isfinite(value)
+    if finite.all():
+        t, y, breaks = time, value, np.flatnonzero(gap) + 1
+    else:
+        whole = np.flatnonzero(finite)
+        lost = np.concatenate(([0], np.cumsum(gap)))
+        t, y = time[whole], value[whole]
+        breaks = np.flatnonzero((np.diff(whole) > 1) | (np.diff(lost[whole]) > 0)) + 1
+    if t.size > 4 * columns:
+        t, y, breaks = _column_extremes(t, y, breaks, columns)
+    return np.insert(t, breaks, t[breaks]), np.insert(np.asarray(y, dtype=np.float64), breaks, np.nan)
+
+
+def _column_extremes(
+    t: FloatArray, y: AnyFloatArray, breaks: "np.ndarray[tuple[int], np.dtype[np.intp]]", columns: int
+) -> tuple[FloatArray, FloatArray, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
+    regular = np.searchsorted(t, np.linspace(t[0], t[-1], columns, endpoint=False))
+    starts = np.union1d(regular, breaks)
+    ends = np.append(starts[1:], t.size)
+    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
+    # A rising column is drawn from below, a falling one from above, so that neighbours join up.
+    rising = y[ends - 1] >= y[starts]
+    line = np.empty((starts.size, 2))
+    line[:, 0] = np.where(rising, low, high)
+    line[:, 1] = np.where(rising, high, low)
+    times = np.column_stack((t[starts], t[ends - 1]))
+    return times.ravel(), line.ravel(), 2 * np.searchsorted(starts, breaks)
+
+
+SLIDING_KINDS = frozenset({"drag", "coulomb", "blank", "return"})
+"""Kinds of run whose steady phase is one stretch of steady sliding."""
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyLevel:
+    """Mean force of steady sliding [mN], and from when to when it was taken [s]."""
+
+    begin_s: float
+    end_s: float
+    force_mN: float
+    text: str
+
+
+def filtered_trace(run: Run) -> FilteredTrace | None:
+    """Return what the filter stored in the run's file, or else what it makes of the run by itself.
+
+    A stored derivative of the force is passed over. None for a run that is shorter than the filter's window.
+    """
+    if run.filtered is not None and run.filtered.units.get(run.trace.signal) == "mN":
+        return run.filtered
+    try:
+        return filter_run(run).trace
+    except AnalysisError:
+        return None
+
+
+def measured_speed(run: Run, filtered: FilteredTrace | None) -> FloatArray:
+    """Speed [mm/s] from the encoder's position, shape `(N,)`; NaN for a run that is too short for one."""
+    if filtered is not None and "speed" in filtered.channels and filtered.time.shape == run.trace.time.shape:
+        return filtered.channels["speed"]
+    return np.full(run.trace.time.shape, np.nan)
+
+
+def steady_level(run: Run) -> SteadyLevel | None:
+    """Return the mean force of steady sliding; None where the run is of another kind, or does not support one."""
+    if run.info.kind not in SLIDING_KINDS:
+        return None
+    estimate = measure(run).steady_force
+    stretch, _ = steady_stretch(run)
+    if estimate.value is None or not stretch.any():
+        return None
+    inside = run.trace.time[stretch]
+    text = f"steady {value_with_error(estimate.value, estimate.standard_error)} mN"
+    return SteadyLevel(float(inside[0]), float(inside[-1]), estimate.value, text)
+
+
+def value_with_error(value: float, standard_error: float | None) -> str:
+    """Spell a value with its error, both to the error's second digit: 113.24 ± 0.21."""
+    if standard_error is None or not standard_error > 0:
+        return f"{value:.4g}".replace("-", "−")
+    digits = max(0, 1 - floor(log10(standard_error)))
+    return f"{value:.{digits}f} ± {standard_error:.{digits}f}".replace("-", "−")
+
+
+PHASE_TINTS = ("#F5F6F7", "#FCEED3", "#EAF4FB", "#FBE4D6", "#F3EEF7")
+"""One per phase, in the file's order."""
+PHASE_BAND_COLOURS = ("#B9BFC7", "#E69F00", "#56B4E9", "#D55E00", "#B38FC4")
+"""The same, for the band above the panel."""
+
+MAX_PHASE_NAMES = 8
+RAMP = "ramp"
+_MOVING = (Phase.ACCELERATE, Phase.STEADY, Phase.DECELERATE)
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseInterval:
+    """Consecutive samples of one phase, and what to call them."""
+
+    phase: int
+    start_s: float
+    end_s: float
+    name: str
+
+
+def phase_intervals(time: FloatArray, phase: PhaseArray) -> tuple[PhaseInterval, ...]:
+    """Cut a run into stretches of one phase; each ends where the next begins."""
+    if time.size == 0:
+        return ()
+    firsts = np.concatenate(([0], np.flatnonzero(np.diff(phase)) + 1))
+    ends = np.append(time[firsts[1:]], time[-1])
+    return tuple(
+        PhaseInterval(int(number), float(start), float(end), PHASE_NAMES[number])
+        for number, start, end in zip(phase[firsts], time[firsts], ends, strict=True)
+    )
+
+
+def merge_ramp(parts: Sequence[PhaseInterval]) -> tuple[PhaseInterval, ...]:
+    """Take neighbouring phases in motion together and call them the ramp."""
+    merged: list[PhaseInterval] = []
+    for part in parts:
+        moving = part.phase in _MOVING
+        if moving and merged and merged[-1].name == RAMP:
+            merged[-1] = replace(merged[-1], end_s=part.end_s)
+        else:
+            merged.append(replace(part, name=RAMP, phase=Phase.STEADY) if moving else part)
+    return tuple(merged)
+
+
+def shade_phases(axes: Axes, parts: Sequence[PhaseInterval], tints: Sequence[str] = PHASE_TINTS) -> None:
+    """Shade each stretch over the axes' whole height."""
+    for number, tint in enumerate(tints):
+        bars = [(part.start_s, part.end_s - part.start_s) for part in parts if part.phase == number]
+        if bars:
+            axes.broken_barh(
+                bars, (0, 1), transform=axes.get_xaxis_transform(), facecolor=tint, edgecolor="none", zorder=0
+            )
+
+
+def name_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
+    """Draw a band of the phases' colours along the axes' upper edge and their names above it.
+
+    Names that do not fit over their stretch move aside and keep a thin line to it. Of many
+    stretches only the longest of each phase is named.
+    """
+    wide, tall = panel_width_in(axes), panel_height_in(axes)
+    band = 0.07 / tall
+    inside = axes.inset_axes((0.0, 1.0, 1.0, band), sharex=axes)
+    inside.set_axis_off()
+    shade_phases(inside, parts, PHASE_BAND_COLOURS)
+    named = _longest_phases(parts, axes.get_xlim())
+    low, high = axes.get_xlim()
+    centres = [(_visible_middle(part, low, high) - low) / (high - low) * wide for part in named]
+    names = [part.name for part in named]
+    widths = [text_width_in(name, SMALL_PT) + 0.14 for name in names]
+    for name, centre, place in zip(names, centres, spread_labels(centres, widths, 0.0, wide), strict=True):
+        moved = abs(place - centre) > 0.02
+        axes.annotate(
+            name,
+            xy=(centre / wide, 1.0 + band),
+            xytext=(place / wide, 1.0 + 0.27 / tall),
+            xycoords="axes fraction",
+            ha="center",
+            va="bottom",
+            fontsize=SMALL_PT,
+            color=GREY,
+            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0}
+            if moved
+            else None,
+        )
+
+
+def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float]) -> list[PhaseInterval]:
+    shown = [part for part in parts if part.end_s > limits[0] and part.start_s < limits[1]]
+    if len(shown) <= MAX_PHASE_NAMES:
+        return shown
+    longest = {part.phase: part for part in sorted(shown, key=lambda part: part.end_s - part.start_s)}
+    return sorted(longest.values(), key=lambda part: part.start_s)
+
+
+def _visible_middle(part: PhaseInterval, low: float, high: float) -> float:
+    return (max(part.start_s, low) + min(part.end_s, high)) / 2
+
+
+ORDINARY_EVENTS = frozenset({"start", "phase", "end", "import", "filter"})
+"""Kinds of events that are no alarm: phases are shaded, what an import or the filter remarks is told by `info`."""
+
+GAP = "gap"
+MAX_MARK_LABELS = 6
+MAX_HATCHED_GAPS = 40
+_NARROW_GAP_SHARE = 0.004
+"""A gap of a smaller share of the time shown is a line; a longer one is hatched."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class EventMark:
+    """A time, the word that stands beside it, and for how long it lasted."""
+
+    time_s: float
+    word: str
+    lasted_s: float = 0.0
+
+    @property
+    def colour(self) -> str:
+        """Colour of line and word: missing samples are no alarm."""
+        return GREY if self.lasted_s else VERMILLION
+
+
+def event_marks(
+    events: Sequence[RunEvent], time: FloatArray, gap: BoolArray, sample_rate_hz: float
+) -> tuple[EventMark, ...]:
+    """Gather what is out of the ordinary: gaps, as the sample times show them, and events."""
+    if time.size == 0:
+        return ()
+    before = np.flatnonzero(gap)
+    starts, ends = time[before], time[before + 1]
+    missing = ends - starts - 1 / sample_rate_hz
+    marks = [
+        EventMark(float(start), f"gap {_gap_duration_text(float(length))}", float(length))
+        for start, length in zip(starts, missing, strict=True)
+    ]
+    for event in events:
+        told = event.kind not in ORDINARY_EVENTS and time[0] <= event.time_s <= time[-1]
+        seen = event.kind == GAP and bool(((starts <= event.time_s) & (event.time_s <= ends)).any())
+        if told and not seen:
+            marks.append(EventMark(event.time_s, event.kind))
+    return tuple(sorted(marks))
+
+
+def draw_event_marks(panels: Sequence[Axes], marks: Sequence[EventMark]) -> None:
+    """Draw a line through all panels at each mark, or hatch the time it lasted, and name it in the first panel.
+
+    Of very many the first are named, and the rest counted; very many gaps are shaded and summed up.
+    """
+    low, high = panels[0].get_xlim()
+    gaps = [mark for mark in marks if mark.lasted_s]
+    crowded = len(gaps) > MAX_HATCHED_GAPS
+    long = [mark for mark in gaps if crowded or mark.lasted_s > _NARROW_GAP_SHARE * (high - low)]
+    short = [mark for mark in marks if mark not in long]
+    for axes in panels:
+        _shade_gaps(axes, long, hatched=not crowded)
+        _draw_mark_lines(axes, short)
+    seen = [mark for mark in (short if crowded else marks) if low <= mark.time_s <= high]
+    named = seen[:MAX_MARK_LABELS]
+    if len(seen) > MAX_MARK_LABELS:
+        named[-1] = replace(named[-1], word=f"{named[-1].word} + {len(seen) - MAX_MARK_LABELS} more")
+    if crowded:
+        missing = _gap_duration_text(sum(gap.lasted_s for gap in gaps))
+        named = sorted([EventMark(gaps[0].time_s, f"{len(gaps)} gaps, {missing} missing", gaps[0].lasted_s), *named])
+    _write_mark_labels(panels[0], named)
+
+
+def _draw_mark_lines(axes: Axes, marks: Sequence[EventMark]) -> None:
+    if marks:
+        axes.vlines(
+            [mark.time_s for mark in marks],
+            0,
+            1,
+            transform=axes.get_xaxis_transform(),
+            colors=[mark.colour for mark in marks],
+            linewidth=1.3,
+            linestyle=(0, (4, 2)),
+            zorder=3,
+        )
+
+
+def _shade_gaps(axes: Axes, marks: Sequence[EventMark], *, hatched: bool) -> None:
+    if marks:
+        axes.broken_barh(
+            [(mark.time_s, mark.lasted_s) for mark in marks],
+            (0, 1),
+            transform=axes.get_xaxis_transform(),
+            facecolor=PAPER if hatched else "#D5DAE0",
+            edgecolor=PALE,
+            hatch="////" if hatched else None,
+            linewidth=0.0,
+            zorder=0.5,
+        )
+
+
+def _write_mark_labels(axes: Axes, marks: Sequence[EventMark]) -> None:
+    low, high = axes.get_xlim()
+    wide, tall = panel_width_in(axes), panel_height_in(axes)
+    centres = [(mark.time_s + mark.lasted_s / 2 - low) / (high - low) * wide for mark in marks]
+    widths = [text_width_in(mark.word, SMALL_PT) + 0.24 for mark in marks]
+    for mark, place in zip(marks, spread_labels(centres, widths, 0.0, wide), strict=True):
+        axes.text(
+            place / wide,
+            0.16 / tall,
+            mark.word,
+            transform=axes.transAxes,
+            ha="center",
+            va="center",
+            fontsize=SMALL_PT,
+            color="white",
+            zorder=6,
+            bbox={"boxstyle": "round,pad=0.22", "facecolor": mark.colour, "edgecolor": "none"},
+        )
+
+
+def _gap_duration_text(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds >= 0.1 else f"{1e3 * seconds:.3g} ms"
+
+
+RAW_FORCE = "#7DB3DA"
+RAW_MOTOR_FORCE = "#CFA3BC"
+CHANNEL_LABELS = {"force": "Force (mN)", "motor_force": "Motor force (mN)"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TraceCurve:
+    """A line of a panel: times and values of one shape, where samples are missing, and how it is drawn."""
+
+    time: FloatArray
+    value: AnyFloatArray
+    gap: BoolArray
+    pen: LineStyle
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracePanel:
+    """One quantity against time; its range is at least `smallest_span` wide and holds `level`, if there is one."""
+
+    label: str
+    curves: tuple[TraceCurve, ...]
+    smallest_span: float
+    level: float = np.nan
+
+
+def force_panel(
+    run: Run, filtered: FilteredTrace | None, gap: BoolArray, channel: str = "", steady: SteadyLevel | None = None
+) -> TracePanel:
+    """Measured force, thin and light, with the filtered one over it and the level of steady sliding.
+
+    `channel` names another than the run's signal.
+    """
+    name = channel or run.trace.signal
+    motor = name == "motor_force"
+    strong, light = (PURPLE, RAW_MOTOR_FORCE) if motor else (BLUE, RAW_FORCE)
+    smooth = filtered.channels.get(name) if filtered is not None else None
+    time = run.trace.time
+    if filtered is None or smooth is None:
+        curves = [TraceCurve(time, run.trace.channels[name], gap, LineStyle("raw", strong, 1.0))]
+    else:
+        smooth_gap = gaps_after_samples(filtered.time, run.trace.sample_rate_hz)
+        curves = [
+            TraceCurve(time, run.trace.channels[name], gap, LineStyle("raw", light, 1.0)),
+            TraceCurve(
+                filtered.time,
+                smooth,
+                smooth_gap,
+                LineStyle("filtered", strong, 2.0, detail=_filter_text(filtered.parameters)),
+            ),
+        ]
+    if steady is not None:
+        ends, level = np.array([steady.begin_s, steady.end_s]), np.full(2, steady.force_mN)
+        curves.append(
+            TraceCurve(ends, level, np.zeros(1, dtype=np.bool_), LineStyle(steady.text, BLACK, 1.2, dashed=True))
+        )
+    return TracePanel(CHANNEL_LABELS.get(name, name), tuple(curves), 1.0)
+
+
+def position_panel(run: Run, gap: BoolArray) -> TracePanel:
+    """Where the encoder was, and where it was told to be, if anybody told it."""
+    time, trace = run.trace.time, run.trace
+    curves = [TraceCurve(time, trace.position, gap, LineStyle("encoder", "#59BFA0", 3.2))]
+    # Of a foreign measurement without a command the position stands for it.
+    if run.info.header.backend != "external" or not np.array_equal(trace.command, trace.position):
+        curves.append(TraceCurve(time, trace.command, gap, LineStyle("command", BLACK, 1.0, dashed=True)))
+    return TracePanel("Position (mm)", tuple(curves), 2e-3)
+
+
+def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> TracePanel:
+    """Measured speed; the speed that was asked for, where the protocol names one."""
+    curves = [TraceCurve(run.trace.time, speed, gap, LineStyle("measured", GREEN, 1.8))]
+    wanted, steady = _set_speed(run), run.trace.phase == Phase.STEADY
+    if wanted is not None and steady.any():
+        level = np.where(steady, wanted, np.nan)
+        curves.append(
+            TraceCurve(
+                run.trace.time, level, gap, LineStyle(f"set {wanted:g} mm/s".replace("-", "−"), BLACK, 1.0, dashed=True)
+            )
+        )
+    return TracePanel("Speed (mm/s)", tuple(curves), 2e-3, level=0.0)
+
+
+def draw_trace_panel(
+    axes: Axes, panel: TracePanel, below_in: float = 0.1, window: tuple[float, float] | None = None
+) -> None:
+    """Draw a panel's curves, or the part of them inside a window of time, and label it."""
+    shown = []
+    for curve in panel.curves:
+        time, value, gap = _crop_curve(curve, window)
+        shown.append(value)
+        draw_line(axes, *min_max_envelope(time, value, gap), curve.pen)
+    fit_y_range(axes, [*shown, np.array([panel.level])], panel.smallest_span, below_in)
+    if not any(np.isfinite(value).any() for value in shown):
+        axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center", va="center", color=GREY)
+    set_y_label(axes, panel.label)
+    write_legend(axes, [curve.pen for curve in panel.curves])
+
+
+def _crop_curve(curve: TraceCurve, window: tuple[float, float] | None) -> tuple[FloatArray, AnyFloatArray, BoolArray]:
+    if window is None or curve.time.size <= 2:
+        return curve.time, curve.value, curve.gap
+    first, last = np.searchsorted(curve.time, window)
+    first, last = max(int(first) - 1, 0), min(int(last) + 1, curve.time.size)
+    return curve.time[first:last], curve.value[first:last], curve.gap[first : max(last - 1, first)]
+
+
+def _filter_text(parameters: Mapping[str, Attribute]) -> str:
+    window, order = parameters.get("window_s"), parameters.get("order")
+    if not isinstance(window, int | float) or not isinstance(order, int | float):
+        return ""
+    length = f"{window:g} s" if window >= 0.1 else f"{1e3 * window:g} ms"
+    return f" by Savitzky–Golay, {length}, order {order:g}"
+
+
+def _set_speed(run: Run) -> float | None:
+    parameters = run.info.header.protocol
+    speed = parameters.get("speed_mm_s", parameters.get("ramp_speed_mm_s"))
+    travel = parameters.get("travel_mm", 1.0)
+    if not isinstance(speed, int | float) or not isinstance(travel, int | float):
+        return None
+    return float(np.copysign(speed, travel))
+
+
+WIDTH_IN = 12.0
+LEFT_IN, RIGHT_IN, FOOT_IN = 1.15, 0.35, 0.75
+PANEL_SPACING_IN, PHASE_NAMES_IN = 0.17, 0.55
+MARKS_IN = 0.34
+"""Room for the names of marks at the foot of the first panel."""
+
+
+def draw_panel_column(
+    figure: Figure,
+    run: Run,
+    panels: Sequence[TracePanel],
+    heights: Sequence[float],
+    foot: PanelBox,
+    window: tuple[float, float] | None = None,
+    name_ramp: bool = False,
+) -> list[Axes]:
+    """Stack panels that share their time axis, the first on top, and shade, name and mark them.
+
+    Parameters
+    ----------
+    foot
+        Where the lowest panel stands; its height is not looked at.
+    window
+        The time shown [s]; the whole run unless given.
+    name_ramp
+        Take the phases in motion together.
+    """
+    time = run.trace.time
+    gap = gaps_after_samples(time, run.trace.sample_rate_hz)
+    marks = event_marks(run.events, time, gap, run.trace.sample_rate_hz)
+    stack = _stack_panels(figure, heights, foot)
+    for axes, panel in zip(stack, panels, strict=True):
+        draw_trace_panel(axes, panel, MARKS_IN if marks and axes is stack[0] else 0.1, window)
+    whole = (float(time[0]), float(time[-1])) if time.size else (0.0, 1.0)
+    set_time_range(stack[0], *(window or whole))
+    for axes in stack[:-1]:
+        hide_time_labels(axes)
+    stack[-1].set_xlabel("Time (s)")
+    parts = phase_intervals(time, run.trace.phase)
+    for axes in stack:
+        shade_phases(axes, parts)
+    name_phases(stack[0], merge_ramp(parts) if name_ramp else parts)
+    draw_event_marks(stack, marks)
+    return stack
+
+
+def _stack_panels(figure: Figure, heights: Sequence[float], foot: PanelBox) -> list[Axes]:
+    stack: list[Axes] = []
+    top = foot.bottom + sum(heights) + PANEL_SPACING_IN * (len(heights) - 1)
+    for height in heights:
+        place = PanelBox(foot.left, top - height, foot.width, height)
+        stack.append(add_panel(figure, place, stack[0] if stack else None))
+        top -= height + PANEL_SPACING_IN
+    return stack

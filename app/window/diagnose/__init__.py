@@ -1,1 +1,0 @@
-"""The page that diagnoses a campaign: where, which, before and after, what next."""

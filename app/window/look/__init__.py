@@ -1,1 +1,0 @@
-"""The page that looks at runs: browser, overlay, cursors, filter, steady table, export."""

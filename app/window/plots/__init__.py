@@ -1,1 +1,0 @@
-"""Plots whose cost does not grow with the length of what they show."""

@@ -1,1 +1,0 @@
-"""The page that runs plans: form, preview, queue, live traces."""

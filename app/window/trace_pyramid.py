@@ -1,0 +1,127 @@
+"""A min/max pyramid: traces of any length drawn at any zoom in constant time."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+
+BLOCKS_PER_LEVEL = 8
+"""So many blocks of one level are one block of the next."""
+
+
+class TracePyramid:
+    """Values at even times, appended as they come, with the least and the greatest of blocks of growing length.
+
+    Parameters
+    ----------
+    base
+        Samples of the shortest block that is kept; 1 keeps every sample. A live trace of 250 kS/s keeps blocks of half
+        a millisecond, so that a day of it fits into memory.
+    """
+
+    def __init__(self, base: int = 1) -> None:
+        self.base = base
+        self.count = 0
+        self._levels = [_PyramidLevel(single=base == 1)]
+
+    def append(self, values: npt.NDArray[np.floating]) -> None:
+        """Take values in; the cost is that of the new ones."""
+        if len(values) == 0:
+            return
+        new = np.asarray(values, dtype=np.float32)
+        missing = -self.count % self.base
+        if missing:
+            self._levels[0].widen_last(new[:missing])
+        rest = new[missing:]
+        changed = self.count // self.base
+        if len(rest):
+            if self.base == 1:
+                self._levels[0].extend(rest, rest)
+            else:
+                starts = np.arange(0, len(rest), self.base)
+                self._levels[0].extend(np.fmin.reduceat(rest, starts), np.fmax.reduceat(rest, starts))
+        self.count += len(new)
+        self._carry(changed)
+
+    def view(self, start: float, stop: float, columns: int) -> tuple[npt.NDArray[np.float64], Floats]:
+        """Return a line through what lies from sample `start` to `stop`, at most some `4 * columns` points.
+
+        Returns
+        -------
+        Positions in samples and values, shape `(n,)` each: single samples where there is room for them, else the least
+        and the greatest of each column.
+        """
+        first = max(0, int(start) // self.base)
+        last = min(self._levels[0].count, int(-(-stop // self.base)) + 1)
+        if last <= first:
+            return np.zeros(0), np.zeros(0, np.float32)
+        level = 0
+        while level + 1 < len(self._levels) and (last - first) > 2 * columns * BLOCKS_PER_LEVEL ** (level + 1):
+            level += 1
+        width = BLOCKS_PER_LEVEL**level
+        low, high = self._levels[level].part(first // width, -(-last // width))
+        begin = first // width * width
+        if level == 0 and self.base == 1 and len(low) <= 2 * columns:
+            return np.arange(begin, begin + len(low), dtype=np.float64), low
+        step = max(1, -(-len(low) // columns))
+        starts = np.arange(0, len(low), step)
+        line = np.empty((len(starts), 2), np.float32)
+        line[:, 0], line[:, 1] = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
+        # Up, down, up: from a column to the next it is never far, and long strokes are what drawing costs.
+        line[1::2] = line[1::2, ::-1]
+        place = (begin + starts * width) * float(self.base)
+        return np.repeat(place, 2), line.ravel()
+
+    def _carry(self, changed: int) -> None:
+        """Work out the blocks of the higher levels that the new ones are part of."""
+        for below, above in pairwise([*self._levels, _PyramidLevel(single=False)]):
+            if below.count <= BLOCKS_PER_LEVEL:
+                return
+            changed //= BLOCKS_PER_LEVEL
+            if above not in self._levels:
+                self._levels.append(above)
+                changed = 0
+            low, high = below.part(changed * BLOCKS_PER_LEVEL, below.count)
+            starts = np.arange(0, len(low), BLOCKS_PER_LEVEL)
+            above.cut(changed)
+            above.extend(np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts))
+
+
+class _PyramidLevel:
+    """Least and greatest values of blocks, in arrays that grow by doubling; one array where a block is one sample."""
+
+    def __init__(self, *, single: bool) -> None:
+        self.count = 0
+        self._low: Floats = np.empty(1024, np.float32)
+        self._high: Floats = self._low if single else np.empty(1024, np.float32)
+
+    def extend(self, low: Floats, high: Floats) -> None:
+        end = self.count + len(low)
+        if end > len(self._low):
+            single = self._high is self._low
+            self._low = _doubled(self._low, self.count, end)
+            self._high = self._low if single else _doubled(self._high, self.count, end)
+        self._low[self.count : end] = low
+        if self._high is not self._low:
+            self._high[self.count : end] = high
+        self.count = end
+
+    def cut(self, count: int) -> None:
+        self.count = count
+
+    def part(self, start: int, stop: int) -> tuple[Floats, Floats]:
+        end = min(stop, self.count)
+        return self._low[start:end], self._high[start:end]
+
+    def widen_last(self, values: Floats) -> None:
+        last = self.count - 1
+        self._low[last] = np.fmin(self._low[last], np.fmin.reduce(values))
+        self._high[last] = np.fmax(self._high[last], np.fmax.reduce(values))
+
+
+def _doubled(array: Floats, used: int, needed: int) -> Floats:
+    larger = np.empty(max(2 * len(array), needed), np.float32)
+    larger[:used] = array[:used]
+    return larger

@@ -1,0 +1,261 @@
+"""Settings: the common base class, TOML in and out, and lookup by file or shipped name.
+
+A validation error is one sentence that names the file, the key and what is allowed.
+"""
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from types import UnionType
+from typing import TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from dragrig.config.errors import SettingsError
+
+
+class Settings(BaseModel):
+    """A frozen group of settings: unknown keys, NaN and infinities are refused."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        str_strip_whitespace=True,
+        use_attribute_docstrings=True,
+        validate_default=True,
+    )
+
+
+Table = dict[str, object]
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+_MAX_FILE_BYTES = 4 * 1024 * 1024
+_EXPECTED_SHAPES = {
+    "model_type": "a table of keys",
+    "dict_type": "a table of keys",
+    "mapping_type": "a table of keys",
+    "list_type": "a list",
+    "tuple_type": "a list",
+}
+
+
+def read_toml(path: Path) -> Table:
+    """Read a TOML file.
+
+    Raises
+    ------
+    SettingsError
+        When it cannot be read, is not text, or is not TOML.
+    """
+    try:
+        if path.stat().st_size > _MAX_FILE_BYTES:
+            raise SettingsError(f"{path}: larger than 4 MB, which no settings file is; check the path.")
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: is not UTF-8 text at byte {error.start}; save it as UTF-8.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: is not valid TOML: {error}.") from error
+    except RecursionError as error:
+        raise SettingsError(f"{path}: is nested too deeply to be a settings file.") from error
+
+
+def to_toml(settings: BaseModel) -> str:
+    """Write settings as TOML text that `parse` reads back to an equal value; absent values are left out."""
+    import tomli_w
+
+    return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+
+
+def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> ModelT:
+    """Validate a table as `model`.
+
+    Parameters
+    ----------
+    source
+        Where the table comes from, for the error message: a path, or `--set`.
+
+    Raises
+    ------
+    SettingsError
+        One sentence about the first thing that is wrong, and how many more there are.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise SettingsError(describe_validation_error(error, model, source)) from error
+
+
+def load_settings(model: type[ModelT], path: Path) -> ModelT:
+    """Read and validate a settings file; raises `SettingsError`."""
+    return parse(model, read_toml(path), str(path))
+
+
+def describe_validation_error(error: ValidationError, model: type[BaseModel], source: str) -> str:
+    """One sentence for a validation error: file, key, what is allowed."""
+    details = error.errors(include_url=False)
+    # A list that lost a broken member counts as too short; that is no second mistake.
+    details = [one for one in details if one["type"] != "too_short"] or details
+    first = next((one for one in details if one["type"] == "extra_forbidden"), details[0])
+    sentence = f"{source}: {_describe_detail(first, model)}"
+    if len(details) > 1:
+        sentence += f" (and {len(details) - 1} more mistake{'s' if len(details) > 2 else ''})"
+    return sentence if sentence.endswith(("?", ".")) else sentence + "."
+
+
+def suggestion(word: str, known: Sequence[str]) -> str:
+    """End a sentence with the nearest known word, or with all of them when none is near."""
+    close = get_close_matches(word, known, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]}?"
+    return f"known are {', '.join(known)}."
+
+
+def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> Table:
+    """Return `table` with `changes` laid over it, table by table."""
+    merged = dict(table)
+    for key, value in changes.items():
+        below = merged.get(key)
+        merged[key] = merge_tables(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def parse_value(text: str) -> object:
+    """Read the right side of `--set key=value`: a TOML value, or else the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def parse_assignment(text: str) -> tuple[tuple[str, ...], object]:
+    """Split `a.b=3` into its path and its value; raises `SettingsError`."""
+    key, equals, value = text.partition("=")
+    path = tuple(part.strip() for part in key.split("."))
+    if not equals or not all(path):
+        raise SettingsError(f"--set {text}: is not of the form key=value, as in speed_mm_s=5.")
+    return path, parse_value(value.strip())
+
+
+def nested_table(path: Sequence[str], value: object) -> Table:
+    """Return the table that holds `value` at `path`."""
+    for key in reversed(path):
+        value = {key: value}
+    return value  # type: ignore[return-value]  # path has at least one key
+
+
+def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
+    key = _key_path(detail["loc"])
+    kind = detail["type"]
+    if kind == "extra_forbidden":
+        parent = _model_at(model, detail["loc"][:-1])
+        known = sorted(parent.model_fields) if parent is not None else []
+        return (
+            f"{key} is not a known key; {suggestion(str(detail['loc'][-1]), known)}" if known else f"{key} is unknown"
+        )
+    if kind == "missing":
+        return f"{key} is missing"
+    if kind in _EXPECTED_SHAPES:
+        return f"{key} must be {_EXPECTED_SHAPES[kind]}, and is {detail['input']!r:.60}"
+    message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    message = message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
+    if isinstance(detail["input"], Mapping):
+        return f"{key}: {message}" if key else message  # about the table's keys among each other, which it names
+    return f"{key} = {detail['input']!r:.60}: {message}" if key else message
+
+
+def _key_path(location: Sequence[int | str]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    current: type[BaseModel] | None = model
+    for part in location:
+        if isinstance(part, int):
+            continue
+        if current is None or part not in current.model_fields:
+            return None
+        current = _model_in(current.model_fields[part].annotation)
+    return current
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if get_origin(annotation) in (Union, UnionType, tuple, list):
+        for inner in get_args(annotation):
+            found = _model_in(inner)
+            if found is not None:
+                return found
+    return None
+
+
+SHIPPED_FOLDERS = {"rig": "rigs", "capsule": "capsules", "specimen": "specimens", "model": "models", "plan": "plans"}
+
+
+def shipped_files(kind: str) -> dict[str, Traversable]:
+    """Return the shipped files of a kind (rig, capsule, specimen, model, plan), by name."""
+    folder = resources.files("dragrig.config") / "files" / SHIPPED_FOLDERS[kind]
+    found = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
+    return dict(sorted(found.items()))
+
+
+def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tuple[Table, str]:
+    """Find settings and read them: a file first (also relative to `beside`), then a shipped name.
+
+    Returns
+    -------
+    The table, and where it comes from, for error messages.
+
+    Raises
+    ------
+    SettingsError
+        When there is neither, naming the nearest shipped one.
+    """
+    import tomllib
+
+    path = _settings_file(name_or_path, beside)
+    if path is not None:
+        return read_toml(path), str(path)
+    ships = shipped_files(kind)
+    if name_or_path in ships:
+        return tomllib.loads(ships[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
+    raise SettingsError(
+        f"{name_or_path}: there is no such file and no {kind} of this name; {suggestion(name_or_path, list(ships))}"
+    )
+
+
+def find_settings(model: type[ModelT], kind: str, name_or_path: str, beside: Path | None = None) -> ModelT:
+    """Find settings by file or shipped name and validate them; raises `SettingsError`."""
+    data, source = find_table(kind, name_or_path, beside)
+    return parse(model, data, source)
+
+
+def absolute_if_file(name_or_path: str) -> str:
+    """Return a name as it is, and a file so that a process with another working folder finds it."""
+    path = Path(name_or_path)
+    is_name = not path.suffix and len(path.parts) < 2
+    return str(path.absolute()) if path.is_file() and not is_name else name_or_path
+
+
+def _settings_file(name_or_path: str, beside: Path | None) -> Path | None:
+    if not name_or_path:
+        return None
+    given = Path(name_or_path)
+    looks_like_a_file = given.suffix == ".toml" or len(given.parts) > 1
+    if not looks_like_a_file:
+        return None
+    near = beside / given if beside is not None else given
+    for candidate in (near, given):
+        if candidate.is_file():
+            return candidate
+    raise SettingsError(f"{name_or_path}: there is no such file; check the path.")

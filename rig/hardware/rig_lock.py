@@ -1,0 +1,105 @@
+"""One program per rig: a lock of the operating system, released when its process ends for whatever reason."""
+
+import contextlib
+import os
+import re
+import stat
+import sys
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from filelock import FileLock, Timeout
+
+from dragrig.config.errors import DeviceError
+from dragrig.config.hardware import HardwareSettings
+
+_LOCK_FOLDERS = (Path("/run/lock"), Path("/var/lock"))
+_SHARED_FOLDER = 0o777
+_SHARED_FILE = 0o666
+
+
+class RigLock:
+    """Hold of a program on a rig, from construction to `close`.
+
+    Parameters
+    ----------
+    folder
+        Where the locks of this machine are kept; the same for all its users unless given.
+
+    Raises
+    ------
+    DeviceError
+        When another program, or this one elsewhere, holds the rig, by its process id; or when no lock can be had.
+    """
+
+    def __init__(self, hardware: HardwareSettings, folder: Path | None = None) -> None:
+        place = (folder or machine_lock_folder()) / f"{lock_name(hardware)}.lock"
+        rig = f"{hardware.card.device} and {hardware.drive.port}"
+        self._lock = FileLock(place, timeout=0, mode=_SHARED_FILE, thread_local=False)
+        self._note = place.with_suffix(".pid")
+        try:
+            _make_shared_folder(place.parent)
+            self._lock.acquire()
+        except Timeout:
+            raise DeviceError(
+                f"{rig}: {_describe_holder(self._note)} is at this rig; end it, or wait until it is done."
+            ) from None
+        except OSError as error:
+            raise DeviceError(
+                f"{rig}: the lock {place} cannot be had ({error.strerror}); see who may write there."
+            ) from error
+        self._sign()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the rig go. Safe to call twice."""
+        if self._lock.is_locked:
+            with contextlib.suppress(OSError):  # what the next holder writes anew
+                self._note.unlink(missing_ok=True)
+            self._lock.release()
+
+    def _sign(self) -> None:
+        # The id is for a person only; the lock holds without it.
+        with contextlib.suppress(OSError):
+            self._note.write_text(str(os.getpid()), "ascii")
+            self._note.chmod(_SHARED_FILE)
+
+
+def lock_name(hardware: HardwareSettings) -> str:
+    """Return the name of a rig's lock: card device and drive port, however the port is spelled."""
+    port = hardware.drive.port
+    if "://" not in port and Path(port).exists():
+        port = str(Path(port).resolve())
+    parts = (hardware.card.server, hardware.card.device, port)
+    return "-".join(re.sub(r"[^a-z0-9.]+", "_", part.lower()).strip("_") for part in parts if part)
+
+
+def machine_lock_folder() -> Path:
+    """Return the folder that keeps the locks of this machine for all who use it."""
+    if sys.platform == "win32":
+        return Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
+    # Not whether we may write there but whether everybody may: all users have to come to the same folder.
+    shared = (one for one in _LOCK_FOLDERS if one.is_dir() and one.stat().st_mode & stat.S_IWOTH)
+    return next(shared, Path(tempfile.gettempdir())) / "dragrig"
+
+
+def _make_shared_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(_SHARED_FOLDER)
+
+
+def _describe_holder(note: Path) -> str:
+    try:
+        return f"process {int(note.read_text('ascii'))}"
+    except (OSError, ValueError):
+        return "another program"

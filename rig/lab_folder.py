@@ -1,0 +1,110 @@
+"""Files of a lab folder: the calibration history (one JSON line per entry, append-only) and the contact position."""
+
+import json
+import os
+from pathlib import Path
+
+from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint
+from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.rig.runfile import filesystem as files
+
+
+def read_calibrations(folder: Path) -> tuple[Calibration, ...]:
+    """Return every entry of a lab folder's history, oldest first; none where there is no history.
+
+    Raises
+    ------
+    SettingsError
+        For a line that is no calibration, by its number.
+    """
+    path = folder / CALIBRATION_FILE
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except FileNotFoundError:
+        return ()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path}: cannot be read ({error}); check the file.") from error
+    return tuple(
+        _parse_calibration(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line.strip()
+    )
+
+
+def latest_calibration(
+    folder: Path, quantity: str = "force", made_on: str = "", sensor_serial: str = ""
+) -> Calibration | None:
+    """Return the entry that holds now for a quantity (force, encoder); None before the first one.
+
+    Parameters
+    ----------
+    made_on
+        Backend that it has to hold for; any unless given.
+    sensor_serial
+        Sensor that it has to hold for; any unless given. An entry that names none holds for every one.
+    """
+    entries = [
+        one
+        for one in read_calibrations(folder)
+        if one.quantity == quantity
+        and (not made_on or one.made_on in {"", made_on})
+        and (not sensor_serial or one.sensor_serial in {"", sensor_serial})
+    ]
+    return entries[-1] if entries else None
+
+
+def append_calibration(folder: Path, entry: Calibration) -> None:
+    """Add an entry to a lab folder's history.
+
+    Raises
+    ------
+    SettingsError
+        When the history has an entry of this id already, or holds a line that is no calibration.
+    OutputError
+        When the history cannot be written.
+    """
+    path = folder / CALIBRATION_FILE
+    if any(one.id == entry.id for one in read_calibrations(folder)):
+        raise SettingsError(f"{path}: id = {entry.id!r} is in the history already; choose another.")
+    try:
+        with path.open("a+b") as history:
+            history.write(_missing_newline(path) + entry.model_dump_json().encode() + b"\n")
+            history.flush()
+            os.fsync(history.fileno())
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
+
+
+def _missing_newline(path: Path) -> bytes:
+    # An editor may have left the last line without its end; the new entry must not join it.
+    text = path.read_bytes()
+    return b"" if not text or text.endswith(b"\n") else b"\n"
+
+
+def _parse_calibration(line: str, source: str) -> Calibration:
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise SettingsError(f"{source}: is not JSON ({error}); the history is only ever appended to.") from error
+    if not isinstance(data, dict):
+        raise SettingsError(f"{source}: is not an object of a calibration's keys.")
+    return parse(Calibration, data, source)
+
+
+def read_contact(folder: Path) -> ContactPoint | None:
+    """Return the contact that a lab folder keeps; None before the first one. Raises `SettingsError`."""
+    path = folder / CONTACT_FILE
+    return load_settings(ContactPoint, path) if path.is_file() else None
+
+
+def write_contact(folder: Path, contact: ContactPoint) -> Path:
+    """Keep a contact in place of the one before; raises `OutputError`."""
+    path = folder / CONTACT_FILE
+    part = path.with_suffix(".part")
+    try:
+        part.write_text(to_toml(contact), "utf-8")
+        files.move_into_place(part, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
+    finally:
+        files.remove_quietly(part)
+    return path

@@ -1,0 +1,30 @@
+"""The driven return stroke, recorded like any other run."""
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import Piece, trapezoid
+from dragrig.rig.protocols.run_protocol import RunProtocol
+
+
+class ReturnProtocol(RunProtocol):
+    """One stroke back to where the run before began; fixture and contact are that run's."""
+
+    kind: ClassVar[str] = "return"
+    fixture: ClassVar[Fixture] = Fixture.FOAM
+    contact: ClassVar[Contact] = Contact.SLIDING
+    capsule: ClassVar[str] = "drag"
+
+    travel_mm: float = Field(ge=-5000, le=5000)
+    speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
+    accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    rest_s: float = Field(default=0.5, ge=0, le=3600)
+    hold_s: float = Field(default=0.5, ge=0, le=7200)
+
+    def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
+        """One trapezoid, or a triangle where the way is short."""
+        del specimen
+        return trapezoid(self.travel_mm, self.speed_mm_s, self.accel_mm_s2)

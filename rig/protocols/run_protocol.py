@@ -1,0 +1,165 @@
+"""What all kinds of run have in common, the catalogue of kinds, and sweeps over their parameters."""
+
+import json
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from itertools import product
+from math import prod
+from pkgutil import iter_modules
+from typing import ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from dragrig.config.errors import PlanError
+from dragrig.config.settings import Settings, parse, suggestion
+from dragrig.config.specimen import Fixture, Specimen
+from dragrig.rig import protocols
+from dragrig.rig.devices import Contact
+from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
+from dragrig.rig.runfile.model import Attribute
+
+
+class RunProtocol(Settings):
+    """A kind of run as a value: what is set, and the motion that follows from it.
+
+    A new kind is one module of this package with one subclass; its `kind` becomes known by itself.
+    """
+
+    kind: ClassVar[str]
+    fixture: ClassVar[Fixture]
+    """What usually holds the gut."""
+    contact: ClassVar[Contact]
+    capsule: ClassVar[str]
+    """Name of the usual capsule."""
+
+    rest_s: float = Field(default=1.0, ge=0, le=3600)
+    """Standing still before the motion."""
+    hold_s: float = Field(default=3.0, ge=0, le=7200)
+    """Standing still after the motion."""
+
+    @abstractmethod
+    def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
+        """Pieces of the motion proper, between rest and hold."""
+
+    def profile(self, specimen: Specimen) -> MotionProfile:
+        """Whole motion of the run on a specimen."""
+        return MotionProfile.from_pieces(
+            (
+                stationary_piece(self.rest_s, Phase.REST),
+                *self.moves(specimen),
+                stationary_piece(self.hold_s, Phase.HOLD),
+            )
+        )
+
+    def strain(self) -> float:
+        """Shear strain that the run goes to; 0 for a capsule that slides."""
+        return 0.0
+
+    def attributes(self) -> Mapping[str, Attribute]:
+        """Return the run file's protocol attributes: kind and every parameter; lists become JSON text."""
+        values = self.model_dump(mode="json")
+        plain = {
+            key: value if isinstance(value, str | float | int) else json.dumps(value) for key, value in values.items()
+        }
+        return {"kind": self.kind, **plain}
+
+    def summary(self) -> str:
+        """Return the few words that tell this run from its neighbours."""
+        return self.kind
+
+
+class StrokeProtocol(RunProtocol):
+    """One stroke at constant speed; a negative travel goes the other way."""
+
+    speed_mm_s: float = Field(gt=0, le=5000)
+    """Constant speed of the stroke."""
+    travel_mm: float = Field(default=40.0, ge=-5000, le=5000)
+    """Length of the stroke, run-up and run-down included; negative goes the other way."""
+    accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    """Acceleration of run-up and run-down."""
+
+    @model_validator(mode="after")
+    def _reaches_its_speed(self) -> Self:
+        ramps_mm = self.speed_mm_s**2 / self.accel_mm_s2
+        if ramps_mm >= abs(self.travel_mm):
+            raise ValueError(
+                f"travel_mm = {self.travel_mm:g} is too short for speed_mm_s = {self.speed_mm_s:g}: run-up and "
+                f"run-down at accel_mm_s2 = {self.accel_mm_s2:g} alone take {ramps_mm:g} mm"
+            )
+        return self
+
+    def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
+        """One trapezoid."""
+        del specimen
+        return trapezoid(self.travel_mm, self.speed_mm_s, self.accel_mm_s2)
+
+    def summary(self) -> str:
+        """Kind and speed, and the direction where it is backward."""
+        return f"{self.kind} {self.speed_mm_s:g} mm/s" + (" backward" if self.travel_mm < 0 else "")
+
+
+MAX_RUNS = 10_000
+"""More than a year of rig time, and what memory bears."""
+
+
+@cache
+def protocol_kinds() -> Mapping[str, type[RunProtocol]]:
+    """Return every kind of run by its name: each module of this package may define some."""
+    for module in iter_modules(protocols.__path__):
+        import_module(f"{protocols.__name__}.{module.name}")
+    found = _concrete_subclasses(RunProtocol)  # type: ignore[type-abstract]  # only its subclasses are taken
+    return {one.kind: one for one in sorted(found, key=lambda one: one.kind)}
+
+
+def expand_sweep(
+    kind: str, parameters: Mapping[str, object], source: str, own_keys: tuple[str, ...]
+) -> tuple[RunProtocol, ...]:
+    """Make one protocol for each combination of the values that are given as lists, the last key fastest.
+
+    Parameters
+    ----------
+    source
+        Where the step comes from, for error messages.
+    own_keys
+        Keys that a step may have besides the protocol's, for the hint at a misspelt one.
+
+    Raises
+    ------
+    PlanError
+        For an unknown kind or key.
+    SettingsError
+        For a value that is not allowed.
+    """
+    if kind not in protocol_kinds():
+        raise PlanError(f"{source}: kind = {kind!r} is not a kind of run; {suggestion(kind, list(protocol_kinds()))}")
+    protocol = protocol_kinds()[kind]
+    known = list(protocol.model_fields)
+    for key in parameters:
+        if key not in known:
+            raise PlanError(f"{source}: {key} is not a key of a {kind} step; {suggestion(key, [*known, *own_keys])}")
+    return tuple(parse(protocol, combination, source) for combination in _combinations(protocol, parameters, source))
+
+
+def _combinations(
+    protocol: type[RunProtocol], parameters: Mapping[str, object], source: str
+) -> Iterator[dict[str, object]]:
+    for key, value in parameters.items():
+        if value == [] or any(isinstance(one, bool) for one in (value if isinstance(value, list) else [value])):
+            raise PlanError(f"{source}: {key} = {value!r} is no number and no list of numbers.")
+    choices = [
+        value if isinstance(value, list) and protocol.model_fields[key].annotation in (float, int) else [value]
+        for key, value in parameters.items()
+    ]
+    if prod(len(values) for values in choices) > MAX_RUNS:
+        raise PlanError(f"{source}: the lists make more than {MAX_RUNS} runs; shorten them.")
+    for values in product(*choices):
+        yield dict(zip(parameters, values, strict=True))
+
+
+def _concrete_subclasses(base: type[RunProtocol]) -> Iterator[type[RunProtocol]]:
+    for one in base.__subclasses__():
+        if hasattr(one, "kind"):
+            yield one
+        yield from _concrete_subclasses(one)

@@ -1,0 +1,183 @@
+"""Calibrating force sensor and encoder on an open rig: known loads and travels, raw readings, and the fitted line."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isfinite, sqrt
+
+import numpy as np
+
+from dragrig.config.errors import DeviceError, SettingsError
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import Backend, RawReading, SupportsBenchActions
+from dragrig.rig.manual import ManualControl
+from dragrig.rig.operator import Prompt
+
+_MIN_LOADS = 3
+_MAX_RELATIVE_GAIN_ERROR = 0.05
+"""Part of the gain that its standard error may be; beyond, the readings do not follow what was applied."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationLine:
+    """A calibration: quantity = gain · raw + zero, with standard errors and the residuals' standard deviation."""
+
+    gain: float
+    gain_error: float
+    zero: float
+    zero_error: float
+    residual: float
+    points: int
+
+    def at(self, raw: float) -> float:
+        """Return the quantity that a raw value stands for."""
+        return self.gain * raw + self.zero
+
+
+def fit_force(loads_mN: Sequence[float], volts: Sequence[float]) -> CalibrationLine:
+    """Fit force to volts, both of shape `(n,)`.
+
+    Raises
+    ------
+    SettingsError
+        For fewer than three distinct loads, and for volts that do not follow the loads.
+    """
+    require_loads(loads_mN)
+    force, reading = np.asarray(loads_mN, float), np.asarray(volts, float)
+    if not np.isfinite(reading).all() or np.ptp(reading) == 0:
+        raise SettingsError("the readings do not change with the load: is the sensor connected, and the load on it?")
+    (gain, zero), spread = np.polyfit(reading, force, 1, cov=True)
+    gain_error, zero_error = np.sqrt(np.diag(spread))
+    if gain_error > _MAX_RELATIVE_GAIN_ERROR * abs(gain):
+        raise SettingsError(
+            f"the readings do not follow the loads (gain {gain:.4g} ± {gain_error:.2g} mN/V): is each load on the "
+            "sensor, and does it hang still?"
+        )
+    left = force - (gain * reading + zero)
+    residual = sqrt(float(left @ left) / (len(force) - 2))
+    return CalibrationLine(float(gain), float(gain_error), float(zero), float(zero_error), residual, len(force))
+
+
+def require_loads(loads: Sequence[float]) -> None:
+    """Raise `SettingsError` for loads that make no line: not finite, or fewer than three distinct ones."""
+    if not all(isfinite(load) for load in loads) or len(set(loads)) < _MIN_LOADS:
+        raise SettingsError(
+            f"weights {', '.join(f'{load:g}' for load in loads)}: a line needs at least {_MIN_LOADS} distinct loads."
+        )
+
+
+def fit_encoder(travels_mm: Sequence[float], counts: Sequence[float]) -> CalibrationLine:
+    """Fit travel to counts through the origin, both of shape `(n,)`; one point has no errors and no residual.
+
+    Raises
+    ------
+    SettingsError
+        For counts that do not follow the travel.
+    """
+    travel, counted = np.asarray(travels_mm, float), np.asarray(counts, float)
+    square = float(counted @ counted)
+    if not travel.size or not np.isfinite(travel).all() or square == 0:
+        raise SettingsError("the encoder counted nothing: look at its cable, and at hardware.card.encoder.")
+    gain = float(travel @ counted) / square
+    left = travel - gain * counted
+    residual = sqrt(float(left @ left) / (len(travel) - 1)) if len(travel) > 1 else 0.0
+    gain_error = residual / sqrt(square)
+    if gain <= 0 or gain_error > _MAX_RELATIVE_GAIN_ERROR * gain:
+        raise SettingsError(
+            f"the counts do not follow the travel ({gain:.4g} ± {gain_error:.2g} mm per count): does the stage go all "
+            "of it, and does the encoder count up where the stage goes up (hardware.card.encoder.reversed)?"
+        )
+    return CalibrationLine(gain, gain_error, 0.0, 0.0, residual, len(travel))
+
+
+STANDARD_GRAVITY = 9.80665
+"""Weight of a gram [mN]."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredLoad:
+    """A weight on the sensor [g], its load [mN], and the reading."""
+
+    weight_g: float
+    load_mN: float
+    reading: RawReading
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredTravel:
+    """A known travel [mm], and what the encoder counted over it."""
+
+    travel_mm: float
+    counts: float
+
+
+def measure_loads(
+    backend: Backend,
+    rig: RigSettings,
+    manual: ManualControl,
+    weights_g: Sequence[float],
+    repeats: int,
+    duration_s: float,
+) -> Iterator[MeasuredLoad]:
+    """Have each weight hung on the sensor, up and down in turns, and read it.
+
+    Raises
+    ------
+    DeviceError
+        When the sensor is overloaded.
+    AbortedError
+        When the person says so.
+    """
+    for repeat in range(repeats):
+        for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
+            what = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
+            manual.ask(Prompt(f"{what} and let it hang still", hands=backend.needs_hands))
+            if isinstance(backend, SupportsBenchActions):
+                backend.hang(weight_g * STANDARD_GRAVITY)
+            reading = backend.sampler.measure(duration_s)
+            if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
+                raise DeviceError(
+                    f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
+                    "lighter weights, or look at its wires."
+                )
+            yield MeasuredLoad(weight_g, weight_g * STANDARD_GRAVITY, reading)
+
+
+def measure_driven_travel(
+    manual: ManualControl,
+    count_mm: float,
+    travel_mm: float,
+    speed_mm_s: float,
+    measured_mm: Sequence[float],
+    repeats: int,
+) -> Iterator[MeasuredTravel]:
+    """Drive the stage there and back, and tell what the encoder counted over each way whose travel is known.
+
+    Parameters
+    ----------
+    count_mm
+        Length of a count as the sampler takes it now.
+    measured_mm
+        Travel of every way there as somebody measured it; where it is empty, the drive's word is taken for both ways.
+    """
+    manual.make_ready()
+    for repeat in range(repeats):
+        there = manual.travel(travel_mm, speed_mm_s) / count_mm
+        yield MeasuredTravel(measured_mm[repeat] if measured_mm else travel_mm, there)
+        back = manual.travel(-travel_mm, speed_mm_s) / count_mm
+        if not measured_mm:
+            yield MeasuredTravel(-travel_mm, back)
+
+
+def measure_pushed_travel(
+    backend: Backend, manual: ManualControl, travels_mm: Sequence[float], duration_s: float
+) -> Iterator[MeasuredTravel]:
+    """Have the stage, switched off, pushed by known travels, and tell what the encoder counted."""
+    backend.stage.disable()
+    for travel_mm in travels_mm:
+        way = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
+        text = f"The stage is off. After this answer, push it {way} against a gauge, within {duration_s:g} s"
+        manual.ask(Prompt(text, hands=backend.needs_hands))
+        if isinstance(backend, SupportsBenchActions):
+            backend.push(travel_mm, duration_s)
+        reading = backend.sampler.measure(duration_s)
+        yield MeasuredTravel(travel_mm, reading.counts_end - reading.counts_begin)

@@ -1,0 +1,105 @@
+"""Campaigns of the plant as run files."""
+
+from concurrent.futures import ProcessPoolExecutor
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from uuid import UUID, uuid5
+
+import h5py
+import numpy as np
+
+from dragrig.sim_backend.blind.blind_campaign import BlindCampaign, parallel_session
+from dragrig.sim_backend.blind.plant import CAPSULE_MASS_G, CAPSULE_RADIUS_MM, PlantRecord, recorded_run
+from dragrig.sim_backend.blind.programme import PLANT_WALL_MM, RATE_HZ, RunList, RunPlan
+
+SESSION_START = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
+_RUN_ID_NAMESPACE = UUID("6d1e2f60-2f7b-4c0e-9d0e-1f2b9a7c5e11")
+_FIXTURES = {"drag": "foam", "coulomb": "vacuum", "relaxation": "vacuum", "blank": "none"}
+_UNITS = {"time": "s", "force": "mN", "position": "mm", "command": "mm"}
+_COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")
+
+
+def write_campaign(
+    secret: BlindCampaign, folder: str | Path, workers: int = 1, *, runs: str | RunList | None = None
+) -> None:
+    """Write a campaign's run files, NNN-KIND.h5, with the required part of the run format and nothing hidden in it.
+
+    Parameters
+    ----------
+    workers
+        Processes that share the runs; more than one only pays on an idle machine.
+    runs
+        Programme to be written in place of the one that was drawn, `fresh` for one, or a list of runs.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be written.
+    """
+    if runs is not None:
+        secret = parallel_session(secret, runs)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    one = partial(_write_run, secret, place)
+    if workers > 1:
+        with ProcessPoolExecutor(workers) as pool:
+            list(pool.map(one, range(len(secret.runs)), chunksize=4))
+    else:
+        for index in range(len(secret.runs)):
+            one(index)
+
+
+def _write_run(secret: BlindCampaign, folder: Path, index: int) -> None:
+    trace = recorded_run(secret, index)
+    run = trace.run
+    with h5py.File(folder / f"{run.order:03d}-{run.kind}.h5", "w") as file:
+        _write_metadata(file, secret, run)
+        _write_trace(file.create_group("entry/trace"), trace)
+
+
+def _write_metadata(file: h5py.File, secret: BlindCampaign, run: RunPlan) -> None:
+    file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": "dragrig-run", "format_version": 1})
+    session = SESSION_START + (timedelta(days=1) if secret.programme == "fresh" else timedelta())
+    entry = file.create_group("entry")
+    entry.attrs.update(
+        {
+            "NX_class": "NXentry",
+            "default": "trace",
+            "backend": "external",
+            "run_id": str(uuid5(_RUN_ID_NAMESPACE, f"{secret.seed} {secret.programme} {run.order}")),
+            "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
+            "order": run.order,
+            "status": "complete",
+            "insertion_dwell_s": run.dwell_s,
+        }
+    )
+    entry.create_group("protocol").attrs.update(_protocol_attributes(run))
+    mass = 0.0 if run.kind == "blank" else CAPSULE_MASS_G
+    entry.create_group("capsule").attrs.update(
+        {"diameter_mm": 2 * CAPSULE_RADIUS_MM, "length_mm": 15.2, "mass_g": mass, "contact_angle_deg": 60.0}
+    )
+    entry.create_group("specimen").attrs.update(
+        {"name": "jejunum", "wall_thickness_mm": PLANT_WALL_MM, "fixture": _FIXTURES[run.kind]}
+    )
+
+
+def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:
+    both: dict[str, str | float] = {"kind": run.kind, "rest_s": run.rest_s, "hold_s": run.hold_s}
+    if run.strain is not None:
+        ramp = {"ramp_speed_mm_s": run.speed_mm_s, "ramp_accel_mm_s2": run.accel_mm_s2}
+        return {**both, "shear_strain": run.strain, **ramp}
+    return {**both, "speed_mm_s": run.speed_mm_s, "travel_mm": run.travel_mm, "accel_mm_s2": run.accel_mm_s2}
+
+
+def _write_trace(group: h5py.Group, trace: PlantRecord) -> None:
+    group.attrs.update({"NX_class": "NXdata", "signal": "force", "axes": "time", "sample_rate_hz": RATE_HZ})
+    columns = {"force": trace.force, "position": trace.position, "command": trace.command}
+    group.create_dataset("time", data=trace.time, **_COMPRESSION)
+    for name, values in columns.items():
+        group.create_dataset(name, data=values.astype(np.float32), **_COMPRESSION)
+    for name, unit in _UNITS.items():
+        group[name].attrs["units"] = unit
+    phase = group.create_dataset("phase", data=trace.phase, **_COMPRESSION)
+    phase.attrs.create("names", PHASES, dtype=h5py.string_dtype())

@@ -1,0 +1,377 @@
+"""The plant: forces of gut and capsule in one run, and the run as it is recorded.
+
+A capsule slides (drag and Coulomb runs), or a dummy shears the wall and holds it (relaxation).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, prod, radians, sin
+from zlib import crc32
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.sim_backend.blind.blind_campaign import (
+    BlindCampaign,
+    HiddenSpecimen,
+    NoiseLevels,
+    NominalErrors,
+    RunVariation,
+    without_effects,
+)
+from dragrig.sim_backend.blind.effects.base import CapsuleForces, HiddenEffect, RunConditions
+from dragrig.sim_backend.blind.programme import (
+    NOTED_DWELL_S,
+    PLANT_WALL_MM,
+    RATE_HZ,
+    Floats,
+    RunPlan,
+    planned_motion,
+    sample_phases,
+)
+
+CAPSULE_RADIUS_MM = 6.45
+CAPSULE_MASS_G = 50.1
+GRAVITY_M_S2 = 9.80665
+_EQ14 = {
+    "E1": (-0.1617, -0.3175, 3.348),
+    "E2": (0.1729, -1.078, 2.078),
+    "E3": (0.1653, -0.9792, 1.877),
+    "eta1": (-0.01386, 0.03667, 0.0442),
+    "eta2": (0.0185, -0.2205, 0.6971),
+}
+"""Equation (14) of the paper: kPa, and kPa s, against strain."""
+
+
+@dataclass(frozen=True)
+class GutContact:
+    """The gut about the capsule in one run, effects that act in the tissue included."""
+
+    specimen: HiddenSpecimen
+    variation: RunVariation
+    rough: NominalErrors
+    effects: Sequence[HiddenEffect]
+    ageing: float
+    """Factor on stiffness from effects that act from run to run."""
+
+    @cached_property
+    def angle(self) -> float:
+        """Contact angle [rad]."""
+        return radians(self.specimen.angle_deg + self.rough.angle_deg)
+
+    @cached_property
+    def length_mm(self) -> float:
+        """Length of the contact along the axis."""
+        return CAPSULE_RADIUS_MM * sin(self.angle)
+
+    @cached_property
+    def area_mm2(self) -> float:
+        """Area of the contact, S."""
+        return 2 * pi * CAPSULE_RADIUS_MM**2 * sin(self.angle)
+
+    def diameter_mm(self, x: Floats) -> Floats:
+        """Return the wall's inner diameter at `x` along the contact."""
+        return 2 * np.sqrt(CAPSULE_RADIUS_MM**2 - (self.length_mm - x) ** 2)
+
+    def strain(self, x: Floats) -> Floats:
+        """Return the circumferential strain at `x`."""
+        free = 2 * CAPSULE_RADIUS_MM * cos(self.angle)
+        return (self.diameter_mm(x) - free) / free
+
+    def moduli(self, strain: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Return E1, E2, E3 [kPa] and the time constants of the two branches [s] at a strain."""
+        five = self.specimen.five
+        E1, E2, E3, eta1, eta2 = (
+            np.polyval(one, strain) * scale for one, scale in zip(_EQ14.values(), five, strict=True)
+        )
+        scale = self.specimen.stiffness * self.variation.stiffness * self.ageing * self._bend(strain)
+        first, second, third = scale.copy(), scale.copy(), scale.copy()
+        for effect in self.effects:
+            one, two, three = effect.branches(strain)
+            first, second, third = first * one, second * two, third * three
+        return E1 * first, E2 * second, E3 * third, eta1 / E1, eta2 / E2
+
+    def tail(self, age: Floats, strain: Floats) -> Floats:
+        """Return what effects add to the stress at an age and a strain, as a part of E3."""
+        if not self.effects:
+            return np.zeros_like(age)
+        return np.asarray(np.sum([effect.tail(age, strain) for effect in self.effects], axis=0))
+
+    def pressure(self, x: Floats, age: Floats) -> Floats:
+        """Return the wall's pressure [kPa] at `x`, first touched `age` seconds ago."""
+        strain = self.strain(x)
+        E1, E2, E3, tau1, tau2 = self.moduli(strain)
+        stress = E1 * np.exp(-age / tau1) + E2 * np.exp(-age / tau2) + E3 * (1 + self.tail(age, strain))
+        return 2 * PLANT_WALL_MM * strain * stress / self.diameter_mm(x)
+
+    def _bend(self, strain: Floats) -> Floats:
+        if not self.rough.shape:
+            return np.ones_like(strain)
+        bent = {"linear": strain - 1, "arched": 2 * (strain - 1) ** 2 - 1, "wave": np.sin(np.pi * (strain - 0.5))}
+        return np.asarray(1 + self.rough.shape * bent[self.rough.shape_form])
+
+
+SHEARED_AREA_MM2 = np.pi * 12.9 * 15.2
+_STEPS_PER_SAMPLE = 4
+"""Steps of the recursion per sample."""
+
+
+def relaxation_force(gut: GutContact, scene: RunConditions) -> Floats:
+    """Return the force at every sample [mN], shape `(N,)`.
+
+    Two Maxwell branches and a spring, with the moduli at the final strain, driven by the true motion.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+    from scipy.signal import lfilter
+
+    run, motion = scene.run, scene.motion
+    if run.strain is None:
+        raise ValueError(f"a {run.kind} run has no strain to relax from")
+    E1, E2, E3, tau1, tau2 = (float(one[0]) for one in gut.moduli(np.array([run.strain])))
+    h = float(motion.t[1] - motion.t[0]) / _STEPS_PER_SAMPLE
+    fine = motion.t[0] + h * np.arange((motion.t.size - 1) * _STEPS_PER_SAMPLE + 1)
+    strain = CubicHermiteSpline(motion.t, motion.p, motion.v)(fine) / PLANT_WALL_MM
+    steps = np.diff(strain, prepend=0.0)
+    stress = E3 * strain
+    for modulus, tau in ((E1, tau1), (E2, tau2)):
+        if gut.rough.ramp_step_s:
+            stress = stress + modulus * _first_order_rule(strain, fine, tau, gut.rough.ramp_step_s)
+            continue
+        kept = np.exp(-h / tau)
+        stress = stress + lfilter([modulus * tau / h * (1 - kept)], [1.0, -kept], steps)
+    force = stress[::_STEPS_PER_SAMPLE] * SHEARED_AREA_MM2
+    return np.asarray(force + SHEARED_AREA_MM2 * E3 * _tail_stress(gut, motion.t, strain[::_STEPS_PER_SAMPLE]))
+
+
+def _first_order_rule(strain: Floats, fine: Floats, tau: float, step_s: float) -> Floats:
+    """Return a branch's stress over its modulus by the first-order rule at a coarse step, linear in between."""
+    from scipy.signal import lfilter
+
+    every = max(round(step_s / (fine[1] - fine[0])), 1)
+    at = np.append(np.arange(0, fine.size - 1, every), fine.size - 1)
+    coarse = lfilter([1.0], [1.0, -np.exp(-every * (fine[1] - fine[0]) / tau)], np.diff(strain[at], prepend=0.0))
+    return np.asarray(np.interp(fine, fine[at], coarse))
+
+
+def _tail_stress(gut: GutContact, t: Floats, strain: Floats) -> Floats:
+    """Return what effects add, as a part of E3: their answer to a step, summed over the steps of the ramp."""
+    tail = gut.tail(t - t[0], np.full_like(t, strain[-1]))
+    if not tail.any():
+        return np.zeros_like(t)
+    steps = np.diff(strain, prepend=0.0)
+    moving = np.flatnonzero(np.abs(steps) > 1e-12)
+    first, last = int(moving[0]), int(moving[-1]) + 1
+    ramp = np.convolve(tail, steps[first:last])[: t.size - first]
+    return np.concatenate([np.zeros(first), ramp])
+
+
+_SIMPSON_INTERVALS = 48
+"""Of Simpson's rule, on each side of the place where the pressure jumps."""
+_KNOT_STEP_MM = 0.06
+"""Travel from knot to knot; contact forces are evaluated at the knots and linear between them."""
+
+
+def sliding_force(gut: GutContact, scene: RunConditions, *, closed: bool) -> Floats:
+    """Return the force on the capsule at every sample [mN], shape `(N,)`.
+
+    Parameters
+    ----------
+    closed
+        Whether the wall closes about the capsule; it does not in the vacuum fixture.
+    """
+    motion, specimen = scene.motion, gut.specimen
+    mu = specimen.mu * gut.variation.mu
+    weight = CAPSULE_MASS_G * GRAVITY_M_S2
+    elastic, normal = np.zeros_like(motion.t), np.full_like(motion.t, weight)
+    if closed:
+        knots = _contact_knots(scene)
+        at_knots, side = _contact_forces(gut, scene, knots)
+        elastic = np.interp(motion.t, motion.t[knots], at_knots)
+        normal = weight + gut.area_mm2 * np.interp(motion.t, motion.t[knots], side)
+    viscous = np.sign(motion.v) * specimen.mucus * viscous_law(scene.speed)
+    grip, change = scene.direction, np.zeros_like(motion.t)
+    for effect in gut.effects:
+        grip = effect.grip(grip, scene)
+        change = change + effect.friction(scene)
+    coulomb = mu * (1 + change) * normal * grip
+    parts = CapsuleForces(elastic, viscous, coulomb, normal)
+    total = elastic + viscous + coulomb
+    for effect in gut.effects:
+        total = total + effect.pull(parts, scene)
+    return total
+
+
+def viscous_law(speed: Floats) -> Floats:
+    """Return the published viscous drag [mN] at a speed [mm/s]."""
+    return np.asarray(11.24 * 0.030**0.7552 * speed**0.2448 + 0.1148 * speed)
+
+
+def _contact_knots(scene: RunConditions) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the samples at which the contact is evaluated: close where age or position change fast."""
+    t = scene.motion.t
+    travelled = np.cumsum(np.abs(np.diff(scene.motion.p, prepend=0.0))) / _KNOT_STEP_MM
+    since = [t - edge for edge in scene.run.bounds_s]
+    fresh = sum(np.where(one >= -0.004, np.log1p(np.maximum(one, 0.0) / 0.02) / 0.06, 0.0) for one in since)
+    count = np.floor(travelled + fresh + t / 0.5)
+    chosen = np.flatnonzero(np.diff(count, prepend=-1.0, append=np.inf)[:-1] > 0)
+    return np.union1d(chosen, [0, t.size - 1])
+
+
+def _contact_forces(
+    gut: GutContact, scene: RunConditions, knots: np.ndarray[tuple[int], np.dtype[np.intp]]
+) -> tuple[Floats, Floats]:
+    """Return elastic resistance [mN] and the pressure at the equator [kPa] at the knots."""
+    motion = scene.motion
+    reached = np.maximum.accumulate(motion.p - motion.p[0])
+    far, first = np.unique(reached, return_index=True)
+    times = motion.t[np.maximum(first, 0)].copy()
+    times[0] = motion.t[max(int(np.argmax(reached > 0)) - 1, 0)]
+
+    # What a specimen's contact really ages by is another number than what is noted.
+    dwell = gut.specimen.dwell_s * (scene.run.dwell_s / NOTED_DWELL_S)
+
+    def age(x: Floats, now: Floats, here: Floats) -> Floats:
+        back = here - x
+        return np.where(back >= 0, now - np.interp(back, far, times), dwell + now)
+
+    now, here = motion.t[knots][:, None], reached[knots][:, None]
+    speeds = [effect.passing(scene)[knots][:, None] for effect in gut.effects]
+    length = gut.length_mm
+    total = np.zeros(knots.size)
+    jump = np.minimum(here, length)
+    for low, high, fresh in ((np.zeros_like(jump), jump, True), (jump, np.full_like(jump, length), False)):
+        wide = np.flatnonzero((high - low)[:, 0] > 1e-9)
+        if not wide.size:
+            continue
+        a, b = low[wide], high[wide]
+        where, weights = _quadrature(gut.rough.panels)
+        x = a + (b - a) * where
+        old = now[wide] - np.interp(np.maximum(here[wide] - x, 0.0), far, times)
+        ages = old if fresh else np.broadcast_to(dwell + now[wide], x.shape)
+        held = np.ones_like(x)
+        for effect, speed in zip(gut.effects, speeds, strict=True):
+            held = held * effect.contact(x / length, speed[wide])
+        slant = (length - x) / CAPSULE_RADIUS_MM * 2 * np.pi * CAPSULE_RADIUS_MM
+        total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * held).sum(axis=1)
+    end = np.full_like(here, length)
+    return total, gut.pressure(end, age(end, now, here))[:, 0]
+
+
+def _quadrature(panels: int) -> tuple[Floats, Floats]:
+    """Return nodes and weights on 0 to 1: Simpson's rule in a variable that crowds the nodes at 0, or midpoints."""
+    if panels:
+        return (np.arange(panels) + 0.5) / panels, np.full(panels, 1 / panels)
+    s = np.linspace(0.0, 1.0, 2 * _SIMPSON_INTERVALS + 1)
+    weights = np.full(s.size, 2.0)
+    weights[1::2], weights[[0, -1]] = 4.0, 1.0
+    return s**2, weights / (6 * _SIMPSON_INTERVALS) * 2 * s
+
+
+ENCODER_COUNT_MM = 0.001
+CONVERTER_STEP_MN = 20_000 / 2**16
+"""Sixteen bits over ±10 N."""
+VIBRATION_MM = 0.00015
+"""What vibration moves the scale by, from sample to sample."""
+CONVERTER_RANK = 4
+"""Of what acts behind the noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlantRecord:
+    """One run: time [s], force [mN], position and command [mm], phase, each of shape `(N,)`."""
+
+    run: RunPlan
+    time: Floats
+    force: Floats
+    position: Floats
+    command: Floats
+    phase: npt.NDArray[np.uint8]
+
+
+def noise_free_run(secret: BlindCampaign, index: int) -> PlantRecord:
+    """Return run number `index` without noise, offset and rounding."""
+    return _simulate_run(secret, index, noisy=False)
+
+
+def recorded_run(secret: BlindCampaign, index: int) -> PlantRecord:
+    """Return run number `index` as sensor, encoder and converter deliver it."""
+    return _simulate_run(secret, index, noisy=True)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectSignature:
+    """What the effects do to one run: force [mN] and position [mm] with them minus those without, shape `(N,)`."""
+
+    run: RunPlan
+    time: Floats
+    force: Floats
+    position: Floats
+
+
+def effect_signatures(secret: BlindCampaign) -> tuple[EffectSignature, ...]:
+    """Return what the effects do, run by run, noise-free and on the same specimen."""
+    bare = without_effects(secret)
+    found = []
+    for index, run in enumerate(secret.runs):
+        one, other = noise_free_run(secret, index), noise_free_run(bare, index)
+        found.append(EffectSignature(run, one.time, one.force - other.force, one.position - other.position))
+    return tuple(found)
+
+
+def _simulate_run(secret: BlindCampaign, index: int, *, noisy: bool) -> PlantRecord:
+    run, variation = secret.runs[index], secret.variations[index]
+    seed = crc32(f"{secret.seed} {secret.programme}".encode())
+    effects = tuple(one for one in secret.effects if run.kind in one.kinds)
+    time = np.arange(run.samples) / RATE_HZ
+    true_time = time
+    for effect in effects:
+        true_time = effect.clock(run, true_time, seed)
+    command = planned_motion(run, true_time, secret.rough.blunt_s)
+    motion = command
+    for effect in effects:
+        motion = effect.motion(motion, RunConditions(run, seed, command, motion))
+    scene = RunConditions(run, seed, command, motion)
+    ageing = prod(effect.stiffness(run) for effect in effects)
+    gut = GutContact(secret.specimen, variation, secret.rough, effects, ageing)
+    force = secret.specimen.gain * _gut_force(gut, scene)
+    position = motion.p
+    for effect in effects:
+        position = effect.position(position, force, scene)
+    force = _sensor_force(force, effects, scene, range(CONVERTER_RANK))
+    if noisy:
+        force = force + variation.zero_mN + _force_noise(secret.noise, time.size, scene.random("noise"))
+    force = _sensor_force(force, effects, scene, range(CONVERTER_RANK, CONVERTER_RANK + 1))
+    if noisy:
+        force = np.clip(np.round(force / CONVERTER_STEP_MN), -(2**15), 2**15 - 1) * CONVERTER_STEP_MN
+        position = position + VIBRATION_MM * scene.random("encoder").standard_normal(time.size)
+        position = np.round(position / ENCODER_COUNT_MM) * ENCODER_COUNT_MM
+    nominal = planned_motion(run, time, secret.rough.blunt_s).p if true_time is not time else command.p
+    return PlantRecord(run, time, force, position, nominal, sample_phases(run, time))
+
+
+def _gut_force(gut: GutContact, scene: RunConditions) -> Floats:
+    """Return what gut and capsule do to the sensor [mN]."""
+    if scene.run.kind == "blank":
+        return np.zeros_like(scene.motion.t)
+    if scene.run.kind == "relaxation":
+        return relaxation_force(gut, scene)
+    return sliding_force(gut, scene, closed=scene.run.kind == "drag")
+
+
+def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], scene: RunConditions, ranks: range) -> Floats:
+    """Return the force behind the effects of these ranks, lowest first."""
+    for effect in sorted(effects, key=lambda one: one.rank):
+        if effect.rank in ranks:
+            force = effect.sensor(force, scene)
+    return force
+
+
+def _force_noise(noise: NoiseLevels, samples: int, random: np.random.Generator) -> Floats:
+    """Return white noise plus a stationary Ornstein-Uhlenbeck process."""
+    from scipy.signal import lfilter
+
+    kept = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
+    drive = noise.slow_mN * np.sqrt(1 - kept**2) * random.standard_normal(samples)
+    drive[0] = noise.slow_mN * random.standard_normal()
+    return np.asarray(noise.white_mN * random.standard_normal(samples) + lfilter([1.0], [1.0, -kept], drive))

@@ -1,0 +1,131 @@
+"""The simulated rig as a whole, its virtual clock, and the factory that opens it."""
+
+import threading
+from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
+from threading import Event as Signal
+
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import BackendRequest, Clock, RigCheck, WallClock, with_utc_offset
+from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
+from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
+from dragrig.sim_backend.devices.simulated_stage import PositionEncoder, SimulatedAxis, SimulatedStage
+from dragrig.sim_backend.devices.variability import draw_specimen_model
+from dragrig.sim_backend.effects.chain import active_effects
+
+
+class VirtualClock:
+    """A clock that advances when somebody sleeps, and only then, without waiting.
+
+    It may be read and advanced from any thread.
+    """
+
+    def __init__(self, origin: datetime | None = None) -> None:
+        self._origin = with_utc_offset(origin)
+        self._elapsed_s = 0.0
+        self._lock = threading.Lock()
+
+    def now(self) -> datetime:
+        """Time of day, with offset."""
+        return self._origin + timedelta(seconds=self._elapsed_s)
+
+    def monotonic(self) -> float:
+        """Seconds since the clock was made."""
+        return self._elapsed_s
+
+    def sleep(self, duration_s: float, cancel: Signal) -> bool:
+        """Advance by `duration_s` at once; return False, not advanced, when `cancel` is set."""
+        if cancel.is_set():
+            return False
+        if duration_s > 0:
+            with self._lock:
+                self._elapsed_s += duration_s
+        return True
+
+
+class SimulatedBackend:
+    """A rig and a gut that exist in numbers only.
+
+    Parameters
+    ----------
+    model
+        The nominal model; with `variation.specimen` a specimen is drawn around it once, here.
+    first_run_at
+        When the campaign's first run began, where the session goes on with it.
+
+    Raises
+    ------
+    SettingsError
+        For effects of the model that cannot be.
+    """
+
+    def __init__(
+        self,
+        rig: RigSettings,
+        model: FrictionModelSettings,
+        clock: Clock,
+        faults: Faults = NO_FAULTS,
+        first_run_at: datetime | None = None,
+    ) -> None:
+        active_effects(model)
+        self._rig = rig
+        self._model_name = model.name
+        self._clock = clock
+        drawn = draw_specimen_model(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
+        axis = SimulatedAxis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
+        self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), faults)
+        self._sampler = SimulatedSampler(rig, drawn, clock, axis, faults, first_run_at)
+
+    @property
+    def name(self) -> str:
+        """Name that the run files carry."""
+        return "simulated"
+
+    @property
+    def stage(self) -> SimulatedStage:
+        """The axis."""
+        return self._stage
+
+    @property
+    def sampler(self) -> SimulatedSampler:
+        """The acquisition."""
+        return self._sampler
+
+    @property
+    def needs_hands(self) -> bool:
+        """No."""
+        return False
+
+    @property
+    def clock(self) -> Clock:
+        """The time that this rig lives in."""
+        return self._clock
+
+    def description(self) -> Mapping[str, str | float | int | bool]:
+        """Return seed, sensor, model and whether the specimen was drawn; not what was drawn."""
+        return {
+            "sensor_serial": self._rig.force_sensor.serial or "simulated",
+            "seed": self._rig.simulated.seed,
+            "model": self._model_name,
+            "specimen_drawn": self._rig.simulated.variation.specimen,
+        }
+
+    def examine(self) -> Iterator[RigCheck]:
+        """Say that nothing here is real; there is nothing to look at."""
+        yield RigCheck("rig", True, f"simulated: model {self._model_name}, seed {self._rig.simulated.seed}")
+
+    def close(self) -> None:
+        """Stop the stage, end the acquisition and switch the drive off."""
+        self._stage.stop()
+        self._sampler.stop()
+        self._stage.disable()
+
+
+def open_backend(request: BackendRequest, faults: Faults = NO_FAULTS) -> SimulatedBackend:
+    """Return a simulated rig in virtual time, or at the pace of the wall's clock when the request says so.
+
+    `faults` is for tests: whoever opens a backend by name cannot give it.
+    """
+    clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
+    return SimulatedBackend(request.rig, request.model, clock, faults, request.first_run_at)

@@ -1,0 +1,180 @@
+"""What is random in a simulated rig: noise of the channels, and how specimens and runs vary.
+
+Each purpose has a random stream of its own, so that results repeat bit by bit.
+"""
+
+import math
+import zlib
+from collections.abc import Callable
+from enum import IntEnum
+
+import numpy as np
+
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import MotorSettings, NoiseSettings, VariationSettings
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition
+
+
+class RandomStream(IntEnum):
+    """What a random stream is for; the numbers enter the seed and never change."""
+
+    SPECIMEN = 1
+    RUN = 2
+    ZERO = 3
+    FORCE_WHITE = 4
+    FORCE_SLOW = 5
+    MOTOR = 6
+
+
+def random_generator(seed: int, stream: RandomStream, order: int = 0, name: str = "") -> np.random.Generator:
+    """Return the generator of one stream, the same whenever it is asked for; `name` separates those of one run."""
+    entropy = (seed, order, int(stream), zlib.crc32(name.encode()))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
+
+
+def noise_name(acquisition: Acquisition) -> str:
+    """Return what separates the noise of acquisitions of one `order`: a tare, a way to the start, the run itself."""
+    return f"{acquisition.kind} {acquisition.contact} {round(acquisition.profile.duration_s * 1e6)}"
+
+
+class SlowNoise:
+    """Exponentially correlated noise, an Ornstein–Uhlenbeck process sampled exactly, stationary from its first sample.
+
+    Parameters
+    ----------
+    deviation, correlation_s
+        Standard deviation, and the time over which the correlation falls to 1/e.
+    """
+
+    def __init__(
+        self, random: np.random.Generator, deviation: float, correlation_s: float, sample_rate_hz: float
+    ) -> None:
+        from scipy.signal import lfilter
+
+        step = 1.0 / (sample_rate_hz * correlation_s)
+        self._random = random
+        self._filter = lfilter
+        self._decay = math.exp(-step)
+        self._drive = deviation * math.sqrt(-math.expm1(-2.0 * step))
+        self._carried = np.array([self._decay * deviation * float(random.standard_normal())])
+
+    def draw(self, samples: int) -> FloatArray:
+        """Return the next samples, shape `(samples,)`."""
+        drive = self._random.standard_normal(samples)
+        drive *= self._drive
+        values, self._carried = self._filter([1.0], [1.0, -self._decay], drive, zi=self._carried)
+        return np.asarray(values)
+
+
+class BufferedNoise:
+    """A random signal drawn once and in order, kept from the oldest sample that is still wanted."""
+
+    def __init__(self, draw: Callable[[int], FloatArray]) -> None:
+        self._draw = draw
+        self._kept = np.zeros(0)
+        self._first = 0
+
+    def read(self, first: int, end: int) -> FloatArray:
+        """Return samples `first` to `end` of the signal and forget those before; `first` never goes back."""
+        passed_over = first - self._first - len(self._kept)
+        if passed_over > 0:
+            self._draw(passed_over)
+        self._kept = self._kept[first - self._first :]
+        self._first = first
+        missing = end - first - len(self._kept)
+        if missing > 0:
+            fresh = self._draw(missing)
+            self._kept = np.concatenate((self._kept, fresh)) if len(self._kept) else fresh
+        return self._kept[: end - first]
+
+
+def force_noise(settings: NoiseSettings, seed: int, acquisition: Acquisition, sample_rate_hz: float) -> BufferedNoise:
+    """Return the force sensor's noise [mN]: zero offset of the run's `order`, white and slow noise."""
+    order, name = acquisition.order, noise_name(acquisition)
+    zero = settings.zero_mN * float(random_generator(seed, RandomStream.ZERO, order).standard_normal())
+    white = random_generator(seed, RandomStream.FORCE_WHITE, order, name)
+    slow = SlowNoise(
+        random_generator(seed, RandomStream.FORCE_SLOW, order, name),
+        settings.slow_mN,
+        settings.slow_correlation_s,
+        sample_rate_hz,
+    )
+
+    def draw(samples: int) -> FloatArray:
+        values = white.standard_normal(samples)
+        values *= settings.white_mN
+        values += slow.draw(samples)
+        values += zero
+        return values
+
+    return BufferedNoise(draw)
+
+
+def motor_noise(settings: MotorSettings, seed: int, acquisition: Acquisition) -> BufferedNoise:
+    """Return the motor force's noise [mN], white."""
+    random = random_generator(seed, RandomStream.MOTOR, acquisition.order, noise_name(acquisition))
+
+    def draw(samples: int) -> FloatArray:
+        values = random.standard_normal(samples)
+        values *= settings.noise_mN
+        return values
+
+    return BufferedNoise(draw)
+
+
+BETWEEN_SPECIMENS = {
+    "stiffness_scale": 0.15,
+    "e1_scale": 0.07,
+    "e2_scale": 0.07,
+    "e3_scale": 0.07,
+    "eta1_scale": 0.07,
+    "eta2_scale": 0.07,
+    "friction_coefficient": 0.12,
+    "mucus_scale": 0.20,
+    "force_gain": 0.005,
+    "insertion_dwell_scale": 0.25,
+}
+"""Relative standard deviations between specimens, by name in the model's settings."""
+
+CONTACT_ANGLE_SD_DEG = 0.7
+"""Standard deviation of the contact angle between specimens."""
+
+MAX_DEVIATIONS = 3.0
+"""Draws are clipped at this many standard deviations."""
+
+
+def lognormal_variation(nominal: float, relative_deviation: float, normal: float) -> float:
+    """Return `nominal` times a lognormal factor of mean 1 and this relative standard deviation.
+
+    `normal` is the standard normal draw, clipped at `MAX_DEVIATIONS`.
+    """
+    width = math.sqrt(math.log1p(relative_deviation**2))
+    return nominal * math.exp(width * min(max(normal, -MAX_DEVIATIONS), MAX_DEVIATIONS) - 0.5 * width**2)
+
+
+def draw_specimen_model(model: FrictionModelSettings, seed: int) -> FrictionModelSettings:
+    """Return the model of one specimen out of many: lognormal factors, and a clipped normal contact angle."""
+    normals = random_generator(seed, RandomStream.SPECIMEN).standard_normal(len(BETWEEN_SPECIMENS) + 1)
+    drawn = {
+        name: lognormal_variation(float(getattr(model, name)), deviation, float(normal))
+        for (name, deviation), normal in zip(BETWEEN_SPECIMENS.items(), normals, strict=False)
+    }
+    turn = CONTACT_ANGLE_SD_DEG * float(np.clip(normals[-1], -MAX_DEVIATIONS, MAX_DEVIATIONS))
+    drawn["contact_angle_offset_deg"] = model.contact_angle_offset_deg + turn
+    return model.model_copy(update=drawn)
+
+
+def draw_run_model(
+    model: FrictionModelSettings, variation: VariationSettings, seed: int, order: int
+) -> FrictionModelSettings:
+    """Return the model of one run on a specimen: lognormal factors on stiffness and friction coefficient."""
+    stiffness, friction = random_generator(seed, RandomStream.RUN, order).standard_normal(2)
+    return model.model_copy(
+        update={
+            "stiffness_scale": lognormal_variation(model.stiffness_scale, variation.run_stiffness, float(stiffness)),
+            "friction_coefficient": lognormal_variation(
+                model.friction_coefficient, variation.run_friction, float(friction)
+            ),
+        }
+    )

@@ -1,1 +1,0 @@
-"""The drive, its port, and what powers it."""

@@ -1,0 +1,252 @@
+"""The process of the doubles: NI's gRPC device server, the drive's port and a control socket, all on loopback.
+
+It is started as a module with `--rig FILE`, prints one line of JSON with its ports when it is ready, and ends when its
+standard input is closed, which the end of the process that started it does, or when the control socket says so. As with
+NI's server, a task outlives the client that made it.
+"""
+
+import os
+import socketserver
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict, fields
+from pathlib import Path
+from threading import Event as Signal
+from types import TracebackType
+from typing import Self
+
+import click
+from pydantic import JsonValue, TypeAdapter, ValidationError
+
+from dragrig.config.errors import DeviceError, DragrigError, SettingsError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings, load_settings, suggestion
+from dragrig.rig.devices import Acquisition
+from dragrig.rig.hardware.dialects.base import find_dialect
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.fault_injection import ActiveFaults, FaultInjector
+from dragrig.sim_backend.doubles.remote_doubles import (
+    LOOPBACK,
+    REQUEST_ADAPTER,
+    ControlReply,
+    ControlRequest,
+    DoublePorts,
+    GetStageStatus,
+    PresentAcquisition,
+    SetFaults,
+    ShutDown,
+    StageStatus,
+)
+from dragrig.sim_backend.doubles.serial_ports import SocketPort
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
+
+UNLIMITED_MESSAGES = (("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1))
+"""Options of the server and of a channel to it: a long read outgrows gRPC's 4 MB."""
+_MAX_CALLS = 16
+"""Calls at once; a read that waits for samples takes one."""
+
+
+class CardServer:
+    """The server, serving from `__enter__` to `__exit__`.
+
+    Parameters
+    ----------
+    card
+        What the calls act on.
+    port
+        TCP port on loopback; 0 for any that is free.
+
+    Raises
+    ------
+    DeviceError
+        When gRPC is not installed or the port is taken.
+    """
+
+    def __init__(self, card: Card, port: int = 0) -> None:
+        try:
+            import grpc
+
+            from dragrig.sim_backend.doubles.grpc_service import device_service
+        except ImportError as error:
+            raise DeviceError(
+                f"The card's double for other processes needs gRPC ({error}): pip install dragrig[grpc]."
+            ) from error
+        self._server = grpc.server(
+            ThreadPoolExecutor(_MAX_CALLS, "card"),
+            handlers=[device_service(card)],
+            options=[*UNLIMITED_MESSAGES, ("grpc.so_reuseport", 0)],
+        )
+        try:
+            self.port = self._server.add_insecure_port(f"{LOOPBACK}:{port}")
+        except RuntimeError as error:
+            raise DeviceError(f"The card's double cannot listen on {LOOPBACK}:{port}; choose another port.") from error
+
+    def __enter__(self) -> "CardServer":
+        self._server.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End every call at once, as a server that dies; safe to call twice."""
+        self._server.stop(grace=None).wait()
+
+
+_FAULTS_ADAPTER = TypeAdapter(ActiveFaults)
+
+
+class ControlServer:
+    """Answers one JSON line with another, for any number of callers at once, while its context lasts.
+
+    Parameters
+    ----------
+    mishaps
+        What callers change.
+    present, look
+        What carries out the request of the same name.
+    end
+        Set when a caller wants the process to end.
+    """
+
+    def __init__(
+        self,
+        mishaps: FaultInjector,
+        present: Callable[[Acquisition], None],
+        look: Callable[[], StageStatus],
+        end: Signal,
+    ) -> None:
+        self._mishaps = mishaps
+        self._present = present
+        self._look = look
+        self._end = end
+        self._server = _ControlSocketServer((LOOPBACK, 0), self.reply)
+
+    @property
+    def port(self) -> int:
+        """TCP port on loopback."""
+        return int(self._server.server_address[1])
+
+    def __enter__(self) -> Self:
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), name="control", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+    def reply(self, line: bytes) -> ControlReply:
+        """Carry out the request in a line."""
+        try:
+            return self._carry_out(REQUEST_ADAPTER.validate_json(line))
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"]) or "request"
+            return ControlReply(error=f"Control of the doubles, {place}: {first['msg']}; see messages.py.")
+        except DragrigError as error:
+            return ControlReply(error=str(error))
+
+    def _carry_out(self, request: ControlRequest) -> ControlReply:
+        match request:
+            case SetFaults():
+                inject_faults(self._mishaps, request.mishaps)
+            case PresentAcquisition():
+                self._present(request.acquisition.acquisition())
+            case GetStageStatus():
+                return ControlReply(stage=self._look())
+            case ShutDown():
+                self._end.set()
+        return ControlReply()
+
+
+def inject_faults(mishaps: FaultInjector, changes: Mapping[str, JsonValue]) -> None:
+    """Change the named attributes of `ActiveFaults`; raises `SettingsError` for a name or value that there is not."""
+    names = [field.name for field in fields(ActiveFaults)]
+    for name in changes:
+        if name not in names:
+            raise SettingsError(f"mishap {name!r}: there is none of this name; {suggestion(name, names)}")
+    try:
+        mishaps.become(_FAULTS_ADAPTER.validate_python({**asdict(mishaps.now), **changes}))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise SettingsError(f"mishap {first['loc'][0]}: {first['msg']}; see Trouble in mishaps.py.") from error
+
+
+class _ControlSocketServer(socketserver.ThreadingTCPServer):
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], reply: Callable[[bytes], ControlReply]) -> None:
+        self.reply = reply
+        super().__init__(address, _ControlHandler)
+
+
+class _ControlHandler(socketserver.StreamRequestHandler):
+    server: _ControlSocketServer
+
+    def handle(self) -> None:
+        try:
+            for line in self.rfile:
+                self.wfile.write(self.server.reply(line).model_dump_json().encode() + b"\n")
+        except OSError:
+            return  # the caller went away, killed perhaps: nobody is left to answer
+
+
+def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
+    """Let the doubles live until standard input ends or the control socket says so; raises `DragrigError`."""
+    end = Signal()
+    wired = rig.hardware
+    world = SimulatedBench(rig, model, DoubleClock(pace))
+
+    def look() -> StageStatus:
+        status = drive.status
+        return StageStatus(
+            position_mm=world.position_mm(),
+            speed_mm_s=world.speed_mm_s(),
+            moving=status.moving,
+            enabled=status.enabled,
+            homed=status.homed,
+            halt=status.halt,
+        )
+
+    with ExitStack() as opened:
+        card = opened.enter_context(CardServer(Card(world, world.put_out)))
+        drive = opened.enter_context(make_drive_double(world, find_dialect(wired.drive.dialect), wired.drive.station))
+        port = opened.enter_context(SocketPort(drive))
+        control = opened.enter_context(ControlServer(world.mishaps, world.present, look, end))
+        threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()
+        click.echo(DoublePorts(card=card.port, drive=port.address, control=control.port).model_dump_json())
+        sys.stdout.flush()
+        end.wait()
+
+
+def _end_with_parent(end: Signal) -> None:
+    # Not through sys.stdin, whose lock a thread that waits in it would keep until after the interpreter's end.
+    while os.read(0, 4096):
+        pass
+    end.set()
+
+
+@click.command()
+@click.option("--rig", type=click.Path(dir_okay=False, path_type=Path), required=True, help="Rig settings.")
+@click.option("--model", default="paper", show_default=True, help="Friction model, a file or a shipped name.")
+@click.option("--pace", default=1.0, show_default=True, type=click.FloatRange(0, min_open=True), help="Clock's pace.")
+def main(rig: Path, model: str, pace: float) -> None:
+    """Serve doubles of card and drive on loopback until standard input ends."""
+    try:
+        serve(load_settings(RigSettings, rig), find_settings(FrictionModelSettings, "model", model), pace)
+    except DragrigError as error:
+        click.echo(str(error), err=True)
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

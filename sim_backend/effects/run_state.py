@@ -1,0 +1,450 @@
+"""The state of a run that effects depend on: motion, nominal forces, contact, wall and clock at rising times.
+
+The wall is resolved point by point on the leading hemisphere, or is sheared under a capsule that sticks.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Fixture
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Acquisition, Contact
+from dragrig.sim_backend.friction import prepare
+from dragrig.sim_backend.friction.contact import HemisphereContact
+from dragrig.sim_backend.friction.contact_history import ContactHistory
+from dragrig.sim_backend.friction.motion import Motion
+from dragrig.sim_backend.friction.prepared import StickingForce
+from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, Components, SlidingForce
+from dragrig.sim_backend.friction.wall import MaxwellBranches, WallParameters, model_wall, shear_strain
+
+WALL_POINTS = 32
+"""Points of the wall; they crowd where it is first touched, as the fast branch relaxes within milliseconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class HemisphereWall:
+    """`m` points of the wall on the leading hemisphere, at `n` times."""
+
+    contact: HemisphereContact
+    history: ContactHistory
+    time_s: FloatArray
+
+    @cached_property
+    def _nodes(self) -> tuple[FloatArray, FloatArray]:
+        at, weights = np.polynomial.legendre.leggauss(WALL_POINTS)
+        at, weights = 0.5 * (1 + at), 0.5 * weights
+        length = self.contact.length_mm
+        return length * at**2, length * 2 * at * weights
+
+    @property
+    def x_mm(self) -> FloatArray:
+        """Contact coordinate, from first touch (0) to the equator (L), shape `(m,)`."""
+        return self._nodes[0]
+
+    @cached_property
+    def strain(self) -> FloatArray:
+        """Hoop strain (Eq. 6), shape `(m,)`."""
+        return np.asarray(self._local_radius / (self.contact.radius_mm * np.cos(self.contact.angle_rad)) - 1)
+
+    @property
+    def strain_at_equator(self) -> float:
+        """The largest of it."""
+        return self.contact.strain_at_equator
+
+    @cached_property
+    def age_s(self) -> FloatArray:
+        """Contact age of each point, shape `(n, m)`."""
+        return self._ages(self.x_mm)
+
+    @cached_property
+    def equator_age_s(self) -> FloatArray:
+        """Contact age at the equator, shape `(n,)`."""
+        return np.asarray(self._ages(np.array([self.contact.length_mm]))[:, 0])
+
+    @cached_property
+    def parameters(self) -> WallParameters:
+        """Elements of the wall at each point, shape `(m,)` each."""
+        return model_wall(self.contact.model, self.strain)
+
+    @cached_property
+    def equator_parameters(self) -> WallParameters:
+        """Elements of the wall at the equator."""
+        return model_wall(self.contact.model, np.asarray(self.strain_at_equator))
+
+    def coarse_resistance(self, panels: int) -> FloatArray:
+        """Return f_e [mN] without sign, `(n,)`, by midpoints of so many panels each on fresh wall and on that found."""
+        length = self.contact.length_mm
+        fresh = np.minimum(self._renewed_mm, length)[:, None]
+        middle = (np.arange(panels) + 0.5) / panels
+        x_mm = np.hstack((fresh * middle, fresh + (length - fresh) * middle))
+        panel = np.repeat(np.hstack((fresh, length - fresh)) / panels, panels, axis=1)
+        return np.asarray(np.sum(self.contact.axial_load(x_mm, self._ages(x_mm)) * panel, axis=1))
+
+    def resistance(self, stress_kPa: FloatArray) -> FloatArray:
+        """f_e [mN], without sign, of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
+        weights = self._nodes[1] * self._slope / self._local_radius
+        return np.asarray(stress_kPa @ weights)
+
+    def pressing(self, stress_kPa: FloatArray) -> FloatArray:
+        """P(L) S [mN] of a hoop stress at the equator, shape `(n,)` (Eqs. 7 and 13)."""
+        contact = self.contact
+        return np.asarray(stress_kPa * (contact.wall_thickness_mm / contact.radius_mm * contact.area_mm2))
+
+    @cached_property
+    def _local_radius(self) -> FloatArray:
+        contact = self.contact
+        return np.asarray(np.sqrt(contact.radius_mm**2 - (contact.length_mm - self.x_mm) ** 2))
+
+    @cached_property
+    def _slope(self) -> FloatArray:
+        return np.asarray((2 * np.pi * self.contact.wall_thickness_mm) * (self.contact.length_mm - self.x_mm))
+
+    @cached_property
+    def _time(self) -> FloatArray:
+        return np.clip(self.time_s, 0.0, float(self.history.motion.breaks_s[-1]))
+
+    @cached_property
+    def _of_stroke(self) -> npt.NDArray[np.intp]:
+        """Number of the stroke at each time."""
+        ends = [float(self.history.motion.breaks_s[one.last + 1]) for one in self.history.strokes]
+        return np.minimum(np.searchsorted(ends, self._time, side="left"), len(ends) - 1)
+
+    @property
+    def _renewed_mm(self) -> FloatArray:
+        """Way since the stroke began: so much of the contact is fresh wall."""
+        motion = self.history.motion
+        began = motion.position(np.array([float(motion.breaks_s[one.first]) for one in self.history.strokes]))
+        return np.abs(motion.position(self._time) - began[self._of_stroke])
+
+    def _ages(self, x_mm: FloatArray) -> FloatArray:
+        """Return contact ages at the same points at all times, shape `(m,)`, or at others each time, shape `(n, m)`."""
+        motion = self.history.motion
+        x_mm = np.broadcast_to(x_mm, (self._time.size, x_mm.shape[-1]))
+        begun = np.full(x_mm.shape, -self.history.dwell_s)
+        for number, stroke in enumerate(self.history.strokes):
+            rows = np.flatnonzero(self._of_stroke == number)
+            z = self.history.wall_at(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
+            came = np.full(z.shape, -self.history.dwell_s)
+            for segment in (*stroke.found, stroke.fresh):
+                inside = (z >= segment.rear_mm) & (z <= segment.front_mm)
+                came[inside] = self.history.begin(segment, z[inside])
+            begun[rows] = came
+        return np.asarray(np.maximum(self._time[:, None] - begun, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ShearedWall:
+    """The wall under a capsule that sticks, at `n` times."""
+
+    force: StickingForce
+    time_s: FloatArray
+    target_strain: float
+    """Strain that the run goes to, whose elements the wall has from the beginning."""
+
+    @property
+    def area_mm2(self) -> float:
+        """Sheared surface: stress times this is force."""
+        return self.force.area_mm2
+
+    @cached_property
+    def strain(self) -> FloatArray:
+        """Shear strain, shape `(n,)`."""
+        branches = self.force.branches
+        return np.asarray(self.force.sheared_from + shear_strain(branches.pieces, branches.thickness_mm, self._time))
+
+    @cached_property
+    def stresses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Stress [kPa] in fast branch, slow branch and spring, shape `(n,)` each."""
+        fast, slow = self.force.branches.at(self._time)
+        return self.force.moduli[0] * fast, self.force.moduli[1] * slow, self.force.spring * self.strain
+
+    @property
+    def moduli(self) -> tuple[float, float, float]:
+        """E1, E2 and E3 [kPa] at the strain of the run."""
+        return float(self.force.moduli[0]), float(self.force.moduli[1]), self.force.spring
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """Relaxation rates E1/η1 and E2/η2 [1/s]."""
+        fast, slow = self.force.branches.rates.tolist()
+        return fast, slow
+
+    def branch(self, rate: float) -> FloatArray:
+        """Stress over modulus of a further Maxwell branch with this relaxation rate [1/s], shape `(n,)`."""
+        branches = self.force.branches
+        further = MaxwellBranches.through(np.array([rate]), branches.pieces, branches.thickness_mm)
+        return np.asarray(further.at(self._time)[0])
+
+    @property
+    def _time(self) -> FloatArray:
+        return np.clip(self.time_s, 0.0, self.force.duration_s)
+
+
+MOVING_MM_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class SlipHistory:
+    """Where each of `n` times stands between the starts and stops of a motion.
+
+    Attributes
+    ----------
+    slid_mm
+        Distance since the capsule last stood still; keeps its value after a stop, 0 before the first start.
+    since_start_s
+        Time since it last began to move; 0 before the first start.
+    since_stop_s
+        Time since it last stopped; 0 while it moves and before the first start.
+    heading
+        Direction of the present or the last motion, 1 or −1; 0 before the first start.
+    moving
+        1 while it moves, 0 while it stands.
+    """
+
+    slid_mm: FloatArray
+    since_start_s: FloatArray
+    since_stop_s: FloatArray
+    heading: FloatArray
+    moving: FloatArray
+
+    @classmethod
+    def of(cls, motion: Motion, time_s: FloatArray) -> "SlipHistory":
+        """Follow a motion through its starts, turns and stops."""
+        breaks, signs = motion.breaks_s, motion.signs.astype(np.float64)
+        index = np.clip(np.searchsorted(breaks, time_s, side="right") - 1, 0, signs.size - 1)
+        before = np.concatenate(([0.0], signs[:-1]))
+        starts = np.where((signs != 0) & (signs != before), np.arange(signs.size), -1)
+        stops = np.where((signs == 0) & (before != 0), np.arange(signs.size), -1)
+        start, stop = np.maximum.accumulate(starts)[index], np.maximum.accumulate(stops)[index]
+        begun, ended = start >= 0, (stop > start) & (start >= 0)
+        start_s = breaks[np.maximum(start, 0)]
+        moved = np.abs(motion.position(time_s) - motion.position(start_s))
+        return cls(
+            slid_mm=np.where(begun, moved, 0.0),
+            since_start_s=np.where(begun, time_s - start_s, 0.0),
+            since_stop_s=np.where(ended, time_s - breaks[np.maximum(stop, 0)], 0.0),
+            heading=np.where(begun, signs[np.maximum(start, 0)], 0.0),
+            moving=np.where(begun & ~ended, 1.0, 0.0),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """What an effect may depend on, at `n` rising times. Units mm, s, mN, kPa; arrays of shape `(n,)`.
+
+    Attributes
+    ----------
+    time_s
+        Times from the run's first sample on.
+    session_start_s
+        The first sample on the clock of the specimen's session, whose 0 is the first sample of its first run.
+    order
+        Number of the run on the specimen, from 0.
+    contact, fixture
+        How capsule and gut meet.
+    dwell_s
+        Age of the contact at the first sample.
+    motion
+        The stage's motion, as measured or as simulated.
+    regularisation_mm_s
+        Speed over which Coulomb friction turns its sign.
+    f_e, f_v, f_c
+        Nominal parts of the sliding force, true mN; zeros where nothing slides.
+    weight_mN
+        The capsule's weight.
+    friction_coefficient
+        The nominal μ.
+    shear
+        Nominal force of a capsule that sticks; zeros where none does.
+    wall
+        The wall on the capsule, for a capsule that slides in a closed gut.
+    sheared
+        The wall under a capsule that sticks.
+    """
+
+    time_s: FloatArray
+    session_start_s: float
+    order: int
+    contact: Contact
+    fixture: Fixture
+    dwell_s: float
+    motion: Motion
+    regularisation_mm_s: float
+    f_e: FloatArray
+    f_v: FloatArray
+    f_c: FloatArray
+    weight_mN: float
+    friction_coefficient: float
+    shear: FloatArray
+    wall: HemisphereWall | None = None
+    sheared: ShearedWall | None = None
+
+    @property
+    def sliding(self) -> bool:
+        """Whether something slides: drag and Coulomb runs."""
+        return self.contact is Contact.SLIDING and self.fixture is not Fixture.NONE
+
+    @property
+    def closed(self) -> bool:
+        """Whether the capsule slides in a closed gut: drag runs."""
+        return self.wall is not None
+
+    @cached_property
+    def nominal(self) -> FloatArray:
+        """The nominal force."""
+        return self.f_e + self.f_v + self.f_c + self.shear
+
+    @cached_property
+    def session_s(self) -> FloatArray:
+        """Times on the session's clock."""
+        return self.session_start_s + self.time_s
+
+    @cached_property
+    def position_mm(self) -> FloatArray:
+        """Position, counted from the first sample."""
+        return self.motion.position(self.time_s)
+
+    @cached_property
+    def velocity_mm_s(self) -> FloatArray:
+        """Velocity."""
+        return self.motion.velocity(self.time_s)
+
+    @cached_property
+    def speed_mm_s(self) -> FloatArray:
+        """Its size."""
+        return np.abs(self.velocity_mm_s)
+
+    @cached_property
+    def acceleration_mm_s2(self) -> FloatArray:
+        """Acceleration, constant in pieces."""
+        pieces = self.motion.pieces()
+        index = np.searchsorted(pieces.start_s, self.time_s, side="right") - 1
+        return np.asarray(pieces.acceleration_mm_s2[np.maximum(index, 0)])
+
+    @cached_property
+    def turning(self) -> FloatArray:
+        """Direction of Coulomb friction, −1 to 1, 0 at rest (Eq. 12 with its regularisation)."""
+        return np.asarray(np.tanh(self.velocity_mm_s / self.regularisation_mm_s))
+
+    @cached_property
+    def stance(self) -> SlipHistory:
+        """Starts and stops."""
+        return SlipHistory.of(self.motion, self.time_s)
+
+    @cached_property
+    def stiff(self) -> FloatArray:
+        """What grows with the wall's stiffness: shear, f_e, and Coulomb friction without the weight's."""
+        return self.shear + self.f_e + self.f_c - self.friction_coefficient * self.weight_mN * self._slipping
+
+    @property
+    def _slipping(self) -> FloatArray:
+        return self.turning if self.sliding else np.zeros_like(self.time_s)
+
+
+def gut_run_state(
+    acquisition: Acquisition,
+    settings: FrictionModelSettings,
+    motion: Motion,
+    time_s: FloatArray,
+    session_start_s: float = 0.0,
+    still: Motion | None = None,
+) -> RunState:
+    """Build the scene of a run with capsule and gut.
+
+    Parameters
+    ----------
+    acquisition, settings
+        What the run is, and the nominal model of its specimen.
+    motion
+        The stage's motion.
+    time_s
+        Rising times, shape `(n,)`.
+    session_start_s
+        The first sample on the session's clock.
+    still
+        A motion for the shear of a capsule that sticks, where it is not the same: a recorded one without smoothing.
+    """
+    sticking = acquisition.contact is Contact.STICKING
+    prepared = prepare(acquisition, settings, still if sticking and still is not None else motion)
+    friction = prepared.friction
+    nothing = np.zeros_like(time_s)
+    parts = Components(nothing, nothing, nothing) if sticking else prepared.components(time_s)
+    return RunState(
+        time_s=time_s,
+        session_start_s=session_start_s,
+        order=acquisition.order,
+        contact=acquisition.contact,
+        fixture=acquisition.fixture,
+        dwell_s=acquisition.insertion_dwell_s * settings.insertion_dwell_scale,
+        motion=motion,
+        regularisation_mm_s=settings.regularisation_mm_s,
+        f_e=parts.f_e,
+        f_v=parts.f_v,
+        f_c=parts.f_c,
+        weight_mN=acquisition.capsule.mass_g * GRAVITY_M_S2,
+        friction_coefficient=settings.friction_coefficient,
+        shear=friction.total(time_s) if isinstance(friction, StickingForce) else nothing,
+        wall=_sliding_wall(friction, time_s) if isinstance(friction, SlidingForce) else None,
+        sheared=_sheared_wall(friction, acquisition, time_s) if isinstance(friction, StickingForce) else None,
+    )
+
+
+def _sliding_wall(friction: SlidingForce, time_s: FloatArray) -> HemisphereWall | None:
+    return None if friction.side is None else HemisphereWall(friction.contact, friction.history, time_s)
+
+
+def _sheared_wall(friction: StickingForce, acquisition: Acquisition, time_s: FloatArray) -> ShearedWall:
+    return ShearedWall(friction, time_s, abs(acquisition.shear_strain))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HoopStress:
+    """Nominal hoop stress [kPa] in fast branch, slow branch and spring."""
+
+    fast: FloatArray
+    slow: FloatArray
+    spring: FloatArray
+
+    @classmethod
+    def of(cls, wall: WallParameters, strain: FloatArray | float, age_s: FloatArray) -> "HoopStress":
+        """Relax the wall for a contact age (Eq. 3); elements and strain broadcast against the ages."""
+        fast_rate, slow_rate = wall.rates
+        return cls(
+            fast=np.asarray(strain * wall.E1 * np.exp(-age_s * fast_rate)),
+            slow=np.asarray(strain * wall.E2 * np.exp(-age_s * slow_rate)),
+            spring=np.asarray(strain * wall.E3 * np.ones_like(age_s)),
+        )
+
+    @classmethod
+    def on_hemisphere(cls, wall: HemisphereWall) -> "HoopStress":
+        """Return those of each point and time, shape `(n, m)`."""
+        return cls.of(wall.parameters, wall.strain, wall.age_s)
+
+    @classmethod
+    def at_equator(cls, wall: HemisphereWall) -> "HoopStress":
+        """Return those at the equator, shape `(n,)`."""
+        return cls.of(wall.equator_parameters, wall.strain_at_equator, wall.equator_age_s)
+
+    @property
+    def total(self) -> FloatArray:
+        """Their sum."""
+        return self.fast + self.slow + self.spring
+
+
+def force_of_hoop_stress(
+    scene: RunState, wall: HemisphereWall, stress_kPa: FloatArray, equator_kPa: FloatArray
+) -> FloatArray:
+    """Return f_e and f_c [mN] of a further hoop stress, shapes `(n, m)` and `(n,)` to `(n,)` (Eqs. 9, 12 and 13)."""
+    environment = np.sign(scene.f_e) * wall.resistance(stress_kPa)
+    return np.asarray(environment + scene.friction_coefficient * scene.turning * wall.pressing(equator_kPa))
+
+
+def normal_force(scene: RunState) -> FloatArray:
+    """Return the nominal N [mN] of a run that slides, at rest too (Eq. 13)."""
+    if scene.wall is None:
+        return np.full_like(scene.time_s, scene.weight_mN)
+    return np.asarray(scene.weight_mN + scene.wall.pressing(HoopStress.at_equator(scene.wall).total))

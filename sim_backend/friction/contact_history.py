@@ -1,0 +1,278 @@
+"""Since when each point of the wall has been in contact, and the time intervals within which the force is smooth.
+
+A wall point z is in contact while it lies between the rear contact, p − ℓ, and the front contact, p. Its age counts
+from when the front passed it moving forward or the rear passed it moving backward, or from the insertion when it was
+there at the first sample. The force jumps or bends where the motion does, and again when the wall passed at that
+moment reaches the equator of the leading hemisphere. Reversals of some µm, as a stage makes after an overshoot, do not
+change which hemisphere leads.
+"""
+
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.recorded_motion import RecordedMotion
+
+
+@dataclass(frozen=True, slots=True)
+class WallSegment:
+    """Wall from `rear_mm` to `front_mm` that one stroke, or the insertion, brought into contact.
+
+    `direction` is that of the stroke, 0 for the insertion; `first` and `last` are the stretches of the
+    motion during which it happened.
+    """
+
+    rear_mm: float
+    front_mm: float
+    direction: int
+    first: int = 0
+    last: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ContactStroke:
+    """Stretches `first` to `last` of a motion, which go one way or stand still.
+
+    `found` is the contact at its start, from rear to front; `fresh` the wall it adds itself.
+    """
+
+    direction: int
+    first: int
+    last: int
+    found: tuple[WallSegment, ...]
+    fresh: WallSegment
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactHistory:
+    """A motion with the contact that each of its strokes finds.
+
+    Attributes
+    ----------
+    motion
+        The motion.
+    reach_mm
+        Distance ℓ from rear to front contact.
+    dwell_s
+        Age of the contact at the first sample.
+    strokes
+        The strokes, in order.
+    """
+
+    motion: Motion
+    reach_mm: float
+    dwell_s: float
+    strokes: tuple[ContactStroke, ...]
+
+    @classmethod
+    def of(cls, motion: Motion, reach_mm: float, dwell_s: float) -> "ContactHistory":
+        """Follow the motion through its strokes."""
+        return cls(motion, reach_mm, dwell_s, tuple(_contact_strokes(motion, reach_mm)))
+
+    def travelled(self, stroke: ContactStroke, z_mm: FloatArray | float, position_mm: FloatArray | float) -> FloatArray:
+        """Contact coordinate x of wall points z when the capsule is at a position of a stroke."""
+        if stroke.direction > 0:
+            return np.asarray(position_mm - np.asarray(z_mm))
+        return np.asarray(np.asarray(z_mm) - position_mm + self.reach_mm)
+
+    def wall_at(self, stroke: ContactStroke, x_mm: FloatArray | float, position_mm: FloatArray) -> FloatArray:
+        """Wall point z at a contact coordinate x, the inverse of `travelled`."""
+        if stroke.direction > 0:
+            return np.asarray(position_mm - x_mm)
+        return np.asarray(position_mm - self.reach_mm + x_mm)
+
+    def begin(self, segment: WallSegment, z_mm: FloatArray) -> FloatArray:
+        """Time at which the wall points z of a segment came into contact."""
+        if segment.direction == 0:
+            return np.full_like(z_mm, -self.dwell_s)
+        passing = z_mm if segment.direction > 0 else z_mm + self.reach_mm
+        return self.motion.arrival(passing, segment.first, segment.last)
+
+
+def _contact_strokes(motion: Motion, reach_mm: float) -> Iterator[ContactStroke]:
+    position = motion.position(motion.breaks_s)
+    found: tuple[WallSegment, ...] = (WallSegment(float(position[0]) - reach_mm, float(position[0]), 0),)
+    for direction, first, last in _one_way_spans(motion):
+        begin, end = float(position[first]), float(position[last + 1])
+        if direction > 0:
+            fresh = WallSegment(begin, end, direction, first, last)
+            yield ContactStroke(direction, first, last, found, fresh)
+            contact = (*found, fresh)
+        else:
+            fresh = WallSegment(end - reach_mm, begin - reach_mm, direction, first, last)
+            yield ContactStroke(direction, first, last, found, fresh)
+            contact = (fresh, *found)
+        found = tuple(_clip_segments(contact, end - reach_mm, end))
+
+
+def _one_way_spans(motion: Motion) -> Iterator[tuple[int, int, int]]:
+    """Direction, first and last stretch; a rest belongs to the stroke before it, the first one to the next."""
+    moving = np.flatnonzero(motion.signs)
+    turns = [int(b) for a, b in pairwise(moving) if motion.signs[a] != motion.signs[b]]
+    edges = [0, *turns, len(motion.signs)]
+    for first, end in pairwise(edges):
+        signs = motion.signs[first:end]
+        yield (-1 if (signs < 0).any() else 1), first, end - 1
+
+
+def _clip_segments(segments: tuple[WallSegment, ...], rear_mm: float, front_mm: float) -> Iterator[WallSegment]:
+    for segment in segments:
+        rear, front = max(segment.rear_mm, rear_mm), min(segment.front_mm, front_mm)
+        if front > rear:
+            yield replace(segment, rear_mm=rear, front_mm=front)
+
+
+REVERSAL_SLACK_MM = 0.5
+"""A way back shorter than this does not bring the other hemisphere to the front (a tenth of the contact)."""
+
+
+def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motion:
+    """Return a motion without its ways back shorter than `slack_mm`; the same object where it has none."""
+    turning = motion.signs[motion.signs != 0]
+    if not (turning[1:] != turning[:-1]).any():
+        return motion
+    pieces = motion.pieces()
+    times = np.append(pieces.start_s, motion.breaks_s[-1])
+    position = motion.position(times)
+    if _shortest_reversal(position) > slack_mm:
+        return motion
+    turns = _turning_points(position, slack_mm)
+    led = _without_short_reversals(position, turns)
+    if np.array_equal(led, position):
+        return motion
+    return _motion_along(motion, times, position, led)
+
+
+def _shortest_reversal(position_mm: FloatArray) -> float:
+    """Return the least distance between two turns of a position, its ends included [mm]."""
+    steps = np.diff(position_mm)
+    steps = steps[steps != 0]
+    turns = np.flatnonzero(np.sign(steps[1:]) != np.sign(steps[:-1])) + 1
+    return float(np.add.reduceat(np.abs(steps), np.append(0, turns)).min(initial=np.inf)) if steps.size else 0.0
+
+
+def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:
+    """Return where a position turns by more than the slack, as indices, both ends included."""
+    from scipy.signal import find_peaks
+
+    peaks = [find_peaks(side * position_mm, prominence=slack_mm, plateau_size=1)[0] for side in (1.0, -1.0)]
+    return [0, *np.sort(np.concatenate(peaks)).tolist(), position_mm.size - 1]
+
+
+def _without_short_reversals(position_mm: FloatArray, turns: list[int]) -> FloatArray:
+    led = position_mm.copy()
+    for begin, end in pairwise(turns):
+        part = position_mm[begin : end + 1].copy()
+        part[0] = led[begin]
+        rises = part[-1] >= part[0] if end - begin > 1 else True
+        led[begin : end + 1] = np.maximum.accumulate(part) if rises else np.minimum.accumulate(part)
+    return led
+
+
+def _motion_along(motion: Motion, times_s: FloatArray, position_mm: FloatArray, led_mm: FloatArray) -> RecordedMotion:
+    pieces = motion.pieces()
+    kept = (led_mm[:-1] == position_mm[:-1]) & (led_mm[1:] == position_mm[1:])
+    velocity = np.diff(led_mm) / np.diff(times_s)
+    acceleration = np.where(kept, pieces.acceleration_mm_s2, 0.0)
+    fine = ProfileMotion(
+        breaks_s=times_s,
+        signs=np.sign(velocity).astype(np.int8),
+        uniform=acceleration == 0,
+        start_mm=led_mm[:-1],
+        velocity_mm_s=np.where(kept, pieces.velocity_mm_s, velocity),
+        acceleration_mm_s2=acceleration,
+    )
+    return RecordedMotion.of_pieces(fine)
+
+
+MIN_INTERVAL_S = 1e-9
+"""Stretches shorter than this are joined to their neighbour."""
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothInterval:
+    """Times from `begin_s` to `end_s` of one stroke.
+
+    `side` is the segment that the wall at the equator belongs to. `steady` says that the forces are
+    constant, `uniform` that the velocity is; `sign` is its direction, 0 at rest.
+    """
+
+    begin_s: float
+    end_s: float
+    stroke: ContactStroke
+    side: WallSegment
+    sign: int
+    uniform: bool
+    steady: bool
+
+
+def smooth_intervals(history: ContactHistory, contact_mm: float) -> Iterator[SmoothInterval]:
+    """Divide a motion where its force jumps or bends; `contact_mm` is the length L of the contact."""
+    motion = history.motion
+    for stroke in history.strokes:
+        edges = _interval_edges(history, stroke, contact_mm)
+        middle = 0.5 * (edges[:-1] + edges[1:])
+        position = motion.position(middle)
+        index = np.searchsorted(motion.breaks_s[:-1], middle, side="right") - 1
+        uniform, signs = motion.uniform[index], motion.signs[index]
+        # Once a contact length has been travelled at one velocity, every age is x / v.
+        settled = np.abs(position - motion.position(motion.breaks_s[index])) >= contact_mm
+        steady = uniform & (signs != 0) & settled
+        sides = [_segment_at(stroke, float(z)) for z in history.wall_at(stroke, contact_mm, position)]
+        times = pairwise(edges.tolist())
+        for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
+            sign, constant_velocity, constant_force = (int(flag) for flag in flags)
+            yield SmoothInterval(begin, end, stroke, side, sign, bool(constant_velocity), bool(constant_force))
+
+
+def join_intervals(parts: Sequence[SmoothInterval]) -> Iterator[SmoothInterval]:
+    """Join neighbours that differ by nothing but where they are; those where the forces are constant stay apart."""
+    for _, group in groupby(parts, key=_joining_key):
+        first, *others = group
+        if not others:
+            yield first
+        elif first.steady:
+            yield from (first, *others)
+        else:
+            yield replace(first, end_s=others[-1].end_s, uniform=False)
+
+
+def _joining_key(one: SmoothInterval) -> Hashable:
+    return one.stroke.first, one.side, one.sign, one.steady
+
+
+def _interval_edges(history: ContactHistory, stroke: ContactStroke, contact_mm: float) -> FloatArray:
+    """Begin of a stroke, every event in it, and its end."""
+    breaks = history.motion.breaks_s[stroke.first : stroke.last + 2]
+    edges, end = [float(breaks[0])], float(breaks[-1])
+    for time in np.sort(np.concatenate((breaks[1:-1], _equator_times(history, stroke, contact_mm)))).tolist():
+        if min(time - edges[-1], end - time) > MIN_INTERVAL_S:
+            edges.append(time)
+    return np.array([*edges, end])
+
+
+def _equator_times(history: ContactHistory, stroke: ContactStroke, contact_mm: float) -> FloatArray:
+    """Return when the ends of what the stroke found, and the bends in how it was passed, reach the equator."""
+    motion = history.motion
+    points: list[float] = []
+    for segment in (*stroke.found, stroke.fresh):
+        points += (segment.rear_mm, segment.front_mm)
+        if segment.direction:
+            passed = motion.position(motion.breaks_s[segment.first + 1 : segment.last + 1])
+            points += (passed - (0.0 if segment.direction > 0 else history.reach_mm)).tolist()
+    begin, end = motion.position(motion.breaks_s[[stroke.first, stroke.last + 1]])
+    # The capsule has the wall point z at its equator when it is at p = z + (p - wall_at(L, p)).
+    passing = np.asarray(points) - history.wall_at(stroke, contact_mm, np.zeros(1))
+    ahead = stroke.direction * (passing - begin)
+    inside = passing[(ahead > 0) & (ahead < stroke.direction * (end - begin))]
+    return motion.arrival(inside, stroke.first, stroke.last)
+
+
+def _segment_at(stroke: ContactStroke, z_mm: float) -> WallSegment:
+    """Return the segment that a wall point belongs to."""
+    segments = (*stroke.found, stroke.fresh)
+    return min(segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))
