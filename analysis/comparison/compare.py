@@ -336,7 +336,8 @@ def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
 def _overview(comparison: Comparison) -> str:
     count = len(comparison.pairs)
     if comparison.b.is_model:
-        return f"{count} run{_plural(count)} of A ({comparison.a.name}) against the friction model, on the recorded motion (B)."
+        runs = f"{count} run{_plural(count)} of A ({comparison.a.name})"
+        return f"{runs} against the friction model, on the recorded motion (B)."
     alone = ((comparison.alone_a, "A"), (comparison.alone_b, "B"))
     said = " and ".join(f"{len(found)} of {name}" for found, name in alone if found)
     without = f"; without a partner: {said}" if said else ""
@@ -377,7 +378,8 @@ def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
     percent = _percent_text(sum(level) / len(level)) if level else ""
     if not beyond:
         if abs(mean) > NORMAL_95 * error:
-            return f"{name}: no condition differs by itself, but all together B is {_offset_text(mean)} on average{percent}."
+            offset = _offset_text(mean)
+            return f"{name}: no condition differs by itself, but over all of them B is {offset} on average{percent}."
         return f"{name}: no difference beyond noise and scatter; on average {mean:+.1f} ± {NORMAL_95 * error:.1f} mN."
     values = [one.value for one in beyond]
     count = f"in {len(beyond)} of {len(groups)} conditions" if len(groups) > 1 else f"{_condition_range(beyond)}"
@@ -389,8 +391,8 @@ def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
         return f"{name}: B lies {side} A {count}, by {span} mN{average}{percent}."
     above, below = ([one for one in beyond if one.value * sign > 0] for sign in (1, -1))
     return (
-        f"{name}: B lies above A {_condition_range(above)}, by up to {max(values):.1f} mN, and below it {_condition_range(below)}, "
-        f"by up to {-min(values):.1f} mN."
+        f"{name}: B lies above A {_condition_range(above)}, by up to {max(values):.1f} mN, "
+        f"and below it {_condition_range(below)}, by up to {-min(values):.1f} mN."
     )
 
 

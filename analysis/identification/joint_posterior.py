@@ -152,8 +152,8 @@ def _joint_remarks(
     pinned = [one.name for one, at in zip(problem.nominal.parameters, is_at_bound(solution.z), strict=True) if at]
     if pinned:
         yield (
-            f"{' and '.join(pinned)} went as far as a parameter may go, {PARAMETER_BOUND:g} standard deviations from what was "
-            "known before: the model does not describe these runs"
+            f"{' and '.join(pinned)} reached the bound of the fit, {PARAMETER_BOUND:g} prior standard deviations from "
+            "the nominal value: the model does not describe these runs"
         )
     for group in _correlated_groups(correlation):
         names = [problem.nominal.parameters[index].name for index in group]

@@ -361,7 +361,7 @@ def _five_insufficient(p_value: float, third: "_ThirdBranch", left: float) -> Th
     chance = f"p < {1 / NULL_DRAWS:.2g}" if p_value < 2 / NULL_DRAWS else f"p = {p_value:.2g}"
     what = f"a third branch of {third.time_s:.3g} s and {abs(third.force_mN):.3g} mN explains more than noise would"
     if third.largest_mN < MIN_RELEVANT_FORCE_MN:
-        told = f"Five elements suffice: {what} ({chance}), yet never shows {MIN_RELEVANT_FORCE_MN:g} mN, the sensor's accuracy."
+        told = f"Five elements suffice: {what} ({chance}), but stays below the sensor's {MIN_RELEVANT_FORCE_MN:g} mN."
         return ThirdBranchTest(True, p_value, third.time_s, third.force_mN, told)
     told = f"Five elements do not suffice: {what} ({chance})"
     told += f", yet not all of it (χ² per degree {left:.3g})." if left > POOR_FIT_CHI2 else "."

@@ -199,7 +199,8 @@ def _no_boundary_sentence(deviation: ForceDeviation, what: str, chance: float) -
         besides = f" Yet {what} differ (p {_p_text(alike)}), with no speed at which that begins."
     return (
         f"No boundary is supported: the difference between {what} bends no more than errors allow "
-        f"(p {_p_text(chance)} {_simulation_note()}); of campaigns without a boundary, about 5 in 100 are said to have one.{besides}"
+        f"(p {_p_text(chance)} {_simulation_note()}); a boundary is reported for about 5 in 100 campaigns that have "
+        f"none.{besides}"
     )
 
 
@@ -214,8 +215,8 @@ def _boundary_sentence(
     at_end = "" if speed[1] < low and high < speed[-2] else ", which the range of speeds cuts off"
     return (
         f"{what[:1].upper()}{what[1:]} part ways {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
-        f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(chance)} {_simulation_note()}): at {far:.3g} mm/s the measured "
-        f"force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than the other speeds let expect."
+        f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(chance)} {_simulation_note()}): at {far:.3g} mm/s "
+        f"the measured force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than expected from the other speeds."
     )
 
 

@@ -44,8 +44,8 @@ CONVERTIBLE_UNITS: Mapping[str, Mapping[str, float]] = {
 """For each unit of ours, the factor of every unit that can be turned into it."""
 _OFFSETS = {"K": -273.15, "degF": -32 * 5 / 9}
 
-OTHER_UNITS = ("mV", "V", "mA", "A", "rad", "deg", "rev", "counts", "1", "%", "MPa", "kPa", "Pa", "bar", "rad/s", "mm/s",
-           "m/s", "µm/s", "rpm", "Hz", "Nm", "W", "g", "kg")  # fmt: skip
+OTHER_UNITS = ("mV", "V", "mA", "A", "rad", "deg", "rev", "counts", "1", "%", "MPa", "kPa", "Pa", "bar", "rad/s",
+               "mm/s", "m/s", "µm/s", "rpm", "Hz", "Nm", "W", "g", "kg")  # fmt: skip
 """Units that only a stated factor turns into ours."""
 
 _SPELLINGS = {

@@ -115,8 +115,8 @@ def estimate_noise(
 
     Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
     short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
-    noise is what neighbouring samples of steady motion differ by beyond a straight line, and `DEFAULT_NOISE` where there is no
-    steady motion either; both count as assumed.
+    noise is what neighbouring samples of steady motion differ by beyond a straight line, and `DEFAULT_NOISE` where
+    there is no steady motion either; both count as assumed.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ class _RunSettings(BaseModel):
 
 
 def encoder_count_mm(settings_toml: str) -> float:
-    """Return the encoder's count [mm] that a run's settings tell, at least `MIN_COUNT_MM`; that where they tell none."""
+    """Return the encoder's count [mm] in a run's settings, at least `MIN_COUNT_MM`, also the default."""
     try:
         said = _RunSettings.model_validate(tomllib.loads(settings_toml))
     except (tomllib.TOMLDecodeError, ValidationError):

@@ -99,7 +99,7 @@ def _first_guess(motion: RecordedMotion) -> _VelocityChain:
 
 
 def _far_apart(times: FloatArray, resting: Mask) -> Mask:
-    """Tell which joints to keep, so that none lie closer than `MIN_JOINT_DISTANCE_S`: ends of record and rests go first."""
+    """Mask of the joints to keep, none closer than `MIN_JOINT_DISTANCE_S`: ends of record and rests go first."""
     kept = np.zeros(len(times), dtype=np.bool_)
     kept[[0, -1]] = True
     for index in np.argsort(~resting, kind="stable"):

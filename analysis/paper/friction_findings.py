@@ -292,8 +292,8 @@ def _accuracy() -> PaperFinding:
             ),
         ),
         f"5 mN are {rounded(100 * accuracy / printed.COULOMB_FORCE_MN, 2)} % of 40.07 mN, or ±"
-        f"{rounded(accuracy / coulomb_weight_mN(), 2)} in μ. f_v stays below them up to {rounded(enough, 2)} mm/s, and the "
-        f"model's whole rise over the slowest speeds ({slowest} mm/s) is smaller. "
+        f"{rounded(accuracy / coulomb_weight_mN(), 2)} in μ. f_v stays below them up to {rounded(enough, 2)} mm/s, and "
+        f"the model's whole rise over the slowest speeds ({slowest} mm/s) is smaller. "
         "A mean over many samples is more precise than that, but a zero that is off by 5 mN is not averaged "
         "out.",
         "Each run has a zero of its own in the joint fit, means carry errors that know of correlated noise, and a tare "

@@ -210,11 +210,10 @@ def _ramp_as_step() -> PaperFinding:
             FindingNumber(f"fastest ramp needed to leave {100 * MIN_STRESS_SHARE:.0f} %", float(needed.max()), "mm/s"),
         ),
         f"The fast branch relaxes within {rounded(1e3 * time.min(), 2)} to {rounded(1e3 * time.max(), 2)} ms. A ramp "
-        "of "
-        f"{RAMP_MM_S:g} mm/s would leave {rounded(100 * left[0], 2)} % of its stress at a strain of 50 % and "
-        f"{rounded(100 * left[-1], 2)} % at 200 %; to keep {100 * MIN_STRESS_SHARE:.0f} % takes {rounded(needed.min(), 2)} to "
-        f"{rounded(needed.max(), 2)} mm/s. What "
-        "a step fitted to a ramp calls E1 depends on the ramp.",
+        f"of {RAMP_MM_S:g} mm/s would leave {rounded(100 * left[0], 2)} % of its stress at a strain of 50 % and "
+        f"{rounded(100 * left[-1], 2)} % at 200 %; to keep {100 * MIN_STRESS_SHARE:.0f} % takes "
+        f"{rounded(needed.min(), 2)} to {rounded(needed.max(), 2)} mm/s. What a step fitted to "
+        "a ramp calls E1 depends on the ramp.",
         "The identification integrates each branch through the ramp that the encoder saw, not through a step.",
     )
 
