@@ -30,11 +30,18 @@ RATE_HZ, RUNS = 500, 31
 BAR_MB = 1000.0
 """Peak memory that no campaign may need."""
 STAGES = {
-    "dragrig.analysis.gap.forward_selection": ("lay_out", "refitted", "_polished", "further_steps"),
-    "dragrig.analysis.gap.linear_fit": ("lay_out",),
-    "dragrig.analysis.gap.diagnose": ("find_position", "find_lines", "study_of", "explain", "locate", "leave_out"),
-    "dragrig.analysis.gap.studies": ("details",),
-    "dragrig.analysis.gap.design": ("signatures", "slopes", "_derivatives"),
+    "dragrig.analysis.gap.forward_selection": ("linearise", "refit_with_effect", "_relinearised", "forward_selection"),
+    "dragrig.analysis.gap.linear_fit": ("linearise",),
+    "dragrig.analysis.gap.diagnose": (
+        "analyse_position",
+        "find_spectral_lines",
+        "prepare_study",
+        "search_effects",
+        "localise",
+        "predict_held_out",
+    ),
+    "dragrig.analysis.gap.studies": ("model_error_columns",),
+    "dragrig.analysis.gap.design": ("signatures", "parameter_derivatives", "_nominal_derivatives"),
 }
 
 
@@ -84,12 +91,12 @@ def one(folder: Path, *, stages: bool) -> None:
     import psutil
 
     from dragrig.analysis.gap.diagnose import diagnose
-    from dragrig.analysis.gap.run_selection import select_runs
+    from dragrig.analysis.gap.run_selection import choose_runs
     from dragrig.analysis.models.capsule_model import MODEL
 
     spent = defaultdict[str, float](float)
     began, own = time.perf_counter(), time.process_time()
-    selection = select_runs(folder)
+    selection = choose_runs(folder)
     read = time.perf_counter() - began
     with timed(spent) if stages else nullcontext():
         found = diagnose(selection, MODEL)

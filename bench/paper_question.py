@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import dragrig
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -73,7 +73,7 @@ def campaigns() -> None:
     """Print what a diagnosis says of the paper's programme with either effect."""
     model = CapsuleModel(FrictionModelSettings(name="paper"))
     for effects in HIDDEN:
-        chosen = select_runs(dragrig.simulate("paper", effects=list(effects)))
+        chosen = choose_runs(dragrig.simulate("paper", effects=list(effects)))
         drags = replace(chosen, experiments=chosen.of_kind("drag"))
         for name, selection in (("paper", chosen), ("its drags alone", drags)):
             found = diagnose(selection, model)

@@ -23,7 +23,7 @@ from typing import Any
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits, plan_of_next_runs
 from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -74,7 +74,7 @@ def told(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None
     with tempfile.TemporaryDirectory() as folder:
         write_campaign(secret, folder, runs=listed)
         options = DiagnosisOptions() if budget is None else DiagnosisOptions(next_runs=budget)
-        return diagnose(select_runs(Path(folder)), CapsuleModel(FrictionModelSettings(name="paper")), options)
+        return diagnose(choose_runs(Path(folder)), CapsuleModel(FrictionModelSettings(name="paper")), options)
 
 
 def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> Mapping[str, object]:

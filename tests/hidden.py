@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import dragrig
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -26,7 +26,7 @@ PLAN = {
 def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> RunSelection:
     """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
     write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
-    return thinned(select_runs(folder))
+    return thinned(choose_runs(folder))
 
 
 def thinned(whole: RunSelection) -> RunSelection:
@@ -43,4 +43,4 @@ def thinned(whole: RunSelection) -> RunSelection:
 
 def simulated(model: FrictionModelSettings) -> RunSelection:
     """Return the runs of a short plan on the simulated rig, with its noise and with specimens that vary."""
-    return select_runs(dragrig.simulate(Plan.model_validate(PLAN), model=model))
+    return choose_runs(dragrig.simulate(Plan.model_validate(PLAN), model=model))

@@ -7,7 +7,7 @@ import pytest
 from listed_runs import table
 
 import dragrig
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.config.plan import Plan, PlanStep
 from dragrig.rig.programme import Programme
 from dragrig.setup import resolve
@@ -65,7 +65,7 @@ def test_the_plant_makes_a_list_of_runs(tmp_path: Path) -> None:
     secret = draw_campaign(7, effects=["stribeck"])
     listed = RunList.of("mine", [table("relaxation", 60.0), table("drag", 200.0, speed_mm_s=20.0, dwell_s=10.0)])
     write_campaign(secret, tmp_path / "mine", runs=listed)
-    found = select_runs(tmp_path / "mine").experiments
+    found = choose_runs(tmp_path / "mine").experiments
     assert [one.kind for one in found] == ["relaxation", "drag"]
     assert [one.insertion_dwell_s for one in found] == [60.0, 10.0]
     assert (found[1].run.info.header.start_time - found[0].run.info.header.start_time).total_seconds() == 140.0

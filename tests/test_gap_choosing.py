@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.rig.runfile import mark_bad, read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -26,17 +26,17 @@ def changed(path: Path, group: str, **attributes: str) -> str:
 
 def test_of_two_specimens_the_one_with_most_runs_is_diagnosed(campaign: Path) -> None:
     other = changed(campaign / "010-drag.h5", "entry/specimen", name="ileum")
-    found = select_runs(campaign)
+    found = choose_runs(campaign)
     assert found.specimen == "jejunum"
     assert {one.what: one.reason for one in found.left_out}[other].startswith("it is of specimen ileum; most runs")
-    assert [one.file for one in select_runs(campaign, "ileum").experiments] == [other]
+    assert [one.file for one in choose_runs(campaign, "ileum").experiments] == [other]
 
 
 def test_runs_of_another_sensor_are_left_out_and_told(campaign: Path) -> None:
     paths = sorted(campaign.glob("*.h5"))
     for place, path in enumerate(paths):
         changed(path, "entry", sensor_serial="old" if place < 3 else "new", calibration_id=f"c{place % 2}")
-    found = select_runs(campaign)
+    found = choose_runs(campaign)
     reasons = {one.what: one.reason for one in found.left_out}
     assert set(reasons) == {path.name for path in paths[:3]}
     assert set(reasons.values()) == {"it was measured with force sensor old, most runs with new"}
@@ -47,12 +47,12 @@ def test_runs_marked_bad_count_for_nothing(campaign: Path) -> None:
     for path in sorted(campaign.glob("*.h5"))[:-1]:
         changed(path, "entry/specimen", name="ileum")
         mark_bad(path, "slipped")
-    assert select_runs(campaign).specimen == "jejunum"
+    assert choose_runs(campaign).specimen == "jejunum"
 
 
 def test_runs_that_note_no_contact_age_are_used_and_told(campaign: Path) -> None:
     with h5py.File(campaign / "010-drag.h5", "r+") as file:
         del file["entry"].attrs["insertion_dwell_s"]
-    found = select_runs(campaign)
+    found = choose_runs(campaign)
     assert any(one.startswith("1 of ") and "60 s are assumed" in one for one in found.remarks)
-    assert select_runs([read_run(path) for path in sorted(campaign.glob("*.h5"))]).remarks == found.remarks
+    assert choose_runs([read_run(path) for path in sorted(campaign.glob("*.h5"))]).remarks == found.remarks

@@ -8,7 +8,7 @@ from hidden import hidden, simulated
 
 from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.api.diagnose import save_amended_model
@@ -126,8 +126,8 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(found: Diagnosis, tmp
     ],
 )
 def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], said: set[str]) -> None:
-    runs = [one for one in select_runs(PRACTICE).experiments if one.kind in kinds]
-    told = diagnose(select_runs(one.run for one in runs), MODEL)
+    runs = [one for one in choose_runs(PRACTICE).experiments if one.kind in kinds]
+    told = diagnose(choose_runs(one.run for one in runs), MODEL)
     assert told.runs == len(runs)
     for one in said:
         assert any(sentence.startswith(one) for sentence in told.cannot_answer)
@@ -136,8 +136,8 @@ def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], sai
 
 @pytest.mark.parametrize("kind", sorted(NUMBERED))
 def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
-    one = next(one for one in select_runs(PRACTICE).experiments if one.kind == kind)
-    told = diagnose(select_runs([one.run]), MODEL)
+    one = next(one for one in choose_runs(PRACTICE).experiments if one.kind == kind)
+    told = diagnose(choose_runs([one.run]), MODEL)
     assert (told.runs, told.held_out, told.shrink) == (1, (), None)
     assert any("none can be kept back" in sentence for sentence in told.cannot_answer)
     assert sum(one.probability for one in told.ranking) == pytest.approx(1.0)
@@ -145,6 +145,6 @@ def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
 
 
 def test_the_same_runs_give_the_same_answer() -> None:
-    first, second = (dict(diagnosis_json(diagnose(select_runs(PRACTICE), MODEL))) for _ in range(2))
+    first, second = (dict(diagnosis_json(diagnose(choose_runs(PRACTICE), MODEL))) for _ in range(2))
     assert first.pop("timings_s") != second.pop("timings_s")
     assert json.dumps(first) == json.dumps(second)

@@ -11,7 +11,7 @@ from dragrig.analysis.gap.design import Design, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, inflate_by_form_error
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import catalogue
@@ -21,7 +21,7 @@ CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return prepare_study(select_runs(CAMPAIGN), MODEL, [catalogue()["breakaway"]])
+    return prepare_study(choose_runs(CAMPAIGN), MODEL, [catalogue()["breakaway"]])
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from dragrig.analysis.gap.features import EFFECTS_OF_LAW, DecisionInputs, Hypoth
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
 from dragrig.analysis.gap.run_data import RunData
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap, nonparametric_law_text
 from dragrig.analysis.models.capsule_model import MODEL
@@ -31,7 +31,7 @@ Law = Callable[[RunData], FloatArray | float]
 
 @pytest.fixture(scope="module")
 def study() -> Study:
-    return prepare_study(select_runs(CAMPAIGN), MODEL, ())
+    return prepare_study(choose_runs(CAMPAIGN), MODEL, ())
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
 
 
 def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
-    quiet = diagnose(select_runs(CAMPAIGN), MODEL).where
+    quiet = diagnose(choose_runs(CAMPAIGN), MODEL).where
     assert not any(quiet.location("channel").shares.values())
     judged = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
     told = describe_unexplained_gap(quiet, (), judged, None, case("folds", 19_000.0, "speed", NOISE))

@@ -10,7 +10,7 @@ from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.next_run_position import NO_NEW_MOTION
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.cli import main
 from dragrig.config.plan import Plan
@@ -30,11 +30,11 @@ def plan(*steps: dict[str, object], seed: int = 3) -> Plan:
 
 
 def told(runs: tuple[Run, ...]) -> Diagnosis:
-    return diagnose(select_runs(runs), MODEL)
+    return diagnose(choose_runs(runs), MODEL)
 
 
 def found_in(runs: tuple[Run, ...]) -> PositionAnalysis:
-    return analyse_position(select_runs(runs).experiments, list(catalogue().values()))
+    return analyse_position(choose_runs(runs).experiments, list(catalogue().values()))
 
 
 def margin(found: PositionAnalysis, truth: str) -> float:

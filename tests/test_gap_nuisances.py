@@ -10,7 +10,7 @@ from hidden import thinned
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.model_uncertainty import INTEGRATION_STEP_S, PANELS, ramp_integration_sd
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.blind import draw_campaign, write_campaign
@@ -21,7 +21,7 @@ SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY = 1839364650, 269666675
 @pytest.mark.parametrize("seed", [SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY])
 def test_what_another_programme_sums_coarsely_is_not_seen_as_a_gap(seed: int, tmp_path: Path) -> None:
     write_campaign(draw_campaign(seed, rough=True), tmp_path)
-    told = diagnose(thinned(select_runs(tmp_path)), MODEL)
+    told = diagnose(thinned(choose_runs(tmp_path)), MODEL)
     assert (told.verdict, told.effects) == (Verdict.NO_GAP, ())
 
 

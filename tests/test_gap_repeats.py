@@ -13,7 +13,7 @@ from effect_scenes import KINDS, scene
 
 from dragrig.analysis.gap.candidates import Candidate, signature, variants_of
 from dragrig.analysis.gap.design import Study, linearise
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue
@@ -43,7 +43,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
             entry.update({"run_id": str(uuid4()), "start_time": start.isoformat(), "order": 100 + number})
             if number == len(drags) - 1:
                 entry["insertion_dwell_s"] = DWELL_S
-    return prepare_study(select_runs(folder), MODEL, EFFECTS)
+    return prepare_study(choose_runs(folder), MODEL, EFFECTS)
 
 
 @pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.of_session], ids=lambda one: one.id)
@@ -56,7 +56,7 @@ def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | Sen
 
 def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -> None:
     """Else a stiffer run is a misfit of the effect, and the fit gives it up for the specimen's own stiffness."""
-    relaxing = prepare_study(select_runs(CAMPAIGN), MODEL, EFFECTS)
+    relaxing = prepare_study(choose_runs(CAMPAIGN), MODEL, EFFECTS)
     candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].usual)
     plain, stiffer = (linearise(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
     seen = 0

@@ -9,7 +9,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.run_selection import MAX_RUNS, select_runs, spread_over_session
+from dragrig.analysis.gap.run_selection import MAX_RUNS, choose_runs, spread_over_session
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import RunHeader, RunInfo, RunStatus
 
@@ -55,10 +55,10 @@ def test_a_long_campaign_is_read_in_part_and_says_so(tmp_path: Path) -> None:
     for copy in range(13):
         for path in paths:
             shutil.copy(path, tmp_path / f"{copy:02d}-{path.name}")
-    found = select_runs(tmp_path)
+    found = choose_runs(tmp_path)
     assert len(found.experiments) == MAX_RUNS
     assert any(one.startswith(f"of {13 * len(paths)} runs {MAX_RUNS} are diagnosed") for one in found.remarks)
-    again = select_runs([read_run(path) for path in sorted(tmp_path.glob("*.h5"))])
+    again = choose_runs([read_run(path) for path in sorted(tmp_path.glob("*.h5"))])
     assert again.remarks[-1] == found.remarks[-1]
     assert {one.file for one in again.experiments} == {one.file for one in found.experiments}
-    assert not any("are diagnosed" in one for one in select_runs(CAMPAIGN).remarks)
+    assert not any("are diagnosed" in one for one in choose_runs(CAMPAIGN).remarks)

@@ -16,7 +16,7 @@ import dragrig
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.position_channel import position_errors
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import (
     MAX_WANDER_MM,
@@ -71,7 +71,7 @@ def with_position(
             position = file["entry/trace/position"]
             position[...] = change(np.asarray(position[...], dtype=np.float64), random)
             file["entry/settings"] = f"[rig.encoder]\nresolution_um = {1e3 * count_mm}\n"
-    return select_runs(folder)
+    return choose_runs(folder)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_the_encoders_count_is_what_the_settings_of_the_run_say(settings_toml: s
 
 def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
     fine, coarse = (
-        select_runs(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
+        choose_runs(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
     )
     assert {one.count_mm for one in fine.experiments} == {0.001}
     assert {one.count_mm for one in coarse.experiments} == {0.005}

@@ -249,8 +249,16 @@ class CampaignResiduals:
 
 def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
     """Return all axes of a campaign."""
-    return (_channel_axis(runs), _protocol_axis(runs), _phase_axis(runs), _speed_axis(runs), _position_axis(runs), _session_axis(runs),
-            _strain_axis(runs), _band_axis(runs))  # fmt: skip
+    return (
+        _channel_axis(runs),
+        _protocol_axis(runs),
+        _phase_axis(runs),
+        _speed_axis(runs),
+        _position_axis(runs),
+        _session_axis(runs),
+        _strain_axis(runs),
+        _band_axis(runs),
+    )
 
 
 def _channel_axis(runs: CampaignResiduals) -> ExcessAxis:

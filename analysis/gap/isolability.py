@@ -556,18 +556,19 @@ def _sentences(found: Isolability) -> Iterator[str]:
     confused = found.confused
     if confused:
         yield (
-            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly told apart by "
-            f"these runs: {join_names([pair_text(one) for one in confused])}."
+            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly told apart "
+            f"by these runs: {join_names([pair_text(pair) for pair in confused])}."
         )
     else:
         yield "These runs tell every two effects of the catalogue apart."
     yield f"These {made} {counts}{time}." if not found.planned else f"The plan {made} {counts}{time}."
     if found.unseen:
-        yield f"{capitalise(join_names([display_name(one) for one in found.unseen]))} would not be seen at the usual size."
+        names = join_names([display_name(effect) for effect in found.unseen])
+        yield f"{capitalise(names)} would not be seen at the usual size."
     force = [one for one in found.of_channel("force") if one.least is not None]
     if force:
         weakest = max(force, key=lambda one: (one.least or 0.0) / abs(one.usual))
         yield (
-            f"The least visible is {display_name(weakest.effect)}: from {smallest_visible_text(weakest)} on, where it usually is "
-            f"{weakest.usual:g}."
+            f"The least visible is {display_name(weakest.effect)}: from {smallest_visible_text(weakest)} on, "
+            f"where it usually is {weakest.usual:g}."
         )

@@ -51,7 +51,7 @@ MODEL_ERROR_DIRECTIONS = (
 
 
 def model_error_columns(scene: RunState, speed_mm_s: float) -> FloatArray:
-    """Return by how much one standard deviation of each of `MODEL_ERROR_DIRECTIONS` changes the true force, shape `(D, n)`.
+    """Return the change of the true force by one prior sd of each of `MODEL_ERROR_DIRECTIONS`, shape `(D, n)`.
 
     Parameters
     ----------

@@ -121,8 +121,8 @@ def _coverage_reason(trial: CandidateRun, by: FloatArray, tried: int) -> str:
     differs = [name for name, value in zip(MOTION_ASPECTS, by.tolist(), strict=True) if value >= MIN_LOG_DISTANCE]
     return (
         f"{run_subject(trial.step)} goes furthest per minute of rig time beyond how the stage has moved: no "
-        f"run so far comes near its {join_names(differs)}. How the position strays has no name yet, and where it has not "
-        f"been looked at most of it can show. {trial.minutes:.1f} min of rig time; {tried} runs were compared."
+        f"run so far comes near its {join_names(differs)}. How the position strays has no name yet, and where it has "
+        f"not been looked at most of it can show. {trial.minutes:.1f} min of rig time; {tried} runs were compared."
     )
 
 
@@ -319,7 +319,8 @@ def reasons_for_no_run(
         yield NO_NEW_MOTION
     elif rivals:
         named = [one for one in judged.effects if one in families]
-        yield f"No run that was compared would tell {display_name('+'.join(named))} from {display_name('+'.join(rivals))} either."
+        apart = f"{display_name('+'.join(named))} from {display_name('+'.join(rivals))}"
+        yield f"No run that was compared would tell {apart} either."
 
 
 def _position_doubt(judged: Classification, position: PositionAnalysis) -> float:

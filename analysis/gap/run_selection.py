@@ -10,8 +10,7 @@ import numpy as np
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import Exclusion
 from dragrig.analysis.models.experiment import DEFAULT_DWELL_S, Experiment
-from dragrig.analysis.selection import RunSelection, select_loaded_runs
-from dragrig.analysis.selection import select_runs as select_runs_from_selection
+from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
 from dragrig.rig.devices import Contact
 from dragrig.rig.runfile.campaigns import specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
@@ -46,7 +45,7 @@ def _condition_of(run: RunInfo) -> tuple[object, ...]:
     return run.kind, *(run.header.protocol.get(name) for name in CONDITION_SETTINGS)
 
 
-def select_runs(
+def choose_runs(
     campaign: Path | Iterable[Run], specimen: str | None = None, progress: Progress = no_progress
 ) -> RunSelection:
     """Read the runs that a diagnosis can use.
@@ -79,7 +78,7 @@ def select_runs(
             usable.extend(runs)
             return spread_over_session(runs)
 
-        found = _with_count_remark(select_runs_from_selection(there, meant, progress, choice), len(usable))
+        found = _with_count_remark(select_runs(there, meant, progress, choice), len(usable))
     else:
         runs = tuple(campaign)
         infos = [run.info for run in runs]

@@ -186,8 +186,8 @@ class ExponentialDecay:
         )
         start = f"{self.start:+.2g}".replace("-", "−")
         return (
-            f"It dies away {way} from the begin of steady motion, {start} {unit} over {two_digits(self.length)} {of_way}"
-            f"{other}. "
+            f"It dies away {way} from the begin of steady motion, {start} {unit} over {two_digits(self.length)} "
+            f"{of_way}{other}. "
             f"Beyond a straight line {two_digits(self.before)} {unit} are left without that exponential, "
             f"{two_digits(self.after)} {unit} with it."
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.catalogue import find_model
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
@@ -108,7 +108,7 @@ def diagnose_campaign(
     options = diagnosis_options(without, tolerance_mN, calibration)
     model = find_model(str(nominal)) if isinstance(nominal, str | Path) else nominal
     source = str(campaign) if isinstance(campaign, str | Path) else "these runs"
-    selection = select_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
+    selection = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
     return DiagnosedCampaign(diagnose_selection(selection, model, options, progress), selection, source)
 
 
@@ -136,7 +136,7 @@ def gap_evaluate(
     given = (
         model if isinstance(model, FrictionModelSettings) else find_settings(FrictionModelSettings, "model", str(model))
     )
-    return evaluate(select_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen), given)
+    return evaluate(choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen), given)
 
 
 def diagnosis_options(

@@ -10,7 +10,7 @@ from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits
 from dragrig.analysis.gap.diagnosis import NextExperiment
 from dragrig.analysis.gap.isolability import Isolability
-from dragrig.analysis.gap.run_selection import select_runs
+from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
@@ -95,7 +95,7 @@ def runs_to_isolate(plan_or_campaign: PlanLike, **choices: Unpack[SetupChoices])
     """Return the runs of a campaign, or make those of a plan on the simulated rig; raises as `isolability`."""
     if isinstance(plan_or_campaign, str | Path) and Path(plan_or_campaign).is_dir():
         specimen = choices.get("specimen")
-        selection = select_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
+        selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
         model = resolve("drag", model=choices.get("model"), backend="simulated").model
         return RunsToIsolate(selection, CapsuleModel(model), str(plan_or_campaign), planned=False, duration_s=None)
     choices["backend"] = "simulated"
@@ -103,7 +103,7 @@ def runs_to_isolate(plan_or_campaign: PlanLike, **choices: Unpack[SetupChoices])
     made = simulate(plan_or_campaign, **choices)
     name = setup.plan.name
     return RunsToIsolate(
-        select_runs(made), CapsuleModel(setup.model), name, planned=True, duration_s=setup.programme().duration_s
+        choose_runs(made), CapsuleModel(setup.model), name, planned=True, duration_s=setup.programme().duration_s
     )
 
 
@@ -151,7 +151,7 @@ def next_experiment(
     """
     from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
     from dragrig.analysis.gap.next_run_force import recommend_for_pair
-    from dragrig.analysis.gap.run_selection import select_runs
+    from dragrig.analysis.gap.run_selection import choose_runs
 
     if not (isfinite(minutes) and minutes > 0):
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
@@ -162,7 +162,7 @@ def next_experiment(
     budget = ExperimentBudget(minutes, MAX_RUNS, limits=_stage_range(**choices))
     if campaign and between is None and isinstance(plan_or_campaign, str | Path):
         specimen = choices.get("specimen")
-        selection = select_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
+        selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
         model = CapsuleModel(resolve("drag", model=choices.get("model"), backend="simulated").model)
         return diagnose(selection, model, DiagnosisOptions(next_runs=budget), progress).next_experiment
     runs = runs_to_isolate(plan_or_campaign, **choices)
