@@ -157,6 +157,7 @@ class ScoredCase:
         )
 
 
+RECORD_NAMES = {"AnswerKey": "answer", "ScoredDiagnosis": "diagnosis", "ScoredShrink": "shrink"}
 RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredShrink)
 
 
@@ -168,7 +169,7 @@ def parse_record(kind: type[RecordT], given: object, name: str) -> RecordT:
         first = fault.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise AnalysisError(
-            f"{name}: the {kind.__name__.lower()} cannot be scored because {place} is not as the report's format has "
+            f"{name}: the {RECORD_NAMES[kind.__name__]} cannot be scored because {place} is not as the report's format has "
             f"it ({first['msg'].lower()}); make it anew"
         ) from fault
 

@@ -195,7 +195,7 @@ def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
     assert exam.document()["confusion"] == score_json(found)["confusion"]
     out = io.StringIO()
     with redirect_stdout(out):
-        print_parts(exam_parts(exam))
+        print_parts(exam_parts(found, cases, 4, "ab" * 32))
     shown = exam_page(found, cases, 4, "ab" * 32)
     pictures = HTMLPictures()
     pictures.feed(shown)

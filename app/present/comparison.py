@@ -302,7 +302,8 @@ def _draw_steady_pairs(axes: Axes, comparison: Comparison) -> None:
             means = [float(force[speed == level].mean()) for level in levels]
             axes.plot(levels, means, color=colour, linewidth=1.4, alpha=0.6, linestyle="--" if side else "-")
             axes.errorbar(
-                speed * SPEED_OFFSET_FACTOR ** (2 * side - 1), force, yerr=half, fmt=marker, color=colour, markersize=8, capsize=3,
+                speed * SPEED_OFFSET_FACTOR ** (2 * side - 1), force, yerr=half,
+                fmt=marker, color=colour, markersize=8, capsize=3,
                 markerfacecolor="white" if side else colour, markeredgecolor=colour if side else "white",
             )  # fmt: skip
             shown += [force - half, force + half]

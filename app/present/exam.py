@@ -57,10 +57,10 @@ def promise_sentences(one: PromiseScore) -> Iterator[str]:
         yield f"Of the right names at full size and at a third, {_rate_text(one.closed)} close 90 % of the gap there."
     if one.within.count:
         yield (
-            f"In {_rate_text(one.within)} the achieved share lies in the promised 95 % interval. That interval is over the "
-            "runs of one session; what other speeds, strains and another session change comes on top of it. Parameters "
-            "have no coverage to be checked: the plant's forms are others than the catalogue's, so that there is no "
-            "true value."
+            f"In {_rate_text(one.within)} the achieved share lies in the promised 95 % interval. That interval is over "
+            "the runs of one session; what other speeds, strains and another session change comes on top of it. "
+            "The coverage of parameters cannot be checked: the plant's forms differ from the catalogue's, so that no "
+            "true value exists."
         )
 
 

@@ -135,9 +135,9 @@ DETECTION_WIDTH_IN, DETECTION_HEIGHT_IN = 13.0, 5.6
 MIN_D_PRIME, RATE_OFFSET = 1.0, 0.035
 """d′ where the picture begins, and how far the three rates of a bin stand apart, as a power of ten."""
 INVISIBLE_D_PRIME = 3.0
-SEEN_LINE, NAMED_LINE, MISLED_LINE = LineStyle("a gap is seen", GREEN, 2.0), LineStyle("the right name", BLUE, 2.0), LineStyle(
-    "a wrong name", VERMILLION, 2.0
-)  # fmt: skip
+SEEN_LINE = LineStyle("a gap is seen", GREEN, 2.0)
+NAMED_LINE = LineStyle("the right name", BLUE, 2.0)
+MISLED_LINE = LineStyle("a wrong name", VERMILLION, 2.0)
 
 
 def exam_detection_figure(bins: Sequence[DetectionBin]) -> Figure:

@@ -147,8 +147,8 @@ def _set_effect_ticks(axes: Axes, words: list[str]) -> None:
 def _draw_isolability_legend(figure: Figure) -> None:
     width, height = figure.get_size_inches()
     lines = (
-        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below {100 * CONFUSED_SIN2:.0f}, "
-        f"or d′ below {DETECTABLE_D_PRIME:g}.",
+        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below "
+        f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.",
         "Above: d′ between the two at their usual sizes. Dark: near. The catalogue's effects of the force only.",
     )
     for place, text in enumerate(lines):
