@@ -29,7 +29,7 @@ from dragrig.analysis.comparison.comparison import (
 from dragrig.analysis.comparison.overlay import align_runs, start_of_motion
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.present.comparison import comparison_figure, comparison_overview_figure
+from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import Run, RunStatus
 

@@ -14,7 +14,7 @@ from residuals import Planted, campaign
 from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.localise import localise
-from dragrig.present.diagnosis_page import location_figure
+from dragrig.present.diagnosis_figures import location_figure
 from dragrig.present.figure_files import save_figure
 from dragrig.present.palette import PALE, VERMILLION
 from dragrig.rig.arrays import FloatArray

@@ -14,7 +14,13 @@ from hypothesis.extra.numpy import arrays
 from dragrig.config.errors import OutputError
 from dragrig.present.drawing import figure_style, new_figure, spread_labels, text_width_in
 from dragrig.present.figure_files import save_figure, save_figure_in
-from dragrig.present.traces import ENVELOPE_COLUMNS, gaps_after_samples, merge_ramp, min_max_envelope, phase_intervals
+from dragrig.present.run_figures import (
+    ENVELOPE_COLUMNS,
+    gaps_after_samples,
+    merge_ramp,
+    min_max_envelope,
+    phase_intervals,
+)
 
 
 def time_axis(samples: int, rate_hz: float = 1000.0) -> np.ndarray:

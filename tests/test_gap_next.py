@@ -16,8 +16,7 @@ from dragrig.cli import main
 from dragrig.config.plan import Plan, PlanStep
 from dragrig.config.settings import to_toml
 from dragrig.config.specimen import Specimen
-from dragrig.present.diagnosis import diagnosis_json, diagnosis_parts
-from dragrig.present.diagnosis_page import diagnosis_page
+from dragrig.present.diagnosis import diagnosis_json, diagnosis_page, diagnosis_parts
 from dragrig.sim_backend.blind import RunList, draw_campaign, write_campaign
 
 DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}

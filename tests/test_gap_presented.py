@@ -19,12 +19,13 @@ from dragrig.analysis.gap.diagnosis_text import display_name, shrink_sentences
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
     diagnosis_json,
+    diagnosis_page,
     diagnosis_parts,
     round_probabilities,
     shrink_parts,
     shrink_report_json,
 )
-from dragrig.present.diagnosis_page import before_after_figure, diagnosis_page, ranking_figure, representative_runs
+from dragrig.present.diagnosis_figures import before_after_figure, ranking_figure, representative_runs
 from dragrig.present.terminal import print_parts
 from dragrig.scoring import score_exam
 from dragrig.sim_backend.effects.base import catalogue

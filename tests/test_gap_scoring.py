@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from dragrig.config.errors import AnalysisError
-from dragrig.present.exam import exam_parts, score_json
-from dragrig.present.exam_page import exam_page
+from dragrig.present.exam import exam_page, exam_parts, score_json
 from dragrig.present.terminal import print_parts
 from dragrig.scoring import score_exam
 

@@ -17,9 +17,9 @@ import dragrig
 from dragrig.analysis.measures import measure
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.diagnosis_page import diagnosis_page as gap_page
+from dragrig.present.diagnosis import diagnosis_page as gap_page
 from dragrig.present.document import Column, Table
-from dragrig.present.exam_page import exam_page
+from dragrig.present.exam import exam_page
 from dragrig.present.figure_files import inline_svg
 from dragrig.present.run import attribute_texts, check_texts
 from dragrig.rig.runfile import mark_bad, read_run

@@ -94,7 +94,7 @@ def write_comparison(
     RunFileError
         When a run cannot be read any more.
     """
-    from dragrig.present.comparison import comparison_figure, comparison_overview_figure
+    from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
     from dragrig.present.figure_files import save_figure_in
 
     drawable = [pair for pair in comparison.pairs if pair.phases]

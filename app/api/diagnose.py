@@ -189,7 +189,7 @@ def save_gap_report(
     diagnosis: Diagnosis, path: Path, *, source: str = "", model: Path | None = None, overwrite: bool = False
 ) -> Path:
     """Write the report, one HTML file with its pictures inside; raises as `save_amended_model`."""
-    from dragrig.present.diagnosis_page import diagnosis_page
+    from dragrig.present.diagnosis import diagnosis_page
 
     return write_text(
         diagnosis_page(diagnosis, source, None if model is None else str(model)), path, overwrite=overwrite

@@ -370,9 +370,9 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
     DragrigError
         When a file cannot be read or written.
     """
-    from dragrig.present.campaign import campaign_figure
+    from dragrig.present.campaign_figures import campaign_figure
     from dragrig.present.figure_files import save_figure_in
-    from dragrig.present.run import run_figure
+    from dragrig.present.run_figures import run_figure
 
     paths = [one.path for one in made.session.runs if one.path is not None]
     own = {one.path for one in made.session.runs if one.run.follows < 0}

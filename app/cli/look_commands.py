@@ -166,7 +166,7 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 
 
 def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force: bool) -> Path:
-    from dragrig.present.run import run_figure
+    from dragrig.present.run_figures import run_figure
     from dragrig.rig.runfile import read_mark, read_run
     from dragrig.rig.runfile.schema import run_name
 
@@ -177,7 +177,7 @@ def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force
 
 
 def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
-    from dragrig.present.campaign import campaign_figure
+    from dragrig.present.campaign_figures import campaign_figure
     from dragrig.rig.runfile import read_mark, read_run
     from dragrig.run_inputs import run_files
 

@@ -75,7 +75,7 @@ class BlindExam:
 
 def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
     """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `diagnosing.save_report`."""
-    from dragrig.present.exam_page import exam_page
+    from dragrig.present.exam import exam_page
     from dragrig.present.files import write_text
 
     return write_text(exam_page(exam.score, exam.cases, exam.seed, exam.answers_sha256), path, overwrite=overwrite)

@@ -1,19 +1,12 @@
-"""A campaign: overview figure (steady force, relaxations, drags), tables of runs and sessions, and its page."""
+"""A campaign laid out for a reader: mean forces, runs, sessions, and what was left out."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
-
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from dragrig.analysis.campaign_table import UNREADABLE, TableRow, mean_per_speed
 from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.estimates import NORMAL_95, Estimate
-from dragrig.analysis.measures import measure
 from dragrig.present.document import (
     Cell,
     Column,
@@ -25,311 +18,16 @@ from dragrig.present.document import (
     three_significant,
 )
 from dragrig.present.drawing import (
-    SMALL_PT,
-    TEXT_PT,
-    CurveLabel,
-    PanelBox,
-    add_panel,
-    figure_style,
-    fit_y_range,
-    header_height_in,
-    label_curves,
-    new_figure,
-    panel_height_in,
-    panel_width_in,
     run_title,
-    sequential_colours,
-    set_log_x,
-    set_time_range,
-    set_y_label,
-    text_width_in,
-    write_badge,
-    write_problem,
-    write_title,
 )
 from dragrig.present.figure_files import inline_figure
-from dragrig.present.friction_model import spread_selection
 from dragrig.present.html_page import render_template
-from dragrig.present.palette import BLUE, GREY, VERMILLION
-from dragrig.present.run import inline_run_figure, relaxation_ramp
-from dragrig.present.traces import FOOT_IN, LEFT_IN, RIGHT_IN
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.profile import Phase
+from dragrig.present.run import inline_run_figure
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import Campaign, read_run
 from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
 from dragrig.rig.runfile.schema import run_name
 from dragrig.rig.session import SessionRecord
-
-STEADY_KINDS = ("drag", "coulomb", "blank")
-"""Kinds of run with a steady force that stands in a campaign's picture."""
-POSITION_BINS = 250
-
-
-def _empty_array() -> FloatArray:
-    return np.zeros(0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RunSummary:
-    """A run, much reduced.
-
-    Attributes
-    ----------
-    good
-        Whether it is complete and was not marked bad; only then the rest is filled in.
-    speed_mm_s
-        The speed that was set, or else measured, without sign; 0 where neither is known.
-    strain
-        Shear strain of a relaxation, 1 being 100 %.
-    steady
-        Steady force [mN] as recorded.
-    x, force_mN
-        A relaxation's force against the time since its ramp [s], or a drag's mean force against position [mm].
-    """
-
-    kind: str
-    started: datetime
-    backend: str
-    specimen: str
-    good: bool
-    speed_mm_s: float = 0.0
-    strain: float = 0.0
-    steady: Estimate | None = None
-    x: FloatArray = field(default_factory=_empty_array)
-    force_mN: FloatArray = field(default_factory=_empty_array)
-
-
-def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:
-    """Reduce a run; `bad` holds the files of runs that were marked bad."""
-    info = run.info
-    good = info.status is RunStatus.COMPLETE and info.path not in bad
-    head = (info.kind, info.header.start_time, info.header.backend, str(info.header.specimen.get("name", "")), good)
-    if not good:
-        return RunSummary(*head)
-    if info.kind == "relaxation":
-        x, force = _force_since_ramp(run)
-        return RunSummary(*head, strain=_protocol_number(run, "shear_strain"), x=x, force_mN=force)
-    if info.kind not in STEADY_KINDS:
-        return RunSummary(*head)
-    measures = measure(run)
-    speed = _protocol_number(run, "speed_mm_s") or measures.speed.value or 0.0
-    x, force = _force_against_position(run) if info.kind == "drag" else (_empty_array(), _empty_array())
-    steady = measures.steady_force if measures.steady_force.value is not None else None
-    return RunSummary(*head, speed_mm_s=abs(speed), steady=steady, x=x, force_mN=force)
-
-
-def _force_since_ramp(run: Run) -> tuple[FloatArray, FloatArray]:
-    """Mean force in equal stretches of the logarithm of time."""
-    ramp = relaxation_ramp(run)
-    if ramp is None:
-        return _empty_array(), _empty_array()
-    after = run.trace.time > ramp[1]
-    log_time, force = _bin_means(np.log10(run.trace.time[after] - ramp[1]), run.trace.force[after])
-    return np.asarray(10**log_time), force
-
-
-def _force_against_position(run: Run) -> tuple[FloatArray, FloatArray]:
-    """Mean force in equal stretches of the way, while in motion."""
-    moving = (run.trace.phase > Phase.REST) & (run.trace.phase < Phase.HOLD)
-    return _bin_means(run.trace.position[moving], run.trace.force[moving])
-
-
-def _bin_means(x: AnyFloatArray, force: AnyFloatArray) -> tuple[FloatArray, FloatArray]:
-    finite = np.isfinite(x) & np.isfinite(force)
-    if not finite.any():
-        return _empty_array(), _empty_array()
-    place, weight = np.asarray(x[finite], dtype=np.float64), force[finite]
-    edges = np.linspace(place.min(), place.max(), POSITION_BINS + 1)
-    count, _ = np.histogram(place, edges)
-    sums = [np.histogram(place, edges, weights=one)[0] for one in (place, weight)]
-    filled = count > 0
-    return np.asarray(sums[0][filled] / count[filled]), np.asarray(sums[1][filled] / count[filled])
-
-
-def _protocol_number(run: Run, name: str) -> float:
-    value = run.info.header.protocol.get(name)
-    return float(value) if isinstance(value, int | float) else 0.0
-
-
-OVERVIEW_WIDTH_IN, OVERVIEW_TALL_IN = 14.0, 7.0
-OVERVIEW_HEADING_IN = 0.5
-OVERVIEW_LABELS_IN = 1.25
-"""Room right of a panel for the names of its curves."""
-KIND_MARKERS = {"drag": (BLUE, "o"), "coulomb": (VERMILLION, "s"), "blank": (GREY, "^")}
-"""Colour and marker of each kind."""
-
-
-def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] = ()) -> Figure:
-    """Draw an overview of a campaign.
-
-    Parameters
-    ----------
-    runs
-        Read one after the other and not kept.
-    name
-        What to call the campaign.
-    bad
-        Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
-    """
-    digests = [summarise_run(run, bad) for run in runs]
-    with figure_style():
-        figure = new_figure(
-            OVERVIEW_WIDTH_IN,
-            header_height_in(_overview_problem(digests)) + OVERVIEW_HEADING_IN + OVERVIEW_TALL_IN + FOOT_IN,
-        )
-        write_title(
-            figure, LEFT_IN, " · ".join(part for part in ("Campaign", name) if part), _overview_subtitle(digests)
-        )
-        write_problem(figure, LEFT_IN, _overview_problem(digests))
-        write_badge(figure, ", ".join(sorted({one.backend for one in digests})))
-        drawn = [
-            (draw, found) for draw, chosen in _OVERVIEW_PANELS if (found := [one for one in digests if chosen(one)])
-        ]
-        for (draw, found), place in zip(drawn, _panel_boxes(len(drawn)), strict=True):
-            draw(add_panel(figure, place), found)
-        if not drawn:
-            figure.text(0.5, 0.45, "no complete drag, Coulomb, blank or relaxation run", ha="center", color=GREY)
-        return figure
-
-
-def _panel_boxes(count: int) -> tuple[PanelBox, ...]:
-    room = OVERVIEW_WIDTH_IN - LEFT_IN - RIGHT_IN - OVERVIEW_LABELS_IN
-    if count <= 1:
-        return (PanelBox(LEFT_IN, FOOT_IN, room, OVERVIEW_TALL_IN),)[:count]
-    half = (room - OVERVIEW_LABELS_IN - LEFT_IN) / 2
-    right = LEFT_IN + half + OVERVIEW_LABELS_IN + LEFT_IN
-    low = (OVERVIEW_TALL_IN - FOOT_IN - OVERVIEW_HEADING_IN) / 2
-    left_place = PanelBox(LEFT_IN, FOOT_IN, half, OVERVIEW_TALL_IN)
-    if count == 2:
-        return left_place, PanelBox(right, FOOT_IN, half, OVERVIEW_TALL_IN)
-    return left_place, PanelBox(right, FOOT_IN + OVERVIEW_TALL_IN - low, half, low), PanelBox(right, FOOT_IN, half, low)
-
-
-def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    labels: list[CurveLabel] = []
-    shown: list[FloatArray] = []
-    for kind, (colour, marker) in KIND_MARKERS.items():
-        steady = [(one.speed_mm_s, one.steady) for one in digests if one.kind == kind and one.steady is not None]
-        for points, way in _split_by_direction(kind, steady):
-            speed = np.array([speed for speed, _ in points])
-            force = np.array([estimate.value for _, estimate in points], dtype=float)
-            half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
-            if way:
-                force = np.abs(force)
-            shown += [force - half, force + half]
-            rounded = np.array([_three_digit_speed(one) for one in speed])
-            levels = np.unique(rounded)
-            means = [float(force[rounded == level].mean()) for level in levels]
-            axes.plot(levels, means, color=colour, linewidth=1.2, alpha=0.5, linestyle="--" if way else "-")
-            axes.errorbar(
-                speed,
-                force,
-                yerr=half,
-                fmt=marker,
-                color=colour,
-                markersize=8,
-                markerfacecolor="white" if way else colour,
-                markeredgecolor=colour if way else "white",
-                capsize=3,
-            )
-            labels.append(CurveLabel(means[-1], (kind if kind != "coulomb" else "Coulomb") + way, colour))
-    speeds = [one.speed_mm_s for one in digests]
-    set_log_x(axes, *_speed_limits(speeds))
-    fit_y_range(axes, [*shown, np.zeros(1)], 1.0)
-    axes.set_xlabel("Speed (mm/s)")
-    set_y_label(axes, "Force (mN)")
-    _write_panel_heading(axes, "Steady force", "zero offsets included, bars 95 %")
-    label_curves(axes, labels)
-
-
-def _split_by_direction(
-    kind: str, points: Sequence[tuple[float, Estimate]]
-) -> Iterator[tuple[Sequence[tuple[float, Estimate]], str]]:
-    """Keep the two ways of a capsule apart: a force of the other sign is that of a run backward."""
-    backward = [one for one in points if kind != "blank" and (one[1].value or 0.0) < 0]
-    forward = [one for one in points if one not in backward]
-    if forward:
-        yield forward, ""
-    if backward:
-        yield backward, " back"
-
-
-def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    rising = sorted(digests, key=lambda one: one.strain)
-    strains = sorted({one.strain for one in rising})
-    colours = dict(zip(strains, sequential_colours(len(strains)), strict=True))
-    ends: dict[float, float] = {}
-    for one in rising:
-        axes.plot(one.x, one.force_mN, color=colours[one.strain], linewidth=1.8)
-        ends[one.strain] = float(one.force_mN[np.isfinite(one.force_mN)][-1])
-    set_log_x(axes, min(float(one.x[0]) for one in rising), max(float(one.x[-1]) for one in rising))
-    fit_y_range(axes, [one.force_mN for one in rising], 1.0)
-    axes.set_xlabel("Time since the end of the ramp (s)")
-    set_y_label(axes, "Force (mN)")
-    _write_panel_heading(axes, "Relaxation", "at each shear strain")
-    label_curves(axes, [CurveLabel(end, f"{100 * strain:g} %", colours[strain]) for strain, end in ends.items()])
-
-
-def _draw_drags(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    first_of = {_three_digit_speed(one.speed_mm_s): one for one in reversed(digests)}
-    speeds = spread_selection(list(first_of))
-    labels = []
-    for speed, colour in zip(speeds, sequential_colours(len(speeds)), strict=True):
-        one = first_of[speed]
-        axes.plot(one.x, one.force_mN, color=colour, linewidth=1.8)
-        middle = one.force_mN[one.force_mN.size // 2 :]
-        labels.append(CurveLabel(float(np.median(middle)), f"{speed:g} mm/s", colour))
-    shown = [first_of[speed] for speed in speeds]
-    set_time_range(axes, min(0.0, *(float(one.x.min()) for one in shown)), max(float(one.x.max()) for one in shown))
-    fit_y_range(axes, [one.force_mN for one in shown], 1.0)
-    axes.set_xlabel("Position (mm)")
-    set_y_label(axes, "Force (mN)")
-    _write_panel_heading(axes, "Drag along the way", "first run at each speed")
-    label_curves(axes, labels)
-
-
-_OVERVIEW_PANELS: tuple[tuple[Callable[[Axes, Sequence[RunSummary]], None], Callable[[RunSummary], bool]], ...] = (
-    (_draw_steady_forces, lambda one: one.steady is not None and one.speed_mm_s > 0),
-    (_draw_relaxations, lambda one: one.kind == "relaxation" and one.x.size > 1),
-    (_draw_drags, lambda one: one.kind == "drag" and one.x.size > 1),
-)
-"""What draws a panel, and which runs it draws."""
-
-
-def _write_panel_heading(axes: Axes, text: str, remark: str = "") -> None:
-    y = 1 + 0.13 / panel_height_in(axes)
-    axes.text(0.0, y, text, transform=axes.transAxes, fontsize=TEXT_PT, fontweight="bold")
-    after = 1.1 * text_width_in(text, TEXT_PT) + 0.25
-    axes.text(after / panel_width_in(axes), y, remark, transform=axes.transAxes, fontsize=SMALL_PT, color=GREY)
-
-
-def _speed_limits(speeds: Sequence[float]) -> tuple[float, float]:
-    """Range of a logarithmic axis around some speeds, at least a decade."""
-    middle = float(np.sqrt(min(speeds) * max(speeds)))
-    half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
-    return middle / half, middle * half
-
-
-def _three_digit_speed(speed_mm_s: float) -> float:
-    """Where no speed was set, the measured ones of equal runs differ in the fourth digit."""
-    return float(f"{speed_mm_s:.3g}")
-
-
-def _overview_subtitle(digests: Sequence[RunSummary]) -> str:
-    if not digests:
-        return "no runs"
-    counts = Counter(one.kind for one in digests)
-    kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
-    begin, end = min(one.started for one in digests), max(one.started for one in digests)
-    specimens = ", ".join(sorted({one.specimen for one in digests}))
-    until = f"{end:%H:%M}" if end.date() == begin.date() else f"{end:%Y-%m-%d %H:%M}"
-    return f"{len(digests)} runs ({kinds})  ·  {specimens}  ·  {begin:%Y-%m-%d %H:%M} – {until}"
-
-
-def _overview_problem(digests: Sequence[RunSummary]) -> str:
-    left_out = sum(not one.good for one in digests)
-    return f"{left_out} of them ended early or are marked bad, and are not drawn" if left_out else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,7 +73,9 @@ def run_anchor(info: RunInfo) -> str:
 
 
 _ONE_DECIMAL = decimals(1)
+
 _SPEED = Column("speed_mm_s", "mm/s", three_significant)
+
 _STEADY = Column("steady_force_mN", "steady, mN", _ONE_DECIMAL)
 
 
@@ -506,6 +206,7 @@ def _reason_left_out(info: RunInfo, results: CampaignReportData) -> str:
 
 
 OVERVIEW_ID = "overview"
+
 MAX_DRAWN_RUNS = 100
 """So many runs are drawn one by one; a page that is mailed must stay small."""
 
@@ -515,6 +216,8 @@ def inline_campaign_figures(results: CampaignReportData, progress: Progress = no
     singles = drawn_runs(results)
     steps = len(results.readable) + len(singles)
     bad = list(results.found.marks)
+    from dragrig.present.campaign_figures import campaign_figure
+
     overview = campaign_figure(_read_runs(results.readable, progress, steps), results.name, bad)
     drawn = {
         OVERVIEW_ID: inline_figure(

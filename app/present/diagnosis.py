@@ -1,4 +1,4 @@
-"""A gap diagnosis as text, tables and JSON: where the gap is, which hypothesis explains it, how far it shrinks."""
+"""A gap diagnosis laid out for a reader: where the gap is, which hypothesis explains it, how far it shrinks."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -53,8 +53,11 @@ from dragrig.sim_backend.effects.base import catalogue
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+from dragrig.present.document import InlineFigure
+from dragrig.present.html_page import render_template
 
 DIAGNOSIS_FORMAT, DIAGNOSIS_VERSION = "dragrig-gap", 1
+
 PROBABILITY_STEPS = 1_000_000
 """Probabilities are told in millionths."""
 
@@ -329,6 +332,7 @@ def _runs_table(diagnosis: Diagnosis) -> Table:
 
 MAX_RANKED = 8
 """So many hypotheses are told; the others are in the JSON."""
+
 MAX_LEFT_OUT = 12
 
 
@@ -433,3 +437,87 @@ def _left_out_lines(reasons: Mapping[str, str]) -> Iterator[str]:
 
 def _titled_lines(title: str, lines: Iterator[str]) -> str:
     return "\n".join((title, *(f"  {one}" for one in lines)))
+
+
+def inline_diagnosis_figures(diagnosis: Diagnosis) -> dict[str, InlineFigure]:
+    """Draw all figures; runs are missing where the diagnosis has no views of them."""
+    from dragrig.present.diagnosis_figures import (
+        before_after_figure,
+        location_figure,
+        ranking_figure,
+        representative_runs,
+    )
+    from dragrig.present.figure_files import inline_figure
+
+    drawn = {
+        "where": inline_figure(
+            location_figure(diagnosis.where),
+            "A map of channels, protocols and phases; below it, shares of the excess along speed, position, session, "
+            "strain and frequency.",
+            "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of the "
+            "residual each domain accounts for. Below, shares of the excess, in colour where they stand out.",
+        ),
+        "ranking": inline_figure(
+            ranking_figure(diagnosis),
+            "Horizontal bars: the probability of each hypothesis, the most probable first.",
+            "Probability of each hypothesis that is not next to impossible.",
+        ),
+    }
+    views = representative_runs(diagnosis.views)
+    if views:
+        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+        drawn["before-after"] = inline_figure(
+            before_after_figure(views, floor, named=bool(diagnosis.effects)),
+            "A row for each run: left, the measurement and what the model says; right, what is left of it.",
+            "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model "
+            "without an effect explains worst. The grey band is noise and scatter of repeats.",
+        )
+    return drawn
+
+
+def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
+    """Return the report as one HTML page.
+
+    Parameters
+    ----------
+    source
+        The campaign.
+    model
+        The file that the amended model was written to; None where there is none.
+    """
+    verdict, *more = verdict_sentences(diagnosis)
+    return render_template(
+        "gap.html",
+        {
+            "title": f"Gap diagnosis: {diagnosis.specimen}",
+            "verdict": verdict,
+            "more": more,
+            "effects": [effect_description(one) for one in diagnosis.effects],
+            "meaning": calibration_sentence(diagnosis),
+            "seen": "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis),
+            "cannot_answer": [as_sentence(one) for one in diagnosis.cannot_answer],
+            "settings": _diagnosis_settings(diagnosis, source),
+            "where": domain_sentence(diagnosis.where),
+            "shrink": ()
+            if diagnosis.shrink is None
+            else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
+            "unknown": diagnosis.unknown,
+            "remarks_": diagnosis.remarks,
+            "model": model,
+            "diagnosis": diagnosis,
+            "tables": diagnosis_tables(diagnosis),
+            "pictures": inline_diagnosis_figures(diagnosis),
+        },
+    )
+
+
+def _diagnosis_settings(diagnosis: Diagnosis, source: str) -> dict[str, str]:
+    used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
+    told = {
+        "Campaign": source,
+        "Specimen": diagnosis.specimen,
+        "Nominal model": diagnosis.nominal,
+        "Runs": f"{used} used, {len(diagnosis.left_out)} left out",
+        "Too small to matter": f"below {diagnosis.tolerance_mN:g} mN (--tolerance)",
+    }
+    return {name: value for name, value in told.items() if value}

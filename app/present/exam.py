@@ -1,4 +1,4 @@
-"""An exam of the gap diagnosis as sentences, text, tables and JSON: rates, detection, calibration, promised shrink."""
+"""An exam of the gap diagnosis laid out for a reader: rates, detection, calibration, promised shrink."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -6,6 +6,13 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from dragrig.present.document import Cell, Column, Table, decimals, general_format
+from dragrig.present.exam_figures import (
+    exam_confusion_figure,
+    exam_detection_figure,
+    exam_promises_figure,
+    exam_rates_figure,
+    exam_reliability_figure,
+)
 from dragrig.present.terminal import terminal_table
 from dragrig.scoring import ExamScore, ProbabilityCalibration, PromiseScore, Rate, ScoredCase, missed_cells
 
@@ -13,6 +20,12 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from dragrig.scoring import DetectionBin
+
+from dragrig.present.document import InlineFigure
+from dragrig.present.figure_files import inline_figure
+from dragrig.present.html_page import render_template
+from dragrig.rig.session import software_version
+from dragrig.scoring import DetectionBin
 
 
 def exam_sentences(score: ExamScore, cases: int, seed: int, answers_sha256: str) -> Iterator[str]:
@@ -140,6 +153,7 @@ def _finite_float(value: float) -> float | None:
 
 
 RATE_HEADER: Sequence[str] = ("", "held", "share", "95 % interval")
+
 RATE_NUMBER_COLUMNS = (1, 2, 3)
 
 
@@ -280,3 +294,59 @@ def _wrong_verdict_table(score: ExamScore) -> Table:
     names = ("case", "truth", "form", "size", "said", "probability")
     rows = tuple(missed_cells(one) for one in score.missed)
     return Table("not-right", "Every verdict that is not right", tuple(Column(one, one) for one in names), rows)
+
+
+def inline_exam_figures(score: ExamScore) -> dict[str, InlineFigure]:
+    """Draw all figures; those without anything to show are missing."""
+    drawn = {
+        "rates": inline_figure(
+            exam_rates_figure((*score.rates, *score.withheld)),
+            "A row for each rate: its share and its interval.",
+            "Of “a name above 0.5” and “wrong above 0.8” less is better; of all others, more.",
+        ),
+        "confusion": inline_figure(
+            exam_confusion_figure(score.confusion),
+            "A table of counts: what was said, by what was hidden.",
+            "Of an effect at a tenth of its size, no gap is right too; unknown is right where the catalogue does not "
+            "have what is hidden.",
+        ),
+    }
+    if score.detection:
+        drawn["detection"] = inline_figure(
+            exam_detection_figure(score.detection),
+            "Three curves over the size of an effect: a gap is seen, the right name, a wrong name.",
+            "Numbers above: campaigns of the bin. Bars hold 95 % (Wilson). Campaigns whose nominal model is slightly "
+            "wrong are left out.",
+        )
+    if score.calibration.bins:
+        drawn["reliability"] = inline_figure(
+            exam_reliability_figure(score.calibration),
+            "Points near a diagonal: the share of right verdicts over their probability.",
+            "A point above its band: more verdicts are right than was stated; below it, fewer.",
+        )
+    if score.promises.kept:
+        drawn["promises"] = inline_figure(
+            exam_promises_figure(score.promises),
+            "Points near a diagonal: the achieved share of the gap over the promised one.",
+            "A campaign each. On the line, a promise was kept; below it, it was not.",
+        )
+    return drawn
+
+
+def exam_page(score: ExamScore, cases: int, seed: int, answers_sha256: str) -> str:
+    """Return the report on an exam as one HTML page."""
+    summary, *honestly = exam_sentences(score, cases, seed, answers_sha256)
+    return render_template(
+        "blind.html",
+        {
+            "title": f"Exam of the gap diagnosis: {cases} campaigns",
+            "software": software_version(),
+            "summary": summary,
+            "honestly": honestly,
+            "settings": {"Campaigns": str(cases), "Seed": str(seed), "Answers' sha256": answers_sha256},
+            "calibration": list(calibration_sentences(score.calibration)),
+            "promises": list(promise_sentences(score.promises)) if score.promises.kept else [],
+            "tables": exam_tables(score),
+            "pictures": inline_exam_figures(score),
+        },
+    )

@@ -57,7 +57,7 @@ from dragrig.present.drawing import (
 )
 from dragrig.present.friction_model import TABLE1_DASHES, model_text
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION
-from dragrig.present.traces import (
+from dragrig.present.run_figures import (
     FOOT_IN,
     LEFT_IN,
     PHASE_NAMES_IN,

@@ -43,7 +43,7 @@ from dragrig.present.figure_files import inline_figure
 from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, forces_figure, skew_figure, wall_figure
 from dragrig.present.html_page import render_template
 from dragrig.present.identification_figures import coulomb_figure, drag_figure, joint_fit_figure
-from dragrig.present.traces import value_with_error
+from dragrig.present.run_figures import value_with_error
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.session import software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces

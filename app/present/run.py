@@ -1,157 +1,22 @@
-"""A run: its figure, its tables of measures and events, its settings and checks, and its page."""
+"""A run laid out for a reader: measures, checks, events, settings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import floor, log10
 from typing import Final
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.measures import RunMeasures, measure
-from dragrig.present import traces as phases
 from dragrig.present.document import Cell, Column, InlineFigure, Table, decimals, general_format, significant
 from dragrig.present.drawing import (
-    PanelBox,
-    add_panel,
-    draw_line,
-    figure_style,
-    header_height_in,
-    new_figure,
     run_problem,
     run_title,
-    set_log_x,
-    set_y_label,
-    write_legend,
-    write_run_header,
 )
 from dragrig.present.figure_files import inline_figure
 from dragrig.present.html_page import render_template
-from dragrig.present.traces import (
-    FOOT_IN,
-    LEFT_IN,
-    PANEL_SPACING_IN,
-    PHASE_NAMES_IN,
-    RIGHT_IN,
-    WIDTH_IN,
-    TracePanel,
-    draw_panel_column,
-    filtered_trace,
-    force_panel,
-    gaps_after_samples,
-    measured_speed,
-    min_max_envelope,
-    position_panel,
-    speed_panel,
-    steady_level,
+from dragrig.present.run_figures import (
+    run_figure,
 )
-from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo
-
-RELAXATION_FREE_IN, RELAXATION_SMALL_IN = 6.7, 1.75
-"""Height of a column with two panels below the force, and of each of these."""
-RELAXATION_COLUMN_IN, RELAXATION_GUTTER_IN = 5.5, 1.25
-MIN_HOLD_IN_RAMPS = 4.0
-"""In lengths of the ramp: a hold shorter than this needs no magnified ramp."""
-
-
-def relaxation_ramp(run: Run) -> tuple[float, float] | None:
-    """Return begin and end [s] of a relaxation's ramp; None for another kind of run, or when little follows it."""
-    if run.info.kind != "relaxation":
-        return None
-    moving = (run.trace.phase > Phase.REST) & (run.trace.phase < Phase.HOLD)
-    if not moving.any():
-        return None
-    time, first = run.trace.time, int(moving.argmax())
-    still = np.flatnonzero(~moving[first:])
-    if still.size < 2:
-        return None
-    begin, end = float(time[first]), float(time[first + still[0]])
-    return (begin, end) if time[-1] - end > MIN_HOLD_IN_RAMPS * (end - begin) else None
-
-
-def draw_relaxation(run: Run, panels: Sequence[TracePanel], ramp: tuple[float, float], trouble: str) -> Figure:
-    """Draw a relaxation: the whole of it, the time since the ramp on a logarithmic axis, and the ramp magnified.
-
-    The first panel is the force's; call it while `drawing`.
-    """
-    force, time = panels[0], run.trace.time
-    right_in = LEFT_IN + RELAXATION_COLUMN_IN + RELAXATION_GUTTER_IN
-    below = len(panels) - 1
-    free = RELAXATION_FREE_IN + (below - 2) * (RELAXATION_SMALL_IN + PANEL_SPACING_IN)
-    half = (free - FOOT_IN) / 2
-    begin, end = ramp
-    window = max(1.5 * begin - 0.5 * end, float(time[0])), min(2.5 * end - 1.5 * begin, float(time[-1]))
-
-    figure = new_figure(WIDTH_IN, header_height_in(trouble) + PHASE_NAMES_IN + free + FOOT_IN)
-    write_run_header(figure, LEFT_IN, run.info, trouble)
-    upper = PanelBox(LEFT_IN, FOOT_IN + half + FOOT_IN, RELAXATION_COLUMN_IN, 0.0)
-    (whole,) = draw_panel_column(figure, run, [force], [half], upper, name_ramp=True)
-    since = add_panel(figure, PanelBox(LEFT_IN, FOOT_IN, RELAXATION_COLUMN_IN, half), share_y=whole)
-    _draw_since_ramp(since, force, end)
-    heights = [free - below * (RELAXATION_SMALL_IN + PANEL_SPACING_IN), *[RELAXATION_SMALL_IN] * below]
-    right = PanelBox(right_in, FOOT_IN, WIDTH_IN - right_in - RIGHT_IN, 0.0)
-    draw_panel_column(figure, run, panels, heights, right, window)[-1].set_xlabel("Time (s), the ramp magnified")
-    return figure
-
-
-def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
-    first, last = np.inf, 0.0
-    for curve in panel.curves:
-        after = curve.time > end_s
-        since = curve.time[after] - end_s
-        log_time, value = min_max_envelope(np.log10(since), curve.value[after], curve.gap[np.flatnonzero(after)[:-1]])
-        draw_line(axes, 10**log_time, value, curve.pen)
-        first, last = min(first, float(since[0])), max(last, float(since[-1]))
-    set_log_x(axes, first, last)
-    axes.axvspan(first, last, color=phases.PHASE_TINTS[Phase.HOLD], linewidth=0, zorder=0)
-    axes.set_xlabel("Time since the end of the ramp (s)")
-    set_y_label(axes, panel.label)
-    write_legend(axes, [curve.pen for curve in panel.curves])
-
-
-RUN_FORCE_IN, RUN_SMALL_IN = 3.5, 1.45
-
-
-def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
-    """Draw a run: force, position, measured speed, and on demand the motor's force, against time.
-
-    A relaxation is drawn three times over: whole, since its ramp on a logarithmic axis, and its ramp magnified.
-
-    Parameters
-    ----------
-    filtered
-        Whether to draw the filtered force over the raw one: what the filter stored in the file, or else what
-        its usual settings give.
-    motor_force
-        Whether to add the motor's force, where it was recorded beside the force.
-    bad_reason
-        Why the run was marked bad; None when it was not.
-    """
-    found = filtered_trace(run)
-    smooth = found if filtered else None
-    gap = gaps_after_samples(run.trace.time, run.trace.sample_rate_hz)
-    panels = [
-        force_panel(run, smooth, gap, steady=steady_level(run)),
-        position_panel(run, gap),
-        speed_panel(run, measured_speed(run, found), gap),
-    ]
-    if motor_force and run.trace.signal != "motor_force" and "motor_force" in run.trace.channels:
-        panels.append(force_panel(run, smooth, gap, "motor_force"))
-    ramp, trouble = relaxation_ramp(run), run_problem(run.info, bad_reason)
-    with figure_style():
-        if ramp is not None:
-            return draw_relaxation(run, panels, ramp, trouble)
-        heights = [RUN_FORCE_IN, *[RUN_SMALL_IN] * (len(panels) - 1)]
-        height = (
-            header_height_in(trouble) + PHASE_NAMES_IN + sum(heights) + PANEL_SPACING_IN * (len(panels) - 1) + FOOT_IN
-        )
-        figure = new_figure(WIDTH_IN, height)
-        write_run_header(figure, LEFT_IN, run.info, trouble)
-        draw_panel_column(figure, run, panels, heights, PanelBox(LEFT_IN, FOOT_IN, WIDTH_IN - LEFT_IN - RIGHT_IN, 0.0))
-        return figure
-
 
 UNIT_SUFFIXES: Final = {
     "_mm_s2": "mm/s²",
@@ -167,7 +32,9 @@ UNIT_SUFFIXES: Final = {
     "_s": "s",
 }
 """Endings of names and the units that they stand for, longer ones first."""
+
 _ATTRIBUTE_LABELS: Final = {"accel": "acceleration", "mass": "mass", "rest": "rest before", "hold": "hold after"}
+
 _TIME_FORMAT: Final = "%Y-%m-%d %H:%M:%S %z"
 
 

@@ -184,7 +184,7 @@ def _hypothesis_row(one: RankedHypothesis, diagnosis: Diagnosis) -> HypothesisRo
 
 
 def _where_svg(diagnosis: Diagnosis) -> bytes:
-    from dragrig.present.diagnosis_page import location_figure
+    from dragrig.present.diagnosis_figures import location_figure
     from dragrig.present.drawing import figure_style
 
     content = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Figures and HTML page of a gap diagnosis: location map, ranking, runs before and after."""
+"""Figures of a gap diagnosis: location map, ranking, runs before and after, and the isolability matrix."""
 
 from collections.abc import Sequence
 
@@ -16,25 +16,23 @@ from dragrig.analysis.gap.diagnosis import (
     PhaseCell,
     RankedHypothesis,
     RunTraces,
-    Verdict,
 )
 from dragrig.analysis.gap.diagnosis_text import (
-    as_sentence,
-    calibration_sentence,
     capitalise,
-    detection_limit_sentence,
     display_name,
-    domain_sentence,
-    effect_description,
     is_stated_verdict,
     probability_text,
-    shrink_sentences,
     verdict_sentences,
 )
 from dragrig.analysis.gap.excess import CHANNELS, PROTOCOLS
+from dragrig.analysis.gap.isolability import (
+    CONFUSED_SIN2,
+    DETECTABLE_D_PRIME,
+    EffectPair,
+    Isolability,
+    isolability_sentences,
+)
 from dragrig.analysis.gap.localise import ALPHA
-from dragrig.present.diagnosis import diagnosis_tables
-from dragrig.present.document import InlineFigure
 from dragrig.present.drawing import (
     HEADER_IN,
     SMALL_PT,
@@ -54,18 +52,21 @@ from dragrig.present.drawing import (
     write_legend,
     write_title,
 )
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.html_page import render_template
 from dragrig.present.palette import BLACK, BLUE, GREY, PALE, SKY, VERMILLION
 from dragrig.rig.arrays import FloatArray
 
 LOCATION_WIDTH_IN, LOCATION_LEFT_IN, LOCATION_RIGHT_IN, LOCATION_FOOT_IN = 14.0, 0.45, 0.45, 0.75
+
 LOCATION_CELL_IN, LOCATION_DOMAINS_IN, LOCATION_GAP_IN, LOCATION_NAME_IN = 0.46, 3.3, 1.5, 4.5
+
 LOCATION_BARS_IN, LOCATION_BARS_GAP_IN, LOCATION_BETWEEN_IN, LOCATION_TITLES_IN = 1.9, 0.62, 1.25, 0.55
+
 DARKEST_SD = 30.0
 """From here on a cell of the map is as dark as it can be."""
+
 FAINT_SD = 0.5
 """Less than this is written faintly."""
+
 WHITE_TEXT_SD = 6.0
 """From here on what is written in a cell is white."""
 
@@ -273,6 +274,7 @@ RANKING_WIDTH_IN, RANKING_ROW_IN, RANKING_HEAD_IN, RANKING_FOOT_IN, RANKING_LEFT
     0.4,
     1.1,
 )
+
 RANKING_MAX_ROWS, RANKING_MIN_PROBABILITY = 10, 0.002
 
 
@@ -343,16 +345,26 @@ BEFORE_AFTER_WIDTH_IN, BEFORE_AFTER_ROW_IN, BEFORE_AFTER_HEAD_IN, BEFORE_AFTER_F
     0.8,
     0.8,
 )
+
 BEFORE_AFTER_LEFT_IN, BEFORE_AFTER_GUTTER_IN, BEFORE_AFTER_RIGHT_IN = 1.15, 1.15, 0.35
+
 MEASURED_LINE = LineStyle("measured", PALE, 4.0)
+
 BEFORE_LINE = LineStyle("model before", VERMILLION, 1.9, dashed=True)
+
 AFTER_LINE = LineStyle("model after", BLUE, 1.6)
+
 RESIDUAL_BEFORE_LINE = LineStyle("left before", VERMILLION, 2.2)
+
 RESIDUAL_AFTER_LINE = LineStyle("left after", BLUE, 1.2)
+
 MODEL_LINE = LineStyle("model", BLUE, 1.6)
+
 RESIDUAL_LINE = LineStyle("left", BLUE, 1.4)
+
 MOTION_SHARE = 0.01
 """Part of the travel by which motion has begun, and that is missing while it has not ended."""
+
 SLIDING_RUN_KINDS = frozenset({"drag", "coulomb", "blank"})
 
 
@@ -486,77 +498,84 @@ def _min_span(view: RunTraces) -> float:
     return 4.0 if view.unit == "mN" else 0.004
 
 
-def inline_diagnosis_figures(diagnosis: Diagnosis) -> dict[str, InlineFigure]:
-    """Draw all figures; runs are missing where the diagnosis has no views of them."""
-    drawn = {
-        "where": inline_figure(
-            location_figure(diagnosis.where),
-            "A map of channels, protocols and phases; below it, shares of the excess along speed, position, session, "
-            "strain and frequency.",
-            "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of the "
-            "residual each domain accounts for. Below, shares of the excess, in colour where they stand out.",
-        ),
-        "ranking": inline_figure(
-            ranking_figure(diagnosis),
-            "Horizontal bars: the probability of each hypothesis, the most probable first.",
-            "Probability of each hypothesis that is not next to impossible.",
-        ),
-    }
-    views = representative_runs(diagnosis.views)
-    if views:
-        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
-        drawn["before-after"] = inline_figure(
-            before_after_figure(views, floor, named=bool(diagnosis.effects)),
-            "A row for each run: left, the measurement and what the model says; right, what is left of it.",
-            "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model "
-            "without an effect explains worst. The grey band is noise and scatter of repeats.",
-        )
-    return drawn
+ISOLABILITY_CELL_IN, ISOLABILITY_HEAD_IN, ISOLABILITY_EDGE_IN, ISOLABILITY_FOOT_IN = 0.56, 1.25, 0.45, 0.9
+
+CELL_PT = 10.5
+
+FAINTEST_D_PRIME = 1000.0
+"""From here on d′ is as faint as it can be."""
+
+WHITE_TEXT_SHADE = 0.55
+"""Shades beyond this bear white words."""
+
+CELL_EDGE_COLOUR = "#D3D9DF"
+
+_SIMILARITY_COLOURS = LinearSegmentedColormap.from_list("near", ["#FFFFFF", "#BFD9EA", BLUE, "#002B45"])
 
 
-def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
-    """Return the report as one HTML page.
+def isolability_figure(found: Isolability) -> Figure:
+    """Draw every two effects of the force against each other: sin² below the diagonal, d′ above it.
 
-    Parameters
-    ----------
-    source
-        The campaign.
-    model
-        The file that the amended model was written to; None where there is none.
+    Dark cells are near; a thick frame marks what the runs hardly tell apart.
     """
-    verdict, *more = verdict_sentences(diagnosis)
-    return render_template(
-        "gap.html",
-        {
-            "title": f"Gap diagnosis: {diagnosis.specimen}",
-            "verdict": verdict,
-            "more": more,
-            "effects": [effect_description(one) for one in diagnosis.effects],
-            "meaning": calibration_sentence(diagnosis),
-            "seen": "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis),
-            "cannot_answer": [as_sentence(one) for one in diagnosis.cannot_answer],
-            "settings": _diagnosis_settings(diagnosis, source),
-            "where": domain_sentence(diagnosis.where),
-            "shrink": ()
-            if diagnosis.shrink is None
-            else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
-            "unknown": diagnosis.unknown,
-            "remarks_": diagnosis.remarks,
-            "model": model,
-            "diagnosis": diagnosis,
-            "tables": diagnosis_tables(diagnosis),
-            "pictures": inline_diagnosis_figures(diagnosis),
-        },
+    names = [one.effect for one in found.of_channel("force")]
+    words = [display_name(one) for one in names]
+    with figure_style():
+        label_in = max((text_width_in(one, TEXT_PT) for one in words), default=1.0) + 0.2
+        side = ISOLABILITY_CELL_IN * max(len(names), 1)
+        width = max(ISOLABILITY_EDGE_IN + label_in + side + ISOLABILITY_EDGE_IN, 9.0)
+        figure = new_figure(width, ISOLABILITY_HEAD_IN + label_in + side + ISOLABILITY_FOOT_IN)
+        said = shortened_to_width(isolability_sentences(found)[0], SMALL_PT, width - 2 * ISOLABILITY_EDGE_IN)
+        write_title(figure, ISOLABILITY_EDGE_IN, f"What {found.source} can tell apart", said)
+        axes = add_panel(figure, PanelBox(ISOLABILITY_EDGE_IN + label_in, ISOLABILITY_FOOT_IN, side, side))
+        for row, one in enumerate(names):
+            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=CELL_EDGE_COLOUR))
+            for column, other in enumerate(names[:row]):
+                pair = found.pair(one, other)
+                if pair is not None:
+                    _draw_pair_cells(axes, row, column, pair)
+        _set_effect_ticks(axes, words)
+        _draw_isolability_legend(figure)
+        return figure
+
+
+def _draw_pair_cells(axes: Axes, row: int, column: int, pair: EffectPair) -> None:
+    near = 1.0 - float(np.sqrt(max(pair.sin2, 0.0)))
+    _draw_cell(axes, column, row, near, f"{100 * pair.sin2:.0f}", framed=pair.confused)
+    shade = Normalize(np.log(DETECTABLE_D_PRIME), np.log(FAINTEST_D_PRIME), clip=True)
+    weak = 1.0 - float(shade(np.log(max(pair.separation, 1e-3))))
+    _draw_cell(axes, row, column, weak, f"{pair.separation:.0f}", framed=pair.confused)
+
+
+def _draw_cell(axes: Axes, x: int, y: int, shade: float, text: str, *, framed: bool) -> None:
+    axes.add_patch(
+        Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=_SIMILARITY_COLOURS(shade), edgecolor=CELL_EDGE_COLOUR)
     )
+    if framed:
+        frame = Rectangle((x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor=BLACK, linewidth=2.4, zorder=3)
+        axes.add_patch(frame)
+    colour = "white" if shade > WHITE_TEXT_SHADE else BLACK if shade > 0.05 else GREY
+    axes.text(x, y, text, ha="center", va="center", fontsize=CELL_PT, color=colour, zorder=4)
 
 
-def _diagnosis_settings(diagnosis: Diagnosis, source: str) -> dict[str, str]:
-    used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
-    told = {
-        "Campaign": source,
-        "Specimen": diagnosis.specimen,
-        "Nominal model": diagnosis.nominal,
-        "Runs": f"{used} used, {len(diagnosis.left_out)} left out",
-        "Too small to matter": f"below {diagnosis.tolerance_mN:g} mN (--tolerance)",
-    }
-    return {name: value for name, value in told.items() if value}
+def _set_effect_ticks(axes: Axes, words: list[str]) -> None:
+    axes.set_xlim(-0.5, max(len(words), 1) - 0.5)
+    axes.set_ylim(max(len(words), 1) - 0.5, -0.5)
+    axes.set_yticks(range(len(words)), words, fontsize=TEXT_PT)
+    axes.xaxis.tick_top()
+    axes.set_xticks(range(len(words)), words, fontsize=TEXT_PT, rotation=90)
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _draw_isolability_legend(figure: Figure) -> None:
+    width, height = figure.get_size_inches()
+    lines = (
+        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below "
+        f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.",
+        "Above: d′ between the two at their usual sizes. Dark: near. The catalogue's effects of the force only.",
+    )
+    for place, text in enumerate(lines):
+        figure.text(ISOLABILITY_EDGE_IN / width, (0.55 - 0.28 * place) / height, text, fontsize=SMALL_PT, color=GREY)

@@ -1,4 +1,4 @@
-"""Traces of a run as panels over one time axis: raw and filtered force, position, speed, phases and events."""
+"""Figure of a run: force, position and speed against time, with its phases and events."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,15 +18,21 @@ from dragrig.present.drawing import (
     PanelBox,
     add_panel,
     draw_line,
+    figure_style,
     fit_y_range,
+    header_height_in,
     hide_time_labels,
+    new_figure,
     panel_height_in,
     panel_width_in,
+    run_problem,
+    set_log_x,
     set_time_range,
     set_y_label,
     spread_labels,
     text_width_in,
     write_legend,
+    write_run_header,
 )
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, PALE, PAPER, PURPLE, VERMILLION
 from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray, PhaseArray
@@ -161,11 +167,14 @@ def value_with_error(value: float, standard_error: float | None) -> str:
 
 PHASE_TINTS = ("#F5F6F7", "#FCEED3", "#EAF4FB", "#FBE4D6", "#F3EEF7")
 """One per phase, in the file's order."""
+
 PHASE_BAND_COLOURS = ("#B9BFC7", "#E69F00", "#56B4E9", "#D55E00", "#B38FC4")
 """The same, for the band above the panel."""
 
 MAX_PHASE_NAMES = 8
+
 RAMP = "ramp"
+
 _MOVING = (Phase.ACCELERATE, Phase.STEADY, Phase.DECELERATE)
 
 
@@ -262,8 +271,11 @@ ORDINARY_EVENTS = frozenset({"start", "phase", "end", "import", "filter"})
 """Kinds of events that are no alarm: phases are shaded, what an import or the filter remarks is told by `info`."""
 
 GAP = "gap"
+
 MAX_MARK_LABELS = 6
+
 MAX_HATCHED_GAPS = 40
+
 _NARROW_GAP_SHARE = 0.004
 """A gap of a smaller share of the time shown is a line; a longer one is hatched."""
 
@@ -379,7 +391,9 @@ def _gap_duration_text(seconds: float) -> str:
 
 
 RAW_FORCE = "#7DB3DA"
+
 RAW_MOTOR_FORCE = "#CFA3BC"
+
 CHANNEL_LABELS = {"force": "Force (mN)", "motor_force": "Motor force (mN)"}
 
 
@@ -502,8 +516,11 @@ def _set_speed(run: Run) -> float | None:
 
 
 WIDTH_IN = 12.0
+
 LEFT_IN, RIGHT_IN, FOOT_IN = 1.15, 0.35, 0.75
+
 PANEL_SPACING_IN, PHASE_NAMES_IN = 0.17, 0.55
+
 MARKS_IN = 0.34
 """Room for the names of marks at the foot of the first panel."""
 
@@ -555,3 +572,109 @@ def _stack_panels(figure: Figure, heights: Sequence[float], foot: PanelBox) -> l
         stack.append(add_panel(figure, place, stack[0] if stack else None))
         top -= height + PANEL_SPACING_IN
     return stack
+
+
+RELAXATION_FREE_IN, RELAXATION_SMALL_IN = 6.7, 1.75
+"""Height of a column with two panels below the force, and of each of these."""
+
+RELAXATION_COLUMN_IN, RELAXATION_GUTTER_IN = 5.5, 1.25
+
+MIN_HOLD_IN_RAMPS = 4.0
+"""In lengths of the ramp: a hold shorter than this needs no magnified ramp."""
+
+
+def relaxation_ramp(run: Run) -> tuple[float, float] | None:
+    """Return begin and end [s] of a relaxation's ramp; None for another kind of run, or when little follows it."""
+    if run.info.kind != "relaxation":
+        return None
+    moving = (run.trace.phase > Phase.REST) & (run.trace.phase < Phase.HOLD)
+    if not moving.any():
+        return None
+    time, first = run.trace.time, int(moving.argmax())
+    still = np.flatnonzero(~moving[first:])
+    if still.size < 2:
+        return None
+    begin, end = float(time[first]), float(time[first + still[0]])
+    return (begin, end) if time[-1] - end > MIN_HOLD_IN_RAMPS * (end - begin) else None
+
+
+def draw_relaxation(run: Run, panels: Sequence[TracePanel], ramp: tuple[float, float], trouble: str) -> Figure:
+    """Draw a relaxation: the whole of it, the time since the ramp on a logarithmic axis, and the ramp magnified.
+
+    The first panel is the force's; call it while `drawing`.
+    """
+    force, time = panels[0], run.trace.time
+    right_in = LEFT_IN + RELAXATION_COLUMN_IN + RELAXATION_GUTTER_IN
+    below = len(panels) - 1
+    free = RELAXATION_FREE_IN + (below - 2) * (RELAXATION_SMALL_IN + PANEL_SPACING_IN)
+    half = (free - FOOT_IN) / 2
+    begin, end = ramp
+    window = max(1.5 * begin - 0.5 * end, float(time[0])), min(2.5 * end - 1.5 * begin, float(time[-1]))
+
+    figure = new_figure(WIDTH_IN, header_height_in(trouble) + PHASE_NAMES_IN + free + FOOT_IN)
+    write_run_header(figure, LEFT_IN, run.info, trouble)
+    upper = PanelBox(LEFT_IN, FOOT_IN + half + FOOT_IN, RELAXATION_COLUMN_IN, 0.0)
+    (whole,) = draw_panel_column(figure, run, [force], [half], upper, name_ramp=True)
+    since = add_panel(figure, PanelBox(LEFT_IN, FOOT_IN, RELAXATION_COLUMN_IN, half), share_y=whole)
+    _draw_since_ramp(since, force, end)
+    heights = [free - below * (RELAXATION_SMALL_IN + PANEL_SPACING_IN), *[RELAXATION_SMALL_IN] * below]
+    right = PanelBox(right_in, FOOT_IN, WIDTH_IN - right_in - RIGHT_IN, 0.0)
+    draw_panel_column(figure, run, panels, heights, right, window)[-1].set_xlabel("Time (s), the ramp magnified")
+    return figure
+
+
+def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
+    first, last = np.inf, 0.0
+    for curve in panel.curves:
+        after = curve.time > end_s
+        since = curve.time[after] - end_s
+        log_time, value = min_max_envelope(np.log10(since), curve.value[after], curve.gap[np.flatnonzero(after)[:-1]])
+        draw_line(axes, 10**log_time, value, curve.pen)
+        first, last = min(first, float(since[0])), max(last, float(since[-1]))
+    set_log_x(axes, first, last)
+    axes.axvspan(first, last, color=PHASE_TINTS[Phase.HOLD], linewidth=0, zorder=0)
+    axes.set_xlabel("Time since the end of the ramp (s)")
+    set_y_label(axes, panel.label)
+    write_legend(axes, [curve.pen for curve in panel.curves])
+
+
+RUN_FORCE_IN, RUN_SMALL_IN = 3.5, 1.45
+
+
+def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
+    """Draw a run: force, position, measured speed, and on demand the motor's force, against time.
+
+    A relaxation is drawn three times over: whole, since its ramp on a logarithmic axis, and its ramp magnified.
+
+    Parameters
+    ----------
+    filtered
+        Whether to draw the filtered force over the raw one: what the filter stored in the file, or else what
+        its usual settings give.
+    motor_force
+        Whether to add the motor's force, where it was recorded beside the force.
+    bad_reason
+        Why the run was marked bad; None when it was not.
+    """
+    found = filtered_trace(run)
+    smooth = found if filtered else None
+    gap = gaps_after_samples(run.trace.time, run.trace.sample_rate_hz)
+    panels = [
+        force_panel(run, smooth, gap, steady=steady_level(run)),
+        position_panel(run, gap),
+        speed_panel(run, measured_speed(run, found), gap),
+    ]
+    if motor_force and run.trace.signal != "motor_force" and "motor_force" in run.trace.channels:
+        panels.append(force_panel(run, smooth, gap, "motor_force"))
+    ramp, trouble = relaxation_ramp(run), run_problem(run.info, bad_reason)
+    with figure_style():
+        if ramp is not None:
+            return draw_relaxation(run, panels, ramp, trouble)
+        heights = [RUN_FORCE_IN, *[RUN_SMALL_IN] * (len(panels) - 1)]
+        height = (
+            header_height_in(trouble) + PHASE_NAMES_IN + sum(heights) + PANEL_SPACING_IN * (len(panels) - 1) + FOOT_IN
+        )
+        figure = new_figure(WIDTH_IN, height)
+        write_run_header(figure, LEFT_IN, run.info, trouble)
+        draw_panel_column(figure, run, panels, heights, PanelBox(LEFT_IN, FOOT_IN, WIDTH_IN - LEFT_IN - RIGHT_IN, 0.0))
+        return figure

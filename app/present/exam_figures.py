@@ -1,4 +1,4 @@
-"""Figures and HTML page of an exam: rates, confusion matrix, detection curve, reliability diagram."""
+"""Figures of an exam: rates, confusion matrix, detection curve, reliability diagram, promised shrink."""
 
 from collections.abc import Sequence
 from math import isfinite, sqrt
@@ -9,7 +9,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from dragrig.present.document import InlineFigure
 from dragrig.present.drawing import (
     SMALL_PT,
     TEXT_PT,
@@ -23,12 +22,8 @@ from dragrig.present.drawing import (
     write_legend,
     write_title,
 )
-from dragrig.present.exam import calibration_sentences, exam_sentences, exam_tables, promise_sentences
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.html_page import render_template
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PAPER, VERMILLION
-from dragrig.rig.session import software_version
-from dragrig.scoring import ConfusionMatrix, DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
+from dragrig.scoring import ConfusionMatrix, DetectionBin, ProbabilityCalibration, PromiseScore, Rate
 
 RATES_WIDTH_IN, RATES_ROW_IN, RATES_HEAD_IN, RATES_FOOT_IN, RATES_LEFT_IN, RATES_RIGHT_IN = (
     13.0,
@@ -75,6 +70,7 @@ CONFUSION_CELL_IN, CONFUSION_HEAD_IN, CONFUSION_LEFT_IN, CONFUSION_FOOT_IN, CONF
     0.45,
     9.0,
 )
+
 _SHARE_COLOURS = LinearSegmentedColormap.from_list("shares", [PAPER, BLUE])
 
 
@@ -132,11 +128,16 @@ def _hypothesis_text(name: str) -> str:
 
 
 DETECTION_WIDTH_IN, DETECTION_HEIGHT_IN = 13.0, 5.6
+
 MIN_D_PRIME, RATE_OFFSET = 1.0, 0.035
 """d′ where the picture begins, and how far the three rates of a bin stand apart, as a power of ten."""
+
 INVISIBLE_D_PRIME = 3.0
+
 SEEN_LINE = LineStyle("a gap is seen", GREEN, 2.0)
+
 NAMED_LINE = LineStyle("the right name", BLUE, 2.0)
+
 MISLED_LINE = LineStyle("a wrong name", VERMILLION, 2.0)
 
 
@@ -231,59 +232,3 @@ def exam_promises_figure(promises: PromiseScore) -> Figure:
         axes.set_ylabel("Achieved on fresh runs")
         axes.legend(loc="upper left", frameon=False)
         return figure
-
-
-def inline_exam_figures(score: ExamScore) -> dict[str, InlineFigure]:
-    """Draw all figures; those without anything to show are missing."""
-    drawn = {
-        "rates": inline_figure(
-            exam_rates_figure((*score.rates, *score.withheld)),
-            "A row for each rate: its share and its interval.",
-            "Of “a name above 0.5” and “wrong above 0.8” less is better; of all others, more.",
-        ),
-        "confusion": inline_figure(
-            exam_confusion_figure(score.confusion),
-            "A table of counts: what was said, by what was hidden.",
-            "Of an effect at a tenth of its size, no gap is right too; unknown is right where the catalogue does not "
-            "have what is hidden.",
-        ),
-    }
-    if score.detection:
-        drawn["detection"] = inline_figure(
-            exam_detection_figure(score.detection),
-            "Three curves over the size of an effect: a gap is seen, the right name, a wrong name.",
-            "Numbers above: campaigns of the bin. Bars hold 95 % (Wilson). Campaigns whose nominal model is slightly "
-            "wrong are left out.",
-        )
-    if score.calibration.bins:
-        drawn["reliability"] = inline_figure(
-            exam_reliability_figure(score.calibration),
-            "Points near a diagonal: the share of right verdicts over their probability.",
-            "A point above its band: more verdicts are right than was stated; below it, fewer.",
-        )
-    if score.promises.kept:
-        drawn["promises"] = inline_figure(
-            exam_promises_figure(score.promises),
-            "Points near a diagonal: the achieved share of the gap over the promised one.",
-            "A campaign each. On the line, a promise was kept; below it, it was not.",
-        )
-    return drawn
-
-
-def exam_page(score: ExamScore, cases: int, seed: int, answers_sha256: str) -> str:
-    """Return the report on an exam as one HTML page."""
-    summary, *honestly = exam_sentences(score, cases, seed, answers_sha256)
-    return render_template(
-        "blind.html",
-        {
-            "title": f"Exam of the gap diagnosis: {cases} campaigns",
-            "software": software_version(),
-            "summary": summary,
-            "honestly": honestly,
-            "settings": {"Campaigns": str(cases), "Seed": str(seed), "Answers' sha256": answers_sha256},
-            "calibration": list(calibration_sentences(score.calibration)),
-            "promises": list(promise_sentences(score.promises)) if score.promises.kept else [],
-            "tables": exam_tables(score),
-            "pictures": inline_exam_figures(score),
-        },
-    )
