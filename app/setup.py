@@ -62,7 +62,7 @@ def resolve_pace(pace: Pace | None, *, double: bool) -> Pacing:
     return Pacing(real_time=True, times_faster=float(times_faster))
 
 
-BACKEND_GROUP = "dragrig.setup"
+BACKEND_GROUP = "dragrig.backends"
 DOUBLE_GROUP = "dragrig.doubles"
 
 

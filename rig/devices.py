@@ -1,4 +1,4 @@
-"""Device interfaces that real and simulated rigs both implement: stage, sampler, clock, and the backend that holds them.
+"""Device interfaces that real and simulated rigs implement: stage, sampler, clock, and the backend that holds them.
 
 A block is immutable and passes guard, recorder and viewers in that order. Positions of the stage are absolute (after
 homing); positions inside a block are relative to where the run started. What every stage refuses before it moves
@@ -367,7 +367,7 @@ class SupportsBenchActions(Protocol):
 class BackendRequest:
     """What a backend's factory is given.
 
-    A factory is what an entry point of the group `dragrig.setup` names: a callable that takes one of
+    A factory is what an entry point of the group `dragrig.backends` names: a callable that takes one of
     these and returns a `Backend`, raising `SettingsError` or `DeviceError`.
     """
 

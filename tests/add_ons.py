@@ -9,9 +9,9 @@ CODE = '''
 import json
 
 from pathlib import Path
-from dragrig.rig.backend import Finding
+from dragrig.rig.devices import RigCheck
 from dragrig.sim_backend.devices import SimulatedBackend
-from dragrig.sim_backend.devices.clock import VirtualClock
+from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 
 class Handed(SimulatedBackend):
     needs_hands = True
@@ -20,7 +20,7 @@ class Handed(SimulatedBackend):
     def examine(self):
         note = json.loads(Path(__file__).with_name("findings.json").read_text())
         for what, fine, detail in note:
-            yield Finding(what, fine, detail)
+            yield RigCheck(what, fine, detail)
 
 def _opened(request, which):
     told = {"which": which, "pace": request.pace, "real_time": request.real_time, "connect": request.connect,
@@ -42,7 +42,7 @@ def install(site: Path, monkeypatch: pytest.MonkeyPatch, code: str = CODE) -> Pa
     (site / "handed-1.dist-info").mkdir(parents=True)
     (site / "handed-1.dist-info" / "METADATA").write_text("Name: handed\nVersion: 1\n", "utf-8")
     (site / "handed-1.dist-info" / "entry_points.txt").write_text(
-        "[dragrig.setup]\nhanded = handed_rig:hardware\n[dragrig.doubles]\nhanded = handed_rig:double\n", "utf-8"
+        "[dragrig.backends]\nhanded = handed_rig:hardware\n[dragrig.doubles]\nhanded = handed_rig:double\n", "utf-8"
     )
     (site / "handed_rig.py").write_text(code, "utf-8")
     (site / "findings.json").write_text('[["card", true, "there"]]', "utf-8")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 
 # Tests run side by side, so that a second thread of linear algebra only waits for the first.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -19,6 +20,10 @@ from windows import lacking
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
     from rig_faults import Bench
+
+# How long an example takes says how busy the machine is, so no example fails by its time.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 # Where Qt cannot be loaded its plugin would end every test, so it is loaded here and not by itself.
 pytest_plugins = () if lacking() else ("pytestqt.plugin",)

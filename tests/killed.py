@@ -35,9 +35,9 @@ STEPS = {
     "flushing": (recording.RecordingFile, "flush"),
     "noting": (recording.RecordingFile, "append_events"),
     "closing": (recording.RecordingFile, "close"),
-    "copying": (repack, "_copy_trace"),
-    "syncing": (files, "put_in_place"),
-    "placed": (files, "remove"),
+    "copying": (repack, "_copy_recorded_trace"),
+    "syncing": (files, "move_into_place"),
+    "placed": (files, "remove_file"),
 }
 
 

@@ -22,8 +22,8 @@ from dragrig.rig.sensor_calibration import fit_encoder, fit_force
 CODE = (
     add_ons.CODE
     + """
-from dragrig.rig.raw import RawReading
-from dragrig.sim_backend.devices.sampler import SimulatedSampler
+from dragrig.rig.devices import RawReading
+from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 
 def measure(self, duration_s):
     place = Path(__file__).with_name("volts.json")

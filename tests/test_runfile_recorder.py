@@ -256,11 +256,11 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from runfiles import arrays, header
 from dragrig.config.errors import RecordingError
-from dragrig.rig.runfile import Recorder, files
-from dragrig.rig.runfile.model import Status
+from dragrig.rig.runfile import Recorder, filesystem
+from dragrig.rig.runfile.model import RunStatus
 folder = Path(sys.argv[1])
 if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
-    files.free_bytes = lambda _: 1 << 60
+    filesystem.free_bytes = lambda _: 1 << 60
 recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=14 << 20, flush_s=0.005)
 first = 0
 try:
@@ -270,7 +270,7 @@ try:
 except RecordingError as error:
     print(error)
 try:
-    recorder.close(Status.FAILED, "no room")
+    recorder.close(RunStatus.FAILED, "no room")
 except RecordingError as error:
     print(error)
 print("done", first)

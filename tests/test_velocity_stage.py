@@ -318,8 +318,8 @@ def test_no_error_makes_it_ask_for_more_than_the_stage_may_do(
 PROGRAM = """
 import sys
 from dragrig.config.rig import RigSettings
-from dragrig.config.model import FrictionModelSettings
-from dragrig.rig.backend import BackendRequest
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.devices import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.profile import MotionProfile, trapezoid
 

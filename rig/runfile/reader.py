@@ -500,8 +500,8 @@ def layout_of(file: h5py.File) -> LayoutReader:
         return LAYOUT_READERS[version]
     if isinstance(version, int) and version > max(LAYOUT_READERS):
         raise RunFileError(
-            f"{file.filename}: has format_version {version}, newer than the {max(LAYOUT_READERS)} that this dragrig reads;"
-            " install a newer dragrig"
+            f"{file.filename}: has format_version {version}; this dragrig reads versions up to {max(LAYOUT_READERS)},"
+            " install a newer one"
         )
     raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
 

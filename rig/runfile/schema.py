@@ -1,4 +1,4 @@
-"""The only place that knows the run file's layout: names, attributes and units in it, and names of the files beside it."""
+"""The run file's layout in one place: its names, attributes and units, and the names of the files beside it."""
 
 import re
 from collections.abc import Mapping
