@@ -18,7 +18,7 @@ from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, RunVariatio
 from dragrig.sim_backend.blind.effects.base import HiddenEffect as Hidden
 from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run
 from dragrig.sim_backend.blind.programme import RunPlan
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect, find_effect
+from dragrig.sim_backend.effects.base import Channel, Effect, find_effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
@@ -114,24 +114,19 @@ def _samples(run: RunPlan, times: Floats, fine_s: float) -> npt.NDArray[np.intp]
 
 def changed(effect: Effect, seen: Seen, values: Mapping[str, float]) -> Floats:
     """Return what the catalogue's effect changes in its channel, shape `(n,)`."""
-    scene = seen.scene
-    match effect:
-        case ForceEffect():
-            return effect.added(scene, values)
-        case SensorEffect():
-            return effect.shown(scene, scene.nominal, values) - scene.nominal
-        case MotorEffect():
-            return effect.moved(scene.time_s, scene.position_mm, values) - scene.position_mm
-        case EncoderEffect():
-            return effect.recorded(scene.time_s, scene.position_mm, values) - scene.position_mm
-    raise AssertionError(effect)
+    run = seen.scene
+    if effect.channel is Channel.FORCE:
+        return effect.force_change(run, values)
+    return effect.position_change(run.time_s, run.position_mm, values)
 
 
 def hidden_change(secret: BlindCampaign, hidden: Hidden, seen: Seen) -> Floats:
     """Return the signature of a hidden effect in the channel that it shows in, at all `N` samples."""
     with_it = noise_free_run(replace(secret, effects=(hidden,), sizes=(1.0,)), seen.index)
     channel = find_effect(hidden.name).channel
-    one, other = (with_it.force, seen.bare.force) if channel == "force" else (with_it.position, seen.bare.position)
+    one, other = (
+        (with_it.force, seen.bare.force) if channel is Channel.FORCE else (with_it.position, seen.bare.position)
+    )
     return one - other
 
 
@@ -140,7 +135,7 @@ def bounds(effect: Effect) -> tuple[Floats, Floats]:
     low, high = np.array([[one.low, one.high] for one in effect.parameters]).T
     size = [one.name for one in effect.parameters].index(effect.size.name)
     if low[size] < 0:
-        low[size], high[size] = min(low[size], -20 * effect.size.usual), max(high[size], 20 * effect.size.usual)
+        low[size], high[size] = min(low[size], -20 * effect.size.default), max(high[size], 20 * effect.size.default)
     return low, high
 
 
@@ -149,7 +144,7 @@ def left(effect: Effect, runs: Sequence[Seen], targets: Sequence[Floats]) -> tup
     from scipy.optimize import least_squares
 
     names = [one.name for one in effect.parameters]
-    unit = np.array([abs(one.usual) or 1.0 for one in effect.parameters])
+    unit = np.array([abs(one.default) or 1.0 for one in effect.parameters])
     low, high = (one / unit for one in bounds(effect))
     size = names.index(effect.size.name)
     target = np.concatenate([one.root * wanted for one, wanted in zip(runs, targets, strict=True)])
@@ -182,14 +177,14 @@ def left(effect: Effect, runs: Sequence[Seen], targets: Sequence[Floats]) -> tup
 
 def _starts(effect: Effect) -> Iterator[dict[str, float]]:
     """Yield parameters with all shapes that a diagnosis looks at; of what is periodic, many periods and phases."""
-    grids = {one.name: one.tried or (one.usual,) for one in effect.shapes}
+    grids = {one.name: one.start_values for one in effect.shapes}
     if effect.phase is not None:
         grids[effect.phase.name] = tuple((np.arange(6) * np.pi / 3 - 0.9 * np.pi).tolist())
         period = effect.shapes[0]
         if period.unit in WAVES:
             grids[period.name] = tuple((1 / np.linspace(1 / period.low, 1 / period.high, WAVES[period.unit])).tolist())
     for chosen in product(*grids.values()):
-        yield {**effect.usual, **dict(zip(grids, chosen, strict=True))}
+        yield {**effect.defaults, **dict(zip(grids, chosen, strict=True))}
 
 
 def _apart(starts: list[tuple[float, Floats]]) -> Iterator[Floats]:

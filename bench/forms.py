@@ -23,7 +23,7 @@ from form_fits import Floats, Seen, bounds, changed, hidden_change, left, left_r
 from dragrig.sim_backend.blind import CATALOGUE, BlindCampaign
 from dragrig.sim_backend.blind.effect_size import NuisanceDirections, nuisance_directions, residual_chi2, whiten
 from dragrig.sim_backend.blind.effects.base import HiddenEffect as Hidden
-from dragrig.sim_backend.effects.base import Effect, EffectCoordinate, find_effect
+from dragrig.sim_backend.effects.base import Coordinate, Effect, find_effect
 
 NEAR, FAR = 0.10, 0.40
 """Share of the signature that the best fit should leave at least and at most."""
@@ -58,7 +58,7 @@ class Bench:
         """Return d′ of what the effect leaves, moved on from a fit by steps that count nominal directions as free."""
         names = list(values)
         low, high = bounds(effect)
-        unit = np.array([abs(one.usual) or 1.0 for one in effect.parameters])
+        unit = np.array([abs(one.default) or 1.0 for one in effect.parameters])
 
         def rest(at: Floats) -> dict[int, Floats]:
             now = dict(zip(names, at.tolist(), strict=True))
@@ -100,8 +100,8 @@ class Bench:
     def row(self, hidden: Hidden) -> tuple[float, str]:
         """Fit one form; return the share that is left, and the rest of its line."""
         effect = find_effect(hidden.name)
-        by_run = effect.domain is EffectCoordinate.FREQUENCY
-        runs = self.fast if by_run else self.ringing if effect.domain is EffectCoordinate.TRANSIENT else self.usual
+        by_run = effect.coordinate is Coordinate.FREQUENCY
+        runs = self.fast if by_run else self.ringing if effect.coordinate is Coordinate.TRANSIENT else self.usual
         acting = [one for one in runs if one.plan.kind in hidden.kinds]
         marks = [hidden_change(self.secret, hidden, one) for one in acting]
         targets = [mark[one.chosen] for one, mark in zip(acting, marks, strict=True)]

@@ -10,7 +10,7 @@ from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect
+from dragrig.sim_backend.effects.base import Channel, Effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
@@ -49,19 +49,11 @@ def scene(kind: str, stopped_s: float | None = None, until_s: float | None = Non
 
 def changed(effect: Effect, seen: RunState, values: Mapping[str, float]) -> FloatArray:
     """What an effect changes in the channel that it shows in."""
-    time, position = seen.time_s, seen.position_mm
-    match effect:
-        case ForceEffect():
-            return effect.added(seen, values)
-        case SensorEffect():
-            return effect.shown(seen, seen.nominal, values) - seen.nominal
-        case MotorEffect():
-            return effect.moved(time, position, values) - position
-        case EncoderEffect():
-            return effect.recorded(time, position, values) - position
-    raise AssertionError(effect)
+    if effect.channel is Channel.FORCE:
+        return effect.force_change(seen, values)
+    return effect.position_change(seen.time_s, seen.position_mm, values)
 
 
 def sized(effect: Effect, share: float) -> dict[str, float]:
     """Usual values with the size scaled."""
-    return {**effect.usual, effect.size.name: share * effect.size.usual}
+    return {**effect.defaults, effect.size.name: share * effect.size.default}

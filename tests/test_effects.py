@@ -15,7 +15,7 @@ from dragrig.sim_backend.effects.base import (
     EncoderEffect,
     ForceEffect,
     MotorEffect,
-    ParameterRole,
+    Role,
     SensorEffect,
     catalogue,
 )
@@ -34,14 +34,14 @@ def seen(kind: str) -> RunState:
 @every
 def test_it_says_what_it_is(effect: Effect) -> None:
     roles = [one.role for one in effect.parameters]
-    assert roles.count(ParameterRole.SIZE) == 1
-    assert roles.count(ParameterRole.PHASE) <= 1
+    assert roles.count(Role.SIZE) == 1
+    assert roles.count(Role.PHASE) <= 1
     assert isinstance(effect, ForceEffect | SensorEffect | MotorEffect | EncoderEffect)
     assert effect.summary.endswith(".")
     assert effect.source
     for one in effect.parameters:
-        assert one.low <= one.usual <= one.high, one.name
-        assert all(one.low <= tried <= one.high for tried in one.tried), one.name
+        assert one.low <= one.default <= one.high, one.name
+        assert all(one.low <= tried <= one.high for tried in one.grid), one.name
         assert one.unit == "1" or "_" in one.name, one.name
     assert effect.size.low <= 0
 
@@ -66,25 +66,28 @@ def test_it_shows_somewhere_and_grows_with_its_size(effect: Effect) -> None:
 @every
 def test_what_is_in_the_gut_does_not_show_without_it(effect: Effect) -> None:
     if isinstance(effect, ForceEffect):
-        assert not changed(effect, seen("blank"), effect.usual).any()
+        assert not changed(effect, seen("blank"), effect.defaults).any()
 
 
 @every
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_finite_for_all_that_is_tried(effect: Effect, kind: str) -> None:
     for one in effect.parameters:
-        for value in (one.low, one.high, *one.tried):
-            assert np.isfinite(changed(effect, seen(kind), {**effect.usual, one.name: value})).all(), (one.name, value)
+        for value in (one.low, one.high, *one.grid):
+            assert np.isfinite(changed(effect, seen(kind), {**effect.defaults, one.name: value})).all(), (
+                one.name,
+                value,
+            )
 
 
 @every
 @pytest.mark.parametrize("kind", ["drag", "relaxation"])
 def test_it_knows_nothing_of_what_is_to_come(effect: Effect, kind: str) -> None:
     until = 1.05 if kind == "relaxation" else STOPPED_S
-    full = changed(effect, scene(kind, until_s=until), effect.usual)
-    broken_off = changed(effect, scene(kind, stopped_s=until, until_s=until), effect.usual)
+    full = changed(effect, scene(kind, until_s=until), effect.defaults)
+    broken_off = changed(effect, scene(kind, stopped_s=until, until_s=until), effect.defaults)
     assert broken_off == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
-    longer = changed(effect, scene(kind, until_s=until + 0.5), effect.usual)[: full.size]
+    longer = changed(effect, scene(kind, until_s=until + 0.5), effect.defaults)[: full.size]
     assert longer == pytest.approx(full, abs=1e-3 * max(1e-3, float(np.abs(full).max())))
 
 

@@ -39,8 +39,8 @@ def test_a_model_file_may_have_effects(tmp_path: Path) -> None:
     path.write_text('name = "own"\n[[effects]]\nid = "stribeck"\nratio = 0.4\n[[effects]]\nid = "mains_hum"\n', "utf-8")
     model = load_settings(FrictionModelSettings, path)
     assert [(one.effect.id, one.values) for one in active_effects(model)] == [
-        ("stribeck", {**catalogue()["stribeck"].usual, "ratio": 0.4}),
-        ("mains_hum", catalogue()["mains_hum"].usual),
+        ("stribeck", {**catalogue()["stribeck"].defaults, "ratio": 0.4}),
+        ("mains_hum", catalogue()["mains_hum"].defaults),
     ]
 
 
@@ -72,8 +72,8 @@ def test_effects_come_back_from_a_file_and_from_what_is_typed(effects: list[Effe
         ("stribek", "effect stribek: is not in the catalogue; did you mean stribeck?"),
         ("stribeck:speed=3", "effect stribeck: has no parameter speed; did you mean speed_mm_s?"),
         ("mains_hum:size=3", "has no parameter size; known are amplitude_mN, frequency_hz, phase_rad."),
-        ("stribeck:ratio=-1", "effect stribeck: ratio = -1 cannot be; usual are 0 to 2."),
-        ("servo_lag:damping=1", "effect servo_lag: damping = 1 cannot be; usual are 0.1 to 0.95."),
+        ("stribeck:ratio=-1", "effect stribeck: ratio = -1 is not possible; usual are 0 to 2."),
+        ("servo_lag:damping=1", "effect servo_lag: damping = 1 is not possible; usual are 0.1 to 0.95."),
         ("direction_asymmetry", "belongs to the model drive, which is not the simulated rig's."),
         ("stribeck:ratio", "is not of the form id:parameter=number,…"),
         ("stribeck:ratio=much", "is not of the form id:parameter=number,…"),
@@ -112,7 +112,7 @@ def test_the_chain_goes_from_payload_to_clock_whatever_the_settings_order() -> N
     listed = ["channel_latency", "mains_hum", "force_hysteresis", "arm_compliance", "payload_inertia"]
     for order in (listed, listed[::-1]):
         chain = EffectChain.of(FrictionModelSettings(effects=parse_effects(order)))
-        assert [effect.id for effect, _ in chain.sensor] == listed[::-1]
+        assert [active.effect.id for active in chain.effects] == listed[::-1]
 
 
 def test_a_dry_run_contains_what_its_effects_say() -> None:

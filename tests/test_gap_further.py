@@ -27,7 +27,7 @@ def study() -> Study:
 @pytest.fixture(scope="module")
 def broken_away(study: Study) -> Design:
     effect = catalogue()["breakaway"]
-    return linearise(study, study.start, [Candidate(effect, effect.usual)])
+    return linearise(study, study.start, [Candidate(effect, effect.defaults)])
 
 
 def test_what_an_effect_adds_is_doubted_block_by_block(broken_away: Design) -> None:

@@ -46,7 +46,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return prepare_study(choose_runs(folder), MODEL, EFFECTS)
 
 
-@pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.of_session], ids=lambda one: one.id)
+@pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.varies_in_session], ids=lambda one: one.id)
 def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | SensorEffect) -> None:
     for kind in KINDS:
         seen = scene(kind, until_s=3.0)
@@ -57,7 +57,7 @@ def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | Sen
 def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -> None:
     """Else a stiffer run is a misfit of the effect, and the fit gives it up for the specimen's own stiffness."""
     relaxing = prepare_study(choose_runs(CAMPAIGN), MODEL, EFFECTS)
-    candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].usual)
+    candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].defaults)
     plain, stiffer = (linearise(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
     seen = 0
     for sight, one, other in zip(relaxing.sights, plain.parts, stiffer.parts, strict=True):

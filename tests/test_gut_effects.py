@@ -14,7 +14,7 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.effects.base import EffectLocation, ForceEffect, catalogue, find_effect
+from dragrig.sim_backend.effects.base import ForceEffect, Location, catalogue, find_effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
@@ -60,7 +60,7 @@ def effect(name: str) -> ForceEffect:
 
 def added(name: str, scene: RunState, **values: float) -> FloatArray:
     one = effect(name)
-    return one.added(scene, {**one.usual, **values})
+    return one.added_force(scene, {**one.defaults, **values})
 
 
 def middle(scene: RunState, force: FloatArray) -> float:
@@ -76,10 +76,10 @@ def holding(scene: RunState) -> FloatArray:
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
 @pytest.mark.parametrize("scene", [drag(), coulomb(), relaxation()], ids=["drag", "coulomb", "relaxation"])
 def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, scene: RunState) -> None:
-    assert not one.added(scene, {**one.usual, one.size.name: 0.0}).any()
+    assert not one.added_force(scene, {**one.defaults, one.size.name: 0.0}).any()
     for shape in one.shapes:
-        for value in shape.tried:
-            force = one.added(scene, {**one.usual, shape.name: value})
+        for value in shape.grid:
+            force = one.added_force(scene, {**one.defaults, shape.name: value})
             assert force.shape == scene.time_s.shape
             assert np.isfinite(force).all()
 
@@ -87,17 +87,21 @@ def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, sce
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
 def test_twice_the_size_is_twice_the_force(one: ForceEffect) -> None:
     for scene in (drag(60.0), relaxation()):
-        small, large = (one.added(scene, {**one.usual, one.size.name: f * one.size.usual}) for f in (0.5, 1.0))
+        small, large = (
+            one.added_force(scene, {**one.defaults, one.size.name: f * one.size.default}) for f in (0.5, 1.0)
+        )
         assert np.abs(2 * small - large).max() <= 1e-9 * np.abs(large).max() + 1e-9
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
 def test_an_effect_acts_where_it_can(one: ForceEffect) -> None:
-    acts = [bool(np.abs(one.added(scene, one.usual)).max() > 0.1) for scene in (relaxation(), coulomb(), drag())]
+    acts = [
+        bool(np.abs(one.added_force(scene, one.defaults)).max() > 0.1) for scene in (relaxation(), coulomb(), drag())
+    ]
     expected = [one.id in TISSUE, one.id in INTERFACE, True]
     assert acts == expected
     nothing = seen(blank(moves((TRAVEL, 10.0))))
-    assert not one.added(nothing, one.usual).any()
+    assert not one.added_force(nothing, one.defaults).any()
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
@@ -108,8 +112,8 @@ def test_the_force_at_a_time_does_not_depend_on_which_other_times_are_asked_for(
     alone = gut_run_state(acquisition, FrictionModelSettings(), motion, some, 100.0)
     dense = np.union1d(some, np.arange(0.0, acquisition.profile.duration_s, 0.003))
     among = gut_run_state(acquisition, FrictionModelSettings(), motion, dense, 100.0)
-    kept = one.added(among, one.usual)[np.searchsorted(dense, some)]
-    assert one.added(alone, one.usual) == pytest.approx(kept, abs=1e-6)
+    kept = one.added_force(among, one.defaults)[np.searchsorted(dense, some)]
+    assert one.added_force(alone, one.defaults) == pytest.approx(kept, abs=1e-6)
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
@@ -120,13 +124,13 @@ def test_neighbouring_shapes_overlap(one: ForceEffect) -> None:
     scenes = (*(drag(v) for v in (0.5, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)), coulomb(), relaxation(0.5),
               relaxation(2.0))  # fmt: skip
     for shape in one.shapes:
-        signatures = [signature(one, scenes, {shape.name: value}) for value in shape.tried]
+        signatures = [signature(one, scenes, {shape.name: value}) for value in shape.grid]
         for left, right in pairwise(signatures):
             assert float(left @ right) > 0.8
 
 
 def signature(one: ForceEffect, scenes: tuple[RunState, ...], values: Mapping[str, float]) -> FloatArray:
-    parts = [one.added(scene, {**one.usual, **values}) / np.sqrt(scene.time_s.size) for scene in scenes]
+    parts = [one.added_force(scene, {**one.defaults, **values}) / np.sqrt(scene.time_s.size) for scene in scenes]
     whole = np.concatenate(parts)
     return np.asarray(whole / np.linalg.norm(whole))
 
@@ -135,9 +139,9 @@ def test_the_catalogue_has_them_all_with_a_source_and_a_place() -> None:
     assert {one.id for one in GUT} == CLOSED_ONLY | TISSUE | INTERFACE
     for one in GUT:
         assert len(one.source) > 20
-        assert one.place in {EffectLocation.WALL, EffectLocation.INTERFACE, EffectLocation.SPECIMEN}
-        assert one.size.low <= one.size.usual <= one.size.high
-        assert all(shape.low <= value <= shape.high for shape in one.shapes for value in shape.tried)
+        assert one.location in {Location.WALL, Location.INTERFACE, Location.SPECIMEN}
+        assert one.size.low <= one.size.default <= one.size.high
+        assert all(shape.low <= value <= shape.high for shape in one.shapes for value in shape.grid)
 
 
 def test_lift_off_takes_from_f_e_alone_and_only_at_speed() -> None:
@@ -271,7 +275,7 @@ def test_folds_pass_at_the_same_positions_at_every_speed() -> None:
 def test_wavelengths_and_periods_tried_leave_no_gap_between_them() -> None:
     """A sine between two neighbours, over 40 mm or 90 s, is more than 0.8 along one of them, phase free."""
     for name, shape, extent in (("folds", "wavelength_mm", 40.0), ("peristalsis", "period_s", 90.0)):
-        tried = next(one.tried for one in effect(name).shapes if one.name == shape)
+        tried = next(one.grid for one in effect(name).shapes if one.name == shape)
         apart = np.abs(np.diff(1 / np.array(tried))).max() / 2
         assert np.sinc(apart * extent) > 0.8
         assert len(tried) <= 60

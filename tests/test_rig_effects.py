@@ -25,7 +25,7 @@ def motor(name: str) -> MotorEffect:
 def test_a_lagging_stage_is_its_lag_behind_at_constant_speed(lag_s: float, frequency_hz: float, damping: float) -> None:
     time = np.arange(0.0, 40.0, 0.01)
     values = {"lag_s": lag_s, "frequency_hz": frequency_hz, "damping": damping}
-    moved = motor("servo_lag").moved(time, 3.0 * time, values)
+    moved = motor("servo_lag").stage_position(time, 3.0 * time, values)
     assert 3.0 * time[-1] - moved[-1] == pytest.approx(3.0 * lag_s, rel=1e-3)
     assert moved.min() >= -1e-9
 
@@ -34,7 +34,7 @@ def test_a_lightly_damped_loop_overshoots_and_settles_where_it_should() -> None:
     time = np.arange(0.0, 4.0, 0.001)
     command = np.clip(10.0 * time, 0.0, 5.0)
     values = {"lag_s": 0.02, "frequency_hz": 4.0, "damping": 0.25}
-    moved = motor("servo_lag").moved(time, command, values)
+    moved = motor("servo_lag").stage_position(time, command, values)
     assert moved.max() > 5.02
     assert moved[-1] == pytest.approx(5.0, abs=1e-3)
 
@@ -42,7 +42,7 @@ def test_a_lightly_damped_loop_overshoots_and_settles_where_it_should() -> None:
 def test_a_ripple_is_a_function_of_position_alone() -> None:
     position = np.linspace(0.0, 20.0, 2001)
     values = {"amplitude_mm": 0.05, "pitch_mm": 4.0, "phase_rad": 0.3}
-    fast, slow = (motor("velocity_ripple").moved(position / v, position, values) for v in (60.0, 0.5))
+    fast, slow = (motor("velocity_ripple").stage_position(position / v, position, values) for v in (60.0, 0.5))
     assert fast == pytest.approx(slow)
     ripple = fast - position
     assert ripple[:1600] == pytest.approx(ripple[400:2000], abs=1e-9)
@@ -53,7 +53,7 @@ def test_a_ripple_is_a_function_of_position_alone() -> None:
 def test_an_arm_rings_at_its_frequency_when_the_force_steps_and_shows_the_force_in_the_end() -> None:
     seen = scene("coulomb")
     values = {"share": 1.0, "frequency_hz": 10.0, "damping": 0.05, "by_force": 1.0}
-    shown = sensor("arm_compliance").shown(seen, seen.nominal, values)
+    shown = sensor("arm_compliance").measured_force(seen, seen.nominal, values)
     after = seen.stance.since_stop_s
     ringing = (after > 0.01) & (after < 0.5)
     crossings = np.flatnonzero(np.diff(np.sign(shown[ringing])))
@@ -77,7 +77,7 @@ def test_a_loop_of_force_is_as_wide_as_the_play_says() -> None:
     effect = sensor("force_hysteresis")
     up = np.linspace(0.0, 300.0, 601)
     force = np.concatenate((up, up[::-1]))
-    shown = effect.shown(scene("blank"), force, {"half_width_mN": 7.0, "reversal_mN": 10.0})
+    shown = effect.measured_force(scene("blank"), force, {"half_width_mN": 7.0, "reversal_mN": 10.0})
     assert shown[300] == pytest.approx(force[300] - 7.0, abs=1e-3)
     assert shown[-301] == pytest.approx(force[-301] + 7.0, abs=1e-3)
 
@@ -85,8 +85,8 @@ def test_a_loop_of_force_is_as_wide_as_the_play_says() -> None:
 def test_the_force_comes_as_much_later_as_its_channel_is_late() -> None:
     seen = scene("drag")
     effect = sensor("channel_latency")
-    late = effect.shown(seen, seen.nominal, {"latency_s": 0.02})
-    early = effect.shown(seen, seen.nominal, {"latency_s": -0.02})
+    late = effect.measured_force(seen, seen.nominal, {"latency_s": 0.02})
+    early = effect.measured_force(seen, seen.nominal, {"latency_s": -0.02})
     assert late[10:] == pytest.approx(seen.nominal[:-10])
     assert early[:-10] == pytest.approx(seen.nominal[10:])
 
@@ -111,11 +111,11 @@ def test_the_zero_has_crept_by_what_is_said_after_a_minute(warm_up_s: float) -> 
 
 def test_gain_and_scale_are_off_by_what_is_said() -> None:
     force = np.array([-500.0, 0.0, 250.0, 500.0])
-    shown = sensor("force_nonlinearity").shown(scene("blank"), force, {"gain_error": 0.08, "power": 1.0})
+    shown = sensor("force_nonlinearity").measured_force(scene("blank"), force, {"gain_error": 0.08, "power": 1.0})
     assert shown == pytest.approx([-540.0, 0.0, 260.0, 540.0])
     encoder = find_effect("encoder_scale")
     assert isinstance(encoder, EncoderEffect)
-    assert encoder.recorded(force, force, sized(encoder, 1.0)) == pytest.approx(1.002 * force)
+    assert encoder.counted_position(force, force, sized(encoder, 1.0)) == pytest.approx(1.002 * force)
 
 
 def test_a_drive_that_runs_heavier_one_way_does_so_by_twice_the_asymmetry() -> None:

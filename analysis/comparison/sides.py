@@ -61,7 +61,7 @@ def _force_with_effects(experiment: Experiment, model: FrictionModelSettings, se
     rate_hz = evaluation_rate_hz(experiment.run.trace.sample_rate_hz, duration_s)
     times = evaluation_times(duration_s, rate_hz)
     scene = gut_run_state(acquisition_of(experiment), model, experiment.motion, times, session_start_s)
-    return np.asarray(np.interp(time, times, chain.shown(scene, chain.load(scene), model.force_gain)))
+    return np.asarray(np.interp(time, times, chain.measured_force(scene, chain.load(scene), model.force_gain)))
 
 
 RETURN_STROKE_REASON = (

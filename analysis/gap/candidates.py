@@ -9,16 +9,8 @@ import numpy as np
 
 from dragrig.config.friction_model import EffectSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    Effect,
-    EffectParameter,
-    EncoderEffect,
-    ForceEffect,
-    MotorEffect,
-    ParameterRole,
-    SensorEffect,
-)
-from dragrig.sim_backend.effects.chain import EffectChain
+from dragrig.sim_backend.effects.base import Channel, Effect, EffectParameter, Role
+from dragrig.sim_backend.effects.chain import ActiveEffect, EffectChain
 from dragrig.sim_backend.effects.run_state import RunState
 
 
@@ -54,15 +46,13 @@ class EffectVariant:
 
 def variants_of(effects: Sequence[Effect]) -> tuple[EffectVariant, ...]:
     """Return every shape that a diagnosis looks at, those of the force channel."""
-    return tuple(
-        shape for effect in effects if isinstance(effect, ForceEffect | SensorEffect) for shape in _variants(effect)
-    )
+    return tuple(shape for effect in effects if effect.channel is Channel.FORCE for shape in _variants(effect))
 
 
 def _variants(effect: Effect) -> Iterator[EffectVariant]:
-    grids = [one.tried or (one.usual,) for one in effect.shapes]
+    grids = [one.start_values for one in effect.shapes]
     for chosen in product(*grids):
-        values = {**effect.usual, **{one.name: value for one, value in zip(effect.shapes, chosen, strict=True)}}
+        values = {**effect.defaults, **{one.name: value for one, value in zip(effect.shapes, chosen, strict=True)}}
         phase = effect.phase
         if phase is None:
             yield EffectVariant(effect, values)
@@ -73,13 +63,7 @@ def _variants(effect: Effect) -> Iterator[EffectVariant]:
 
 def signature(shape: EffectVariant, scene: RunState, gain: float) -> FloatArray:
     """Return what the channel shows more with the effect at its usual size, shape `(n,)`."""
-    effect = shape.effect
-    if isinstance(effect, ForceEffect):
-        return gain * effect.added(scene, shape.values)
-    if isinstance(effect, SensorEffect):
-        force = gain * scene.nominal
-        return effect.shown(scene, force, shape.values) - force
-    return np.zeros_like(scene.time_s)
+    return shape.effect.force_change(scene, shape.values, gain)
 
 
 def signatures(
@@ -94,7 +78,7 @@ def signatures(
     """
     whole = np.empty((len(shapes), scene.time_s.size)) if before is None else before.copy()
     for row, shape in zip(whole, shapes, strict=True):
-        if before is None or shape.effect.of_session:
+        if before is None or shape.effect.varies_in_session:
             row[:] = signature(shape, scene, gain)
     return whole
 
@@ -125,7 +109,7 @@ class Candidate:
     @property
     def fitted(self) -> tuple[EffectParameter, ...]:
         """Parameters that runs are to determine: the size, a phase, and shapes of which several are tried."""
-        return tuple(one for one in self.effect.parameters if one.role is not ParameterRole.SHAPE or len(one.tried) > 1)
+        return tuple(one for one in self.effect.parameters if one.role is not Role.SHAPE or len(one.grid) > 1)
 
     @property
     def at_limit(self) -> bool:
@@ -153,9 +137,9 @@ class Candidate:
 
     def _reach(self, one: EffectParameter) -> tuple[float, float]:
         now = self.values[one.name]
-        if one.role is ParameterRole.PHASE:
+        if one.role is Role.PHASE:
             return -2 * MAX_RELATIVE_STEP, 2 * MAX_RELATIVE_STEP
-        if one.role is ParameterRole.SIZE:
+        if one.role is Role.SIZE:
             # A step that overshoots must not end at nothing, where no shape matters any more.
             low = one.low if one.low < 0 else max(one.low, MIN_SIZE_FACTOR * now)
             return low - now, one.high - now
@@ -165,36 +149,30 @@ class Candidate:
     def step(self, one: EffectParameter) -> float:
         """Return the step that a derivative by a parameter is taken with."""
         value = self.values[one.name]
-        if one.role is ParameterRole.PHASE:
+        if one.role is Role.PHASE:
             return DERIVATIVE_STEP
-        if one.role is ParameterRole.SIZE:
-            return DERIVATIVE_STEP * max(abs(value), 0.05 * abs(one.usual))
+        if one.role is Role.SIZE:
+            return DERIVATIVE_STEP * max(abs(value), 0.05 * abs(one.default))
         step = DERIVATIVE_STEP * max(abs(value), 1e-3 * abs(one.high))
         return step if value + step <= one.high else -step
 
     def _prior_sd(self, one: EffectParameter) -> float:
-        if one.role is ParameterRole.SIZE:
-            return 10.0 * max(abs(one.high), abs(one.low), abs(one.usual))
-        if one.role is ParameterRole.PHASE:
+        if one.role is Role.SIZE:
+            return 10.0 * max(abs(one.high), abs(one.low), abs(one.default))
+        if one.role is Role.PHASE:
             return PHASE_PRIOR_SD_RAD
         return SHAPE_PRIOR_SD * max(abs(self.values[one.name]), 1e-3 * abs(one.high))
 
 
 def chain_with(candidates: Sequence[Candidate], before: EffectChain) -> EffectChain:
     """Return the chain of effects that a model has already and of those thought to act."""
-    pairs = [(one.effect, one.values) for one in sorted(candidates, key=lambda one: one.effect.id)]
-    sensor = [*before.sensor, *((effect, values) for effect, values in pairs if isinstance(effect, SensorEffect))]
-    return EffectChain(
-        motor=(*before.motor, *((effect, values) for effect, values in pairs if isinstance(effect, MotorEffect))),
-        gut=(*before.gut, *((effect, values) for effect, values in pairs if isinstance(effect, ForceEffect))),
-        sensor=tuple(sorted(sensor, key=lambda one: one[0].link)),
-        encoder=(*before.encoder, *((effect, values) for effect, values in pairs if isinstance(effect, EncoderEffect))),
-    )
+    by_id = sorted(candidates, key=lambda candidate: candidate.effect.id)
+    return before.with_effects(ActiveEffect(candidate.effect, candidate.values) for candidate in by_id)
 
 
 def added_force(chain: EffectChain, scene: RunState, gain: float) -> FloatArray:
     """Return what effects add to the force that the channel would show without them, shape `(n,)`."""
-    return np.asarray(chain.shown(scene, chain.load(scene), gain) - gain * scene.nominal)
+    return np.asarray(chain.measured_force(scene, chain.load(scene), gain) - gain * scene.nominal)
 
 
 def parameter_derivatives(

@@ -28,7 +28,7 @@ from dragrig.analysis.models.capsule_model import ANGLE_PARAMETER
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.base import Effect, EffectLocation
+from dragrig.sim_backend.effects.base import Effect, Location
 from dragrig.sim_backend.effects.chain import EffectChain
 from dragrig.sim_backend.effects.run_state import RunState
 
@@ -74,7 +74,7 @@ class Study(ABC):
     @property
     def chain(self) -> EffectChain:
         """Effects that the nominal model has already; none unless said."""
-        return EffectChain((), (), (), ())
+        return EffectChain()
 
     @property
     def start(self) -> FloatArray:
@@ -155,7 +155,7 @@ def problem_of_runs(problem: JointProblem, kept: Sequence[int]) -> JointProblem:
 IndexArray = npt.NDArray[np.intp]
 ANGLE_SECANT_SD = 0.6
 """Half its width, in prior standard deviations of the contact angle."""
-WALL_PLACES = (EffectLocation.WALL, EffectLocation.SPECIMEN)
+WALL_PLACES = (Location.WALL, Location.SPECIMEN)
 """What acts there is stiffness where a capsule sticks, and differs from run to run as the wall's stiffness does."""
 MODULATION_PRIOR_SD = 0.2
 """Prior of each modulation: how much a real effect differs from the catalogue's form, relative."""
@@ -328,7 +328,7 @@ def linearise(
             known.setdefault(like, shown)
             rows.append(sight.of_blocks(shown))
         whitening = whitenings[number]
-        if wall.gut and sight.acquisition.contact is Contact.STICKING:
+        if wall.effects and sight.acquisition.contact is Contact.STICKING:
             stiff = sight.of_blocks(added_force(wall, scene, gain))
             whitening = problem.stiffened(number, predictions[number], stiff, whitening)
         residual = sight.evidence.blocks.mean - predictions[number].total - more
@@ -356,7 +356,7 @@ def linearise(
 
 def _wall_effects(chain: EffectChain) -> EffectChain:
     """Return what of a chain acts on the wall itself."""
-    return EffectChain((), tuple(one for one in chain.gut if one[0].place in WALL_PLACES), (), ())
+    return chain.only(lambda effect: effect.location in WALL_PLACES)
 
 
 def _nominal_derivatives(study: Study, z: FloatArray) -> list[FloatArray]:

@@ -99,7 +99,9 @@ def effect_description(effect: str) -> str:
     known = catalogue().get(effect)
     if known is None:
         return f"{capitalise(display_name(effect))} is not in this catalogue."
-    return f"{capitalise(known.name)}, in the {known.place.value}. {known.summary} What shows it: {known.exposes}."
+    return (
+        f"{capitalise(known.name)}, in the {known.location.value}. {known.summary} What shows it: {known.visible_in}."
+    )
 
 
 def probability_text(probability: float) -> str:

@@ -176,8 +176,8 @@ def _best_of_other_domain(
     ranked: Sequence[RankedEffect], design: Design, point: ParameterPoint
 ) -> tuple[RankedEffect, ...]:
     """Return the best of what is neither a function of the same as the best one nor as those before."""
-    domains = {one.effect.id: one.effect.domain for one in design.shapes}
-    seen = {one.effect.domain for one in point.candidates} | {domains[one.effect] for one in ranked[:1]}
+    domains = {one.effect.id: one.effect.coordinate for one in design.shapes}
+    seen = {one.effect.coordinate for one in point.candidates} | {domains[one.effect] for one in ranked[:1]}
     others = [one for one in ranked[1:] if domains[one.effect] not in seen]
     return tuple(one for one in others[:1] if one.gain > OTHER_DOMAIN_SHARE * ranked[0].gain)
 

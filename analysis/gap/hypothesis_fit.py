@@ -24,7 +24,7 @@ from dragrig.analysis.gap.linear_fit import (
 )
 from dragrig.analysis.gap.run_data import RunData, rms_where_active
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Effect, EffectCoordinate
+from dragrig.sim_backend.effects.base import Coordinate, Effect
 from dragrig.sim_backend.effects.run_state import RunState
 
 TIED_HARMONICS = 4
@@ -333,7 +333,7 @@ def all_periodic_in_session(one: HypothesisFit) -> bool:
 
 def is_periodic_in_session(effect: Effect) -> bool:
     """Whether an effect is periodic on the session's clock."""
-    return effect.domain is EffectCoordinate.SESSION and effect.phase is not None
+    return effect.periodic_in is Coordinate.SESSION
 
 
 def rank_with_free_phases(design: Design, ranked: tuple[RankedEffect, ...]) -> tuple[RankedEffect, ...]:

@@ -368,12 +368,12 @@ def position_isolability(
 
 
 def _trial_candidates(effect: Effect) -> Iterator[Candidate]:
-    grid = list(product(*(one.tried or (one.usual,) for one in effect.shapes)))
+    grid = list(product(*(one.start_values for one in effect.shapes)))
     chosen = np.unique(np.linspace(0, len(grid) - 1, min(MAX_VARIANTS, len(grid))).round().astype(int)).tolist()
     phase = {} if effect.phase is None else {effect.phase.name: TRIAL_PHASE_RAD}
     for place in chosen:
         shapes = {one.name: value for one, value in zip(effect.shapes, grid[place], strict=True)}
-        yield Candidate(effect, {**effect.usual, **shapes, **phase})
+        yield Candidate(effect, {**effect.defaults, **shapes, **phase})
 
 
 def _position_trial(candidate: Candidate, runs: Sequence[PositionErrors]) -> _PositionTrial:
@@ -384,7 +384,7 @@ def _position_trial(candidate: Candidate, runs: Sequence[PositionErrors]) -> _Po
 
 
 def _position_visibility(effect: Effect, tried: Sequence[_PositionTrial]) -> Visibility:
-    size, unit = effect.size.usual, effect.size.unit
+    size, unit = effect.size.default, effect.size.unit
     ratios = [one.ratio for one in tried if one.ratio > 0]
     if not ratios:
         return Visibility(effect.id, "position", 0.0, size, None, unit)
@@ -482,7 +482,7 @@ def _force_visibility(study: Study, design: Design, angles: SignatureAngles, nam
     found = [_smallest_visible(study, design, one, required_d_prime(name)) for one in forms]
     share, least_mN = median(one[0] for one in found), median(one[1] for one in found)
     d_prime = median(one.d_prime for one in forms)
-    return Visibility(name, "force", d_prime, size.usual, share * abs(size.usual), size.unit, least_mN)
+    return Visibility(name, "force", d_prime, size.default, share * abs(size.default), size.unit, least_mN)
 
 
 def _smallest_visible(study: Study, design: Design, form: VariantColumns, d_prime: float) -> tuple[float, float]:
@@ -493,18 +493,18 @@ def _smallest_visible(study: Study, design: Design, form: VariantColumns, d_prim
 
 
 def _invisible(effect: Effect) -> Visibility:
-    return Visibility(effect.id, "force", 0.0, effect.size.usual, None, effect.size.unit)
+    return Visibility(effect.id, "force", 0.0, effect.size.default, None, effect.size.unit)
 
 
 def _line_visibility(effect: Effect, selection: RunSelection, channel: str) -> Visibility:
     size, least = effect.size, detectable_line_amplitude(selection.experiments, channel, MIN_MAINS_LLR)
     if least is None:
-        return Visibility(effect.id, "spectrum", 0.0, size.usual, None, size.unit)
+        return Visibility(effect.id, "spectrum", 0.0, size.default, None, size.unit)
     return Visibility(
         effect.id,
         "spectrum",
-        DETECTABLE_D_PRIME * size.usual / least,
-        size.usual,
+        DETECTABLE_D_PRIME * size.default / least,
+        size.default,
         least,
         size.unit,
         least / float(np.sqrt(2)),

@@ -15,7 +15,7 @@ from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.analysis.models.drive_model import EXTERNAL_BACKEND
 from dragrig.analysis.models.experiment import MIN_COUNT_MM, Experiment, wander_noise_sd_mm
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, MotorEffect, ParameterRole
+from dragrig.sim_backend.effects.base import Channel, Effect, EffectParameter, Role
 
 MAX_BLOCKS = 400
 BEFORE_S, AFTER_S = 0.05, 1.5
@@ -428,7 +428,7 @@ def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect
     if not found:
         return PositionAnalysis(runs, present=True)
     effect = known[found[0].effect]
-    if not isinstance(effect, MotorEffect | EncoderEffect):
+    if effect.channel is not Channel.POSITION:
         return PositionAnalysis(runs, present=True, families=found)
     candidate, errors = fit_position_effect(runs, effect, found[0])
     return PositionAnalysis(runs, present=True, families=found, candidate=candidate, standard_errors=errors)
@@ -437,15 +437,10 @@ def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect
 def predicted_position_error(candidate: Candidate, one: PositionErrors) -> FloatArray:
     """Return the position error that an effect makes of a run, shape `(B,)` [mm]."""
     effect, values = candidate.effect, dict(candidate.values)
-    if isinstance(effect, MotorEffect):
-        if effect.phase is not None and one.origin_mm:
-            # What is periodic stays where it is on the rig, wherever a run begins.
-            pitch_mm = next(value for name, value in values.items() if name.startswith("pitch"))
-            values[effect.phase.name] += 2 * np.pi * one.origin_mm / pitch_mm
-        return one.from_zero(effect.moved(one.time_s, one.command_mm, values) - one.command_mm)
-    if isinstance(effect, EncoderEffect):
-        return one.from_zero(effect.recorded(one.time_s, one.command_mm, values) - one.command_mm)
-    return np.zeros_like(one.time_s)
+    if effect.phase is not None and effect.period is not None and one.origin_mm:
+        # What is periodic stays where it is on the rig, wherever a run begins.
+        values[effect.phase.name] += 2 * np.pi * one.origin_mm / values[effect.period.name]
+    return one.from_zero(effect.position_change(one.time_s, one.command_mm, values))
 
 
 def fit_position_effect(
@@ -456,13 +451,13 @@ def fit_position_effect(
 
     start = min(_start_candidates(effect, family), key=lambda one: float(np.sum(_weighted_misfit(one, runs) ** 2)))
     free = start.fitted
-    scale = np.array([max(abs(start.values[one.name]), 0.05 * abs(one.usual), 1e-4) for one in free])
+    scale = np.array([max(abs(start.values[one.name]), 0.05 * abs(one.default), 1e-4) for one in free])
 
     def at(scaled: FloatArray) -> Candidate:
         values = {one.name: float(value) for one, value in zip(free, scaled * scale, strict=True)}
         limited = {
             one.name: values[one.name]
-            if one.role is ParameterRole.PHASE
+            if one.role is Role.PHASE
             else float(np.clip(values[one.name], one.low, one.high))
             for one in free
         }
@@ -483,22 +478,22 @@ def fit_position_effect(
 def _start_candidates(effect: Effect, family: PositionModelClass) -> list[Candidate]:
     from itertools import product
 
-    grids = [_start_values(effect, one.name, one.tried or (one.usual,), family) for one in effect.shapes]
+    grids = [_start_values(effect, parameter, family) for parameter in effect.shapes]
     sizes = (0.3, 1.0, 3.0) if effect.size.low >= 0 else (-1.0, 1.0)
     turns = np.linspace(-np.pi, np.pi, 8, endpoint=False) if effect.phase is not None else (0.0,)
     starts = []
     for *shapes, size, turn in product(*grids, sizes, turns):
-        values = {**effect.usual, **{one.name: value for one, value in zip(effect.shapes, shapes, strict=True)}}
-        values[effect.size.name] = float(np.clip(size * effect.size.usual, effect.size.low, effect.size.high))
+        values = {**effect.defaults, **{one.name: value for one, value in zip(effect.shapes, shapes, strict=True)}}
+        values[effect.size.name] = float(np.clip(size * effect.size.default, effect.size.low, effect.size.high))
         if effect.phase is not None:
             values[effect.phase.name] = float(turn)
         starts.append(Candidate(effect, values))
     return starts
 
 
-def _start_values(effect: Effect, name: str, tried: tuple[float, ...], family: PositionModelClass) -> tuple[float, ...]:
-    del effect
-    return (1.0 / family.shape,) if name.startswith("pitch") and family.shape > 0 else tried
+def _start_values(effect: Effect, parameter: EffectParameter, family: PositionModelClass) -> tuple[float, ...]:
+    known = parameter.name == effect.period_parameter and family.shape > 0
+    return (1.0 / family.shape,) if known else parameter.start_values
 
 
 def _weighted_misfit(candidate: Candidate, runs: Sequence[PositionErrors]) -> FloatArray:

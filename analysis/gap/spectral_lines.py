@@ -180,7 +180,7 @@ LEAKAGE_SHARE = 0.02
 
 def known_effects(nominal: NominalModel) -> EffectChain:
     """Return the effects that a nominal model has already; only the friction model can have any."""
-    return EffectChain.of(nominal.settings) if isinstance(nominal, CapsuleModel) else EffectChain((), (), (), ())
+    return EffectChain.of(nominal.settings) if isinstance(nominal, CapsuleModel) else EffectChain()
 
 
 def correct_known_motion(selection: RunSelection, chain: EffectChain) -> RunSelection:
@@ -189,16 +189,16 @@ def correct_known_motion(selection: RunSelection, chain: EffectChain) -> RunSele
     The stage then goes where it is told to unless there is a gap: what the encoder's known effects add to a record is
     taken out of it.
     """
-    if not chain.motor and not chain.encoder:
+    if not chain.changes_position:
         return selection
     return replace(selection, experiments=tuple(_with_known_motion(one, chain) for one in selection.experiments))
 
 
 def lines_beyond_known(lines: SpectralLines, chain: EffectChain) -> SpectralLines:
     """Leave the mains' line out where the nominal model has it, unless it is much larger, and what leaks from it."""
-    for effect, values in chain.sensor:
-        near = abs(values.get("frequency_hz", 0.0) - lines.mains.frequency_hz) <= MAINS_TOLERANCE_HZ
-        if effect.id == MAINS_HUM and near and lines.mains.amplitude <= NEW_HUM_FACTOR * values["amplitude_mN"]:
+    for amplitude, frequency_hz in _known_lines(chain):
+        near = abs(frequency_hz - lines.mains.frequency_hz) <= MAINS_TOLERANCE_HZ
+        if near and lines.mains.amplitude <= NEW_HUM_FACTOR * amplitude:
             other = replace(lines.other, gain=max(lines.other.gain - LEAKAGE_SHARE * lines.mains.gain, 0.0))
             return SpectralLines(replace(lines.mains, gain=0.0, amplitude=0.0), other)
     return lines
@@ -207,15 +207,21 @@ def lines_beyond_known(lines: SpectralLines, chain: EffectChain) -> SpectralLine
 def add_known_hum_to_noise(problem: JointProblem, chain: EffectChain) -> JointProblem:
     """Count hum that the nominal model has as noise: no run starts in step with the mains."""
     noises = problem.noises
-    for effect, values in chain.sensor:
-        if effect.id == MAINS_HUM:
-            noises = tuple(replace(one, hum=values["amplitude_mN"], hum_hz=values["frequency_hz"]) for one in noises)
+    for amplitude, frequency_hz in _known_lines(chain):
+        noises = tuple(replace(noise, hum=amplitude, hum_hz=frequency_hz) for noise in noises)
     return replace(problem, noises=noises)
 
 
 def without_hum(chain: EffectChain) -> EffectChain:
     """Return the effects without the hum, whose phase in a run nobody knows."""
-    return replace(chain, sensor=tuple(one for one in chain.sensor if one[0].id != MAINS_HUM))
+    return chain.only(lambda effect: not effect.spectral_line)
+
+
+def _known_lines(chain: EffectChain) -> Iterator[tuple[float, float]]:
+    """Yield amplitude and frequency of the chain's spectral lines."""
+    for active in chain.effects:
+        if active.effect.spectral_line and active.effect.period is not None:
+            yield active.values[active.effect.size.name], active.values[active.effect.period.name]
 
 
 def _with_known_motion(experiment: Experiment, chain: EffectChain) -> Experiment:
@@ -223,11 +229,11 @@ def _with_known_motion(experiment: Experiment, chain: EffectChain) -> Experiment
     command = np.asarray(trace.command, dtype=np.float64)
     if "position" not in trace.channels or not np.isfinite(command).all():
         return experiment
-    moved = chain.moved(time, command - command[0])
-    counted = chain.recorded(time, moved)
+    moved = chain.stage_position(time, command - command[0])
+    counted = chain.counted_position(time, moved)
     there = moved + command[0]
     position = np.asarray(trace.position, dtype=np.float64) - (counted - moved)
     for array in (there, position):
         array.setflags(write=False)
     known = replace(trace, command=there, channels={**trace.channels, "position": position})
-    return replace(experiment, run=replace(experiment.run, trace=known), computes_command=bool(chain.motor))
+    return replace(experiment, run=replace(experiment.run, trace=known), computes_command=chain.moves_stage)

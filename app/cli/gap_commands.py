@@ -358,20 +358,20 @@ def effects_command(as_json: bool) -> None:
 
 
 def _catalogue_text(effects: "Iterable[Effect]") -> str:
-    from dragrig.sim_backend.effects.base import EffectLocation
+    from dragrig.sim_backend.effects.base import Location
 
     known = tuple(effects)
-    places = ((place, [one for one in known if one.place is place]) for place in EffectLocation)
+    places = ((place, [one for one in known if one.location is place]) for place in Location)
     return "\n\n".join("\n\n".join((f"{place.upper()}", *map(_effect_text, there))) for place, there in places if there)
 
 
 def _effect_text(effect: "Effect") -> str:
     header = ("parameter", "unit", "usual", "from", "to", "")
     table = text_columns(header, (_parameter_row(one) for one in effect.parameters))
-    lines = [effect.id, f"  {effect.summary}", f"  shows in: {effect.exposes} ({effect.channel})"]
+    lines = [effect.id, f"  {effect.summary}", f"  shows in: {effect.visible_in} ({effect.channel})"]
     lines += [f"    {line}" for line in table.splitlines()]
-    if effect.aliases:
-        lines.append(f"  hardly told from: {', '.join(effect.aliases)}")
+    if effect.confused_with:
+        lines.append(f"  hardly told from: {', '.join(effect.confused_with)}")
     if effect.nominal:
         lines.append(f"  for the model: {effect.nominal}")
     return "\n".join((*lines, f"  source: {effect.source}"))
@@ -379,21 +379,35 @@ def _effect_text(effect: "Effect") -> str:
 
 def _parameter_row(parameter: "EffectParameter") -> tuple[str, ...]:
     unit = "" if parameter.unit == "1" else parameter.unit
-    numbers = (parameter.usual, parameter.low, parameter.high)
+    numbers = (parameter.default, parameter.low, parameter.high)
     return (parameter.name, unit, *(f"{one:g}" for one in numbers), f"{parameter.role}: {parameter.meaning}")
+
+
+def _parameter_json(parameter: "EffectParameter") -> dict[str, object]:
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "role": parameter.role,
+        "usual": parameter.default,
+        "low": parameter.low,
+        "high": parameter.high,
+        "meaning": parameter.meaning,
+        "tried": parameter.grid,
+        "possible": parameter.bounds,
+    }
 
 
 def _effect_json(effect: "Effect") -> dict[str, object]:
     return {
         "id": effect.id,
         "name": effect.name,
-        "place": effect.place,
-        "domain": effect.domain,
+        "place": effect.location,
+        "domain": effect.coordinate,
         "summary": effect.summary,
-        "exposes": effect.exposes,
+        "exposes": effect.visible_in,
         "channel": effect.channel,
-        "parameters": effect.parameters,
-        "aliases": effect.aliases,
+        "parameters": [_parameter_json(parameter) for parameter in effect.parameters],
+        "aliases": effect.confused_with,
         "nominal": effect.nominal or None,
         "source": effect.source,
     }

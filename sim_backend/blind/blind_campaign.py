@@ -1,4 +1,4 @@
-"""Everything that is hidden in a campaign, drawn from one seed: specimen, noise, errors of the nominal model, effects."""
+"""Everything hidden in a campaign, drawn from one seed: specimen, noise, errors of the nominal model, effects."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

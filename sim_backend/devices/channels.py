@@ -113,16 +113,16 @@ class ResponseWithEffects:
         time = evaluation_times(profile.duration_s, evaluation_rate_hz(rate_hz, acquisition.profile.duration_s))
         path: ProfileMotion | RecordedMotion = ProfileMotion.of(profile)
         position = path.position(time)
-        if chain.motor:
-            position = chain.moved(time, position)
+        if chain.moves_stage:
+            position = chain.stage_position(time, position)
             path = RecordedMotion.exact(time, position)
         scene = gut_run_state(replace(acquisition, profile=profile), model, path, time, session_start_s)
         load = chain.load(scene)
         return cls(
             path=path,
             time_s=time,
-            counted_mm=chain.recorded(time, position),
-            force_mN=chain.shown(scene, load, model.force_gain),
+            counted_mm=chain.counted_position(time, position),
+            force_mN=chain.measured_force(scene, load, model.force_gain),
             load_mN=load,
         )
 

@@ -1,11 +1,13 @@
 """What an effect declares, and the catalogue of all effects.
 
-An effect declares where it acts, its parameters with units and priors, its source, and what it changes. The catalogue
-is every module of this package that has an `EFFECT`.
+An effect declares where it acts, its parameters with units and priors, its source, and how a diagnosis finds it; its
+hooks say what it changes. Everything else in the program goes by these declarations and hooks: no other module knows an
+effect by its id, by a parameter's name or by its class. The catalogue is every module of this package that has an
+`EFFECT`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import cache
@@ -14,14 +16,19 @@ from pkgutil import iter_modules
 from types import MappingProxyType
 from typing import ClassVar
 
+import numpy as np
+
 from dragrig.config.errors import SettingsError
 from dragrig.config.settings import suggestion
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend import effects
 from dragrig.sim_backend.effects.run_state import RunState
 
+Values = Mapping[str, float]
+"""Values of an effect's parameters by name."""
 
-class EffectLocation(StrEnum):
+
+class Location(StrEnum):
     """Where an effect acts."""
 
     WALL = "wall"
@@ -32,28 +39,7 @@ class EffectLocation(StrEnum):
     ACQUISITION = "acquisition"
 
 
-class ParameterRole(StrEnum):
-    """What a parameter is to an effect."""
-
-    SIZE = "size"
-    """How large the effect is: at 0 there is none, and what it changes grows in proportion or nearly so."""
-    SHAPE = "shape"
-    """How it depends on speed, position, time, …."""
-    PHASE = "phase"
-    """Where in its period something periodic begins [rad]."""
-
-
-class MeasuringLink(IntEnum):
-    """Where an effect sits in the chain from capsule to file; the first acts first, ids decide among equals."""
-
-    PAYLOAD = 0
-    ARM = 1
-    CELL = 2
-    AMPLIFIER = 3
-    CLOCK = 4
-
-
-class EffectCoordinate(StrEnum):
+class Coordinate(StrEnum):
     """What an effect is above all a function of."""
 
     SPEED = "speed"
@@ -63,6 +49,47 @@ class EffectCoordinate(StrEnum):
     FREQUENCY = "frequency"
     STRAIN = "strain"
     TRANSIENT = "transient"
+
+
+class Channel(StrEnum):
+    """Channel of a run that shows an effect."""
+
+    FORCE = "force"
+    POSITION = "position"
+
+
+class MeasuringLink(IntEnum):
+    """Where a sensor effect sits in the chain from capsule to file; the lowest acts first, ids decide among equals."""
+
+    PAYLOAD = 0
+    ARM = 1
+    CELL = 2
+    AMPLIFIER = 3
+    CLOCK = 4
+
+
+class PositionForm(StrEnum):
+    """Free form of the position error by which a diagnosis recognises an effect."""
+
+    SCALE = "scale"
+    """In proportion to the distance travelled."""
+    RESPONSE = "response"
+    """A linear response to the command."""
+    DELAY = "delay"
+    """The command at another time."""
+    RIPPLE = "ripple"
+    """Periodic in position."""
+
+
+class Role(StrEnum):
+    """What a parameter is to an effect."""
+
+    SIZE = "size"
+    """How large the effect is: at 0 there is none, and what it changes grows in proportion or nearly so."""
+    SHAPE = "shape"
+    """How it depends on speed, position, time, …."""
+    PHASE = "phase"
+    """Where in its period something periodic begins [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,32 +102,37 @@ class EffectParameter:
         As in settings, the unit in the name where there is one; `1` for none.
     role
         Size, shape or phase; every effect has exactly one size, and at most one phase.
-    usual
-        Value unless one is given; a plain case of the effect that runs show clearly.
+    default
+        A plain case of the effect that runs show clearly.
     low, high
         Prior range. A size whose sign is not known has a negative `low`.
     meaning
         A few words for tables.
-    tried
-        For a shape: the values that a diagnosis looks at, from its prior range; `usual` alone unless given.
-    possible
-        Least and greatest value that can be at all; unless given, what has the sign of the prior range.
+    grid
+        For a shape: the values that a diagnosis starts from, within the prior range; `default` alone where empty.
+    bounds
+        Least and greatest possible value; without them, the parameter keeps the sign of the prior range.
     """
 
     name: str
     unit: str
-    role: ParameterRole
-    usual: float
+    role: Role
+    default: float
     low: float
     high: float
     meaning: str
-    tried: tuple[float, ...] = ()
-    possible: tuple[float, float] | None = None
+    grid: tuple[float, ...] = ()
+    bounds: tuple[float, float] | None = None
+
+    @property
+    def start_values(self) -> tuple[float, ...]:
+        """Values that a diagnosis starts from."""
+        return self.grid or (self.default,)
 
     def allows(self, value: float) -> bool:
-        """Whether a value can be at all, within the prior range or far beyond it."""
-        if self.possible is not None:
-            return self.possible[0] <= value <= self.possible[1]
+        """Whether a value is possible, within the prior range or far beyond it."""
+        if self.bounds is not None:
+            return self.bounds[0] <= value <= self.bounds[1]
         return self.low < 0 or value > 0 or (self.low == 0 and value == 0)
 
 
@@ -112,126 +144,200 @@ class Effect(ABC):
     """
 
     id: ClassVar[str]
-    place: ClassVar[EffectLocation]
-    domain: ClassVar[EffectCoordinate]
+    location: ClassVar[Location]
+    coordinate: ClassVar[Coordinate]
     summary: ClassVar[str]
     """One sentence: what it is."""
-    exposes: ClassVar[str]
+    visible_in: ClassVar[str]
     """Which runs and phases show it."""
     source: ClassVar[str]
     """Where the form comes from."""
     parameters: ClassVar[tuple[EffectParameter, ...]]
-    aliases: ClassVar[tuple[str, ...]] = ()
-    """Effects that runs hardly tell from this one."""
+    display_name: ClassVar[str] = ""
+    """Its name inside a sentence; the id with spaces where empty."""
     nominal: ClassVar[str] = ""
     """Nominal model that it belongs to alone; empty for any."""
-    called: ClassVar[str] = ""
-    """What a person calls it inside a sentence; unless given its id with spaces."""
+
+    channels: ClassVar[tuple[Channel, ...]] = (Channel.FORCE,)
+    """Channels that may show it, the one in which a diagnosis looks for it first."""
+    link: ClassVar[MeasuringLink] = MeasuringLink.CELL
+    in_gut: ClassVar[bool] = False
+    """Whether it acts on capsule and gut, so that a rig without them cannot have it."""
+    moves_stage: ClassVar[bool] = False
+    """Whether the stage goes elsewhere than commanded, not only its record."""
+
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    """Ids of effects that runs hardly tell from this one."""
+    similar_to: ClassVar[tuple[str, ...]] = ()
+    """Ids of effects that act on the same: what another form of one leaves, the other may pass for."""
+    abrupt: ClassVar[bool] = False
+    """Whether it acts where the force is steepest, so that another form of it leaves much unexplained."""
+    period_parameter: ClassVar[str] = ""
+    """For what is periodic: name of the parameter that sets the length of a period, or its frequency."""
+    spectral_line: ClassVar[bool] = False
+    """Whether a diagnosis finds it as a line at the mains' frequency, of amplitude `size` and frequency `period`."""
+    position_form: ClassVar[PositionForm | None] = None
+    """Free form of the position error by which a diagnosis recognises it; None where the position shows nothing."""
+    free_law: ClassVar[str] = ""
+    """Nonparametric law that the effect itself is an example of; empty where none is."""
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
-        return self.called or self.id.replace("_", " ")
+        """Its name inside a sentence."""
+        return self.display_name or self.id.replace("_", " ")
+
+    @property
+    def channel(self) -> Channel:
+        """Channel in which a diagnosis looks for it first."""
+        return self.channels[0]
+
+    @property
+    def has_force_signature(self) -> bool:
+        """Whether a diagnosis finds it by its signature in the force: not as a spectral line, not in the position."""
+        return self.channel is Channel.FORCE and not self.spectral_line
 
     @property
     def size(self) -> EffectParameter:
         """How large it is."""
-        return next(one for one in self.parameters if one.role is ParameterRole.SIZE)
+        return next(parameter for parameter in self.parameters if parameter.role is Role.SIZE)
 
     @property
     def phase(self) -> EffectParameter | None:
         """Where its period begins; None for what is not periodic."""
-        return next((one for one in self.parameters if one.role is ParameterRole.PHASE), None)
+        return next((parameter for parameter in self.parameters if parameter.role is Role.PHASE), None)
+
+    @property
+    def period(self) -> EffectParameter | None:
+        """How long its period is, or its frequency; None for what is not periodic."""
+        return next((parameter for parameter in self.parameters if parameter.name == self.period_parameter), None)
+
+    @property
+    def periodic_in(self) -> Coordinate | None:
+        """What it is periodic in; None for what is not periodic."""
+        return None if self.phase is None else self.coordinate
 
     @property
     def shapes(self) -> tuple[EffectParameter, ...]:
-        """What it depends on."""
-        return tuple(one for one in self.parameters if one.role is ParameterRole.SHAPE)
+        """Parameters of its form."""
+        return tuple(parameter for parameter in self.parameters if parameter.role is Role.SHAPE)
 
     @property
-    def usual(self) -> Mapping[str, float]:
-        """Usual values of all parameters."""
-        return {one.name: one.usual for one in self.parameters}
+    def defaults(self) -> Values:
+        """Default values of all parameters."""
+        return {parameter.name: parameter.default for parameter in self.parameters}
 
     @property
-    def of_session(self) -> bool:
+    def varies_in_session(self) -> bool:
         """Whether it depends on when in the session a run is made; if not, repeats of a run show it alike."""
-        return self.domain is EffectCoordinate.SESSION
+        return self.coordinate is Coordinate.SESSION
 
-    @property
-    def channel(self) -> str:
-        """Channel that it shows in."""
-        return "force"
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
+        """Return the true force that is added [mN], shape `(n,)`; zeros where the effect does not act.
+
+        The sign is the run's: positive resists motion towards positive position.
+        """
+        del values
+        return np.zeros_like(run.time_s)
+
+    def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
+        """Return what the channel shows [mN] of a force at the run's times, shape `(n,)`."""
+        del run, values
+        return force_mN
+
+    def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
+        """Return where the stage is [mm] at rising times, commanded to be elsewhere, shapes `(n,)`.
+
+        Positions count from the first sample. Between times the command is taken as a straight line.
+        """
+        del time_s, values
+        return command_mm
+
+    def counted_position(self, time_s: FloatArray, position_mm: FloatArray, values: Values) -> FloatArray:
+        """Return the recorded position [mm], counted from the first sample, of a true one, shapes `(n,)`."""
+        del time_s, values
+        return position_mm
+
+    def force_change(self, run: RunState, values: Values, gain: float = 1.0) -> FloatArray:
+        """Return by how much it changes the nominal force that the channel shows [mN], shape `(n,)`."""
+        nominal = gain * run.nominal
+        return gain * self.added_force(run, values) + (self.measured_force(run, nominal, values) - nominal)
+
+    def position_change(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
+        """Return the position error [mm] that it makes of a command, shapes `(n,)`."""
+        stage_mm = self.stage_position(time_s, command_mm, values)
+        return np.asarray(self.counted_position(time_s, stage_mm, values) - command_mm)
 
 
 class ForceEffect(Effect):
     """An effect in wall, interface or specimen: a force on the capsule beside the nominal one."""
 
-    @abstractmethod
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
-        """Return the true force that is added [mN], shape `(n,)`; zeros where the effect does not act.
+    in_gut = True
 
-        The sign is the scene's: positive resists motion towards positive position.
-        """
+    @abstractmethod
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
+        """Return the true force that is added [mN]."""
 
 
 class SensorEffect(Effect):
-    """An effect in the force sensor or its acquisition: what is shown of a force."""
-
-    link: ClassVar[MeasuringLink] = MeasuringLink.CELL
+    """An effect in the force sensor or its acquisition: what the channel shows of a force."""
 
     @abstractmethod
-    def shown(self, scene: RunState, force_mN: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return what the channel shows [mN] of a force at the scene's times, shape `(n,)`."""
+    def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
+        """Return what the channel shows of a force [mN]."""
 
 
 class MotorEffect(Effect):
-    """An effect in the motor: how the stage moves when it is told to."""
+    """An effect in the motor: where the stage goes when it is commanded."""
 
-    @property
-    def channel(self) -> str:
-        """Channel that it shows in."""
-        return "position"
+    channels = (Channel.POSITION,)
+    moves_stage = True
 
     @abstractmethod
-    def moved(self, time_s: FloatArray, command_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return where the stage is [mm] at rising times, from where it is told to be, shapes `(n,)`.
-
-        Positions count from the first sample. Between times the command is taken as a straight line.
-        """
+    def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
+        """Return where the stage is [mm]."""
 
 
 class EncoderEffect(Effect):
     """An effect in how the position is recorded."""
 
-    @property
-    def channel(self) -> str:
-        """Channel that it shows in."""
-        return "position"
+    channels = (Channel.POSITION,)
 
     @abstractmethod
-    def recorded(self, time_s: FloatArray, position_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
-        """Return the recorded position [mm], counted from the first sample, of a true one, shapes `(n,)`."""
+    def counted_position(self, time_s: FloatArray, position_mm: FloatArray, values: Values) -> FloatArray:
+        """Return the recorded position [mm]."""
 
 
 @cache
 def catalogue() -> Mapping[str, Effect]:
     """Return all effects by id, in order of their ids."""
-    names = sorted(f"{effects.__name__}.{one.name}" for one in iter_modules(effects.__path__) if not one.ispkg)
-    found = [getattr(import_module(name), "EFFECT", None) for name in names]
-    return MappingProxyType({one.id: one for one in found if isinstance(one, Effect)})
+    modules = sorted(module.name for module in iter_modules(effects.__path__) if not module.ispkg)
+    candidates = [getattr(import_module(f"{effects.__name__}.{name}"), "EFFECT", None) for name in modules]
+    return MappingProxyType({effect.id: effect for effect in candidates if isinstance(effect, Effect)})
 
 
-def find_effect(name: str) -> Effect:
+def find_effect(effect_id: str) -> Effect:
     """Return an effect by id; raises `SettingsError` for one that the catalogue does not have."""
     known = catalogue()
-    if name not in known:
-        raise SettingsError(f"effect {name}: is not in the catalogue; {suggestion(name, list(known))}")
-    return known[name]
+    if effect_id not in known:
+        raise SettingsError(f"effect {effect_id}: is not in the catalogue; {suggestion(effect_id, list(known))}")
+    return known[effect_id]
 
 
-def confusable_effects(name: str) -> frozenset[str]:
+def spectral_line_effects() -> tuple[Effect, ...]:
+    """Return the effects that a diagnosis finds as a line at the mains' frequency."""
+    return tuple(effect for effect in catalogue().values() if effect.spectral_line)
+
+
+def confusable_effects(effect_id: str) -> frozenset[str]:
     """Return the effects that are hardly told from one, as either's entry says; none for what is no effect."""
-    known = catalogue()
-    own = known[name].aliases if name in known else ()
-    return frozenset({*own, *(other for other, one in known.items() if name in one.aliases)})
+    return _related(effect_id, {effect.id: effect.confused_with for effect in catalogue().values()})
+
+
+def similar_effects(effect_id: str) -> frozenset[str]:
+    """Return the effects that act on the same as one, as either's entry says; none for what is no effect."""
+    return _related(effect_id, {effect.id: effect.similar_to for effect in catalogue().values()})
+
+
+def _related(effect_id: str, relations: Mapping[str, Iterable[str]]) -> frozenset[str]:
+    declared_by_others = (other for other, related in relations.items() if effect_id in related)
+    return frozenset({*relations.get(effect_id, ()), *declared_by_others})

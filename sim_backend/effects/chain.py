@@ -5,7 +5,7 @@ force gain and the sensor effects, in their order from the payload to the channe
 encoder effects. Within each step ids decide the order, and the order of the settings between two of one id.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +14,13 @@ from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
 from dragrig.config.settings import suggestion
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect, find_effect
+from dragrig.sim_backend.effects.base import Channel, Effect, Values, find_effect
 from dragrig.sim_backend.effects.run_state import RunState
 
 MAX_RATE_HZ = 2000.0
-"""Effects are computed at the sample rate, but not faster than this; from one time to the next they go straight."""
+"""Effects are computed at the sample rate, but not faster than this; between times they are interpolated linearly."""
 MAX_TIMES = 250_000
-"""Longer runs are computed at fewer times a second, so that memory lasts."""
+"""Longer runs are computed at fewer times a second, so that memory suffices."""
 SIMULATED_NOMINAL = "capsule"
 """The nominal model that the simulated rig has."""
 
@@ -30,85 +30,91 @@ class ActiveEffect:
     """An effect with the values of all its parameters."""
 
     effect: Effect
-    values: Mapping[str, float]
+    values: Values
 
 
 def active_effects(settings: FrictionModelSettings) -> tuple[ActiveEffect, ...]:
-    """Return the effects that a model has, with the usual values of what it does not name.
+    """Return the effects that a model has, with default values of the parameters that it does not name.
 
     Raises
     ------
     SettingsError
-        For an effect or a parameter that there is not, a value that cannot be, and an effect of another model.
+        For an unknown effect or parameter, an impossible value, and an effect of another model.
     """
-    return tuple(_active_effect(one) for one in settings.effects)
+    return tuple(_active_effect(entry) for entry in settings.effects)
 
 
-def _active_effect(given: EffectSettings) -> ActiveEffect:
-    effect = find_effect(given.id)
+def _active_effect(entry: EffectSettings) -> ActiveEffect:
+    effect = find_effect(entry.id)
     if effect.nominal not in {"", SIMULATED_NOMINAL}:
         raise SettingsError(
             f"effect {effect.id}: belongs to the model {effect.nominal}, which is not the simulated rig's."
         )
-    known = {one.name: one for one in effect.parameters}
-    for name, value in given.parameters.items():
-        if name not in known:
-            raise SettingsError(f"effect {effect.id}: has no parameter {name}; {suggestion(name, list(known))}")
-        if not known[name].allows(value):
-            parameter = known[name]
-            usual = f"{parameter.low:g} to {parameter.high:g} {'' if parameter.unit == '1' else parameter.unit}".strip()
-            raise SettingsError(f"effect {effect.id}: {name} = {value:g} cannot be; usual are {usual}.")
-    return ActiveEffect(effect, {**effect.usual, **given.parameters})
+    parameters = {parameter.name: parameter for parameter in effect.parameters}
+    for name, value in entry.parameters.items():
+        if name not in parameters:
+            raise SettingsError(f"effect {effect.id}: has no parameter {name}; {suggestion(name, list(parameters))}")
+        parameter = parameters[name]
+        if not parameter.allows(value):
+            unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+            raise SettingsError(
+                f"effect {effect.id}: {name} = {value:g} is not possible; "
+                f"usual are {parameter.low:g} to {parameter.high:g}{unit}."
+            )
+    return ActiveEffect(effect, {**effect.defaults, **entry.parameters})
 
 
 @dataclass(frozen=True, slots=True)
 class EffectChain:
-    """Effects in the order in which they act.
+    """Effects in the order in which they act; none by default."""
 
-    Attributes
-    ----------
-    motor, gut, sensor, encoder
-        Each effect of the kind with its values.
-    """
-
-    motor: tuple[tuple[MotorEffect, Mapping[str, float]], ...]
-    gut: tuple[tuple[ForceEffect, Mapping[str, float]], ...]
-    sensor: tuple[tuple[SensorEffect, Mapping[str, float]], ...]
-    encoder: tuple[tuple[EncoderEffect, Mapping[str, float]], ...]
+    effects: tuple[ActiveEffect, ...] = ()
 
     @classmethod
     def of(cls, settings: FrictionModelSettings) -> "EffectChain":
         """Put the effects of a model in order; raises `SettingsError` as `active_effects`."""
-        found = sorted(active_effects(settings), key=lambda one: one.effect.id)
-        sensor = [(one.effect, one.values) for one in found if isinstance(one.effect, SensorEffect)]
-        return cls(
-            motor=tuple((one.effect, one.values) for one in found if isinstance(one.effect, MotorEffect)),
-            gut=tuple((one.effect, one.values) for one in found if isinstance(one.effect, ForceEffect)),
-            sensor=tuple(sorted(sensor, key=lambda one: one[0].link)),
-            encoder=tuple((one.effect, one.values) for one in found if isinstance(one.effect, EncoderEffect)),
-        )
+        return cls().with_effects(sorted(active_effects(settings), key=lambda active: active.effect.id))
 
-    def moved(self, time_s: FloatArray, command_mm: FloatArray) -> FloatArray:
-        """Return where the stage is [mm] when it is told to be somewhere, shapes `(n,)`."""
-        for effect, values in self.motor:
-            command_mm = effect.moved(time_s, command_mm, values)
+    def with_effects(self, further: Iterable[ActiveEffect]) -> "EffectChain":
+        """Return the chain with further effects, which act after those of the same link."""
+        return EffectChain(tuple(sorted((*self.effects, *further), key=lambda active: active.effect.link)))
+
+    def only(self, condition: Callable[[Effect], bool]) -> "EffectChain":
+        """Return the effects that meet a condition."""
+        return EffectChain(tuple(active for active in self.effects if condition(active.effect)))
+
+    @property
+    def moves_stage(self) -> bool:
+        """Whether the stage goes elsewhere than commanded."""
+        return any(active.effect.moves_stage for active in self.effects)
+
+    @property
+    def changes_position(self) -> bool:
+        """Whether the recorded position differs from the command."""
+        return any(active.effect.channel is Channel.POSITION for active in self.effects)
+
+    def stage_position(self, time_s: FloatArray, command_mm: FloatArray) -> FloatArray:
+        """Return where the stage is [mm] when it is commanded to be elsewhere, shapes `(n,)`."""
+        for active in self.effects:
+            command_mm = active.effect.stage_position(time_s, command_mm, active.values)
         return command_mm
 
-    def load(self, scene: RunState) -> FloatArray:
+    def load(self, run: RunState) -> FloatArray:
         """Return the true force on the capsule [mN], shape `(n,)`."""
-        return np.asarray(sum((effect.added(scene, values) for effect, values in self.gut), scene.nominal))
+        gut = (active for active in self.effects if active.effect.in_gut)
+        return np.asarray(sum((active.effect.added_force(run, active.values) for active in gut), run.nominal))
 
-    def shown(self, scene: RunState, load_mN: FloatArray, force_gain: float) -> FloatArray:
+    def measured_force(self, run: RunState, load_mN: FloatArray, force_gain: float) -> FloatArray:
         """Return what the force channel shows [mN] of a true force, shapes `(n,)`, without noise."""
         force = force_gain * load_mN
-        for effect, values in self.sensor:
-            force = effect.shown(scene, force, values)
+        for active in self.effects:
+            force = active.effect.measured_force(run, force, active.values)
         return force
 
-    def recorded(self, time_s: FloatArray, position_mm: FloatArray) -> FloatArray:
+    def counted_position(self, time_s: FloatArray, position_mm: FloatArray) -> FloatArray:
         """Return the position that is counted [mm] of a true one, shapes `(n,)`."""
-        for effect, values in self.encoder:
-            position_mm = effect.recorded(time_s, position_mm, values)
+        for active in self.effects:
+            position_mm = active.effect.counted_position(time_s, position_mm, active.values)
         return position_mm
 
 

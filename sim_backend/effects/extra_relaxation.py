@@ -1,18 +1,9 @@
 """A relaxation slower than both branches of the wall."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
-    EffectParameter,
-    ForceEffect,
-    ParameterRole,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
 from dragrig.sim_backend.effects.run_state import RunState, force_of_hoop_stress
 
 MIN_SPREAD = 0.01
@@ -46,53 +37,53 @@ class ExtraRelaxation(ForceEffect):
     at long times.
     """
 
-    id: ClassVar[str] = "extra_relaxation"
-    place: ClassVar[EffectLocation] = EffectLocation.WALL
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TIME
-    summary: ClassVar[str] = "The wall relaxes on, more slowly than both Maxwell branches."
-    exposes: ClassVar[str] = "long holds: relaxations, and drag runs at low speed"
-    source: ClassVar[str] = (
+    id = "extra_relaxation"
+    location = Location.WALL
+    coordinate = Coordinate.TIME
+    summary = "The wall relaxes on, more slowly than both Maxwell branches."
+    visible_in = "long holds: relaxations, and drag runs at low speed"
+    source = (
         "Maxwell chain of Fung, Biomechanics (1993), chapter 7; modified power law of Williams, "
         "AIAA Journal 2 (1964) 785"
     )
-    aliases: ClassVar[tuple[str, ...]] = ("force_drift", "hyperelastic_wall")
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("share", "1", ParameterRole.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
+    confused_with = ("force_drift", "hyperelastic_wall")
+    parameters = (
+        EffectParameter("share", "1", Role.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
         EffectParameter(
             "time_s",
             "s",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             8.0,
             1.0,
             120.0,
             "relaxation time",
-            tried=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0),
+            grid=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0),
         ),
         EffectParameter(
             "spread",
             "1",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             0.0,
             0.0,
             2.0,
             "variance of the rates over their mean squared",
-            tried=(0.0, 1.0),
+            grid=(0.0, 1.0),
         ),
     )
 
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the force of the third branch."""
         rates, weights = maxwell_chain(values["time_s"], values["spread"])
-        if scene.sheared is not None:
-            branches = [weight * scene.sheared.branch(rate) for rate, weight in zip(rates, weights, strict=True)]
-            modulus = values["share"] * scene.sheared.moduli[2]
-            return np.asarray(scene.sheared.area_mm2 * modulus * np.sum(branches, axis=0))
-        wall = scene.wall
+        if run.sheared is not None:
+            branches = [weight * run.sheared.branch(rate) for rate, weight in zip(rates, weights, strict=True)]
+            modulus = values["share"] * run.sheared.moduli[2]
+            return np.asarray(run.sheared.area_mm2 * modulus * np.sum(branches, axis=0))
+        wall = run.wall
         if wall is None:
-            return np.zeros_like(scene.time_s)
+            return np.zeros_like(run.time_s)
         front = values["share"] * wall.parameters.E3 * wall.strain * _relaxed(wall.age_s, rates, weights)
         equator = values["share"] * wall.equator_parameters.E3 * wall.strain_at_equator
-        return force_of_hoop_stress(scene, wall, front, equator * _relaxed(wall.equator_age_s, rates, weights))
+        return force_of_hoop_stress(run, wall, front, equator * _relaxed(wall.equator_age_s, rates, weights))
 
 
 EFFECT = ExtraRelaxation()

@@ -1,18 +1,9 @@
 """Mucus that is wiped off as the capsule travels."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
-    EffectParameter,
-    ForceEffect,
-    ParameterRole,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
 from dragrig.sim_backend.effects.dynamics import distance_travelled
 from dragrig.sim_backend.effects.run_state import RunState
 
@@ -23,34 +14,34 @@ REFERENCE_MM = 40.0
 class FilmDepletion(ForceEffect):
     """f_c grows by `ratio` over the first 40 mm, as `1 − exp(−distance / length)`; a long length makes that a line."""
 
-    id: ClassVar[str] = "film_depletion"
-    place: ClassVar[EffectLocation] = EffectLocation.INTERFACE
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.POSITION
-    summary: ClassVar[str] = "Mucus is wiped off as the capsule travels, so that friction grows with distance."
-    exposes: ClassVar[str] = "the slope along the stroke of Coulomb and drag runs, the same in position at all speeds"
-    source: ClassVar[str] = (
+    id = "film_depletion"
+    location = Location.INTERFACE
+    coordinate = Coordinate.POSITION
+    summary = "Mucus is wiped off as the capsule travels, so that friction grows with distance."
+    visible_in = "the slope along the stroke of Coulomb and drag runs, the same in position at all speeds"
+    source = (
         "film worn off with sliding distance, Archard, Journal of Applied Physics 24 (1953) 981; "
         "running-in towards boundary friction, Blau, Tribology International 38 (2005) 1007"
     )
-    aliases: ClassVar[tuple[str, ...]] = ("force_drift", "mesentery_tether")
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("ratio", "1", ParameterRole.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
+    confused_with = ("force_drift", "mesentery_tether")
+    parameters = (
+        EffectParameter("ratio", "1", Role.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
         EffectParameter(
             "length_mm",
             "mm",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             20.0,
             2.0,
             500.0,
             "where it saturates",
-            tried=(4.0, 8.0, 16.0, 32.0, 300.0),
+            grid=(4.0, 8.0, 16.0, 32.0, 300.0),
         ),
     )
 
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the friction that is added."""
-        gone = -np.expm1(-distance_travelled(scene.motion, scene.time_s) / values["length_mm"])
-        return np.asarray(scene.f_c * values["ratio"] * gone / -np.expm1(-REFERENCE_MM / values["length_mm"]))
+        gone = -np.expm1(-distance_travelled(run.motion, run.time_s) / values["length_mm"])
+        return np.asarray(run.f_c * values["ratio"] * gone / -np.expm1(-REFERENCE_MM / values["length_mm"]))
 
 
 EFFECT = FilmDepletion()

@@ -1,18 +1,9 @@
 """A muscular layer that stiffens with strain."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
-    EffectParameter,
-    ForceEffect,
-    ParameterRole,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
 from dragrig.sim_backend.effects.run_state import HoopStress, RunState, force_of_hoop_stress
 
 
@@ -22,47 +13,47 @@ class HyperelasticWall(ForceEffect):
     A wall that is strained fast has more of its stress in the fast branch, and so stiffens more.
     """
 
-    id: ClassVar[str] = "hyperelastic_wall"
-    place: ClassVar[EffectLocation] = EffectLocation.WALL
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.STRAIN
-    summary: ClassVar[str] = "The muscular layer stiffens with strain, the more the faster it is strained."
-    exposes: ClassVar[str] = "relaxations, whose peaks rise faster with strain; drag runs at speed"
-    source: ClassVar[str] = (
+    id = "hyperelastic_wall"
+    location = Location.WALL
+    coordinate = Coordinate.STRAIN
+    summary = "The muscular layer stiffens with strain, the more the faster it is strained."
+    visible_in = "relaxations, whose peaks rise faster with strain; drag runs at speed"
+    source = (
         "leading terms of exponential stiffening; Fung, Biomechanics (1993), chapter 7; of the intestine, "
         "Egorov et al., Journal of Biomechanics 35 (2002) 1417"
     )
-    aliases: ClassVar[tuple[str, ...]] = ("extra_relaxation", "force_nonlinearity")
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("stiffening", "1", ParameterRole.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
-        EffectParameter("power", "1", ParameterRole.SHAPE, 2.0, 0.5, 5.0, "power of the strain", tried=(1.0, 2.5)),
+    confused_with = ("extra_relaxation", "force_nonlinearity")
+    parameters = (
+        EffectParameter("stiffening", "1", Role.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
+        EffectParameter("power", "1", Role.SHAPE, 2.0, 0.5, 5.0, "power of the strain", grid=(1.0, 2.5)),
         EffectParameter(
             "slow_share",
             "1",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             0.2,
             0.0,
             1.0,
             "part in slow branch and spring",
-            tried=(0.0, 0.01, 0.04, 0.2, 1.0),
+            grid=(0.0, 0.01, 0.04, 0.2, 1.0),
         ),
     )
 
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the force of the further stress."""
         power, slow_share = values["power"], values["slow_share"]
-        if scene.sheared is not None:
-            fast, slow, spring = scene.sheared.stresses
+        if run.sheared is not None:
+            fast, slow, spring = run.sheared.stresses
             # As for the elements themselves, the strain that is sheared to decides for the whole run.
-            growth = values["stiffening"] * scene.sheared.target_strain**power
-            return np.asarray(scene.sheared.area_mm2 * growth * (fast + slow_share * (slow + spring)))
-        wall = scene.wall
+            growth = values["stiffening"] * run.sheared.target_strain**power
+            return np.asarray(run.sheared.area_mm2 * growth * (fast + slow_share * (slow + spring)))
+        wall = run.wall
         if wall is None:
-            return np.zeros_like(scene.time_s)
+            return np.zeros_like(run.time_s)
         front, equator = HoopStress.on_hemisphere(wall), HoopStress.at_equator(wall)
         along = values["stiffening"] * wall.strain**power * (front.fast + slow_share * (front.slow + front.spring))
         at_end = values["stiffening"] * wall.strain_at_equator**power
         at_end = at_end * (equator.fast + slow_share * (equator.slow + equator.spring))
-        return force_of_hoop_stress(scene, wall, along, at_end)
+        return force_of_hoop_stress(run, wall, along, at_end)
 
 
 EFFECT = HyperelasticWall()

@@ -1,18 +1,9 @@
 """Living muscle that contracts."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
-    EffectParameter,
-    ForceEffect,
-    ParameterRole,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
 from dragrig.sim_backend.effects.run_state import RunState
 
 PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 3, 60))
@@ -22,30 +13,28 @@ PERIODS_S = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 30, 1 / 3,
 class Peristalsis(ForceEffect):
     """Pulses `force · exp(sharpness · (cos(2π · session time / period + phase) − 1))`, while holding too."""
 
-    id: ClassVar[str] = "peristalsis"
-    place: ClassVar[EffectLocation] = EffectLocation.WALL
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SESSION
-    summary: ClassVar[str] = "Living muscle contracts in pulses that are periodic in time, also while holding."
-    exposes: ClassVar[str] = "the spectrum of drag runs against the session's clock"
-    source: ClassVar[str] = (
+    id = "peristalsis"
+    location = Location.WALL
+    coordinate = Coordinate.SESSION
+    summary = "Living muscle contracts in pulses that are periodic in time, also while holding."
+    visible_in = "the spectrum of drag runs against the session's clock"
+    source = (
         "slow waves of 8 to 12 per minute in the small intestine, Huizinga and Lammers, American Journal of Physiology "
         "296 (2009) G1; pulse of von Mises form"
     )
-    aliases: ClassVar[tuple[str, ...]] = ()
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("force_mN", "mN", ParameterRole.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
-        EffectParameter(
-            "period_s", "s", ParameterRole.SHAPE, 8.0, 2.5, 40.0, "time from pulse to pulse", tried=PERIODS_S
-        ),
-        EffectParameter("sharpness", "1", ParameterRole.SHAPE, 1.5, 0.0, 20.0, "more for shorter pulses", tried=(1.5,)),
-        EffectParameter("phase_rad", "rad", ParameterRole.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
+    period_parameter = "period_s"
+    parameters = (
+        EffectParameter("force_mN", "mN", Role.SIZE, 10.0, 0.0, 300.0, "height of a pulse"),
+        EffectParameter("period_s", "s", Role.SHAPE, 8.0, 2.5, 40.0, "time from pulse to pulse", grid=PERIODS_S),
+        EffectParameter("sharpness", "1", Role.SHAPE, 1.5, 0.0, 20.0, "more for shorter pulses", grid=(1.5,)),
+        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "at the session's start"),
     )
 
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the pulses of a gut that is closed on the capsule."""
-        if not scene.closed:
-            return np.zeros_like(scene.time_s)
-        angle = 2 * np.pi * scene.session_s / values["period_s"] + values["phase_rad"]
+        if not run.closed:
+            return np.zeros_like(run.time_s)
+        angle = 2 * np.pi * run.session_s / values["period_s"] + values["phase_rad"]
         return np.asarray(values["force_mN"] * np.exp(values["sharpness"] * (np.cos(angle) - 1)))
 
 

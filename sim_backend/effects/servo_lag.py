@@ -1,17 +1,16 @@
 """A stage that lags behind its command, and overshoots it."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
+    Coordinate,
     EffectParameter,
+    Location,
     MotorEffect,
-    ParameterRole,
+    PositionForm,
+    Role,
+    Values,
 )
 from dragrig.sim_backend.effects.dynamics import resonator
 
@@ -23,32 +22,33 @@ class ServoLag(MotorEffect):
     is what makes it so.
     """
 
-    id: ClassVar[str] = "servo_lag"
-    place: ClassVar[EffectLocation] = EffectLocation.MOTOR
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.TRANSIENT
-    summary: ClassVar[str] = "The stage lags behind its command and overshoots at the end."
-    exposes: ClassVar[str] = "position against command, in proportion to speed"
-    source: ClassVar[str] = "second-order servo loop with velocity feed-forward; Ellis, Control System Design Guide"
-    aliases: ClassVar[tuple[str, ...]] = ("channel_latency",)
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("lag_s", "s", ParameterRole.SIZE, 0.01, 0.0, 0.5, "time behind the command at constant speed"),
+    id = "servo_lag"
+    location = Location.MOTOR
+    coordinate = Coordinate.TRANSIENT
+    summary = "The stage lags behind its command and overshoots at the end."
+    visible_in = "position against command, in proportion to speed"
+    source = "second-order servo loop with velocity feed-forward; Ellis, Control System Design Guide"
+    confused_with = ("channel_latency",)
+    position_form = PositionForm.RESPONSE
+    parameters = (
+        EffectParameter("lag_s", "s", Role.SIZE, 0.01, 0.0, 0.5, "time behind the command at constant speed"),
         EffectParameter(
-            "frequency_hz", "Hz", ParameterRole.SHAPE, 20.0, 0.3, 100.0, "of the loop", tried=(1.0, 2.0, 4.0, 8.0, 16.0)
+            "frequency_hz", "Hz", Role.SHAPE, 20.0, 0.3, 100.0, "of the loop", grid=(1.0, 2.0, 4.0, 8.0, 16.0)
         ),
         EffectParameter(
             "damping",
             "1",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             0.7,
             0.1,
             0.95,
             "share of critical",
-            tried=(0.35, 0.8),
-            possible=(0.001, 0.999),
+            grid=(0.35, 0.8),
+            bounds=(0.001, 0.999),
         ),
     )
 
-    def moved(self, time_s: FloatArray, command_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
         """Return the position of the loop."""
         lag, damping = values["lag_s"], values["damping"]
         frequency = values["frequency_hz"]

@@ -1,17 +1,16 @@
 """Cogging or pitch error of the drive."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
+    Coordinate,
     EffectParameter,
+    Location,
     MotorEffect,
-    ParameterRole,
+    PositionForm,
+    Role,
+    Values,
 )
 
 PITCHES_MM = tuple(round(float(1 / wave), 3) for wave in np.linspace(1 / 20, 1.0, 40))
@@ -21,19 +20,21 @@ PITCHES_MM = tuple(round(float(1 / wave), 3) for wave in np.linspace(1 / 20, 1.0
 class VelocityRipple(MotorEffect):
     """The stage is ahead of its command, or behind it, by a sine of where it is."""
 
-    id: ClassVar[str] = "velocity_ripple"
-    place: ClassVar[EffectLocation] = EffectLocation.MOTOR
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.POSITION
-    summary: ClassVar[str] = "Cogging or pitch error makes the stage's velocity ripple with its position."
-    exposes: ClassVar[str] = "position against command, at the same places in every run"
-    source: ClassVar[str] = "Gieras, Piech and Tomczuk, Linear Synchronous Motors, chapter 3 (detent force)"
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter("amplitude_mm", "mm", ParameterRole.SIZE, 0.03, 0.0, 1.0, "amplitude in position"),
-        EffectParameter("pitch_mm", "mm", ParameterRole.SHAPE, 5.0, 0.5, 50.0, "length of a period", tried=PITCHES_MM),
-        EffectParameter("phase_rad", "rad", ParameterRole.PHASE, 0.0, -np.pi, np.pi, "where a run starts"),
+    id = "velocity_ripple"
+    location = Location.MOTOR
+    coordinate = Coordinate.POSITION
+    summary = "Cogging or pitch error makes the stage's velocity ripple with its position."
+    visible_in = "position against command, at the same places in every run"
+    source = "Gieras, Piech and Tomczuk, Linear Synchronous Motors, chapter 3 (detent force)"
+    period_parameter = "pitch_mm"
+    position_form = PositionForm.RIPPLE
+    parameters = (
+        EffectParameter("amplitude_mm", "mm", Role.SIZE, 0.03, 0.0, 1.0, "amplitude in position"),
+        EffectParameter("pitch_mm", "mm", Role.SHAPE, 5.0, 0.5, 50.0, "length of a period", grid=PITCHES_MM),
+        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -np.pi, np.pi, "where a run starts"),
     )
 
-    def moved(self, time_s: FloatArray, command_mm: FloatArray, values: Mapping[str, float]) -> FloatArray:
+    def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
         """Return the position with the ripple, which is nothing at the start."""
         del time_s
         phase = values["phase_rad"]

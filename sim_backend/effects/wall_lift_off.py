@@ -1,18 +1,9 @@
 """A wall that cannot follow the hemisphere at speed."""
 
-from collections.abc import Mapping
-from typing import ClassVar
-
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    EffectCoordinate,
-    EffectLocation,
-    EffectParameter,
-    ForceEffect,
-    ParameterRole,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
 from dragrig.sim_backend.effects.run_state import HoopStress, RunState
 
 MIN_LIFTED_MM = 1e-9
@@ -22,44 +13,43 @@ MIN_LIFTED_MM = 1e-9
 class WallLiftOff(ForceEffect):
     """Over the front `v^n / (v^n + speed^n)` of the contact's length `share` of the pressure is lost."""
 
-    id: ClassVar[str] = "wall_lift_off"
-    called: ClassVar[str] = "wall lift-off"
-    place: ClassVar[EffectLocation] = EffectLocation.WALL
-    domain: ClassVar[EffectCoordinate] = EffectCoordinate.SPEED
-    summary: ClassVar[str] = "At speed the wall cannot follow the hemisphere, and contact is lost from the front."
-    exposes: ClassVar[str] = "drag runs above some 15 mm/s: f_e falls short"
-    source: ClassVar[str] = (
+    id = "wall_lift_off"
+    display_name = "wall lift-off"
+    location = Location.WALL
+    coordinate = Coordinate.SPEED
+    summary = "At speed the wall cannot follow the hemisphere, and contact is lost from the front."
+    visible_in = "drag runs above some 15 mm/s: f_e falls short"
+    source = (
         "assumption 3 of the paper given up; contact lost where the wall's recovery is slower than the passage, "
         "as of a viscoelastic half-space at speed, Johnson, Contact Mechanics (1985), chapter 9"
     )
-    aliases: ClassVar[tuple[str, ...]] = ("wall_inertia",)
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(
-            "share", "1", ParameterRole.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"
-        ),
+    confused_with = ("wall_inertia",)
+    similar_to = ("wall_inertia", "peristalsis")
+    parameters = (
+        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"),
         EffectParameter(
             "speed_mm_s",
             "mm/s",
-            ParameterRole.SHAPE,
+            Role.SHAPE,
             25.0,
             8.0,
             80.0,
             "where half the contact lifts",
-            tried=(10.0, 15.0, 22.0, 33.0, 50.0),
+            grid=(10.0, 15.0, 22.0, 33.0, 50.0),
         ),
-        EffectParameter("power", "1", ParameterRole.SHAPE, 3.0, 1.0, 8.0, "how suddenly", tried=(2.0, 4.0)),
+        EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", grid=(2.0, 4.0)),
     )
 
-    def added(self, scene: RunState, values: Mapping[str, float]) -> FloatArray:
+    def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the part of f_e that is lost; the edge is blurred by a third of the length that lifts off."""
-        wall = scene.wall
+        wall = run.wall
         if wall is None:
-            return np.zeros_like(scene.time_s)
-        faster = (scene.speed_mm_s / values["speed_mm_s"]) ** values["power"]
+            return np.zeros_like(run.time_s)
+        faster = (run.speed_mm_s / values["speed_mm_s"]) ** values["power"]
         lifted_mm = wall.contact.length_mm * faster / (1 + faster)
         beyond = wall.x_mm / np.maximum(lifted_mm, MIN_LIFTED_MM)[:, None]
         gone = values["share"] * np.clip(2 - 1.5 * beyond, 0.0, 1.0) * HoopStress.on_hemisphere(wall).total
-        return np.asarray(-np.sign(scene.f_e) * wall.resistance(gone))
+        return np.asarray(-np.sign(run.f_e) * wall.resistance(gone))
 
 
 EFFECT = WallLiftOff()

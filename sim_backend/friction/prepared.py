@@ -1,4 +1,4 @@
-"""The friction of one acquisition, from settings to force: the capsule slides, sticks (relaxation test), or is absent."""
+"""The friction of one acquisition, from settings to force: the capsule slides, sticks, or touches nothing."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache

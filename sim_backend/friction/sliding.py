@@ -81,10 +81,10 @@ class Components:
 class SlidingForce:
     """Friction of a sliding run, prepared for any sample times.
 
-    `resistance` is f_e interpolated on `smooth_intervals` and `side` the radial force of the wall; both are None where the gut
-    is held open, so that it presses on nothing. `spans` are the stretches joined as far as they are evaluated at once.
-    `motion` is what friction takes its velocity from where that is not the history's, which leaves the shortest ways
-    back out.
+    `resistance` is f_e interpolated on `smooth_intervals` and `side` the radial force of the wall; both are None where
+    the gut is held open, so that it presses on nothing. `spans` are the intervals joined as far as they are evaluated
+    at once. `motion` is what friction takes its velocity from where that is not the history's, which leaves short
+    reversals out.
     """
 
     contact: HemisphereContact
