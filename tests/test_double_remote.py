@@ -354,7 +354,7 @@ def card_port(doubles: RemoteDoubles) -> int:
 PARENT = """
 import os, sys, signal
 from dragrig.config.rig import RigSettings
-from dragrig.sim_backend.doubles.remote.client import Control, RemoteDoubles
+from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()
 print(doubles.process_id, flush=True)

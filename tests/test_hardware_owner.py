@@ -17,8 +17,8 @@ HOLDER = """
 import sys, time
 from pathlib import Path
 from dragrig.config.hardware import HardwareSettings
-from dragrig.rig.hardware.owner import Owner
-with Owner(HardwareSettings(), Path(sys.argv[1])):
+from dragrig.rig.hardware.rig_lock import RigLock
+with RigLock(HardwareSettings(), Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.readline()
 print("let go", flush=True)

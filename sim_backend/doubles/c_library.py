@@ -19,7 +19,7 @@ from nidaqmx._lib import DaqFunctionImporter, lib_importer
 
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.card.daqmx import CardError, StatusCode, WriteAttribute, attribute_type
+from dragrig.sim_backend.doubles.card.daqmx import WIDE_ATTRIBUTES, CardError, StatusCode, WriteAttribute
 from dragrig.sim_backend.doubles.card.tasks import AttributeValue
 
 CFunction: TypeAlias = tuple[tuple[type, ...], Callable[..., int | None]]
@@ -155,9 +155,16 @@ def _read_functions(card: Card) -> Mapping[str, CFunction]:
 
 def _digital_functions(card: Card) -> Mapping[str, CFunction]:
     def read_lines(
-        task: int, samples: int, _timeout_s: float, fill: int, place: int, size: int, count: _ResultPointer, width: _ResultPointer,
+        task: int,
+        samples: int,
+        _timeout_s: float,
+        fill: int,
+        place: int,
+        size: int,
+        count: _ResultPointer,
+        width: _ResultPointer,
         _: object,
-    ) -> None:  # fmt: skip
+    ) -> None:
         out = _array_at(place, size, np.bool_)
         got, lines = card.read_digital_lines(task, samples, fill, out)
         count[0], width[0] = c_int32(got), c_int32(lines)
@@ -264,7 +271,6 @@ def _decoded(words: bytes | None) -> str:
     return (words or b"").decode()
 
 
-_SCALARS = {"int32": "=i", "uint32": "=I", "uint64": "=Q", "bool": "=I", "double": "=d"}
 _READABLE = ("Task", "Read", "Write", "Buffer", "Timing")
 _SETTABLE = ("Read", "Write", "Buffer")
 # A C function takes a whole number and a real one in different registers, but for Windows, where the place counts.
@@ -307,9 +313,9 @@ def _without_channel(task: int, *rest: int | float) -> "tuple[int, str, tuple[in
 def _getter(card: Card, group: str, subject: Callable[..., tuple[int | str, str]]) -> Callable[..., int]:
     def get(*arguments: int) -> int:
         *whose, attribute, place, size = arguments
-        kind = _known_type(group, attribute)
         whom, channel = subject(*whose)
-        return _store_value(card.get_attribute(group, whom, attribute, channel), kind, place, size)
+        value = card.get_attribute(group, whom, attribute, channel)
+        return _store_value(value, place, size, wide=(group, attribute) in WIDE_ATTRIBUTES)
 
     return get
 
@@ -320,8 +326,8 @@ _Split = Callable[..., "tuple[int, str, tuple[int | float, ...]]"]
 def _setter(card: Card, group: str, split: _Split) -> Callable[..., None]:
     def set_(*arguments: int | float) -> None:
         task, channel, (attribute, whole, *real) = split(*arguments)
-        kind = _known_type(group, int(attribute))
-        value = _decoded_value(kind, int(whole), real[0] if real else None)
+        present = card.get_attribute(group, task, int(attribute), channel)
+        value = _decoded_value(present, int(whole), real[0] if real else None)
         card.set_attribute(group, task, int(attribute), value, channel)
 
     return set_
@@ -335,51 +341,40 @@ def _resetter(card: Card, group: str, split: _Split) -> Callable[..., None]:
     return reset
 
 
-def _known_type(group: str, attribute: int) -> str:
-    kind = attribute_type(group, attribute)
-    if kind is None:
-        raise CardError(
-            StatusCode.ATTRIBUTE_NOT_SUPPORTED,
-            f"Specified property is not supported by the device.\n\nProperty: {attribute:#x}",
-        )
-    return kind
-
-
-def _store_value(value: AttributeValue, kind: str, place: int, size: int) -> int:
-    """Write a value where it is wanted; return 0, or the size that is needed when asked with size 0."""
-    if kind in _SCALARS:
-        packed = struct.pack(_SCALARS[kind], value)
-        ctypes.memmove(place, packed, len(packed))
-        return 0
-    if isinstance(value, list):
-        packed, needed = struct.pack(f"={len(value)}d", *value), len(value)
-    else:
-        packed = str(value).encode() + b"\0"
-        needed = len(packed)
-    if size == 0:
-        return needed
+def _store_value(value: AttributeValue, place: int, size: int, *, wide: bool) -> int:
+    """Write a value in the C type of its attribute; return 0, or the size that is needed when asked with size 0."""
+    match value:
+        case int():
+            data = struct.pack("=Q" if wide else "=i" if value < 0 else "=I", value)
+            needed = size
+        case float():
+            data, needed = struct.pack("=d", value), size
+        case list():
+            data, needed = struct.pack(f"={len(value)}d", *value), len(value)
+        case str():
+            data = value.encode() + b"\0"
+            needed = len(data)
     if size < needed:
+        if size == 0:
+            return needed
         raise CardError(
             StatusCode.BUFFER_TOO_SMALL_FOR_STRING, f"Buffer is too small: {needed} are needed, {size} given."
         )
-    ctypes.memmove(place, packed, len(packed))
+    ctypes.memmove(place, data, len(data))
     return 0
 
 
-def _decoded_value(kind: str, whole: int, real: float | None) -> AttributeValue:
-    match kind:
-        case "string":
+def _decoded_value(present: AttributeValue, whole: int, real: float | None) -> AttributeValue:
+    """Return an argument as the type that the attribute has at present."""
+    match present:
+        case str():
             return ctypes.string_at(whole).decode()
-        case "double":
-            return real if real is not None else float(struct.unpack("=d", struct.pack("=Q", whole))[0])
-        case "bool":
+        case bool():
             return bool(whole & 0xFFFFFFFF)
-        case "int32":
-            return c_int32(whole & 0xFFFFFFFF).value
-        case "uint32":
-            return whole & 0xFFFFFFFF
+        case float():
+            return real if real is not None else float(struct.unpack("=d", struct.pack("=Q", whole))[0])
         case _:
-            return whole
+            return c_int32(whole & 0xFFFFFFFF).value
 
 
 ENCODING = "utf-8"

@@ -1,8 +1,8 @@
 """The monitor thread: polls drive and switches, and keeps drive and heartbeat relay alive while the program is well.
 
 A drive that receives nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees
-no edge. Both signals come from this thread, so that neither outlives the program; and both end when the program no longer
-reads its data (`Watchdog`), so that a hung program does not keep the stage moving.
+no edge. Both signals come from this thread, so that neither outlives the program; and both end when the program no
+longer reads its data (`Watchdog`), so that a hung program does not keep the stage moving.
 """
 
 import threading

@@ -275,63 +275,13 @@ class SystemAttribute(IntEnum):
     SCALES = 0x1266
 
 
-_ATTRIBUTE_TYPES: dict[str, dict[str, tuple[IntEnum, ...]]] = {
-    "task": {
-        "string": (TaskAttribute.NAME, TaskAttribute.CHANNELS, TaskAttribute.DEVICES),
-        "uint32": (TaskAttribute.NUM_CHANNELS, TaskAttribute.NUM_DEVICES),
-        "bool": (TaskAttribute.COMPLETE,),
-    },
-    "chan": {
-        "string": (ChannelAttribute.PHYSICAL, ChannelAttribute.CI_A_TERMINAL, ChannelAttribute.CI_B_TERMINAL, ChannelAttribute.CI_Z_TERMINAL),
-        "int32": (ChannelAttribute.TYPE, ChannelAttribute.AI_TERMINALS, ChannelAttribute.AI_MEASURES, ChannelAttribute.CI_MEASURES, ChannelAttribute.CI_DECODING,
-                  ChannelAttribute.CI_Z_PHASE, ChannelAttribute.CI_UNITS),
-        "uint32": (ChannelAttribute.CI_COUNT,),
-        "bool": (ChannelAttribute.CI_Z_ENABLE, ChannelAttribute.CI_A_FILTER, ChannelAttribute.CI_B_FILTER, ChannelAttribute.CI_Z_FILTER),
-        "double": (ChannelAttribute.AI_MAX, ChannelAttribute.AI_MIN, ChannelAttribute.AI_RANGE_HIGH, ChannelAttribute.AI_RANGE_LOW, ChannelAttribute.AO_MAX, ChannelAttribute.AO_MIN,
-                   ChannelAttribute.CI_Z_VALUE, ChannelAttribute.CI_A_FILTER_S, ChannelAttribute.CI_B_FILTER_S, ChannelAttribute.CI_Z_FILTER_S,
-                   ChannelAttribute.CI_DISTANCE_PER_PULSE, ChannelAttribute.CI_INITIAL_POSITION),
-    },
-    "read": {
-        "string": (ReadAttribute.CHANNELS,),
-        "int32": (ReadAttribute.RELATIVE_TO, ReadAttribute.OFFSET, ReadAttribute.OVERWRITE),
-        "uint32": (ReadAttribute.AVAILABLE, ReadAttribute.NUM_CHANNELS, ReadAttribute.LINES_PER_CHANNEL, ReadAttribute.DEFAULT_SAMPLES),
-        "uint64": (ReadAttribute.TOTAL, ReadAttribute.POSITION),
-        "bool": (ReadAttribute.AUTO_START, ReadAttribute.ALL_AVAILABLE),
-    },
-    "write": {
-        "int32": (WriteAttribute.REGENERATION,),
-        "uint32": (WriteAttribute.SPACE, WriteAttribute.NUM_CHANNELS, WriteAttribute.LINES_PER_CHANNEL),
-        "uint64": (WriteAttribute.TOTAL, WriteAttribute.POSITION),
-    },
-    "buffer": {"uint32": (BufferAttribute.INPUT, BufferAttribute.INPUT_ONBOARD, BufferAttribute.OUTPUT)},
-    "timing": {
-        "string": (TimingAttribute.SOURCE,),
-        "int32": (TimingAttribute.TYPE, TimingAttribute.QUANTITY),
-        "uint64": (TimingAttribute.SAMPLES,),
-        "double": (TimingAttribute.RATE, TimingAttribute.MAX_RATE),
-    },
-    "device": {
-        "string": (DeviceAttribute.PRODUCT, DeviceAttribute.TERMINALS, DeviceAttribute.AI, DeviceAttribute.AO, DeviceAttribute.CI, DeviceAttribute.CO, DeviceAttribute.DI_LINES,
-                   DeviceAttribute.DI_PORTS, DeviceAttribute.DO_LINES, DeviceAttribute.DO_PORTS),
-        "int32": (DeviceAttribute.CATEGORY, DeviceAttribute.BUS),
-        "uint32": (DeviceAttribute.SERIAL, DeviceAttribute.PRODUCT_NUMBER),
-        "bool": (DeviceAttribute.SIMULATED,),
-        "double": (DeviceAttribute.AI_MAX_SINGLE_RATE, DeviceAttribute.AI_MAX_RATE),
-        "double[]": (DeviceAttribute.AI_RANGES, DeviceAttribute.AO_RANGES),
-    },
-    "system": {
-        "string": (SystemAttribute.DEVICES, SystemAttribute.TASKS, SystemAttribute.CHANNELS, SystemAttribute.SCALES),
-        "uint32": (SystemAttribute.MAJOR, SystemAttribute.MINOR, SystemAttribute.UPDATE),
-    },
-}  # fmt: skip
-
-
-def attribute_type(group: str, attribute: int) -> str | None:
-    """Return the C type of an attribute's value; None for one that the double does not know.
-
-    It is one of int32, uint32, uint64, bool, double, string and double[].
-    """
-    for name, attributes in _ATTRIBUTE_TYPES.get(group, {}).items():
-        if attribute in attributes:
-            return name
-    return None
+WIDE_ATTRIBUTES = frozenset(
+    {
+        ("read", ReadAttribute.TOTAL),
+        ("read", ReadAttribute.POSITION),
+        ("write", WriteAttribute.TOTAL),
+        ("write", WriteAttribute.POSITION),
+        ("timing", TimingAttribute.SAMPLES),
+    }
+)
+"""Whole numbers of 64 bits in C; all others have 32."""

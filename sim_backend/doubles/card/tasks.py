@@ -171,10 +171,20 @@ _FILTER_WIDTH_ATTRIBUTES = (
     ChannelAttribute.CI_B_FILTER_S,
     ChannelAttribute.CI_Z_FILTER_S,
 )
-_SETTABLE = frozenset({
-    *_TERMINAL_ATTRIBUTES, *_FILTER_ATTRIBUTES, *_FILTER_WIDTH_ATTRIBUTES, ChannelAttribute.CI_DECODING, ChannelAttribute.CI_Z_ENABLE, ChannelAttribute.CI_Z_VALUE, ChannelAttribute.CI_Z_PHASE,
-    ChannelAttribute.CI_DISTANCE_PER_PULSE, ChannelAttribute.CI_INITIAL_POSITION, ChannelAttribute.CI_UNITS,
-})  # fmt: skip
+_SETTABLE = frozenset(
+    {
+        *_TERMINAL_ATTRIBUTES,
+        *_FILTER_ATTRIBUTES,
+        *_FILTER_WIDTH_ATTRIBUTES,
+        ChannelAttribute.CI_DECODING,
+        ChannelAttribute.CI_Z_ENABLE,
+        ChannelAttribute.CI_Z_VALUE,
+        ChannelAttribute.CI_Z_PHASE,
+        ChannelAttribute.CI_DISTANCE_PER_PULSE,
+        ChannelAttribute.CI_INITIAL_POSITION,
+        ChannelAttribute.CI_UNITS,
+    }
+)
 
 
 def analog_inputs(
@@ -187,9 +197,13 @@ def analog_inputs(
         place = pci6229.known(one, pci6229.AI, device)
         range_V = pci6229.input_range(place, terminals, min_V, max_V)
         properties: dict[int, AttributeValue] = {
-            ChannelAttribute.AI_MAX: max_V, ChannelAttribute.AI_MIN: min_V, ChannelAttribute.AI_RANGE_HIGH: range_V, ChannelAttribute.AI_RANGE_LOW: -range_V,
-            ChannelAttribute.AI_TERMINALS: terminals, ChannelAttribute.AI_MEASURES: _VOLTAGE,
-        }  # fmt: skip
+            ChannelAttribute.AI_MAX: max_V,
+            ChannelAttribute.AI_MIN: min_V,
+            ChannelAttribute.AI_RANGE_HIGH: range_V,
+            ChannelAttribute.AI_RANGE_LOW: -range_V,
+            ChannelAttribute.AI_TERMINALS: terminals,
+            ChannelAttribute.AI_MEASURES: _VOLTAGE,
+        }
         channels.append(_channel(device, ChannelKind.ANALOG_INPUT, place, name, range_V, properties))
     return _with_numbered_names(channels, name)
 
