@@ -6,6 +6,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from card_server import CardServer
 from simulated import NEVER, acquire
 
 from dragrig.config.friction_model import FrictionModelSettings
@@ -18,7 +19,6 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles import c_library as c_abi
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.remote_server import CardServer
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import pytest
+from pty_port import PtyPort
 from simulated import settings
 
 from dragrig.config.friction_model import FrictionModelSettings
@@ -19,7 +20,7 @@ from dragrig.rig.hardware.lines import DigitalLines, NoDigitalLines, SwitchState
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles.drive_double import DriveDouble
-from dragrig.sim_backend.doubles.serial_ports import DrivePort, PtyPort, SocketPort
+from dragrig.sim_backend.doubles.serial_ports import DrivePort, SocketPort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0

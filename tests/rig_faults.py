@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from remote_doubles import RemoteDoubles, StageStatus
 from simulated import settings
 
 import dragrig as api
@@ -32,7 +33,6 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run, RunStatus
 from dragrig.sim_backend.doubles.fault_injection import ActiveFaults
-from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles, StageStatus
 
 START_MM = 5.0
 TRAVEL_MM = 6.0

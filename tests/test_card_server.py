@@ -9,6 +9,7 @@ from contextlib import ExitStack
 import grpc
 import numpy as np
 import pytest
+from card_server import CardServer
 from simulated import settings
 
 from dragrig.config.errors import DeviceError
@@ -18,7 +19,6 @@ from dragrig.rig.hardware.backend import identify_card
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.tasks import PositionCounter, VoltageOutput
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.remote_server import CardServer
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 

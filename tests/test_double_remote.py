@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 
 import grpc
 import nidaqmx
@@ -16,13 +17,17 @@ import numpy as np
 import psutil
 import pytest
 import serial
+from card_server import UNLIMITED_MESSAGES, CardServer
 from nidaqmx.constants import AcquisitionType, EncoderType, LengthUnits, ReadRelativeTo, TaskMode, TerminalConfiguration
 from nidaqmx.errors import DaqError, DaqReadError, Error, RpcError
 from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
+from remote_doubles import ControlClient, RemoteDoubles, StageStatus
+from remote_server import ControlServer
 from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.hardware import CardSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
@@ -33,8 +38,6 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import trapezoid
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.fault_injection import FaultInjector
-from dragrig.sim_backend.doubles.remote_doubles import ControlClient, RemoteDoubles, StageStatus
-from dragrig.sim_backend.doubles.remote_server import UNLIMITED_MESSAGES, CardServer, ControlServer
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 INPUT = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
@@ -226,10 +229,10 @@ def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(world: S
         assert not isinstance(dead.value, DaqError)
 
 
-def test_without_grpc_one_sentence_says_what_to_install(world: SimulatedBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_grpc_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "grpc", None)
-    with pytest.raises(DeviceError, match=r"pip install dragrig\[grpc\]\.$"):
-        CardServer(Card(world))
+    with pytest.raises(DeviceError, match=r"install dragrig\[grpc\]\.$"):
+        Connection(CardSettings(server="127.0.0.1:1")).task()
 
 
 def test_an_acquisition_is_the_same_on_the_other_side() -> None:
@@ -354,7 +357,7 @@ def card_port(doubles: RemoteDoubles) -> int:
 PARENT = """
 import os, sys, signal
 from dragrig.config.rig import RigSettings
-from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles
+from remote_doubles import RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()
 print(doubles.process_id, flush=True)
@@ -363,7 +366,8 @@ signal.pause() if hasattr(signal, "pause") else sys.stdin.read()
 
 
 def test_the_doubles_end_with_the_process_that_started_them() -> None:
-    with subprocess.Popen([sys.executable, "-c", PARENT], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as parent:
+    program, here = [sys.executable, "-c", PARENT], Path(__file__).parent
+    with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=here) as parent:
         assert parent.stdout is not None
         doubles = psutil.Process(int(parent.stdout.readline()))
         parent.kill()

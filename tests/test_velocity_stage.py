@@ -12,6 +12,7 @@ from driving import until
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
 from voltage_bench import LEAD_S, RATE, VoltageRig, velocity_rig, voltage_rig
 
@@ -22,7 +23,6 @@ from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
-from dragrig.sim_backend.doubles.remote_doubles import RemoteDoubles
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
 
 FOLLOWS_MM = 0.1

@@ -1,11 +1,16 @@
 """NI's gRPC device service on the card's double: its calls, its attributes, and how its errors travel back.
 
-A method is named like its call.
+The real `nidaqmx` reaches it through `Task(grpc_options=…)`; it is the service that `nidaqmx` itself was generated for.
+A method of `ServiceCalls` is named like its call. As with NI's server, a task outlives the client that made it: a
+client that was killed leaves its tasks running, and the next one attaches to them by their name or finds the card
+reserved.
 """
 
 import re
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
 from typing import NoReturn, Protocol
 
 import grpc
@@ -391,3 +396,41 @@ def _abort(context: grpc.ServicerContext, method: str, error: CardError) -> NoRe
     counts = [(key, str(error.samples)) for start, key in _COUNT_KEYS.items() if method.startswith(start)]
     context.set_trailing_metadata((("ni-error", str(error.code)), *counts))
     context.abort(grpc.StatusCode.UNKNOWN, error.message)
+
+
+LOOPBACK = "127.0.0.1"
+UNLIMITED_MESSAGES = (("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1))
+"""Options of the server and of a channel to it: a long read outgrows gRPC's 4 MB."""
+_MAX_CALLS = 16
+"""Calls at once; a read that waits for samples takes one."""
+
+
+class CardServer:
+    """The server on loopback, serving from `__enter__` to `__exit__`.
+
+    Parameters
+    ----------
+    port
+        TCP port; 0 for any that is free.
+    """
+
+    def __init__(self, card: Card, port: int = 0) -> None:
+        self._server = grpc.server(
+            ThreadPoolExecutor(_MAX_CALLS, "card"),
+            handlers=[device_service(card)],
+            options=[*UNLIMITED_MESSAGES, ("grpc.so_reuseport", 0)],
+        )
+        self.port = self._server.add_insecure_port(f"{LOOPBACK}:{port}")
+
+    def __enter__(self) -> "CardServer":
+        self._server.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """End every call at once, as a server that dies; safe to call twice."""
+        self._server.stop(grace=None).wait()

@@ -1,8 +1,7 @@
 """The process of the doubles: NI's gRPC device server, the drive's port and a control socket, all on loopback.
 
-It is started as a module with `--rig FILE`, prints one line of JSON with its ports when it is ready, and ends when its
-standard input is closed, which the end of the process that started it does, or when the control socket says so. As with
-NI's server, a task outlives the client that made it.
+It is started as a script with `--rig FILE`, prints one line of JSON with its ports when it is ready, and ends when its
+standard input is closed, which the end of the process that started it does, or when the control socket says so.
 """
 
 import os
@@ -10,7 +9,6 @@ import socketserver
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -19,19 +17,9 @@ from types import TracebackType
 from typing import Self
 
 import click
+from card_server import LOOPBACK, CardServer
 from pydantic import JsonValue, TypeAdapter, ValidationError
-
-from dragrig.config.errors import DeviceError, DragrigError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
-from dragrig.config.settings import find_settings, load_settings, suggestion
-from dragrig.rig.devices import Acquisition
-from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive_double import make_drive_double
-from dragrig.sim_backend.doubles.fault_injection import ActiveFaults, FaultInjector
-from dragrig.sim_backend.doubles.remote_doubles import (
-    LOOPBACK,
+from remote_doubles import (
     REQUEST_ADAPTER,
     ControlReply,
     ControlRequest,
@@ -42,63 +30,18 @@ from dragrig.sim_backend.doubles.remote_doubles import (
     ShutDown,
     StageStatus,
 )
+
+from dragrig.config.errors import DragrigError, SettingsError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.config.settings import find_settings, load_settings, suggestion
+from dragrig.rig.devices import Acquisition
+from dragrig.rig.hardware.dialects.base import find_dialect
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.fault_injection import ActiveFaults, FaultInjector
 from dragrig.sim_backend.doubles.serial_ports import SocketPort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
-
-UNLIMITED_MESSAGES = (("grpc.max_send_message_length", -1), ("grpc.max_receive_message_length", -1))
-"""Options of the server and of a channel to it: a long read outgrows gRPC's 4 MB."""
-_MAX_CALLS = 16
-"""Calls at once; a read that waits for samples takes one."""
-
-
-class CardServer:
-    """The server, serving from `__enter__` to `__exit__`.
-
-    Parameters
-    ----------
-    card
-        What the calls act on.
-    port
-        TCP port on loopback; 0 for any that is free.
-
-    Raises
-    ------
-    DeviceError
-        When gRPC is not installed or the port is taken.
-    """
-
-    def __init__(self, card: Card, port: int = 0) -> None:
-        try:
-            import grpc
-
-            from dragrig.sim_backend.doubles.grpc_service import device_service
-        except ImportError as error:
-            raise DeviceError(
-                f"The card's double for other processes needs gRPC ({error}): pip install dragrig[grpc]."
-            ) from error
-        self._server = grpc.server(
-            ThreadPoolExecutor(_MAX_CALLS, "card"),
-            handlers=[device_service(card)],
-            options=[*UNLIMITED_MESSAGES, ("grpc.so_reuseport", 0)],
-        )
-        try:
-            self.port = self._server.add_insecure_port(f"{LOOPBACK}:{port}")
-        except RuntimeError as error:
-            raise DeviceError(f"The card's double cannot listen on {LOOPBACK}:{port}; choose another port.") from error
-
-    def __enter__(self) -> "CardServer":
-        self._server.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
-
-    def stop(self) -> None:
-        """End every call at once, as a server that dies; safe to call twice."""
-        self._server.stop(grace=None).wait()
-
 
 _FAULTS_ADAPTER = TypeAdapter(ActiveFaults)
 

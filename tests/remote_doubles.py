@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Annotated, Literal
 
+from card_server import LOOPBACK
 from pydantic import Field, JsonValue, TypeAdapter, ValidationError
 
 from dragrig.config.errors import DeviceError
@@ -20,9 +21,6 @@ from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.profile import MotionProfile, Phase, Piece
-
-LOOPBACK = "127.0.0.1"
-"""Where all of it happens."""
 
 
 class PieceMessage(Settings):
@@ -153,7 +151,7 @@ class DoublePorts(Settings):
 
 _REPLY_TIMEOUT_S = 20.0
 _EXIT_TIMEOUT_S = 10.0
-_SERVER_MODULE = "dragrig.sim_backend.doubles.remote_server"
+_SERVER = Path(__file__).with_name("remote_server.py")
 
 
 class ControlClient:
@@ -258,8 +256,7 @@ class RemoteDoubles:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
-                    "-m",
-                    "dragrig.sim_backend.doubles.remote_server",
+                    _SERVER,
                     "--rig",
                     file,
                     "--pace",
