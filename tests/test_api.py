@@ -108,7 +108,6 @@ def test_what_cannot_be_is_raised_in_words(run: dragrig.Run, tmp_path: Path) -> 
 
 
 @pytest.mark.filterwarnings("ignore")  # of the notebook's own machinery
-@pytest.mark.timeout(120)
 def test_the_example_notebook_runs(tmp_path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient

@@ -53,7 +53,6 @@ def files_in(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "command",
     [
@@ -78,7 +77,6 @@ def score_in(exam: Path) -> dict[str, object]:
     return score
 
 
-@pytest.mark.timeout(600)
 def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
     cluster: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -50,7 +50,6 @@ class Assets(HTMLParser):
             self.fetched += [value for key in ("src", "href") if (value := found.get(key))]
 
 
-@pytest.mark.timeout(300)
 def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 15
@@ -64,7 +63,6 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> No
     assert not (site / "hooks").exists()
 
 
-@pytest.mark.timeout(300)
 def test_the_reference_is_that_of_the_code(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text("utf-8")
     for name in dragrig_group.list_commands(click.Context(dragrig_group)):
@@ -78,7 +76,6 @@ def test_the_reference_is_that_of_the_code(site: Path) -> None:
     assert all(one in run_file for one in ("contact_angle_deg", "SHA-256", "decelerate"))
 
 
-@pytest.mark.timeout(900)
 def test_every_command_of_the_tutorial_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -100,7 +97,6 @@ def test_every_command_of_the_tutorial_runs(
     assert Path("first.html").stat().st_size > 10_000
 
 
-@pytest.mark.timeout(300)
 def test_the_worked_protocol_runs_as_it_stands(tmp_path: Path) -> None:
     [code] = re.findall(r"```python\n(.*?)```", (DOCS / "new-protocol.md").read_text("utf-8"), re.DOTALL)
     script = tmp_path / "staircase.py"

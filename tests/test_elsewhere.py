@@ -22,7 +22,6 @@ RADIUS_MM = 10.0
 TURN = {"time": "Time:s", "position": f"Position:rad*{RADIUS_MM:g}", "motor_force": "Iq:A*1000"}
 MOTOR = DATA / "cogging" / "speed_test.txt"
 UNCOMPENSATED_S, COMPENSATED_S = 1.9, 11.8
-SLOW = pytest.mark.timeout(600)
 
 
 def step(folder: Path, name: str, resample_hz: float) -> Diagnosis:
@@ -59,7 +58,6 @@ def unknown_without_a_rival(found: Diagnosis) -> bool:
     return found.verdict is Verdict.UNKNOWN and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
 
 
-@SLOW
 def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path) -> None:
     found = step(tmp_path, "sepiolite", 1.0)
     assert unknown_without_a_rival(found), found.ranking
@@ -71,14 +69,12 @@ def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path
     assert after == pytest.approx(1.3, abs=0.3)
 
 
-@SLOW
 def test_basalt_is_unknown_and_evolves_over_a_short_slip(tmp_path: Path) -> None:
     found = step(tmp_path, "basalt", 10.0)
     assert unknown_without_a_rival(found), found.ranking
     assert dies_away(found)[0] == pytest.approx(0.012, abs=0.005)
 
 
-@SLOW
 def test_a_motors_cogging_is_periodic_in_position_with_72_to_a_turn(tmp_path: Path) -> None:
     gaps = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):
@@ -92,7 +88,6 @@ def test_a_motors_cogging_is_periodic_in_position_with_72_to_a_turn(tmp_path: Pa
     assert gaps["uncompensated"] > 1.5 * gaps["compensated"]
 
 
-@SLOW
 def test_a_speed_that_is_not_kept_is_neither_a_lag_nor_a_wrong_scale(tmp_path: Path) -> None:
     runs = [dragrig.load(path) for path in sorted(turning(tmp_path / "set", UNCOMPENSATED_S, steady=True).glob("*.h5"))]
     for run in runs:
@@ -110,7 +105,6 @@ def test_a_command_is_not_made_where_there_is_one(tmp_path: Path) -> None:
         dragrig.import_run(MOTOR, tmp_path, {**TURN, "command": "Position:rad*10"}, steady=True)
 
 
-@SLOW
 def test_noise_comes_from_the_motion_where_nothing_rests(tmp_path: Path) -> None:
     imported = dragrig.import_run(DATA / "velocity-steps" / "basalt.txt", tmp_path, SLIP)
     noise = estimate_noise([Experiment(dragrig.load(imported.path))], "force")

@@ -40,7 +40,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path
                 time.sleep(0.05)
             kept = recorded_samples(folder)
             fill(small_disk)
-            _, said = session.communicate(timeout=20)
+            _, said = session.communicate()
         finally:
             session.kill()
     assert session.returncode == 5, said

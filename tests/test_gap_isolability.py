@@ -116,7 +116,6 @@ def test_the_page_holds_every_effect(drags: Isolability) -> None:
     assert "hardly told apart" in text
 
 
-@pytest.mark.timeout(300)
 def test_the_page_is_presentable(browser: "Browser", drags: Isolability, tmp_path: Path) -> None:
     from browsing import must_be_presentable
 

@@ -30,7 +30,6 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
     return told
 
 
-@pytest.mark.timeout(180)
 def test_diagnoses_are_those_of_each_campaign_by_itself_whoever_makes_them(
     three: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

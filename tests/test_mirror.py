@@ -16,7 +16,6 @@ from dragrig.rig.runfile import mark_bad
 from dragrig.rig.runfile.mirror import Mirror, copy_verified
 from dragrig.rig.runfile.schema import mark_path
 
-pytestmark = pytest.mark.timeout(120)
 FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
 
 

@@ -217,7 +217,6 @@ def few(made: Made, tmp_path: Path) -> Made:
     return Made(folder, made.printed)
 
 
-@pytest.mark.timeout(180)
 def test_the_command_says_where_everything_is(made: Made) -> None:
     assert made.printed["report"] == str(made.folder / PAPER_REPORT_FILE)
     assert made.printed["model"] == str(made.folder / PAPER_MODEL_FILE)
@@ -228,7 +227,6 @@ def test_the_command_says_where_everything_is(made: Made) -> None:
     assert len(identified["drag"]["speeds"]) == 11
 
 
-@pytest.mark.timeout(180)
 def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
     found = read_campaign(made.folder)
     assert not found.unreadable
@@ -270,7 +268,6 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.mark.timeout(180)
 def test_the_report_needs_nothing_but_itself(made: Made) -> None:
     read = Page()
     read.feed(made.page)
@@ -289,7 +286,6 @@ def test_the_report_needs_nothing_but_itself(made: Made) -> None:
     assert "@import" not in style
 
 
-@pytest.mark.timeout(300)
 def test_the_report_is_presentable_in_a_browser(browser: "Browser", made: Made) -> None:
     from browsing import must_be_presentable, must_sort
 
@@ -297,7 +293,6 @@ def test_the_report_is_presentable_in_a_browser(browser: "Browser", made: Made) 
     must_sort(browser, made.folder / PAPER_REPORT_FILE, "#wall > div:nth-of-type(1) table", 3)
 
 
-@pytest.mark.timeout(180)
 def test_the_report_says_what_was_simulated(made: Made) -> None:
     text = made.page
     for said in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
@@ -306,7 +301,6 @@ def test_the_report_says_what_was_simulated(made: Made) -> None:
         assert f'<article id="{one.key}">' in text
 
 
-@pytest.mark.timeout(180)
 def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
     quote = re.search(r'<p class="quoted">(.*?)</p>', made.page, re.DOTALL)
     assert quote is not None
@@ -321,7 +315,6 @@ def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
     assert len(made.rows("determination")) >= 3
 
 
-@pytest.mark.timeout(180)
 def test_every_table_parses_and_holds_what_the_model_says(made: Made) -> None:
     for name in PAPER_TABLES:
         rows = made.rows(name)
@@ -342,7 +335,6 @@ def test_every_table_parses_and_holds_what_the_model_says(made: Made) -> None:
     assert abs(miss) < 4 * float(identified["force_standard_error_mN"])
 
 
-@pytest.mark.timeout(180)
 def test_the_elements_that_were_put_in_come_back(made: Made) -> None:
     rows = made.rows("elements")
     assert len(rows) == 20
@@ -355,7 +347,6 @@ def test_the_elements_that_were_put_in_come_back(made: Made) -> None:
     assert inside >= 16
 
 
-@pytest.mark.timeout(180)
 def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
     rows = made.rows("parameters")
     assert len(rows) == 11
@@ -371,7 +362,6 @@ def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
     assert sum(float(row["low"]) <= float(row["simulated"]) <= float(row["high"]) for row in elements) >= 6
 
 
-@pytest.mark.timeout(180)
 def test_each_runs_own_factors_come_back(made: Made) -> None:
     runs = made.rows("joint-runs")
     assert len(runs) == 29
@@ -381,7 +371,6 @@ def test_each_runs_own_factors_come_back(made: Made) -> None:
     assert all(row["friction_factor"] == row["simulated_friction_factor"] == "" for row in found)
 
 
-@pytest.mark.timeout(180)
 def test_the_identified_model_is_one_that_the_simulator_loads(made: Made) -> None:
     model = find_settings(FrictionModelSettings, "model", str(made.folder / PAPER_MODEL_FILE))
     (friction,) = (row["value"] for row in made.rows("parameters") if row["parameter"] == "friction_coefficient")
@@ -390,7 +379,6 @@ def test_the_identified_model_is_one_that_the_simulator_loads(made: Made) -> Non
     assert f"dragrig run drag --model {PAPER_MODEL_FILE}" in made.page
 
 
-@pytest.mark.timeout(180)
 def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in few.folder.iterdir()}
     assert main(["paper", "--out", str(few.folder)]) == 2
@@ -408,7 +396,6 @@ def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pyt
         mine.unlink()
 
 
-@pytest.mark.timeout(180)
 def test_overwriting_takes_away_own_runs_and_nothing_else(few: Made) -> None:
     mark_bad(read_campaign(few.folder).runs[0].path, "tried")
     (few.folder / "notes.txt").write_text("mine\n", "utf-8")
@@ -417,7 +404,6 @@ def test_overwriting_takes_away_own_runs_and_nothing_else(few: Made) -> None:
     assert {path.name for path in few.folder.iterdir()} == left
 
 
-@pytest.mark.timeout(180)
 def test_other_peoples_runs_are_never_replaced(few: Made, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(Path(__file__).parent / "data" / "campaign" / "010-drag.h5", few.folder)
     before = {path.name for path in few.folder.iterdir()}

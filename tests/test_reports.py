@@ -27,7 +27,6 @@ from dragrig.rig.runfile import mark_bad, read_run
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = pytest.mark.timeout(300)  # a browser's start can be slow on a busy machine
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
 

@@ -141,7 +141,6 @@ def test_what_came_last_is_on_disk_soon_though_nothing_follows(tmp_path: Path) -
         recorder.close(RunStatus.COMPLETE, "as planned")
 
 
-@pytest.mark.timeout(240)
 def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
     viewer = (
         "import sys, h5py\n"
@@ -161,7 +160,7 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
                 assert int(process.stdout.readline()) <= 1000
                 recorder.offer(1000, arrays(1000, 2000))
                 assert float(process.stdout.readline()) == 2999
-                assert process.wait(100) == 0
+                assert process.wait() == 0
             finally:
                 process.kill()
         recorder.close(RunStatus.COMPLETE, "as planned")
@@ -281,7 +280,7 @@ print("done", first)
 def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FILLER, str(small_disk), str(Path(__file__).parent), watch],
-        capture_output=True, text=True, check=False, timeout=40,
+        capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()

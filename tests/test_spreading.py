@@ -54,7 +54,6 @@ def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_
     assert alone == [product(seed) for seed in SEEDS]
 
 
-@pytest.mark.timeout(200)
 def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
     told: list[int] = []
     killer = kill_when_begun(tmp_path, told, [])
@@ -122,7 +121,6 @@ def test_workers_are_the_cores_unless_told() -> None:
         pass
 
 
-@pytest.mark.timeout(300)
 def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -146,7 +144,6 @@ def test_a_scheduler_that_does_not_answer_is_told(address: str, monkeypatch: pyt
         pass
 
 
-@pytest.mark.timeout(200)
 def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 5)
     with (

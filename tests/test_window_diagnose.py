@@ -20,7 +20,6 @@ from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import StoredSettings
 
-pytestmark = pytest.mark.timeout(900)
 LONG_MS = 600_000
 """A diagnosis on a busy machine."""
 

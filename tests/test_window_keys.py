@@ -32,7 +32,6 @@ from dragrig.views.diagnosis_process import diagnosis_view
 from dragrig.window.main_window import MainWindow
 from dragrig.window.widgets import StoredSettings
 
-pytestmark = pytest.mark.timeout(600)
 CONTROLS = (QAbstractButton, QAbstractItemView, QAbstractSpinBox, QComboBox, QLineEdit, QPlainTextEdit, QTabBar)
 
 

@@ -22,8 +22,6 @@ from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
 from dragrig.window.widgets import StoredSettings, top_items
 
-pytestmark = pytest.mark.timeout(600)
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

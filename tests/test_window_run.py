@@ -26,7 +26,6 @@ from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import StoredSettings
 
-pytestmark = pytest.mark.timeout(600)
 BUSY_S = 600.0
 """A machine that tests may hold the window up for long."""
 

@@ -21,7 +21,7 @@ if __name__ == "__main__":
     codes = context.Queue()
     process = context.Process(target=work, args=(sys.argv[1:], codes))
     process.start()
-    print(codes.get(timeout=50), file=sys.stderr)
+    print(codes.get(), file=sys.stderr)
     process.join()
 """
 
