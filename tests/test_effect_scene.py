@@ -63,20 +63,20 @@ def test_pressing_at_the_equator_is_what_coulomb_friction_multiplies() -> None:
     elements, age = wall.equator_parameters, wall.equator_age_s
     fast, slow = (np.exp(-age * float(rate)) for rate in elements.rates)
     stress = wall.strain_at_equator * (elements.E1 * fast + elements.E2 * slow + elements.E3)
-    normal = seen.weight_mN + wall.pressing(stress)
-    moving = seen.stance.moving > 0
-    expected = seen.friction_coefficient * normal * seen.turning
+    normal = seen.weight_mN + wall.side_force(stress)
+    moving = seen.slip.moving > 0
+    expected = seen.friction_coefficient * normal * seen.coulomb_sign
     assert seen.f_c[moving] == pytest.approx(expected[moving], rel=1e-6)
 
 
 def test_starts_and_stops_are_counted_from_where_they_happen() -> None:
     seen = scene()
-    stance = seen.stance
-    assert stance.slid_mm[-1] == pytest.approx(TRAVEL)
-    assert stance.slid_mm[0] == 0.0
+    slip = seen.slip
+    assert slip.slid_mm[-1] == pytest.approx(TRAVEL)
+    assert slip.slid_mm[0] == 0.0
     stop = 1.0 + TRAVEL / SPEED + SPEED / ACCELERATION
-    assert stance.since_stop_s[-1] == pytest.approx(seen.time_s[-1] - stop)
-    assert set(stance.heading[seen.time_s > 1.01]) == {1.0}
+    assert slip.since_stop_s[-1] == pytest.approx(seen.time_s[-1] - stop)
+    assert set(slip.heading[seen.time_s > 1.01]) == {1.0}
 
 
 def test_dynamics_do_not_depend_on_where_a_straight_input_is_sampled() -> None:

@@ -28,7 +28,7 @@ def test_what_another_programme_sums_coarsely_is_not_seen_as_a_gap(seed: int, tm
 def test_midpoints_over_the_contact_come_to_its_force_where_they_are_many() -> None:
     seen = scene("drag", until_s=3.5)
     assert seen.wall is not None
-    moves = seen.stance.since_start_s > 0.05
+    moves = seen.slip.since_start_s > 0.05
     force = np.abs(seen.f_e[moves])
     few, many = (np.abs(seen.wall.coarse_resistance(panels)[moves] - force).max() for panels in (PANELS, 512))
     assert many < 0.1 * few

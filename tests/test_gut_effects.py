@@ -70,7 +70,7 @@ def middle(scene: RunState, force: FloatArray) -> float:
 
 
 def holding(scene: RunState) -> FloatArray:
-    return np.asarray(scene.stance.since_stop_s > 0.1)
+    return np.asarray(scene.slip.since_stop_s > 0.1)
 
 
 @pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
@@ -176,8 +176,10 @@ def test_a_hyperelastic_wall_raises_peaks_the_more_the_larger_the_strain_and_the
 def test_stiffening_of_all_branches_alike_is_what_the_friction_model_says_of_it() -> None:
     scene = drag(10.0)
     everywhere = added("hyperelastic_wall", scene, stiffening=0.1, power=0.0, slow_share=1.0)
-    moving = (scene.stance.moving > 0) | holding(scene)
-    assert everywhere[moving] == pytest.approx(0.1 * scene.stiff[moving], abs=0.02 * 0.1 * scene.stiff.max())
+    moving = (scene.slip.moving > 0) | holding(scene)
+    assert everywhere[moving] == pytest.approx(
+        0.1 * scene.stiffness_force[moving], abs=0.02 * 0.1 * scene.stiffness_force.max()
+    )
 
 
 def test_the_further_branch_still_relaxes_when_the_nominal_ones_have() -> None:
@@ -213,7 +215,7 @@ def test_breakaway_is_over_after_a_short_slip() -> None:
     scene = coulomb(5.0)
     force = added("breakaway", scene, slip_mm=0.1)
     assert force.max() > 5.0
-    assert np.abs(force[scene.stance.slid_mm > 1.5]).max() < 1e-3
+    assert np.abs(force[scene.slip.slid_mm > 1.5]).max() < 1e-3
     assert (force >= 0).all()
 
 
@@ -222,7 +224,7 @@ def test_presliding_friction_builds_up_and_stays_locked_in() -> None:
     force = scene.nominal + added("presliding", scene, share=1.0, deflection_mm=0.1)
     steady = scene.friction_coefficient * scene.weight_mN
     assert force[holding(scene)] == pytest.approx(steady, rel=1e-6)
-    early = (scene.stance.moving > 0) & (scene.stance.slid_mm < 0.05)
+    early = (scene.slip.moving > 0) & (scene.slip.slid_mm < 0.05)
     assert (force[early] <= scene.nominal[early]).all()
     assert force[early].sum() < 0.5 * scene.nominal[early].sum()
     half = added("presliding", scene, share=0.5)
@@ -265,7 +267,7 @@ def test_folds_pass_at_the_same_positions_at_every_speed() -> None:
     at = np.arange(5.0, 35.0, 0.5)
     shares = []
     for scene in (drag(2.0), drag(30.0)):
-        moving = scene.stance.moving > 0
+        moving = scene.slip.moving > 0
         share = added("folds", scene, wavelength_mm=5.0, phase_rad=0.7)[moving] / (scene.f_e + scene.f_c)[moving]
         shares.append(np.interp(at, scene.position_mm[moving], share))
     assert shares[0] == pytest.approx(shares[1], abs=1.5e-2)

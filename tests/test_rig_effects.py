@@ -54,7 +54,7 @@ def test_an_arm_rings_at_its_frequency_when_the_force_steps_and_shows_the_force_
     seen = scene("coulomb")
     values = {"share": 1.0, "frequency_hz": 10.0, "damping": 0.05, "by_force": 1.0}
     shown = sensor("arm_compliance").measured_force(seen, seen.nominal, values)
-    after = seen.stance.since_stop_s
+    after = seen.slip.since_stop_s
     ringing = (after > 0.01) & (after < 0.5)
     crossings = np.flatnonzero(np.diff(np.sign(shown[ringing])))
     period = 2 * np.median(np.diff(seen.time_s[ringing][crossings]))

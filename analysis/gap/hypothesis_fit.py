@@ -123,7 +123,7 @@ def _whitened_residuals(study: Study, design: Design) -> list[_WhitenedResidual]
     found = []
     for number, (sight, part) in enumerate(zip(study.sights, design.parts, strict=True)):
         scene, gain = study.scene(number, design.z)
-        if scene.closed:
+        if scene.gut_closed:
             left = part.residual - part.columns[:, nuisances.columns] @ nuisances.found
             found.append(_WhitenedResidual(sight, part, scene, gain, part.whitening.whole(left)))
     return found

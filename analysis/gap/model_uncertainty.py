@@ -84,9 +84,9 @@ def _strain_power_by_element(scene: RunState, power: int) -> list[FloatArray]:
         at_equator = (wall.strain_at_equator - REFERENCE_STRAIN) ** power * wall.strain_at_equator
         stresses = stress_log_derivatives(wall.parameters, wall.age_s) * bend
         pressed = stress_log_derivatives(wall.equator_parameters, wall.equator_age_s) * at_equator
-        rubbing, sides = scene.friction_coefficient * scene.turning, np.sign(scene.f_e)
+        rubbing, sides = scene.friction_coefficient * scene.coulomb_sign, np.sign(scene.f_e)
         pairs = zip(stresses, pressed, strict=True)
-        return [np.asarray(sides * wall.resistance(one) + rubbing * wall.pressing(other)) for one, other in pairs]
+        return [np.asarray(sides * wall.resistance(one) + rubbing * wall.side_force(other)) for one, other in pairs]
     if sheared is not None:
         factor = (sheared.target_strain - REFERENCE_STRAIN) ** power
         return [np.asarray(factor * one) for one in _sheared_force_by_element(sheared)]

@@ -69,7 +69,7 @@ class PredictedScene(RunState):
         return self.predicted
 
     @property
-    def stiff(self) -> FloatArray:
+    def stiffness_force(self) -> FloatArray:
         """Nothing grows with the stiffness of a wall."""
         return np.zeros_like(self.time_s)
 
@@ -94,7 +94,6 @@ def predicted_scene(sight: RunData, predicted: FloatArray, friction: FrictionPar
         contact=Contact.NONE if friction is None else Contact.SLIDING,
         # Sliding under a given load with no wall around it, which is what the vacuum fixture is.
         fixture=Fixture.NONE if friction is None else Fixture.VACUUM,
-        dwell_s=sight.experiment.insertion_dwell_s,
         motion=sight.experiment.motion,
         regularisation_mm_s=parts.turning_mm_s,
         f_e=nothing,

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pkgutil import iter_modules
 from types import MappingProxyType
@@ -100,14 +100,14 @@ class EffectParameter:
     ----------
     name, unit
         As in settings, the unit in the name where there is one; `1` for none.
-    role
-        Size, shape or phase; every effect has exactly one size, and at most one phase.
     default
         A plain case of the effect that runs show clearly.
     low, high
         Prior range. A size whose sign is not known has a negative `low`.
     meaning
         A few words for tables.
+    role
+        Size, shape or phase; every effect has exactly one size, and at most one phase.
     grid
         For a shape: the values that a diagnosis starts from, within the prior range; `default` alone where empty.
     bounds
@@ -116,11 +116,11 @@ class EffectParameter:
 
     name: str
     unit: str
-    role: Role
     default: float
     low: float
     high: float
     meaning: str
+    role: Role
     grid: tuple[float, ...] = ()
     bounds: tuple[float, float] | None = None
 
@@ -134,6 +134,11 @@ class EffectParameter:
         if self.bounds is not None:
             return self.bounds[0] <= value <= self.bounds[1]
         return self.low < 0 or value > 0 or (self.low == 0 and value == 0)
+
+
+size = partial(EffectParameter, role=Role.SIZE)
+shape = partial(EffectParameter, role=Role.SHAPE)
+phase = partial(EffectParameter, role=Role.PHASE)
 
 
 class Effect(ABC):
@@ -329,12 +334,12 @@ def spectral_line_effects() -> tuple[Effect, ...]:
 
 
 def confusable_effects(effect_id: str) -> frozenset[str]:
-    """Return the effects that are hardly told from one, as either's entry says; none for what is no effect."""
+    """Return the effects that runs hardly tell from this one, as either declares; none for an unknown id."""
     return _related(effect_id, {effect.id: effect.confused_with for effect in catalogue().values()})
 
 
 def similar_effects(effect_id: str) -> frozenset[str]:
-    """Return the effects that act on the same as one, as either's entry says; none for what is no effect."""
+    """Return the effects that act on the same as this one, as either declares; none for an unknown id."""
     return _related(effect_id, {effect.id: effect.similar_to for effect in catalogue().values()})
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 
@@ -22,15 +22,13 @@ class Breakaway(ForceEffect):
     )
     confused_with = ("presliding",)
     parameters = (
-        EffectParameter("ratio", "1", Role.SIZE, 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, less 1"),
-        EffectParameter(
-            "slip_mm", "mm", Role.SHAPE, 0.2, 0.02, 2.0, "slip that loses it", grid=(0.05, 0.1, 0.2, 0.4, 0.8)
-        ),
+        size("ratio", "1", 0.5, 0.0, 5.0, "friction at the start over Coulomb friction, minus 1"),
+        shape("slip_mm", "mm", 0.2, 0.02, 2.0, "slip over which it decays", grid=(0.05, 0.1, 0.2, 0.4, 0.8)),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the friction of the aged contact."""
-        return np.asarray(run.f_c * values["ratio"] * np.exp(-run.stance.slid_mm / values["slip_mm"]))
+        return np.asarray(run.f_c * values["ratio"] * np.exp(-run.slip.slid_mm / values["slip_mm"]))
 
 
 EFFECT = Breakaway()

@@ -6,19 +6,18 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import (
     Channel,
     Coordinate,
-    EffectParameter,
     Location,
     MeasuringLink,
     PositionForm,
-    Role,
     SensorEffect,
     Values,
+    size,
 )
 from dragrig.sim_backend.effects.run_state import RunState
 
 
 class ChannelLatency(SensorEffect):
-    """The force channel shows the force of `latency` ago, or of a little later where that is negative."""
+    """The force channel lags the position by `latency`, or leads it where that is negative."""
 
     id = "channel_latency"
     location = Location.ACQUISITION
@@ -32,10 +31,10 @@ class ChannelLatency(SensorEffect):
     abrupt = True
     channels = (Channel.FORCE, Channel.POSITION)
     position_form = PositionForm.DELAY
-    parameters = (EffectParameter("latency_s", "s", Role.SIZE, 0.008, -0.1, 0.1, "force behind position"),)
+    parameters = (size("latency_s", "s", 0.008, -0.1, 0.1, "delay of the force behind the position"),)
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return the force at another time; outside of the run it is as at its ends."""
+        """Return the delayed force; beyond the ends of the run it is constant."""
         return np.asarray(np.interp(run.time_s - values["latency_s"], run.time_s, force_mN))
 
 

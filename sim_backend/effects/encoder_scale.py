@@ -3,15 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    Coordinate,
-    EffectParameter,
-    EncoderEffect,
-    Location,
-    PositionForm,
-    Role,
-    Values,
-)
+from dragrig.sim_backend.effects.base import Coordinate, EncoderEffect, Location, PositionForm, Values, size
 
 
 class EncoderScale(EncoderEffect):
@@ -20,12 +12,12 @@ class EncoderScale(EncoderEffect):
     id = "encoder_scale"
     location = Location.ACQUISITION
     coordinate = Coordinate.POSITION
-    summary = "The encoder's counts times its pitch is not the distance."
-    visible_in = "position against command, in proportion to travel"
+    summary = "The encoder's counts times its pitch are not the distance travelled."
+    visible_in = "position against command, in proportion to the distance"
     source = "error of scale; Slocum, Precision Machine Design, chapter 4"
     confused_with = ("velocity_ripple",)
     position_form = PositionForm.SCALE
-    parameters = (EffectParameter("scale_error", "1", Role.SIZE, 0.002, -0.1, 0.1, "relative"),)
+    parameters = (size("scale_error", "1", 0.002, -0.1, 0.1, "relative error of scale"),)
 
     def counted_position(self, time_s: FloatArray, position_mm: FloatArray, values: Values) -> FloatArray:
         """Return the position as it is counted."""

@@ -3,14 +3,14 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState, force_of_hoop_stress
 
 MIN_SPREAD = 0.01
-"""Less than this is one branch."""
+"""Below this spread one branch is used."""
 
 N_BRANCHES = 8
-"""Maxwell branches that stand for a spread of rates."""
+"""Maxwell branches that approximate a distribution of rates."""
 
 
 def maxwell_chain(time_s: float, spread: float) -> tuple[list[float], list[float]]:
@@ -40,7 +40,7 @@ class ExtraRelaxation(ForceEffect):
     id = "extra_relaxation"
     location = Location.WALL
     coordinate = Coordinate.TIME
-    summary = "The wall relaxes on, more slowly than both Maxwell branches."
+    summary = "The wall goes on relaxing, more slowly than both Maxwell branches."
     visible_in = "long holds: relaxations, and drag runs at low speed"
     source = (
         "Maxwell chain of Fung, Biomechanics (1993), chapter 7; modified power law of Williams, "
@@ -48,27 +48,9 @@ class ExtraRelaxation(ForceEffect):
     )
     confused_with = ("force_drift", "hyperelastic_wall")
     parameters = (
-        EffectParameter("share", "1", Role.SIZE, 0.3, 0.0, 5.0, "modulus over E3"),
-        EffectParameter(
-            "time_s",
-            "s",
-            Role.SHAPE,
-            8.0,
-            1.0,
-            120.0,
-            "relaxation time",
-            grid=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0),
-        ),
-        EffectParameter(
-            "spread",
-            "1",
-            Role.SHAPE,
-            0.0,
-            0.0,
-            2.0,
-            "variance of the rates over their mean squared",
-            grid=(0.0, 1.0),
-        ),
+        size("share", "1", 0.3, 0.0, 5.0, "modulus over E3"),
+        shape("time_s", "s", 8.0, 1.0, 120.0, "relaxation time", grid=(2.0, 4.0, 8.0, 16.0, 32.0, 60.0)),
+        shape("spread", "1", 0.0, 0.0, 2.0, "variance of the rates over their mean squared", grid=(0.0, 1.0)),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:

@@ -3,16 +3,16 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.dynamics import distance_travelled
 from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_MM = 40.0
-"""Distance at which its size is named."""
+"""Distance that its size refers to."""
 
 
 class FilmDepletion(ForceEffect):
-    """f_c grows by `ratio` over the first 40 mm, as `1 − exp(−distance / length)`; a long length makes that a line."""
+    """f_c grows by `ratio` over the first 40 mm, as `1 − exp(−distance / length)`; linear for a long length."""
 
     id = "film_depletion"
     location = Location.INTERFACE
@@ -25,23 +25,16 @@ class FilmDepletion(ForceEffect):
     )
     confused_with = ("force_drift", "mesentery_tether")
     parameters = (
-        EffectParameter("ratio", "1", Role.SIZE, 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
-        EffectParameter(
-            "length_mm",
-            "mm",
-            Role.SHAPE,
-            20.0,
-            2.0,
-            500.0,
-            "where it saturates",
-            grid=(4.0, 8.0, 16.0, 32.0, 300.0),
+        size("ratio", "1", 0.3, 0.0, 3.0, "growth of friction over 40 mm"),
+        shape(
+            "length_mm", "mm", 20.0, 2.0, 500.0, "distance over which it saturates", grid=(4.0, 8.0, 16.0, 32.0, 300.0)
         ),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the friction that is added."""
-        gone = -np.expm1(-distance_travelled(run.motion, run.time_s) / values["length_mm"])
-        return np.asarray(run.f_c * values["ratio"] * gone / -np.expm1(-REFERENCE_MM / values["length_mm"]))
+        depleted = -np.expm1(-distance_travelled(run.motion, run.time_s) / values["length_mm"])
+        return np.asarray(run.f_c * values["ratio"] * depleted / -np.expm1(-REFERENCE_MM / values["length_mm"]))
 
 
 EFFECT = FilmDepletion()

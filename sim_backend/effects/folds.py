@@ -3,7 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, phase, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 WAVELENGTHS_MM = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 20, 1 / 1.5, 40))
@@ -27,16 +27,14 @@ class Folds(ForceEffect):
     similar_to = ("peristalsis",)
     period_parameter = "wavelength_mm"
     parameters = (
-        EffectParameter("depth", "1", Role.SIZE, 0.1, 0.0, 1.0, "amplitude over the nominal force"),
-        EffectParameter(
-            "wavelength_mm", "mm", Role.SHAPE, 4.0, 1.2, 25.0, "distance of the folds", grid=WAVELENGTHS_MM
-        ),
-        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -3.15, 3.15, "of the sine where the run begins"),
+        size("depth", "1", 0.1, 0.0, 1.0, "amplitude over the nominal force"),
+        shape("wavelength_mm", "mm", 4.0, 1.2, 25.0, "distance of the folds", grid=WAVELENGTHS_MM),
+        phase("phase_rad", "rad", 0.0, -3.15, 3.15, "of the sine where the run begins"),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the modulation."""
-        if not run.closed:
+        if not run.gut_closed:
             return np.zeros_like(run.time_s)
         angle = 2 * np.pi * run.position_mm / values["wavelength_mm"] + values["phase_rad"]
         return np.asarray((run.f_e + run.f_c) * values["depth"] * np.sin(angle))

@@ -3,26 +3,18 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    Coordinate,
-    EffectParameter,
-    Location,
-    MeasuringLink,
-    Role,
-    SensorEffect,
-    Values,
-)
+from dragrig.sim_backend.effects.base import Coordinate, Location, MeasuringLink, SensorEffect, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 
 class ForceDrift(SensorEffect):
-    """The zero goes to `drift` within a minute of the first sample, straight or as something that warms up."""
+    """The zero drifts by `drift` in the first minute, linearly or as a first-order warm-up."""
 
     id = "force_drift"
     display_name = "drift of the force sensor"
     location = Location.FORCE_SENSOR
     coordinate = Coordinate.TIME
-    summary = "The force sensor's zero creeps during a run."
+    summary = "The force sensor's zero drifts during a run."
     visible_in = "rest and hold of every run, blank runs included"
     link = MeasuringLink.AMPLIFIER
     source = "first-order warm-up; Fraden, Handbook of Modern Sensors, chapter 2"
@@ -30,24 +22,15 @@ class ForceDrift(SensorEffect):
     similar_to = ("peristalsis",)
     free_law = "session"
     parameters = (
-        EffectParameter("drift_mN_min", "mN/min", Role.SIZE, 10.0, -200.0, 200.0, "creep in the first minute"),
-        EffectParameter(
-            "warm_up_s",
-            "s",
-            Role.SHAPE,
-            30.0,
-            1.0,
-            3000.0,
-            "its time constant",
-            grid=(2.0, 7.0, 25.0, 1000.0),
-        ),
+        size("drift_mN_min", "mN/min", 10.0, -200.0, 200.0, "drift in the first minute"),
+        shape("warm_up_s", "s", 30.0, 1.0, 3000.0, "its time constant", grid=(2.0, 7.0, 25.0, 1000.0)),
     )
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return the force beside the zero's creep."""
+        """Return the force with the zero's drift."""
         warm_up = values["warm_up_s"]
-        crept = np.expm1(-run.time_s / warm_up) / np.expm1(-60.0 / warm_up)
-        return np.asarray(force_mN + values["drift_mN_min"] * crept)
+        drift = np.expm1(-run.time_s / warm_up) / np.expm1(-60.0 / warm_up)
+        return np.asarray(force_mN + values["drift_mN_min"] * drift)
 
 
 EFFECT = ForceDrift()

@@ -3,15 +3,15 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, Location, Role, SensorEffect, Values
+from dragrig.sim_backend.effects.base import Coordinate, Location, SensorEffect, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_LOAD_MN = 500.0
-"""Load at which the size is told, between drag forces and the peaks of relaxations."""
+"""Load that the size refers to, between drag forces and the peaks of relaxations."""
 
 
 class ForceNonlinearity(SensorEffect):
-    """The gain is off by `gain_error · (|f| / 500 mN)^power`."""
+    """The gain has the relative error `gain_error · (|f| / 500 mN)^power`."""
 
     id = "force_nonlinearity"
     display_name = "nonlinearity of the force sensor"
@@ -23,8 +23,8 @@ class ForceNonlinearity(SensorEffect):
     confused_with = ("hyperelastic_wall",)
     free_law = "load"
     parameters = (
-        EffectParameter("gain_error", "1", Role.SIZE, 0.08, -0.5, 0.5, "relative, at 500 mN"),
-        EffectParameter("power", "1", Role.SHAPE, 1.0, 0.3, 4.0, "how it grows with load", grid=(0.5, 1.0, 2.0)),
+        size("gain_error", "1", 0.08, -0.5, 0.5, "relative, at 500 mN"),
+        shape("power", "1", 1.0, 0.3, 4.0, "how it grows with load", grid=(0.5, 1.0, 2.0)),
     )
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:

@@ -3,14 +3,14 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import HoopStress, RunState, force_of_hoop_stress
 
 
 class HyperelasticWall(ForceEffect):
     """Stress of the fast branch grows by `stiffening · ε^power`, that of slow branch and spring by `slow_share` of it.
 
-    A wall that is strained fast has more of its stress in the fast branch, and so stiffens more.
+    A wall strained fast carries more of its stress in the fast branch and so stiffens more.
     """
 
     id = "hyperelastic_wall"
@@ -24,22 +24,21 @@ class HyperelasticWall(ForceEffect):
     )
     confused_with = ("extra_relaxation", "force_nonlinearity")
     parameters = (
-        EffectParameter("stiffening", "1", Role.SIZE, 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
-        EffectParameter("power", "1", Role.SHAPE, 2.0, 0.5, 5.0, "power of the strain", grid=(1.0, 2.5)),
-        EffectParameter(
+        size("stiffening", "1", 0.3, 0.0, 5.0, "growth of stress at a strain of 100 %"),
+        shape("power", "1", 2.0, 0.5, 5.0, "power of the strain", grid=(1.0, 2.5)),
+        shape(
             "slow_share",
             "1",
-            Role.SHAPE,
             0.2,
             0.0,
             1.0,
-            "part in slow branch and spring",
+            "share of the growth in slow branch and spring",
             grid=(0.0, 0.01, 0.04, 0.2, 1.0),
         ),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the further stress."""
+        """Return the force of the additional stress."""
         power, slow_share = values["power"], values["slow_share"]
         if run.sheared is not None:
             fast, slow, spring = run.sheared.stresses

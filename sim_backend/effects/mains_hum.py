@@ -5,12 +5,13 @@ import numpy as np
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import (
     Coordinate,
-    EffectParameter,
     Location,
     MeasuringLink,
-    Role,
     SensorEffect,
     Values,
+    phase,
+    shape,
+    size,
 )
 from dragrig.sim_backend.effects.run_state import RunState
 
@@ -21,16 +22,16 @@ class MainsHum(SensorEffect):
     id = "mains_hum"
     location = Location.FORCE_SENSOR
     coordinate = Coordinate.FREQUENCY
-    summary = "The force channel picks up the mains."
-    visible_in = "rest and every other phase of every run"
+    summary = "The force channel picks up the mains' frequency."
+    visible_in = "all phases of every run, rest included"
     link = MeasuringLink.AMPLIFIER
     source = "Horowitz and Hill, The Art of Electronics, chapter 8 (interference)"
     period_parameter = "frequency_hz"
     spectral_line = True
     parameters = (
-        EffectParameter("amplitude_mN", "mN", Role.SIZE, 5.0, 0.0, 100.0, "amplitude"),
-        EffectParameter("frequency_hz", "Hz", Role.SHAPE, 50.0, 45.0, 65.0, "mains frequency", grid=(50.0, 60.0)),
-        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -np.pi, np.pi, "at the session's first sample"),
+        size("amplitude_mN", "mN", 5.0, 0.0, 100.0, "amplitude"),
+        shape("frequency_hz", "Hz", 50.0, 45.0, 65.0, "mains frequency", grid=(50.0, 60.0)),
+        phase("phase_rad", "rad", 0.0, -np.pi, np.pi, "at the session's first sample"),
     )
 
     @property

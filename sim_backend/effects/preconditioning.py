@@ -3,7 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 
@@ -13,18 +13,18 @@ class Preconditioning(ForceEffect):
     id = "preconditioning"
     location = Location.SPECIMEN
     coordinate = Coordinate.SESSION
-    summary = "The first runs on a fresh specimen are stiffer, which fades from run to run."
+    summary = "A fresh specimen is stiffer in its first runs; the excess fades from run to run."
     visible_in = "relaxation and drag runs early in the order"
     source = "preconditioning towards a steady response over cycles; Fung, Biomechanics (1993), chapter 7"
     confused_with = ("tissue_ageing",)
     parameters = (
-        EffectParameter("excess", "1", Role.SIZE, 0.3, 0.0, 3.0, "relative excess of stiffness in the first run"),
-        EffectParameter("runs", "1", Role.SHAPE, 4.0, 0.5, 5.0, "runs over which it fades", grid=(1.0, 2.0, 4.0)),
+        size("excess", "1", 0.3, 0.0, 3.0, "relative excess of stiffness in the first run"),
+        shape("runs", "1", 4.0, 0.5, 5.0, "runs over which it fades", grid=(1.0, 2.0, 4.0)),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the stiffness that is added."""
-        return np.asarray(run.stiff * (values["excess"] * float(np.exp(-run.order / values["runs"]))))
+        """Return the force of the additional stiffness."""
+        return np.asarray(run.stiffness_force * (values["excess"] * float(np.exp(-run.order / values["runs"]))))
 
 
 EFFECT = Preconditioning()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.dynamics import bristle_deflection
 from dragrig.sim_backend.effects.run_state import RunState, normal_force
 
@@ -24,21 +24,20 @@ class Presliding(ForceEffect):
     confused_with = ("breakaway", "force_hysteresis")
     similar_to = ("breakaway",)
     parameters = (
-        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of Coulomb friction that builds up so"),
-        EffectParameter(
+        size("share", "1", 0.6, 0.0, 1.0, "share of Coulomb friction that builds up gradually"),
+        shape(
             "deflection_mm",
             "mm",
-            Role.SHAPE,
             0.1,
             0.01,
             2.0,
-            "distance over which it does",
+            "distance over which it builds up",
             grid=(0.03, 0.06, 0.12, 0.25, 0.5),
         ),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the friction of the bristles beside that of the share that they take."""
+        """Return the bristles' friction minus the Coulomb friction that they replace."""
         if not run.sliding:
             return np.zeros_like(run.time_s)
         bristles = bristle_deflection(run.motion, run.time_s, values["deflection_mm"])

@@ -16,13 +16,14 @@ from dragrig.rig.devices import Acquisition, Contact
 from dragrig.sim_backend.friction import prepare
 from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.contact_history import ContactHistory
+from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
 from dragrig.sim_backend.friction.motion import Motion
 from dragrig.sim_backend.friction.prepared import StickingForce
 from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, Components, SlidingForce
 from dragrig.sim_backend.friction.wall import MaxwellBranches, WallParameters, model_wall, shear_strain
 
 WALL_POINTS = 32
-"""Points of the wall; they crowd where it is first touched, as the fast branch relaxes within milliseconds."""
+"""Points of the wall; they crowd near first contact, because the fast branch relaxes within milliseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +36,9 @@ class HemisphereWall:
 
     @cached_property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
-        at, weights = np.polynomial.legendre.leggauss(WALL_POINTS)
-        at, weights = 0.5 * (1 + at), 0.5 * weights
+        nodes, weights = gauss_legendre(WALL_POINTS)
         length = self.contact.length_mm
-        return length * at**2, length * 2 * at * weights
+        return length * nodes**2, length * 2 * nodes * weights
 
     @property
     def x_mm(self) -> FloatArray:
@@ -52,7 +52,7 @@ class HemisphereWall:
 
     @property
     def strain_at_equator(self) -> float:
-        """The largest of it."""
+        """Largest hoop strain."""
         return self.contact.strain_at_equator
 
     @cached_property
@@ -76,21 +76,21 @@ class HemisphereWall:
         return model_wall(self.contact.model, np.asarray(self.strain_at_equator))
 
     def coarse_resistance(self, panels: int) -> FloatArray:
-        """Return f_e [mN] without sign, `(n,)`, by midpoints of so many panels each on fresh wall and on that found."""
+        """Return |f_e| [mN], `(n,)`, by the midpoint rule with `panels` panels each on fresh and on inherited wall."""
         length = self.contact.length_mm
-        fresh = np.minimum(self._renewed_mm, length)[:, None]
+        fresh = np.minimum(self._fresh_mm, length)[:, None]
         middle = (np.arange(panels) + 0.5) / panels
         x_mm = np.hstack((fresh * middle, fresh + (length - fresh) * middle))
         panel = np.repeat(np.hstack((fresh, length - fresh)) / panels, panels, axis=1)
         return np.asarray(np.sum(self.contact.axial_load(x_mm, self._ages(x_mm)) * panel, axis=1))
 
     def resistance(self, stress_kPa: FloatArray) -> FloatArray:
-        """f_e [mN], without sign, of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
+        """Return |f_e| [mN] of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
         weights = self._nodes[1] * self._slope / self._local_radius
         return np.asarray(stress_kPa @ weights)
 
-    def pressing(self, stress_kPa: FloatArray) -> FloatArray:
-        """P(L) S [mN] of a hoop stress at the equator, shape `(n,)` (Eqs. 7 and 13)."""
+    def side_force(self, stress_kPa: FloatArray) -> FloatArray:
+        """Return P(L) S [mN] of a hoop stress at the equator, shape `(n,)` (Eqs. 7 and 13)."""
         contact = self.contact
         return np.asarray(stress_kPa * (contact.wall_thickness_mm / contact.radius_mm * contact.area_mm2))
 
@@ -108,32 +108,32 @@ class HemisphereWall:
         return np.clip(self.time_s, 0.0, float(self.history.motion.breaks_s[-1]))
 
     @cached_property
-    def _of_stroke(self) -> npt.NDArray[np.intp]:
+    def _stroke_number(self) -> npt.NDArray[np.intp]:
         """Number of the stroke at each time."""
-        ends = [float(self.history.motion.breaks_s[one.last + 1]) for one in self.history.strokes]
+        ends = [float(self.history.motion.breaks_s[stroke.last + 1]) for stroke in self.history.strokes]
         return np.minimum(np.searchsorted(ends, self._time, side="left"), len(ends) - 1)
 
     @property
-    def _renewed_mm(self) -> FloatArray:
-        """Way since the stroke began: so much of the contact is fresh wall."""
+    def _fresh_mm(self) -> FloatArray:
+        """Distance since the stroke began: this much of the contact is fresh wall."""
         motion = self.history.motion
-        began = motion.position(np.array([float(motion.breaks_s[one.first]) for one in self.history.strokes]))
-        return np.abs(motion.position(self._time) - began[self._of_stroke])
+        begin = motion.position(np.array([float(motion.breaks_s[stroke.first]) for stroke in self.history.strokes]))
+        return np.abs(motion.position(self._time) - begin[self._stroke_number])
 
     def _ages(self, x_mm: FloatArray) -> FloatArray:
-        """Return contact ages at the same points at all times, shape `(m,)`, or at others each time, shape `(n, m)`."""
+        """Return contact ages `(n, m)` at contact coordinates `(m,)`, or `(n, m)` where they vary with time."""
         motion = self.history.motion
         x_mm = np.broadcast_to(x_mm, (self._time.size, x_mm.shape[-1]))
-        begun = np.full(x_mm.shape, -self.history.dwell_s)
+        contact_s = np.full(x_mm.shape, -self.history.dwell_s)
         for number, stroke in enumerate(self.history.strokes):
-            rows = np.flatnonzero(self._of_stroke == number)
+            rows = np.flatnonzero(self._stroke_number == number)
             z = self.history.wall_at(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
-            came = np.full(z.shape, -self.history.dwell_s)
+            stroke_contact_s = np.full(z.shape, -self.history.dwell_s)
             for segment in (*stroke.found, stroke.fresh):
                 inside = (z >= segment.rear_mm) & (z <= segment.front_mm)
-                came[inside] = self.history.begin(segment, z[inside])
-            begun[rows] = came
-        return np.asarray(np.maximum(self._time[:, None] - begun, 0.0))
+                stroke_contact_s[inside] = self.history.begin(segment, z[inside])
+            contact_s[rows] = stroke_contact_s
+        return np.asarray(np.maximum(self._time[:, None] - contact_s, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,11 +143,11 @@ class ShearedWall:
     force: StickingForce
     time_s: FloatArray
     target_strain: float
-    """Strain that the run goes to, whose elements the wall has from the beginning."""
+    """Strain that the run is sheared to; its elements apply from the beginning."""
 
     @property
     def area_mm2(self) -> float:
-        """Sheared surface: stress times this is force."""
+        """Sheared surface."""
         return self.force.area_mm2
 
     @cached_property
@@ -184,25 +184,22 @@ class ShearedWall:
         return np.clip(self.time_s, 0.0, self.force.duration_s)
 
 
-MOVING_MM_S = 1e-6
-
-
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
-    """Where each of `n` times stands between the starts and stops of a motion.
+    """Slip since the last start and time since the last start and stop, at `n` times.
 
     Attributes
     ----------
     slid_mm
-        Distance since the capsule last stood still; keeps its value after a stop, 0 before the first start.
+        Distance since the last start; keeps its value after a stop, 0 before the first start.
     since_start_s
-        Time since it last began to move; 0 before the first start.
+        Time since the last start; 0 before the first.
     since_stop_s
-        Time since it last stopped; 0 while it moves and before the first start.
+        Time since the last stop; 0 in motion and before the first start.
     heading
         Direction of the present or the last motion, 1 or −1; 0 before the first start.
     moving
-        1 while it moves, 0 while it stands.
+        1 in motion, 0 at rest.
     """
 
     slid_mm: FloatArray
@@ -220,15 +217,15 @@ class SlipHistory:
         starts = np.where((signs != 0) & (signs != before), np.arange(signs.size), -1)
         stops = np.where((signs == 0) & (before != 0), np.arange(signs.size), -1)
         start, stop = np.maximum.accumulate(starts)[index], np.maximum.accumulate(stops)[index]
-        begun, ended = start >= 0, (stop > start) & (start >= 0)
+        started, stopped = start >= 0, (stop > start) & (start >= 0)
         start_s = breaks[np.maximum(start, 0)]
-        moved = np.abs(motion.position(time_s) - motion.position(start_s))
+        slid = np.abs(motion.position(time_s) - motion.position(start_s))
         return cls(
-            slid_mm=np.where(begun, moved, 0.0),
-            since_start_s=np.where(begun, time_s - start_s, 0.0),
-            since_stop_s=np.where(ended, time_s - breaks[np.maximum(stop, 0)], 0.0),
-            heading=np.where(begun, signs[np.maximum(start, 0)], 0.0),
-            moving=np.where(begun & ~ended, 1.0, 0.0),
+            slid_mm=np.where(started, slid, 0.0),
+            since_start_s=np.where(started, time_s - start_s, 0.0),
+            since_stop_s=np.where(stopped, time_s - breaks[np.maximum(stop, 0)], 0.0),
+            heading=np.where(started, signs[np.maximum(start, 0)], 0.0),
+            moving=np.where(started & ~stopped, 1.0, 0.0),
         )
 
 
@@ -245,13 +242,11 @@ class RunState:
     order
         Number of the run on the specimen, from 0.
     contact, fixture
-        How capsule and gut meet.
-    dwell_s
-        Age of the contact at the first sample.
+        How capsule and gut touch.
     motion
         The stage's motion, as measured or as simulated.
     regularisation_mm_s
-        Speed over which Coulomb friction turns its sign.
+        Speed over which Coulomb friction changes sign.
     f_e, f_v, f_c
         Nominal parts of the sliding force, true mN; zeros where nothing slides.
     weight_mN
@@ -261,9 +256,9 @@ class RunState:
     shear
         Nominal force of a capsule that sticks; zeros where none does.
     wall
-        The wall on the capsule, for a capsule that slides in a closed gut.
+        The wall on a capsule that slides in a closed gut; None elsewhere.
     sheared
-        The wall under a capsule that sticks.
+        The wall under a capsule that sticks; None elsewhere.
     """
 
     time_s: FloatArray
@@ -271,7 +266,6 @@ class RunState:
     order: int
     contact: Contact
     fixture: Fixture
-    dwell_s: float
     motion: Motion
     regularisation_mm_s: float
     f_e: FloatArray
@@ -289,13 +283,13 @@ class RunState:
         return self.contact is Contact.SLIDING and self.fixture is not Fixture.NONE
 
     @property
-    def closed(self) -> bool:
+    def gut_closed(self) -> bool:
         """Whether the capsule slides in a closed gut: drag runs."""
         return self.wall is not None
 
     @cached_property
     def nominal(self) -> FloatArray:
-        """The nominal force."""
+        """Nominal force [mN]."""
         return self.f_e + self.f_v + self.f_c + self.shear
 
     @cached_property
@@ -315,7 +309,7 @@ class RunState:
 
     @cached_property
     def speed_mm_s(self) -> FloatArray:
-        """Its size."""
+        """Absolute velocity."""
         return np.abs(self.velocity_mm_s)
 
     @cached_property
@@ -326,23 +320,20 @@ class RunState:
         return np.asarray(pieces.acceleration_mm_s2[np.maximum(index, 0)])
 
     @cached_property
-    def turning(self) -> FloatArray:
+    def coulomb_sign(self) -> FloatArray:
         """Direction of Coulomb friction, −1 to 1, 0 at rest (Eq. 12 with its regularisation)."""
         return np.asarray(np.tanh(self.velocity_mm_s / self.regularisation_mm_s))
 
     @cached_property
-    def stance(self) -> SlipHistory:
-        """Starts and stops."""
+    def slip(self) -> SlipHistory:
+        """Slip since starts and stops."""
         return SlipHistory.of(self.motion, self.time_s)
 
     @cached_property
-    def stiff(self) -> FloatArray:
-        """What grows with the wall's stiffness: shear, f_e, and Coulomb friction without the weight's."""
-        return self.shear + self.f_e + self.f_c - self.friction_coefficient * self.weight_mN * self._slipping
-
-    @property
-    def _slipping(self) -> FloatArray:
-        return self.turning if self.sliding else np.zeros_like(self.time_s)
+    def stiffness_force(self) -> FloatArray:
+        """Force in proportion to the wall's stiffness: shear, f_e, and the part of f_c that is not the weight's."""
+        of_weight = self.friction_coefficient * self.weight_mN * self.coulomb_sign if self.sliding else 0.0
+        return self.shear + self.f_e + self.f_c - of_weight
 
 
 def gut_run_state(
@@ -353,12 +344,12 @@ def gut_run_state(
     session_start_s: float = 0.0,
     still: Motion | None = None,
 ) -> RunState:
-    """Build the scene of a run with capsule and gut.
+    """Return the state of a run with capsule and gut.
 
     Parameters
     ----------
     acquisition, settings
-        What the run is, and the nominal model of its specimen.
+        The run, and the nominal model of its specimen.
     motion
         The stage's motion.
     time_s
@@ -366,20 +357,24 @@ def gut_run_state(
     session_start_s
         The first sample on the session's clock.
     still
-        A motion for the shear of a capsule that sticks, where it is not the same: a recorded one without smoothing.
+        Motion for the shear of a capsule that sticks, if it differs: a recorded one without smoothing.
     """
     sticking = acquisition.contact is Contact.STICKING
     prepared = prepare(acquisition, settings, still if sticking and still is not None else motion)
     friction = prepared.friction
-    nothing = np.zeros_like(time_s)
-    parts = Components(nothing, nothing, nothing) if sticking else prepared.components(time_s)
+    zeros = np.zeros_like(time_s)
+    parts = Components(zeros, zeros, zeros) if sticking else prepared.components(time_s)
+    wall, sheared = None, None
+    if isinstance(friction, SlidingForce) and friction.side is not None:
+        wall = HemisphereWall(friction.contact, friction.history, time_s)
+    if isinstance(friction, StickingForce):
+        sheared = ShearedWall(friction, time_s, abs(acquisition.shear_strain))
     return RunState(
         time_s=time_s,
         session_start_s=session_start_s,
         order=acquisition.order,
         contact=acquisition.contact,
         fixture=acquisition.fixture,
-        dwell_s=acquisition.insertion_dwell_s * settings.insertion_dwell_scale,
         motion=motion,
         regularisation_mm_s=settings.regularisation_mm_s,
         f_e=parts.f_e,
@@ -387,18 +382,10 @@ def gut_run_state(
         f_c=parts.f_c,
         weight_mN=acquisition.capsule.mass_g * GRAVITY_M_S2,
         friction_coefficient=settings.friction_coefficient,
-        shear=friction.total(time_s) if isinstance(friction, StickingForce) else nothing,
-        wall=_sliding_wall(friction, time_s) if isinstance(friction, SlidingForce) else None,
-        sheared=_sheared_wall(friction, acquisition, time_s) if isinstance(friction, StickingForce) else None,
+        shear=friction.total(time_s) if isinstance(friction, StickingForce) else zeros,
+        wall=wall,
+        sheared=sheared,
     )
-
-
-def _sliding_wall(friction: SlidingForce, time_s: FloatArray) -> HemisphereWall | None:
-    return None if friction.side is None else HemisphereWall(friction.contact, friction.history, time_s)
-
-
-def _sheared_wall(friction: StickingForce, acquisition: Acquisition, time_s: FloatArray) -> ShearedWall:
-    return ShearedWall(friction, time_s, abs(acquisition.shear_strain))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -411,7 +398,7 @@ class HoopStress:
 
     @classmethod
     def of(cls, wall: WallParameters, strain: FloatArray | float, age_s: FloatArray) -> "HoopStress":
-        """Relax the wall for a contact age (Eq. 3); elements and strain broadcast against the ages."""
+        """Return the stress after a contact age (Eq. 3); elements and strain broadcast against the ages."""
         fast_rate, slow_rate = wall.rates
         return cls(
             fast=np.asarray(strain * wall.E1 * np.exp(-age_s * fast_rate)),
@@ -421,30 +408,30 @@ class HoopStress:
 
     @classmethod
     def on_hemisphere(cls, wall: HemisphereWall) -> "HoopStress":
-        """Return those of each point and time, shape `(n, m)`."""
+        """Return the stress at each time and point, shape `(n, m)`."""
         return cls.of(wall.parameters, wall.strain, wall.age_s)
 
     @classmethod
     def at_equator(cls, wall: HemisphereWall) -> "HoopStress":
-        """Return those at the equator, shape `(n,)`."""
+        """Return the stress at the equator, shape `(n,)`."""
         return cls.of(wall.equator_parameters, wall.strain_at_equator, wall.equator_age_s)
 
     @property
     def total(self) -> FloatArray:
-        """Their sum."""
+        """Total stress."""
         return self.fast + self.slow + self.spring
 
 
 def force_of_hoop_stress(
-    scene: RunState, wall: HemisphereWall, stress_kPa: FloatArray, equator_kPa: FloatArray
+    run: RunState, wall: HemisphereWall, stress_kPa: FloatArray, equator_kPa: FloatArray
 ) -> FloatArray:
-    """Return f_e and f_c [mN] of a further hoop stress, shapes `(n, m)` and `(n,)` to `(n,)` (Eqs. 9, 12 and 13)."""
-    environment = np.sign(scene.f_e) * wall.resistance(stress_kPa)
-    return np.asarray(environment + scene.friction_coefficient * scene.turning * wall.pressing(equator_kPa))
+    """Return f_e + f_c [mN] of an additional hoop stress, shapes `(n, m)` and `(n,)` to `(n,)` (Eqs. 9, 12 and 13)."""
+    environment = np.sign(run.f_e) * wall.resistance(stress_kPa)
+    return np.asarray(environment + run.friction_coefficient * run.coulomb_sign * wall.side_force(equator_kPa))
 
 
-def normal_force(scene: RunState) -> FloatArray:
+def normal_force(run: RunState) -> FloatArray:
     """Return the nominal N [mN] of a run that slides, at rest too (Eq. 13)."""
-    if scene.wall is None:
-        return np.full_like(scene.time_s, scene.weight_mN)
-    return np.asarray(scene.weight_mN + scene.wall.pressing(HoopStress.at_equator(scene.wall).total))
+    if run.wall is None:
+        return np.full_like(run.time_s, run.weight_mN)
+    return np.asarray(run.weight_mN + run.wall.side_force(HoopStress.at_equator(run.wall).total))

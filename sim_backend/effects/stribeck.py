@@ -3,7 +3,7 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 
@@ -20,22 +20,13 @@ class Stribeck(ForceEffect):
     confused_with = ("adhesion",)
     similar_to = ("adhesion", "breakaway", "wall_inertia")
     parameters = (
-        EffectParameter("ratio", "1", Role.SIZE, 0.4, 0.0, 2.0, "static over Coulomb friction, less 1"),
-        EffectParameter(
-            "speed_mm_s",
-            "mm/s",
-            Role.SHAPE,
-            3.0,
-            0.5,
-            20.0,
-            "Stribeck speed",
-            grid=(0.7, 1.5, 3.0, 6.0, 12.0),
-        ),
-        EffectParameter("power", "1", Role.SHAPE, 1.0, 0.4, 4.0, "how suddenly it falls", grid=(1.0, 2.0)),
+        size("ratio", "1", 0.4, 0.0, 2.0, "static over Coulomb friction, minus 1"),
+        shape("speed_mm_s", "mm/s", 3.0, 0.5, 20.0, "Stribeck speed", grid=(0.7, 1.5, 3.0, 6.0, 12.0)),
+        shape("power", "1", 1.0, 0.4, 4.0, "how suddenly it falls", grid=(1.0, 2.0)),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the Coulomb friction that is added."""
+        """Return the additional Coulomb friction."""
         faster = (run.speed_mm_s / values["speed_mm_s"]) ** values["power"]
         return np.asarray(run.f_c * values["ratio"] * np.exp(-faster))
 

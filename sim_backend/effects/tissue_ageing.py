@@ -3,15 +3,15 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_S = 3600.0
-"""Session time at which its size is named."""
+"""Session time that its size refers to."""
 
 
 class TissueAgeing(ForceEffect):
-    """Stiffness changes by `change` in the first hour, as `1 − exp(−time / constant)`: a line for a long constant."""
+    """Stiffness changes by `change` in the first hour, as a power of the session's time."""
 
     id = "tissue_ageing"
     location = Location.SPECIMEN
@@ -24,23 +24,22 @@ class TissueAgeing(ForceEffect):
     )
     confused_with = ("preconditioning",)
     parameters = (
-        EffectParameter("change", "1", Role.SIZE, 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"),
-        EffectParameter(
+        size("change", "1", 0.2, -0.9, 3.0, "relative change of stiffness in the first hour"),
+        shape(
             "power",
             "1",
-            Role.SHAPE,
             1.0,
             0.2,
             8.0,
-            "power of the session's time: below 1 it slows down, above it sets in late",
+            "power of the session's time: below 1 the drift slows down, above 1 it sets in late",
             grid=(0.35, 0.7, 1.4, 2.8),
         ),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the stiffness that is added."""
+        """Return the force of the additional stiffness."""
         aged = (np.maximum(run.session_s, 0.0) / REFERENCE_S) ** values["power"]
-        return np.asarray(run.stiff * values["change"] * aged)
+        return np.asarray(run.stiffness_force * values["change"] * aged)
 
 
 EFFECT = TissueAgeing()

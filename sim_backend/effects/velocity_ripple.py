@@ -3,35 +3,27 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
-    Coordinate,
-    EffectParameter,
-    Location,
-    MotorEffect,
-    PositionForm,
-    Role,
-    Values,
-)
+from dragrig.sim_backend.effects.base import Coordinate, Location, MotorEffect, PositionForm, Values, phase, shape, size
 
 PITCHES_MM = tuple(round(float(1 / wave), 3) for wave in np.linspace(1 / 20, 1.0, 40))
-"""From 20 to 1 mm, evenly in waves per mm: a stroke of 20 mm tells neighbours apart no better than half."""
+"""From 20 to 1 mm, evenly in wavenumber: over a stroke of 20 mm neighbours differ by at most half a period."""
 
 
 class VelocityRipple(MotorEffect):
-    """The stage is ahead of its command, or behind it, by a sine of where it is."""
+    """The stage deviates from its command by a sine of its position."""
 
     id = "velocity_ripple"
     location = Location.MOTOR
     coordinate = Coordinate.POSITION
     summary = "Cogging or pitch error makes the stage's velocity ripple with its position."
-    visible_in = "position against command, at the same places in every run"
+    visible_in = "position against command, at the same positions in every run"
     source = "Gieras, Piech and Tomczuk, Linear Synchronous Motors, chapter 3 (detent force)"
     period_parameter = "pitch_mm"
     position_form = PositionForm.RIPPLE
     parameters = (
-        EffectParameter("amplitude_mm", "mm", Role.SIZE, 0.03, 0.0, 1.0, "amplitude in position"),
-        EffectParameter("pitch_mm", "mm", Role.SHAPE, 5.0, 0.5, 50.0, "length of a period", grid=PITCHES_MM),
-        EffectParameter("phase_rad", "rad", Role.PHASE, 0.0, -np.pi, np.pi, "where a run starts"),
+        size("amplitude_mm", "mm", 0.03, 0.0, 1.0, "amplitude in position"),
+        shape("pitch_mm", "mm", 5.0, 0.5, 50.0, "length of a period", grid=PITCHES_MM),
+        phase("phase_rad", "rad", 0.0, -np.pi, np.pi, "where a run starts"),
     )
 
     def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:

@@ -3,11 +3,11 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, size
 from dragrig.sim_backend.effects.run_state import RunState
 
 REFERENCE_MM_S = 60.0
-"""Speed at which its force is named."""
+"""Speed that its force refers to."""
 
 
 class WallInertia(ForceEffect):
@@ -23,11 +23,11 @@ class WallInertia(ForceEffect):
         "Hoerner, Fluid-Dynamic Drag (1965), chapter 3"
     )
     confused_with = ("wall_lift_off",)
-    parameters = (EffectParameter("force_mN", "mN", Role.SIZE, 20.0, 0.0, 300.0, "force at 60 mm/s"),)
+    parameters = (size("force_mN", "mN", 20.0, 0.0, 300.0, "force at 60 mm/s"),)
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the force of inertia."""
-        if not run.closed:
+        if not run.gut_closed:
             return np.zeros_like(run.time_s)
         velocity = run.velocity_mm_s / REFERENCE_MM_S
         return np.asarray(values["force_mN"] * velocity * np.abs(velocity))

@@ -3,15 +3,15 @@
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EffectParameter, ForceEffect, Location, Role, Values
+from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
 from dragrig.sim_backend.effects.run_state import HoopStress, RunState
 
 MIN_LIFTED_MM = 1e-9
-"""Keeps a length that is 0 from dividing by it."""
+"""Avoids a division by a lifted length of 0."""
 
 
 class WallLiftOff(ForceEffect):
-    """Over the front `v^n / (v^n + speed^n)` of the contact's length `share` of the pressure is lost."""
+    """Over the front `v^n / (v^n + speed^n)` of the contact's length, `share` of the pressure is lost."""
 
     id = "wall_lift_off"
     display_name = "wall lift-off"
@@ -26,22 +26,21 @@ class WallLiftOff(ForceEffect):
     confused_with = ("wall_inertia",)
     similar_to = ("wall_inertia", "peristalsis")
     parameters = (
-        EffectParameter("share", "1", Role.SIZE, 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"),
-        EffectParameter(
+        size("share", "1", 0.6, 0.0, 1.0, "share of the pressure lost where the wall lifts off"),
+        shape(
             "speed_mm_s",
             "mm/s",
-            Role.SHAPE,
             25.0,
             8.0,
             80.0,
-            "where half the contact lifts",
+            "speed at which half the contact has lifted",
             grid=(10.0, 15.0, 22.0, 33.0, 50.0),
         ),
-        EffectParameter("power", "1", Role.SHAPE, 3.0, 1.0, 8.0, "how suddenly", grid=(2.0, 4.0)),
+        shape("power", "1", 3.0, 1.0, 8.0, "steepness of the onset", grid=(2.0, 4.0)),
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the part of f_e that is lost; the edge is blurred by a third of the length that lifts off."""
+        """Return the lost part of f_e; the edge is blurred by a third of the length that lifts off."""
         wall = run.wall
         if wall is None:
             return np.zeros_like(run.time_s)
