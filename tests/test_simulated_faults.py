@@ -126,7 +126,7 @@ def test_drive_fault_brakes_tells_and_needs_switching_off() -> None:
 
 
 def test_a_drive_fault_that_nobody_saw_stays() -> None:
-    faults = Faults(drive_fault=DriveFault(0.4), strike=lambda acquisition: acquisition is RUN)
+    faults = Faults(drive_fault=DriveFault(0.4), affects=lambda acquisition: acquisition is RUN)
     backend = session(faults=faults)
     record(backend, RUN)
     backend.sampler.arm(acquire(rest(0.1), kind="tare"))
@@ -145,7 +145,7 @@ def test_force_spike_is_on_the_force_alone() -> None:
 
 
 def test_faults_strike_only_the_chosen_acquisitions() -> None:
-    faults = Faults(drive_fault=DriveFault(0.0), strike=lambda acquisition: acquisition.order == 1)
+    faults = Faults(drive_fault=DriveFault(0.0), affects=lambda acquisition: acquisition.order == 1)
     backend = session(faults=faults)
     record(backend, acquire(stroke(), order=0))
     assert backend.stage.state().fault is None

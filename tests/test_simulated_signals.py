@@ -8,7 +8,8 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import EncoderSettings, ForceSensorSettings, MotorSettings, NoiseSettings, VariationSettings
 from dragrig.rig.devices import BackendRequest, Contact
 from dragrig.sim_backend.devices import open_backend
-from dragrig.sim_backend.devices.simulated_stage import ForceConverter, PositionEncoder
+from dragrig.sim_backend.devices.channels import ForceConverter
+from dragrig.sim_backend.devices.simulated_stage import PositionEncoder
 from dragrig.sim_backend.devices.variability import (
     BETWEEN_SPECIMENS,
     CONTACT_ANGLE_SD_DEG,

@@ -5,23 +5,17 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import ForceSensorSettings, MotorSettings, RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Channel
 from dragrig.sim_backend.devices.faults import Faults
-from dragrig.sim_backend.devices.simulated_stage import (
-    ForceConverter,
-    PositionEncoder,
-    StageMotion,
-    Track,
-    evaluate_profile,
-    motor_force,
-)
+from dragrig.sim_backend.devices.simulated_stage import PositionEncoder, StageMotion, Track, evaluate_profile
 from dragrig.sim_backend.devices.variability import draw_run_model, force_noise, motor_noise
 from dragrig.sim_backend.effects.chain import EffectChain, evaluation_rate_hz, evaluation_times
 from dragrig.sim_backend.effects.run_state import gut_run_state
@@ -30,21 +24,67 @@ from dragrig.sim_backend.friction.motion import ProfileMotion
 from dragrig.sim_backend.friction.prepared import PreparedForce
 from dragrig.sim_backend.friction.recorded_motion import RecordedMotion
 
+BEARING_SPEED_MM_S = 0.05
+"""Speed over which the Coulomb friction of the stage's bearing changes sign."""
+
+MN_PER_G_MM_S2 = 1e-3
+"""Millinewtons that accelerate one gram by one mm/s²."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceConverter:
+    """The force sensor's A/D converter: `2^bits` codes over both signs of the range."""
+
+    step_mN: float
+    lowest_code: int
+    highest_code: int
+
+    @classmethod
+    def of(cls, settings: ForceSensorSettings) -> "ForceConverter":
+        """Return the converter of the settings."""
+        half = 2 ** (settings.bits - 1)
+        return cls(step_mN=settings.range_mN / half, lowest_code=-half, highest_code=half - 1)
+
+    @property
+    def range_mN(self) -> tuple[float, float]:
+        """Least and greatest output, in single precision as recorded."""
+        ends = np.array([self.lowest_code * self.step_mN, self.highest_code * self.step_mN], dtype=np.float32)
+        return float(ends[0]), float(ends[1])
+
+    def convert(self, force_mN: FloatArray) -> npt.NDArray[np.float32]:
+        """Return the force in steps of the converter, clipped at its range; `force_mN` is overwritten."""
+        force_mN /= self.step_mN
+        np.rint(force_mN, out=force_mN)
+        np.clip(force_mN, self.lowest_code, self.highest_code, out=force_mN)
+        force_mN *= self.step_mN
+        return force_mN.astype(np.float32)
+
+
+def motor_force(settings: MotorSettings, motion: StageMotion, load_mN: FloatArray) -> FloatArray:
+    """Return the motor's force [mN]: inertia, bearing friction, offset and load."""
+    force = np.tanh(motion.velocity / BEARING_SPEED_MM_S)
+    force *= settings.coulomb_mN
+    force += settings.offset_mN
+    force += settings.viscous_mN_s_mm * motion.velocity
+    force += (settings.moving_mass_g * MN_PER_G_MM_S2) * motion.acceleration
+    force += load_mN
+    return force
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFreeSamples:
-    """What happens at `n` times, new arrays of shape `(n,)`.
+    """Motion, forces and position at `n` times before noise and converters, new arrays of shape `(n,)`.
 
     Attributes
     ----------
     motion
-        Of the stage.
+        Motion of the stage.
     counted_mm
-        Position that the encoder is to count.
+        Position before it is rounded to counts.
     force_mN
-        What the force channel shows, noise aside.
+        Force that the channel shows.
     load_mN
-        The true force on the capsule.
+        True force on the capsule.
     """
 
     motion: StageMotion
@@ -54,16 +94,16 @@ class NoiseFreeSamples:
 
 
 class RunResponse(Protocol):
-    """An acquisition's course."""
+    """How rig and gut respond to the profile of an acquisition."""
 
     def at(self, time_s: FloatArray, counted_s: FloatArray) -> NoiseFreeSamples:
-        """Return what happens at rising times, with the position at others, where the encoder is stuck."""
+        """Return the samples at rising times, the counted position at others if the encoder is stuck."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class NominalResponse:
-    """The stage follows its profile, and the gut is the model's."""
+    """Response without effects: the stage follows its profile, the gut is the nominal model's."""
 
     profile: MotionProfile
     friction: PreparedForce
@@ -83,7 +123,7 @@ class NominalResponse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseWithEffects:
-    """A course with effects, computed once at fixed times from the first sample on, so that blocks do not matter.
+    """Response with effects, computed once at fixed times from the first sample on, whatever the size of blocks.
 
     Attributes
     ----------
@@ -109,25 +149,25 @@ class ResponseWithEffects:
         rate_hz: float,
         session_start_s: float,
     ) -> "ResponseWithEffects":
-        """Compute what happens when a profile is commanded; the times depend on nothing but the acquisition."""
+        """Compute the response to a commanded profile; the times depend on the acquisition alone."""
         time = evaluation_times(profile.duration_s, evaluation_rate_hz(rate_hz, acquisition.profile.duration_s))
         path: ProfileMotion | RecordedMotion = ProfileMotion.of(profile)
         position = path.position(time)
         if chain.moves_stage:
             position = chain.stage_position(time, position)
             path = RecordedMotion.exact(time, position)
-        scene = gut_run_state(replace(acquisition, profile=profile), model, path, time, session_start_s)
-        load = chain.load(scene)
+        run = gut_run_state(replace(acquisition, profile=profile), model, path, time, session_start_s)
+        load = chain.load(run)
         return cls(
             path=path,
             time_s=time,
             counted_mm=chain.counted_position(time, position),
-            force_mN=chain.measured_force(scene, load, model.force_gain),
+            force_mN=chain.measured_force(run, load, model.force_gain),
             load_mN=load,
         )
 
     def at(self, time_s: FloatArray, counted_s: FloatArray) -> NoiseFreeSamples:
-        """Return what was computed, straight from one time to the next."""
+        """Return the computed response, linearly interpolated."""
         pieces = self.path.pieces()
         index = np.maximum(np.searchsorted(pieces.start_s, time_s, side="right") - 1, 0)
         acceleration = np.asarray(pieces.acceleration_mm_s2[index])
@@ -146,14 +186,14 @@ def recorded_channels(rig: RigSettings) -> tuple[Channel, ...]:
 
 
 class SimulatedChannels:
-    """What force sensor, encoder and motor show during one acquisition.
+    """Readings of force sensor, encoder and motor during one acquisition.
 
-    The noise belongs to the index of a sample and not to the motion, so a stop does not change it.
+    The noise is a function of the sample's index, not of the motion, so that a stop does not change it.
 
     Parameters
     ----------
     model
-        The session's model; the run's own variation is drawn from it here.
+        The session's model; the run's variation is drawn around it here.
     session_start_s
         The first sample on the session's clock.
     """
@@ -178,34 +218,34 @@ class SimulatedChannels:
         self._chain = EffectChain.of(model) if model.effects else None
         self._session_start_s = session_start_s
         self._profile = acquisition.profile
-        self._course = self._course_of(acquisition.profile)
+        self._response = self._response_to(acquisition.profile)
 
     def follow(self, track: Track) -> None:
-        """Compute from here on for another motion; nothing is done when it is the present one."""
+        """Compute further samples for another motion, if it differs from the present one."""
         if track.profile is not self._profile:
             self._profile = track.profile
-            self._course = self._course_of(track.profile)
+            self._response = self._response_to(track.profile)
 
     def compute(self, first: int, end: int, origin_mm: float) -> Mapping[str, AnyFloatArray]:
         """Return all channels from sample `first` to before `end`, read-only; `first` never goes back."""
         time = np.arange(first, end) / self._rig.sampling.rate_hz
-        now = self._course.at(time, self._faults.encoder_time(time))
+        ideal = self._response.at(time, self._faults.encoder_time(time))
         channels: dict[str, AnyFloatArray] = {}
-        force = now.force_mN + self._force_noise.read(first, end)
+        force = ideal.force_mN + self._force_noise.read(first, end)
         force += self._faults.extra_force(time)
         channels["force"] = self._converter.convert(force)
-        position = now.counted_mm
+        position = ideal.counted_mm
         position += self._faults.position_error(time)
         channels["position"] = self._encoder.record(position, origin_mm)
         if self._rig.sampling.motor_force:
-            motor = motor_force(self._rig.simulated.motor, now.motion, now.load_mN)
+            motor = motor_force(self._rig.simulated.motor, ideal.motion, ideal.load_mN)
             motor += self._motor_noise.read(first, end)
             channels["motor_force"] = motor.astype(np.float32)
         for array in channels.values():
             read_only(array)
         return channels
 
-    def _course_of(self, profile: MotionProfile) -> RunResponse:
+    def _response_to(self, profile: MotionProfile) -> RunResponse:
         if self._chain is None:
             return NominalResponse.of(self._acquisition, self._model, profile)
         rate_hz = self._rig.sampling.rate_hz
@@ -223,14 +263,14 @@ STEADY_DWELL_S = 60.0
 def steady_effect_forces(
     speeds_mm_s: FloatArray, model: FrictionModelSettings, capsule: Capsule, wall_thickness_mm: float
 ) -> FloatArray:
-    """Return what the model's effects add to what the force channel shows [mN], shape `(n,)` as the speeds.
+    """Return what the model's effects add to the force that the channel shows [mN], shape `(n,)` as the speeds.
 
     The mean over the last half of a drag of 40 mm that is the first run on its specimen.
 
     Raises
     ------
     SettingsError
-        For effects that cannot be, or a contact that the wall parameters do not reach.
+        For impossible effects, or a contact angle beyond the range of the wall parameters.
     """
     specimen = Specimen(name="steady", wall_thickness_mm=wall_thickness_mm)
     return np.array([_mean_added_force(speed, model, capsule, specimen) for speed in speeds_mm_s.tolist()])
@@ -243,5 +283,6 @@ def _mean_added_force(speed_mm_s: float, model: FrictionModelSettings, capsule: 
     half = (STEADY_TRAVEL_MM - 2 * STEADY_RAMP_MM) / speed_mm_s / 2
     end = 1.0 + 2 * STEADY_RAMP_MM / speed_mm_s + 2 * half
     time = np.linspace(end - half, end, 501)
-    affected = ResponseWithEffects.of(drag, model, profile, EffectChain.of(model), STEADY_RATE_HZ, 0.0).at(time, time)
-    return float(np.mean(affected.force_mN - NominalResponse.of(drag, model, profile).at(time, time).force_mN))
+    with_effects = ResponseWithEffects.of(drag, model, profile, EffectChain.of(model), STEADY_RATE_HZ, 0.0)
+    nominal = NominalResponse.of(drag, model, profile)
+    return float(np.mean(with_effects.at(time, time).force_mN - nominal.at(time, time).force_mN))

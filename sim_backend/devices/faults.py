@@ -84,14 +84,14 @@ class LimitSwitch:
 
 
 def every_acquisition(acquisition: Acquisition) -> bool:
-    """Choose all acquisitions, tares and ways back included."""
+    """Select all acquisitions, tares and return strokes included."""
     del acquisition
     return True
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong in each acquisition that `strike` chooses."""
+    """Faults injected into each acquisition that `affects` selects."""
 
     follow_error: FollowError | None = None
     stuck_encoder: StuckEncoder | None = None
@@ -101,25 +101,25 @@ class Faults:
     drive_fault: DriveFault | None = None
     force_spike: ForceSpike | None = None
     limit_switch: LimitSwitch | None = None
-    strike: Callable[[Acquisition], bool] = every_acquisition
+    affects: Callable[[Acquisition], bool] = every_acquisition
 
     def during(self, acquisition: Acquisition) -> "Faults":
-        """Return what goes wrong in one acquisition."""
-        return self if self.strike(acquisition) else NO_FAULTS
+        """Return the faults of one acquisition."""
+        return self if self.affects(acquisition) else NO_FAULTS
 
     def encoder_time(self, time_s: FloatArray) -> FloatArray:
-        """Return the times whose positions the encoder shows."""
+        """Return the times whose positions the encoder reports."""
         return time_s if self.stuck_encoder is None else np.minimum(time_s, self.stuck_encoder.at_s)
 
     def position_error(self, time_s: FloatArray) -> FloatArray | float:
-        """Return how far the stage is from its profile [mm]."""
+        """Return the deviation of the stage from its profile [mm]."""
         if self.follow_error is None:
             return 0.0
-        built_up = (time_s - self.follow_error.at_s) / self.follow_error.ramp_s
-        return np.asarray(self.follow_error.error_mm * np.clip(built_up, 0.0, 1.0))
+        share = (time_s - self.follow_error.at_s) / self.follow_error.ramp_s
+        return np.asarray(self.follow_error.error_mm * np.clip(share, 0.0, 1.0))
 
     def extra_force(self, time_s: FloatArray) -> FloatArray | float:
-        """Return the force on the sensor beside the gut's [mN]."""
+        """Return the additional force on the sensor [mN]."""
         if self.force_spike is None:
             return 0.0
         since = time_s - self.force_spike.at_s + TIME_TOLERANCE_S

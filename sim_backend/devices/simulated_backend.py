@@ -16,7 +16,7 @@ from dragrig.sim_backend.effects.chain import active_effects
 
 
 class VirtualClock:
-    """A clock that advances when somebody sleeps, and only then, without waiting.
+    """A clock that advances by the durations slept, without waiting.
 
     It may be read and advanced from any thread.
     """
@@ -35,7 +35,7 @@ class VirtualClock:
         return self._elapsed_s
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
-        """Advance by `duration_s` at once; return False, not advanced, when `cancel` is set."""
+        """Advance by `duration_s` at once; return False without advancing when `cancel` is set."""
         if cancel.is_set():
             return False
         if duration_s > 0:
@@ -45,19 +45,19 @@ class VirtualClock:
 
 
 class SimulatedBackend:
-    """A rig and a gut that exist in numbers only.
+    """The simulated rig and gut.
 
     Parameters
     ----------
     model
         The nominal model; with `variation.specimen` a specimen is drawn around it once, here.
     first_run_at
-        When the campaign's first run began, where the session goes on with it.
+        When the campaign's first run began, if the session resumes one.
 
     Raises
     ------
     SettingsError
-        For effects of the model that cannot be.
+        For impossible effects of the model.
     """
 
     def __init__(
@@ -84,26 +84,26 @@ class SimulatedBackend:
 
     @property
     def stage(self) -> SimulatedStage:
-        """The axis."""
+        """The simulated stage."""
         return self._stage
 
     @property
     def sampler(self) -> SimulatedSampler:
-        """The acquisition."""
+        """The simulated sampler."""
         return self._sampler
 
     @property
     def needs_hands(self) -> bool:
-        """No."""
+        """False: nothing here needs an operator."""
         return False
 
     @property
     def clock(self) -> Clock:
-        """The time that this rig lives in."""
+        """The clock of the simulated rig."""
         return self._clock
 
     def description(self) -> Mapping[str, str | float | int | bool]:
-        """Return seed, sensor, model and whether the specimen was drawn; not what was drawn."""
+        """Return seed, sensor, model and whether the specimen was drawn at random; not the values drawn."""
         return {
             "sensor_serial": self._rig.force_sensor.serial or "simulated",
             "seed": self._rig.simulated.seed,
@@ -112,7 +112,7 @@ class SimulatedBackend:
         }
 
     def examine(self) -> Iterator[RigCheck]:
-        """Say that nothing here is real; there is nothing to look at."""
+        """Report model and seed; there is no hardware to check."""
         yield RigCheck("rig", True, f"simulated: model {self._model_name}, seed {self._rig.simulated.seed}")
 
     def close(self) -> None:
@@ -123,9 +123,9 @@ class SimulatedBackend:
 
 
 def open_backend(request: BackendRequest, faults: Faults = NO_FAULTS) -> SimulatedBackend:
-    """Return a simulated rig in virtual time, or at the pace of the wall's clock when the request says so.
+    """Return a simulated rig in virtual time, or in real time when requested.
 
-    `faults` is for tests: whoever opens a backend by name cannot give it.
+    `faults` is for tests; it cannot be set for a backend opened by name.
     """
     clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
     return SimulatedBackend(request.rig, request.model, clock, faults, request.first_run_at)

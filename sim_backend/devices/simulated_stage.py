@@ -1,4 +1,4 @@
-"""The simulated stage: motion profiles evaluated fast, the axis that owns the position, limits, states and faults.
+"""The simulated stage: fast evaluation of motion profiles, the axis that owns the position, limits, states and faults.
 
 The axis is shared by stage and sampler; every method may be called from any thread, and none waits for anything but the
 lock, which is never held for long.
@@ -10,10 +10,9 @@ from bisect import bisect_right
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.rig import EncoderSettings, ForceSensorSettings, MotorSettings, StageSettings
+from dragrig.config.rig import EncoderSettings, StageSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import (
     Acquisition,
@@ -41,31 +40,31 @@ class StageMotion:
 
 
 def evaluate_profile(profile: MotionProfile, time_s: FloatArray) -> StageMotion:
-    """Evaluate a profile at increasing times, piece by piece: what its own methods give, several times faster."""
+    """Evaluate a profile at increasing times, piece by piece: several times faster than the profile's own methods."""
     position, velocity, acceleration = (np.empty_like(time_s) for _ in range(3))
     starts = np.append(profile.start_s, profile.duration_s)
     edges = np.append(np.searchsorted(time_s, starts), len(time_s))
     edges[0] = 0
-    rests_at = float(profile.position(profile.duration_s))
-    positions = np.append(profile.position_mm, rests_at).tolist()
+    end_mm = float(profile.position(profile.duration_s))
+    positions = np.append(profile.position_mm, end_mm).tolist()
     velocities = np.append(profile.velocity_mm_s, 0.0).tolist()
     accelerations = np.append(profile.acceleration_mm_s2, 0.0).tolist()
     for piece in np.flatnonzero(np.diff(edges)).tolist():
-        here = slice(edges[piece], edges[piece + 1])
+        inside = slice(edges[piece], edges[piece + 1])
         rate = accelerations[piece]
-        acceleration[here] = rate
+        acceleration[inside] = rate
         if rate == 0.0:
-            velocity[here] = velocities[piece]
-            position[here] = positions[piece] + velocities[piece] * (time_s[here] - starts[piece])
+            velocity[inside] = velocities[piece]
+            position[inside] = positions[piece] + velocities[piece] * (time_s[inside] - starts[piece])
             continue
-        elapsed = time_s[here] - starts[piece]
-        velocity[here] = velocities[piece] + rate * elapsed
-        position[here] = positions[piece] + (velocities[piece] + 0.5 * rate * elapsed) * elapsed
+        elapsed = time_s[inside] - starts[piece]
+        velocity[inside] = velocities[piece] + rate * elapsed
+        position[inside] = positions[piece] + (velocities[piece] + 0.5 * rate * elapsed) * elapsed
     return StageMotion(position, velocity, acceleration)
 
 
 def profile_position(profile: MotionProfile, time_s: float) -> float:
-    """Position [mm] at one time, cheap enough to be asked for between any two blocks."""
+    """Return the position [mm] at one time, fast enough to be called between any two blocks."""
     time_s = min(max(time_s, 0.0), profile.duration_s)
     piece = max(bisect_right(profile.start_s, time_s) - 1, 0)
     elapsed = time_s - profile.start_s.item(piece)
@@ -75,124 +74,126 @@ def profile_position(profile: MotionProfile, time_s: float) -> float:
 
 
 def standstill_profile(duration_s: float) -> MotionProfile:
-    """Return a profile that stays where it is."""
+    """Return a profile at rest."""
     return MotionProfile.from_pieces([stationary_piece(max(duration_s, 1e-3), Phase.REST)])
 
 
 def runaway_profile(
     profile: MotionProfile, at_s: float, speed_mm_s: float, until_mm: float, accel_mm_s2: float
 ) -> MotionProfile:
-    """Return a profile that is left at `at_s` for a signed speed and ends hard at `until_mm`."""
-    kept = []
+    """Return a profile that is left at `at_s` for a signed speed and hits a hard stop at `until_mm`."""
+    pieces = []
     for piece, start in zip(profile.pieces(), profile.start_s.tolist(), strict=True):
         if start < at_s:
-            kept.append(replace(piece, duration_s=min(piece.duration_s, at_s - start)))
+            pieces.append(replace(piece, duration_s=min(piece.duration_s, at_s - start)))
     change = speed_mm_s - float(profile.velocity(at_s))
-    kept.append(Piece(abs(change) / accel_mm_s2, float(np.sign(change)) * accel_mm_s2, Phase.ACCELERATE))
-    reached = MotionProfile.from_pieces(kept)
-    left_mm = until_mm - float(reached.position(reached.duration_s))
-    kept.append(Piece(max(left_mm / speed_mm_s, 0.0), 0.0, Phase.STEADY))
+    pieces.append(Piece(abs(change) / accel_mm_s2, float(np.sign(change)) * accel_mm_s2, Phase.ACCELERATE))
+    so_far = MotionProfile.from_pieces(pieces)
+    left_mm = until_mm - float(so_far.position(so_far.duration_s))
+    pieces.append(Piece(max(left_mm / speed_mm_s, 0.0), 0.0, Phase.STEADY))
     impact = 100.0 * accel_mm_s2
-    kept.append(Piece(abs(speed_mm_s) / impact, -float(np.sign(speed_mm_s)) * impact, Phase.DECELERATE))
-    return MotionProfile.from_pieces(kept)
+    pieces.append(Piece(abs(speed_mm_s) / impact, -float(np.sign(speed_mm_s)) * impact, Phase.DECELERATE))
+    return MotionProfile.from_pieces(pieces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """What the stage does from an instant on: never changed, only replaced.
+    """The stage's motion from an instant on: never changed, only replaced.
 
     Attributes
     ----------
     profile
-        The motion that takes place, whatever was commanded.
+        The actual motion, which a fault may make differ from the command.
     origin_mm
         Absolute position where it starts.
-    ends_s
-        When a stop has brought it to a standstill; infinite unless stopped.
-    fails_s, fault
-        When the drive faults and what it says; infinite and empty unless it does.
-    over_s
-        When nothing moves any more, at the latest with the end of the profile.
+    stopped_s
+        When a stop has brought it to a standstill; infinite without one.
+    fault_s, fault
+        When the drive faults, and its message; infinite and empty without a fault.
+    rest_s
+        When the stage is at rest, at the latest at the end of the profile.
     """
 
     profile: MotionProfile
     origin_mm: float
-    ends_s: float = math.inf
-    fails_s: float = math.inf
+    stopped_s: float = math.inf
+    fault_s: float = math.inf
     fault: str = ""
-    over_s: float = math.inf
+    rest_s: float = math.inf
 
     @property
     def stopped(self) -> bool:
         """Whether a stop has been commanded."""
-        return self.ends_s < math.inf
+        return self.stopped_s < math.inf
 
 
-def standstill_track(position_mm: float, sample_s: float, ends_s: float = math.inf) -> Track:
+def standstill_track(position_mm: float, sample_s: float, stopped_s: float = math.inf) -> Track:
     """Return a track that stays at an absolute position."""
-    return Track(standstill_profile(sample_s), position_mm, ends_s, over_s=0.0)
+    return Track(standstill_profile(sample_s), position_mm, stopped_s, rest_s=0.0)
 
 
 class SimulatedAxis:
-    """A track, and the reading of the clock at which it began; one that waits for a first sample has none yet."""
+    """The stage's track and the clock time at which it began; None while it waits for the first sample."""
 
     def __init__(self, clock: Clock, sample_s: float, stop_accel_mm_s2: float) -> None:
         self._clock = clock
         self._sample_s = sample_s
         self._stop_accel_mm_s2 = stop_accel_mm_s2
-        # Re-entrant, for a signal handler that stops the stage may interrupt the very thread that holds it.
+        # Re-entrant: a signal handler that stops the stage may interrupt the thread that holds the lock.
         self._lock = threading.RLock()
         self._acquisition: Acquisition | None = None
         self._sampling = False
-        self._told_s = 0.0
+        self._delivered_s = 0.0
         self._fault: Trip | None = None
         self._track = standstill_track(0.0, sample_s)
-        self._began_s: float | None = clock.monotonic()
+        self._start_s: float | None = clock.monotonic()
 
     @property
     def track(self) -> Track:
-        """What the stage does at present; a new object whenever that changes."""
+        """The present motion; a new object whenever it changes."""
         return self._track
 
     @property
     def acquisition(self) -> Acquisition | None:
-        """What the sampler is at, from arming to its last sample."""
+        """The acquisition under way, from arming to its last sample."""
         return self._acquisition
 
-    def look(self) -> tuple[float, bool, Trip | None]:
-        """Return absolute position, whether a motion is under way, and the drive's fault if it has one."""
+    def state(self) -> tuple[float, bool, Trip | None]:
+        """Return the absolute position, whether the stage moves, and the drive's fault if any."""
         with self._lock:
             return self._position(), self._moving(), self._latched_fault()
 
     @property
     def fault(self) -> Trip | None:
-        """The drive's fault; None when it has none."""
+        """The drive's fault, if any."""
         with self._lock:
             return self._latched_fault()
 
-    def expect(self, acquisition: Acquisition) -> None:
+    def arm(self, acquisition: Acquisition) -> None:
         """Let the next motion begin with this acquisition's first sample."""
         with self._lock:
             if self._moving():
-                raise DeviceError("the sampler cannot be armed while the stage moves: wait or stop it first.")
+                raise DeviceError(
+                    "the sampler cannot be armed while the stage moves: wait until it stands, or stop it first."
+                )
             self._acquisition = acquisition
             self._sampling = False
 
     def begin_sampling(self) -> float:
-        """Take the first sample, let go of a motion that waits for it, and return the clock's reading."""
+        """Take the first sample, start a motion that waits for it, and return the clock time."""
         with self._lock:
-            if self._began_s is not None:
-                self._stand_at(self._position())
-            self._began_s = self._clock.monotonic()
-            self._told_s = 0.0
+            if self._start_s is not None:
+                self._rest_at(self._position())
+            self._start_s = self._clock.monotonic()
+            self._delivered_s = 0.0
             self._sampling = True
-            return self._began_s
+            return self._start_s
 
     def end_sampling(self) -> None:
-        """Forget the acquisition; a motion under way goes on, one that still waits is dropped."""
+        """Forget the acquisition; a motion under way goes on, a waiting one is dropped."""
         with self._lock:
-            if self._began_s is None:
-                self._stand_at(self._track.origin_mm)
+            if self._start_s is None:
+                self._rest_at(self._track.origin_mm)
             self._acquisition = None
             self._sampling = False
 
@@ -202,117 +203,81 @@ class SimulatedAxis:
         Raises
         ------
         DeviceError
-            When the first sample is already past.
+            When a sample has been delivered already.
         """
         with self._lock:
-            if self._sampling and self._told_s > 0:
-                raise DeviceError("the stage was told to move after the first sample: start it before reading a block.")
+            if self._sampling and self._delivered_s > 0:
+                raise DeviceError("the stage was commanded to move after the first block: start it before reading one.")
             if self._acquisition is None:
-                self._began_s = self._clock.monotonic()
-                self._told_s = 0.0
+                self._start_s = self._clock.monotonic()
+                self._delivered_s = 0.0
             elif not self._sampling:
-                self._began_s = None
+                self._start_s = None
             self._track = track
 
     def place(self, position_mm: float) -> None:
-        """Stand still at a position."""
+        """Come to rest at a position at once."""
         with self._lock:
-            self._stand_at(position_mm)
+            self._rest_at(position_mm)
 
-    def claim(self, track: Track, until_s: float) -> bool:
-        """Hand out the samples before `until_s`; False when `track` is no longer what the stage does."""
+    def deliver(self, track: Track, until_s: float) -> bool:
+        """Mark the samples before `until_s` as delivered; False when `track` is no longer the present motion."""
         with self._lock:
             if self._track is not track:
                 return False
-            self._told_s = until_s
+            self._delivered_s = until_s
             return True
 
     def stop(self) -> None:
-        """Brake from the later of now and the end of the samples handed out; nothing more when already stopped."""
+        """Brake from the later of now and the last delivered sample; without effect when stopped already."""
         with self._lock:
             track = self._track
             if track.stopped:
                 return
-            if self._began_s is None:
-                self._track = standstill_track(track.origin_mm, self._sample_s, ends_s=0.0)
+            if self._start_s is None:
+                self._track = standstill_track(track.origin_mm, self._sample_s, stopped_s=0.0)
                 return
             now = self._elapsed()
             if not self._moving():
-                self._track = replace(track, ends_s=now)
+                self._track = replace(track, stopped_s=now)
                 return
             braked = track.profile.stopped(now, self._stop_accel_mm_s2, hold_s=self._sample_s)
-            self._track = replace(track, profile=braked, ends_s=max(now, braked.duration_s), over_s=math.inf)
+            self._track = replace(track, profile=braked, stopped_s=max(now, braked.duration_s), rest_s=math.inf)
 
     def clear_fault(self) -> None:
-        """Forget the drive's fault."""
+        """Clear the drive's fault."""
         with self._lock:
             self._fault = None
-            self._track = replace(self._track, fails_s=math.inf)
+            self._track = replace(self._track, fault_s=math.inf)
 
-    def _stand_at(self, position_mm: float) -> None:
+    def _rest_at(self, position_mm: float) -> None:
         self._latched_fault()
         self._track = standstill_track(position_mm, self._sample_s)
-        self._began_s = self._clock.monotonic()
-        self._told_s = 0.0
+        self._start_s = self._clock.monotonic()
+        self._delivered_s = 0.0
 
     def _elapsed(self) -> float:
-        return 0.0 if self._began_s is None else max(self._clock.monotonic() - self._began_s, self._told_s)
+        return 0.0 if self._start_s is None else max(self._clock.monotonic() - self._start_s, self._delivered_s)
 
-    def _over(self) -> bool:
+    def _at_rest(self) -> bool:
         # An acquisition ends up to half a sample before its profile.
-        over_s = min(self._track.over_s, self._track.profile.duration_s)
-        return self._elapsed() + 0.501 * self._sample_s >= over_s
+        rest_s = min(self._track.rest_s, self._track.profile.duration_s)
+        return self._elapsed() + 0.501 * self._sample_s >= rest_s
 
     def _moving(self) -> bool:
-        if self._began_s is None:
+        if self._start_s is None:
             return not self._track.stopped
-        return not self._over()
+        return not self._at_rest()
 
     def _position(self) -> float:
         track = self._track
-        time_s = track.profile.duration_s if self._over() and self._began_s is not None else self._elapsed()
+        time_s = track.profile.duration_s if self._at_rest() and self._start_s is not None else self._elapsed()
         return track.origin_mm + profile_position(track.profile, time_s)
 
     def _latched_fault(self) -> Trip | None:
-        if self._track.fails_s < math.inf and self._elapsed() >= self._track.fails_s:
+        if self._track.fault_s < math.inf and self._elapsed() >= self._track.fault_s:
             self._fault = Trip(TripCause.DRIVE_FAULT, f"the drive reports {self._track.fault}")
         return self._fault
-
-
-BEARING_SPEED_MM_S = 0.05
-"""Speed over which the Coulomb friction of the stage's bearing turns its sign."""
-
-MN_PER_G_MM_S2 = 1e-3
-"""Millinewtons that accelerate one gram by one mm/s²."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForceConverter:
-    """A force sensor's converter: `2^bits` codes over both signs of the range."""
-
-    step_mN: float
-    lowest_code: int
-    highest_code: int
-
-    @classmethod
-    def of(cls, settings: ForceSensorSettings) -> "ForceConverter":
-        """Return the converter that the settings name."""
-        half = 2 ** (settings.bits - 1)
-        return cls(step_mN=settings.range_mN / half, lowest_code=-half, highest_code=half - 1)
-
-    @property
-    def range_mN(self) -> tuple[float, float]:
-        """Least and greatest force that can come out, as they come out: in single precision."""
-        ends = np.array([self.lowest_code * self.step_mN, self.highest_code * self.step_mN], dtype=np.float32)
-        return float(ends[0]), float(ends[1])
-
-    def convert(self, force_mN: FloatArray) -> npt.NDArray[np.float32]:
-        """Return the force in steps of the converter, clipped at its range; `force_mN` is used up."""
-        force_mN /= self.step_mN
-        np.rint(force_mN, out=force_mN)
-        np.clip(force_mN, self.lowest_code, self.highest_code, out=force_mN)
-        force_mN *= self.step_mN
-        return force_mN.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,7 +288,7 @@ class PositionEncoder:
 
     @classmethod
     def of(cls, settings: EncoderSettings) -> "PositionEncoder":
-        """Return the encoder that the settings name."""
+        """Return the encoder of the settings."""
         return cls(counts_per_mm=1000.0 / settings.resolution_um)
 
     def read(self, position_mm: float) -> float:
@@ -331,7 +296,7 @@ class PositionEncoder:
         return round(position_mm * self.counts_per_mm) / self.counts_per_mm
 
     def record(self, position_mm: FloatArray, origin_mm: float) -> FloatArray:
-        """Return positions as counted since `origin_mm`; `position_mm`, relative to it, is used up.
+        """Return positions as counted from `origin_mm`; `position_mm`, relative to it, is overwritten.
 
         Double precision: at 300 mm, single precision would be off by 15 nm.
         """
@@ -343,24 +308,13 @@ class PositionEncoder:
         return position_mm
 
 
-def motor_force(settings: MotorSettings, motion: StageMotion, load_mN: FloatArray) -> FloatArray:
-    """Return the force [mN] that the motor gives: inertia, bearing friction, offset and the load it pulls."""
-    force = np.tanh(motion.velocity / BEARING_SPEED_MM_S)
-    force *= settings.coulomb_mN
-    force += settings.offset_mN
-    force += settings.viscous_mN_s_mm * motion.velocity
-    force += (settings.moving_mass_g * MN_PER_G_MM_S2) * motion.acceleration
-    force += load_mN
-    return force
-
-
 LIMIT_TOLERANCE_MM = 1e-6
 END_STOP_MM = 5.0
-"""How far beyond the soft limits the hard end of the axis lies."""
+"""Distance from each soft limit to the hard end of the axis."""
 
 
 class SimulatedStage:
-    """One axis that follows profiles exactly, as long as no fault says otherwise."""
+    """One axis that follows profiles exactly, except for injected faults."""
 
     def __init__(self, settings: StageSettings, axis: SimulatedAxis, encoder: PositionEncoder, faults: Faults) -> None:
         self._limits = stage_limits(settings)
@@ -416,10 +370,10 @@ class SimulatedStage:
         with self._commands:
             self._refuse_unready()
             if not self._homed:
-                raise DeviceError("the stage does not know where it is: home it before it moves.")
+                raise DeviceError("the stage is not homed: home it before it moves.")
             if profile.duration_s <= 0:
                 return
-            origin_mm, _, _ = self._axis.look()
+            origin_mm, _, _ = self._axis.state()
             limits = limits_with_override(self._limits, self._overridden(moving=False), origin_mm)
             require_within_limits(profile, origin_mm, limits, LIMIT_TOLERANCE_MM)
             self._axis.begin(self._track(profile, origin_mm))
@@ -435,7 +389,7 @@ class SimulatedStage:
         self._axis.stop()
 
     def override_limit(self, side: TravelEnd) -> None:
-        """Free one motion from the limit switch and the soft limit of this side."""
+        """Exempt one motion from the limit switch and the soft limit at this end."""
         with self._commands:
             self._override, self._override_used = side, False
 
@@ -449,15 +403,15 @@ class SimulatedStage:
 
     @property
     def fault(self) -> Trip | None:
-        """What the drive reports; None when nothing."""
+        """Fault that the drive or a limit switch reports, if any."""
         if self._faults.limit_switch is None:
             return self._axis.fault
-        position_mm, moving, fault = self._axis.look()
+        position_mm, moving, fault = self._axis.state()
         return fault or self._pressed_switch(position_mm, moving)
 
     def state(self) -> StageState:
-        """Where the stage is, to the encoder's resolution, and how it is."""
-        position_mm, moving, fault = self._axis.look()
+        """Return position to the encoder's resolution, and the drive's state."""
+        position_mm, moving, fault = self._axis.state()
         fault = fault or self._pressed_switch(position_mm, moving)
         return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
 
@@ -473,27 +427,30 @@ class SimulatedStage:
 
     def _refuse_fault(self) -> None:
         if fault := self.fault:
-            raise DeviceError(f"{fault.message}: see to it, then switch the drive off and on.")
+            raise DeviceError(f"{fault.message}: mend its cause, then switch the drive off and on.")
 
     def _refuse_unready(self) -> None:
         self._refuse_fault()
         if not self._enabled:
             raise DeviceError("the drive is off: enable the stage first.")
-        if self._axis.look()[1]:
+        if self._axis.state()[1]:
             raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
 
     def _track(self, profile: MotionProfile, origin_mm: float) -> Track:
         acquisition = self._axis.acquisition
         faults = NO_FAULTS if acquisition is None else self._faults.during(acquisition)
         if faults.runaway is not None:
-            away = faults.runaway
-            end = self._limits.highest_mm + END_STOP_MM if away.speed_mm_s > 0 else self._limits.lowest_mm - END_STOP_MM
+            runaway = faults.runaway
+            end = (
+                self._limits.highest_mm + END_STOP_MM
+                if runaway.speed_mm_s > 0
+                else self._limits.lowest_mm - END_STOP_MM
+            )
             accel = self._limits.acceleration_mm_s2
-            profile = runaway_profile(profile, away.at_s, away.speed_mm_s, end - origin_mm, accel)
+            profile = runaway_profile(profile, runaway.at_s, runaway.speed_mm_s, end - origin_mm, accel)
         if faults.drive_fault is None:
             return Track(profile, origin_mm)
-        failing = faults.drive_fault
-        braked = profile.stopped(failing.at_s, self._stop_accel_mm_s2, hold_s=profile.duration_s)
-        braking_s = abs(float(profile.velocity(failing.at_s))) / self._stop_accel_mm_s2
-        over_s = failing.at_s + braking_s
-        return Track(braked, origin_mm, fails_s=failing.at_s, fault=failing.message, over_s=over_s)
+        fault = faults.drive_fault
+        braked = profile.stopped(fault.at_s, self._stop_accel_mm_s2, hold_s=profile.duration_s)
+        braking_s = abs(float(profile.velocity(fault.at_s))) / self._stop_accel_mm_s2
+        return Track(braked, origin_mm, fault_s=fault.at_s, fault=fault.message, rest_s=fault.at_s + braking_s)

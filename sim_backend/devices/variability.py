@@ -28,13 +28,13 @@ class RandomStream(IntEnum):
 
 
 def random_generator(seed: int, stream: RandomStream, order: int = 0, name: str = "") -> np.random.Generator:
-    """Return the generator of one stream, the same whenever it is asked for; `name` separates those of one run."""
+    """Return the generator of one stream, always in its initial state; `name` distinguishes the streams of one run."""
     entropy = (seed, order, int(stream), zlib.crc32(name.encode()))
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(entropy)))
 
 
 def noise_name(acquisition: Acquisition) -> str:
-    """Return what separates the noise of acquisitions of one `order`: a tare, a way to the start, the run itself."""
+    """Return a name that distinguishes acquisitions of one `order`: a tare, a move to the start, the run itself."""
     return f"{acquisition.kind} {acquisition.contact} {round(acquisition.profile.duration_s * 1e6)}"
 
 
@@ -56,37 +56,37 @@ class SlowNoise:
         self._random = random
         self._filter = lfilter
         self._decay = math.exp(-step)
-        self._drive = deviation * math.sqrt(-math.expm1(-2.0 * step))
-        self._carried = np.array([self._decay * deviation * float(random.standard_normal())])
+        self._innovation_sd = deviation * math.sqrt(-math.expm1(-2.0 * step))
+        self._state = np.array([self._decay * deviation * float(random.standard_normal())])
 
     def draw(self, samples: int) -> FloatArray:
         """Return the next samples, shape `(samples,)`."""
-        drive = self._random.standard_normal(samples)
-        drive *= self._drive
-        values, self._carried = self._filter([1.0], [1.0, -self._decay], drive, zi=self._carried)
+        innovations = self._random.standard_normal(samples)
+        innovations *= self._innovation_sd
+        values, self._state = self._filter([1.0], [1.0, -self._decay], innovations, zi=self._state)
         return np.asarray(values)
 
 
 class BufferedNoise:
-    """A random signal drawn once and in order, kept from the oldest sample that is still wanted."""
+    """A random signal drawn once and in order; samples before the last one read from are dropped."""
 
     def __init__(self, draw: Callable[[int], FloatArray]) -> None:
         self._draw = draw
-        self._kept = np.zeros(0)
+        self._buffer = np.zeros(0)
         self._first = 0
 
     def read(self, first: int, end: int) -> FloatArray:
-        """Return samples `first` to `end` of the signal and forget those before; `first` never goes back."""
-        passed_over = first - self._first - len(self._kept)
-        if passed_over > 0:
-            self._draw(passed_over)
-        self._kept = self._kept[first - self._first :]
+        """Return samples `first` to `end` of the signal and drop those before; `first` must not decrease."""
+        skipped = first - self._first - len(self._buffer)
+        if skipped > 0:
+            self._draw(skipped)
+        self._buffer = self._buffer[first - self._first :]
         self._first = first
-        missing = end - first - len(self._kept)
+        missing = end - first - len(self._buffer)
         if missing > 0:
-            fresh = self._draw(missing)
-            self._kept = np.concatenate((self._kept, fresh)) if len(self._kept) else fresh
-        return self._kept[: end - first]
+            drawn = self._draw(missing)
+            self._buffer = np.concatenate((self._buffer, drawn)) if len(self._buffer) else drawn
+        return self._buffer[: end - first]
 
 
 def force_noise(settings: NoiseSettings, seed: int, acquisition: Acquisition, sample_rate_hz: float) -> BufferedNoise:
@@ -112,7 +112,7 @@ def force_noise(settings: NoiseSettings, seed: int, acquisition: Acquisition, sa
 
 
 def motor_noise(settings: MotorSettings, seed: int, acquisition: Acquisition) -> BufferedNoise:
-    """Return the motor force's noise [mN], white."""
+    """Return the white noise of the motor force [mN]."""
     random = random_generator(seed, RandomStream.MOTOR, acquisition.order, noise_name(acquisition))
 
     def draw(samples: int) -> FloatArray:
@@ -147,21 +147,21 @@ MAX_DEVIATIONS = 3.0
 def lognormal_variation(nominal: float, relative_deviation: float, normal: float) -> float:
     """Return `nominal` times a lognormal factor of mean 1 and this relative standard deviation.
 
-    `normal` is the standard normal draw, clipped at `MAX_DEVIATIONS`.
+    `normal` is a standard normal deviate; it is clipped at `MAX_DEVIATIONS`.
     """
     width = math.sqrt(math.log1p(relative_deviation**2))
     return nominal * math.exp(width * min(max(normal, -MAX_DEVIATIONS), MAX_DEVIATIONS) - 0.5 * width**2)
 
 
 def draw_specimen_model(model: FrictionModelSettings, seed: int) -> FrictionModelSettings:
-    """Return the model of one specimen out of many: lognormal factors, and a clipped normal contact angle."""
+    """Return the model of a random specimen: lognormal factors, and a clipped normal contact angle."""
     normals = random_generator(seed, RandomStream.SPECIMEN).standard_normal(len(BETWEEN_SPECIMENS) + 1)
     drawn = {
         name: lognormal_variation(float(getattr(model, name)), deviation, float(normal))
         for (name, deviation), normal in zip(BETWEEN_SPECIMENS.items(), normals, strict=False)
     }
-    turn = CONTACT_ANGLE_SD_DEG * float(np.clip(normals[-1], -MAX_DEVIATIONS, MAX_DEVIATIONS))
-    drawn["contact_angle_offset_deg"] = model.contact_angle_offset_deg + turn
+    angle_deg = CONTACT_ANGLE_SD_DEG * float(np.clip(normals[-1], -MAX_DEVIATIONS, MAX_DEVIATIONS))
+    drawn["contact_angle_offset_deg"] = model.contact_angle_offset_deg + angle_deg
     return model.model_copy(update=drawn)
 
 
