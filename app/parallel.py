@@ -145,8 +145,8 @@ def _set_outcome(piece: _Task, inner: Future[object], error: BaseException | Non
     if died:
         piece.future.set_exception(
             WorkerError(
-                f"a process ended {MAX_ATTEMPTS - piece.lives} times while it worked on the same piece: see that there is "
-                "memory for it, take fewer workers, and in a script of your own call this below "
+                f"a process ended {MAX_ATTEMPTS - piece.lives} times while it worked on the same piece: see that there "
+                "is memory for it, take fewer workers, and in a script of your own call this below "
                 "`if __name__ == '__main__':`."
             )
         )

@@ -1,4 +1,4 @@
-"""What a session runs with: backend, pace, rig, plan, specimen and model, found by name or file and changed by --set."""
+"""What a session runs with: backend, pace, rig, plan, specimen, model, found by name or file and changed by --set."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

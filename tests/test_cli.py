@@ -119,9 +119,9 @@ def test_what_is_no_bug_has_its_own_exit_code(
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     code = (
-        "import sys, click; from dragrig.cli.console import exit_code_of, result\n"
-        "@click.command()\ndef many():\n    for _ in range(100_000): result('line')\n"
-        "sys.exit(exit_code_of(many, []))"
+        "import sys, click; from dragrig.cli.console import print_result, run_command_line\n"
+        "@click.command()\ndef many():\n    for _ in range(100_000): print_result('line')\n"
+        "sys.exit(run_command_line(many, []))"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None

@@ -10,7 +10,6 @@ import click
 from dragrig.cli import options
 from dragrig.cli.console import ProgressMeter, display_path, is_quiet, print_json, print_result
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.present.document import rounded_to_error
 from dragrig.present.json_values import to_json_value
 
 if TYPE_CHECKING:
@@ -89,6 +88,8 @@ def _print_campaigns(found: "Sequence[IdentifiedFolder]") -> None:
 
 
 def _campaign_cells(one: "IdentifiedFolder", names: Sequence[str]) -> Iterator[str]:
+    from dragrig.present.document import rounded_to_error
+
     joint = None if one.result is None else one.result.joint
     known = {} if joint is None else {each.name: each for each in joint.parameters if each.determined}
     for name in names:

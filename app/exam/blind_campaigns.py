@@ -53,8 +53,8 @@ class HiddenCase:
     Attributes
     ----------
     kind
-        One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue does
-        not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing.
+        One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue
+        does not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing.
     """
 
     number: int

@@ -203,8 +203,8 @@ class PlanPreview(QWidget):
         self._session = session
         count = len(session.runs)
         self.summary.setText(
-            f"{count} run{'' if count == 1 else 's'}, {duration_text(session.duration_s)}, {size_text(session.size_bytes)} of "
-            f"{size_text(session.free_bytes)} free"
+            f"{count} run{'' if count == 1 else 's'}, {duration_text(session.duration_s)}, "
+            f"{size_text(session.size_bytes)} of {size_text(session.free_bytes)} free"
         )
         fine = not session.findings
         limits = f"stage limits {session.lowest_mm:g} to {session.highest_mm:g} mm"

@@ -120,8 +120,8 @@ def run_file() -> str:
             ],
         ),
         "## Datasets of the trace",
-        f"In `{schema.TRACE}`, each of as many samples as there are: `{'`, `'.join(schema.FRAME_DATASETS)}`, the signal "
-        f"({' or '.join(schema.SIGNALS)}), `position`, and whatever else was recorded. Some have fixed units:",
+        f"In `{schema.TRACE}`, each of as many samples as there are: `{'`, `'.join(schema.FRAME_DATASETS)}`, the "
+        f"signal ({' or '.join(schema.SIGNALS)}), `position`, and whatever else was recorded. Some have fixed units:",
         _table(("dataset", "unit"), [(f"`{name}`", unit) for name, unit in schema.UNITS.items()]),
         "## Phases",
         _table(("number", "phase"), [(str(number), name) for number, name in enumerate(PHASE_NAMES)]),
