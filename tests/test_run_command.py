@@ -261,7 +261,7 @@ def test_a_backend_that_an_entry_point_adds_can_fail_in_words(
     site = tmp_path / "site"
     (site / "broken-1.dist-info").mkdir(parents=True)
     (site / "broken-1.dist-info" / "METADATA").write_text("Name: broken\nVersion: 1\n", "utf-8")
-    (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.setup]\nbroken = broken:open_it\n")
+    (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.backends]\nbroken = broken:open_it\n")
     (site / "broken.py").write_text("def open_it(request):\n    raise OSError('no drive at COM3')\n", "utf-8")
     monkeypatch.syspath_prepend(site)
     told = run.told("drag", "--yes", "--backend", "broken", code=5).err
