@@ -169,8 +169,8 @@ def parse_record(kind: type[RecordT], given: object, name: str) -> RecordT:
         first = fault.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise AnalysisError(
-            f"{name}: the {RECORD_NAMES[kind.__name__]} cannot be scored because {place} is not as the report's format has "
-            f"it ({first['msg'].lower()}); make it anew"
+            f"{name}: the {RECORD_NAMES[kind.__name__]} cannot be scored because {place} is not as the report's format "
+            f"has it ({first['msg'].lower()}); make it anew"
         ) from fault
 
 
