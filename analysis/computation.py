@@ -5,11 +5,11 @@ from contextlib import contextmanager
 from typing import TypeAlias
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with how many pieces of work are done, and of how many."""
+"""Called with the numbers of pieces of work that are done, and in all."""
 
 
 def no_progress(_done: int, _of: int) -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 @contextmanager
@@ -19,7 +19,7 @@ def single_blas_thread() -> Iterator[None]:
     Fits are made of many small matrices. Two threads that take turns at them are no faster on an idle machine, and
     four times slower where anything else runs.
     """
-    # SciPy brings a BLAS of its own, which can only be told once it is there.
+    # SciPy brings a BLAS of its own, which can only be limited once it is loaded.
     import scipy.linalg
     from threadpoolctl import threadpool_limits
 

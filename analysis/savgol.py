@@ -18,14 +18,23 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import legendre
 
-from dragrig.analysis.segments import finite_spans, gap_starts, in_phase, unbroken_slices
+from dragrig.analysis.segments import gap_starts, in_phase, mask_spans, unbroken_slices
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import Attribute, FilteredTrace, Run, RunEvent, Trace
 
+DEFAULT_WINDOW_S = 0.05
+MIN_DEFAULT_SAMPLES = 7
+"""Of the default window; at low rates it is longer than `DEFAULT_WINDOW_S`."""
+MAX_ORDER = 8
+"""Beyond this the fit at the ends of a piece is no longer well conditioned."""
 MAX_DIRECT_WINDOW = 512
-"""Beyond this the convolution goes through the Fourier transform, and nothing is convolved for the ends."""
+"""Longer windows are convolved by Fourier transform, and the ends are fitted without a convolution."""
+MIN_MOTION_WINDOWS = 4.0
+"""A motion shorter than this many windows is blurred, which an event says."""
+FILTER_EVENT = "filter"
+"""Kind of the events of the filter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +43,7 @@ class SavgolKernel:
 
     `scipy.signal` fits the ends of a piece, and convolves. The weights of the middle are computed here, because
     `scipy.signal.savgol_coeffs` solves with unscaled powers of the sample number: at 12501 samples
-    (0.05 s at 250 kHz) and order 4 or more its answer has nothing to do with the data any more.
+    (0.05 s at 250 kHz) and order 4 or more its result is unrelated to the data.
 
     Attributes
     ----------
@@ -56,7 +65,7 @@ class SavgolKernel:
 
     @classmethod
     def of(cls, window: int, order: int, derivative: int, sample_rate_hz: float) -> "SavgolKernel":
-        """Work out the polynomials; Legendre's keep the fit well conditioned."""
+        """Compute the polynomials; Legendre's keep the fit well conditioned."""
         at = np.linspace(-1.0, 1.0, window)
         orthonormal, triangle = np.linalg.qr(np.asarray(legendre.legvander(at, order), dtype=np.float64))
         rows = [legendre.legval(at, legendre.legder(row, derivative)) for row in np.eye(order + 1)]
@@ -96,13 +105,6 @@ class SavgolKernel:
         return np.asarray(fitted, dtype=np.float64)
 
 
-MAX_ORDER = 8
-"""Beyond this the fit at the ends of a piece is no longer well conditioned."""
-
-FILTER_EVENT = "filter"
-"""Kind of the event that says a piece was too short to filter."""
-
-
 @dataclass(frozen=True, slots=True)
 class SavgolSettings:
     """Window, order and derivative of a Savitzky–Golay filter.
@@ -135,10 +137,10 @@ class SavgolSettings:
         if self.window_s is not None and not (np.isfinite(self.window_s) and self.window_s > 0):
             raise AnalysisError(f"A filter window of {self.window_s:g} s is impossible; give a length above 0 s.")
         if not 0 <= self.order <= MAX_ORDER:
-            raise AnalysisError(f"A filter of order {self.order} is not offered; choose 0 to {MAX_ORDER}.")
+            raise AnalysisError(f"A filter order of {self.order} is not supported; choose 0 to {MAX_ORDER}.")
         if not 0 <= self.derivative <= self.order:
             raise AnalysisError(
-                f"Derivative {self.derivative} of a polynomial of order {self.order} says nothing; "
+                f"Derivative {self.derivative} of a polynomial of order {self.order} is zero or undefined; "
                 f"choose a derivative from 0 to {self.order}."
             )
         if self.window_samples is not None:
@@ -214,7 +216,7 @@ def smooth(
     gaps
         Index of each first sample after a gap, as `gap_starts` returns them.
     time
-        Times of the samples [s] for the events; sample index over rate when left out.
+        Times of the samples [s] for the events; default: sample index over rate.
 
     Raises
     ------
@@ -242,8 +244,14 @@ def smooth(
     return SmoothedTrace(result, tuple(events))
 
 
+def smooth_channel(trace: Trace, values: AnyFloatArray, settings: SavgolSettings) -> SmoothedTrace:
+    """Filter a channel of a run, across none of its gaps; raises `AnalysisError` as `smooth`."""
+    gaps = gap_starts(trace.time, trace.sample_rate_hz)
+    return smooth(values, trace.sample_rate_hz, settings, gaps, trace.time)
+
+
 def too_short_event(time_s: float, samples: int, window: int) -> RunEvent:
-    """Return the event that says a piece was not filtered."""
+    """Event of a piece that was not filtered."""
     message = f"a piece of {samples} samples is shorter than the window of {window}: not filtered"
     return RunEvent(time_s, FILTER_EVENT, message)
 
@@ -281,7 +289,7 @@ class SavgolStream:
 
     @property
     def delay_samples(self) -> int:
-        """How many samples a filtered value lags behind its raw one: half a window."""
+        """Samples by which a filtered value lags behind its raw one: half a window."""
         return self._half
 
     @property
@@ -298,7 +306,7 @@ class SavgolStream:
             Shape `(n,)`, any `n`.
         first_index
             Index of the first sample, counted from the run's first and including lost samples, as a
-            block carries it; a value beyond the samples so far is a gap. Left out: no gap.
+            block carries it; a value beyond the samples so far is a gap. Default: no gap.
 
         Raises
         ------
@@ -315,7 +323,7 @@ class SavgolStream:
             ready.append(self._end_piece())
             self._next_index = first_index
         at = 0
-        for start, stop in finite_spans(block):
+        for start, stop in mask_spans(np.isfinite(block)):
             if start > at:
                 ready.append(self._skip(start - at))
             ready.append(self._extend(block[start:stop]))
@@ -325,7 +333,7 @@ class SavgolStream:
         return np.concatenate(ready) if ready else np.empty(0)
 
     def flush(self) -> FloatArray:
-        """End the piece and return the samples still held back; what is pushed next begins a new piece."""
+        """End the piece and return its remaining samples; the next sample pushed begins a new piece."""
         return self._end_piece()
 
     def _extend(self, samples: FloatArray) -> FloatArray:
@@ -360,23 +368,16 @@ class SavgolStream:
         return self._kernel.ends(held[-self._window :])[self._half + 1 :]
 
 
-DEFAULT_WINDOW_S = 0.05
-MIN_DEFAULT_SAMPLES = 7
-"""Of the usual window; at low rates it is that much longer than `DEFAULT_WINDOW_S`."""
-MIN_MOTION_WINDOWS = 4.0
-"""A motion shorter than so many windows is blurred, which an event says."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredRun:
-    """What the filter made of a run, and what is to be said about it."""
+    """Filtered traces of a run, and the events of the filter."""
 
     trace: FilteredTrace
     events: tuple[RunEvent, ...]
 
 
 def default_filter_settings(sample_rate_hz: float) -> SavgolSettings:
-    """Return order 3 over 0.05 s, or over seven samples where these take longer."""
+    """Order 3 over 0.05 s, or over seven samples where these take longer."""
     if DEFAULT_WINDOW_S * sample_rate_hz < MIN_DEFAULT_SAMPLES:
         return SavgolSettings(window_samples=MIN_DEFAULT_SAMPLES)
     return SavgolSettings(window_s=DEFAULT_WINDOW_S)
@@ -388,7 +389,7 @@ def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
     Parameters
     ----------
     settings
-        `default_filter_settings` for the run's rate when left out. A derivative applies to the forces
+        Default: `default_filter_settings` for the run's rate. A derivative applies to the forces
         (then in mN/s^k); the speed is always the first derivative of the position.
 
     Raises
@@ -398,22 +399,18 @@ def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
     """
     trace = run.trace
     settings = settings or default_filter_settings(trace.sample_rate_hz)
-    gaps = gap_starts(trace.time, trace.sample_rate_hz)
-
-    def smoothed(values: AnyFloatArray, how: SavgolSettings) -> SmoothedTrace:
-        try:
-            return smooth(values, trace.sample_rate_hz, how, gaps, trace.time)
-        except AnalysisError as error:
-            raise AnalysisError(f"{run.info.path}: {error}") from error
-
     forces = [name for name in trace.channels if trace.units.get(name) == "mN"]
-    results = {name: smoothed(trace.channels[name], settings) for name in forces}
-    speed = replace(settings, order=max(settings.order, 1), derivative=1)
-    results["speed"] = smoothed(trace.position, speed)
+    try:
+        results = {name: smooth_channel(trace, trace.channels[name], settings) for name in forces}
+        differentiator = replace(settings, order=max(settings.order, 1), derivative=1)
+        results["speed"] = smooth_channel(trace, trace.position, differentiator)
+    except AnalysisError as error:
+        raise AnalysisError(f"{run.info.path}: {error}") from error
     channels = {name: result.values for name, result in results.items()}
     force_unit = f"mN/s^{settings.derivative}" if settings.derivative else "mN"
     units = {name: "mm/s" if name == "speed" else force_unit for name in channels} | {"time": "s"}
-    events = (*_blur_events(trace, settings), *dict.fromkeys(event for one in results.values() for event in one.events))
+    short_pieces = dict.fromkeys(event for result in results.values() for event in result.events)
+    events = (*_blur_events(trace, settings), *short_pieces)
     parameters = _filter_parameters(settings, trace.sample_rate_hz, channels[trace.signal], events)
     return FilteredRun(FilteredTrace(trace.time, channels, parameters, units), events)
 
@@ -452,7 +449,7 @@ def _filter_parameters(
 
 
 def _blur_events(trace: Trace, settings: SavgolSettings) -> tuple[RunEvent, ...]:
-    """Say so when the motion is short beside the window."""
+    """Event of a motion that is short beside the window."""
     moving = ~(in_phase(trace, Phase.REST) | in_phase(trace, Phase.HOLD))
     if not moving.any():
         return ()

@@ -155,10 +155,10 @@ def test_on_which_side_they_part_is_said() -> None:
     free = np.empty((0, len(SPEEDS)))
     fast = find_boundary(ForceDeviation(SPEEDS, -30 * np.maximum(0, np.log(SPEEDS / 15)), quiet, free))
     assert "above 15.1 mm/s" in fast.sentence
-    assert "at 60 mm/s the measured force is 41 mN lower" in fast.sentence
+    assert "at 60 mm/s the force is 41 mN lower" in fast.sentence
     slow = find_boundary(ForceDeviation(SPEEDS, 10 * np.maximum(0, np.log(5 / SPEEDS)), quiet, free))
     assert "below 4.99 mm/s" in slow.sentence
-    assert "at 0.5 mm/s the measured force is 23 mN higher" in slow.sentence
+    assert "at 0.5 mm/s the force is 23 mN higher" in slow.sentence
     steady = find_boundary(ForceDeviation(SPEEDS, 10 - 4 * np.log(SPEEDS), quiet, free))
     assert steady.speed_mm_s is None
     assert "no speed at which that begins" in steady.sentence

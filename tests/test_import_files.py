@@ -48,7 +48,7 @@ def test_rock_gouge_at_its_own_uneven_pace_needs_a_rate(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.trace.force, 1000 * run.trace.channels["Friction"], rtol=1e-12)
     assert run.trace.units["Effective_Normal_stress"] == "MPa"
     assert "stated factor" in messages(run)
-    assert "the position stands for it" in messages(run)
+    assert "the position is used in its place" in messages(run)
     assert (run.trace.phase == 2).all()
     assert run.trace.position[0] == 0
     assert 5 < float(run.info.header.entry["origin_mm"]) < 8
@@ -75,7 +75,7 @@ def test_a_motor_is_imported_filtered_tabulated_and_exported(tmp_path: Path) -> 
     assert run.trace.sample_rate_hz == 1000.0
     assert run.trace.units["Iq"] == "A"
     assert {"Velocity", "Reference_Velocity", "Function_Activated", "Position"} <= set(run.trace.channels)
-    assert "stand between rows that are further apart" in messages(run)
+    assert "lie between rows that are further apart" in messages(run)
     filter_file(run.info.path)
     filtered = read_run(run.info.path).filtered
     assert filtered is not None
@@ -114,7 +114,7 @@ def test_our_own_exports_come_back_as_the_runs_they_were(
 def test_an_export_whose_metadata_were_changed_is_refused(tmp_path: Path) -> None:
     exported = export_run(DATA / "campaign" / "014-drag.h5", tmp_path)
     exported.write_text(exported.read_text("utf-8").replace('"complete"', '"finished"'), "utf-8")
-    with pytest.raises(ImportDataError, match="metadata of an export are there but were changed"):
+    with pytest.raises(ImportDataError, match="metadata of an export, which were changed"):
         import_file(exported, tmp_path)
 
 
@@ -255,7 +255,7 @@ MAP = ("time=t:s", "force=F:mN", "position=x:mm")
         (f"t,x,F\n{ROWS}", ("time=t:s",), {}, "no column is mapped to force or motor_force; map one of 't', 'x', 'F'"),
         (f"t,x,F\n{ROWS}", ("force=F:mN",), {}, "no column is mapped to time and no sample_rate_hz"),
         (f"t,x,F\n{ROWS}", ("time=t:s", "force=G:mN"), {}, "there is no column 'G'"),
-        (f"t,x,F\n{ROWS}", ("time=t:s", "force=F"), {}, "column 'F' does not say its unit; state it"),
+        (f"t,x,F\n{ROWS}", ("time=t:s", "force=F"), {}, "column 'F' does not state its unit; state it"),
         (f"t,x,F\n{ROWS}", ("time=t:s", "force=F:mm"), {}, "in.csv: column 'F': force in mm needs a factor"),
         (f"t,x,F\n{ROWS}", MAP, {"from_s": 90}, "no rows from 90 to inf s; its time runs from 0 to 4.9 s"),
         (f"t,x,F\n{ROWS}", ("force=F:mN",), {"from_s": 1, "sample_rate_hz": 10}, "from_s and to_s need a time column"),
@@ -292,7 +292,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="there is a file already"):
         imported(source, target, *MAP)
     assert target.read_bytes() == b"precious"
-    with pytest.raises(OutputError, match=r"let it end in \.h5"):
+    with pytest.raises(OutputError, match=r"must end in \.h5"):
         imported(source, tmp_path / "nowhere", *MAP)
 
 

@@ -122,7 +122,7 @@ def test_a_relaxation_has_a_peak_and_a_hold_but_no_steady_force() -> None:
 def test_a_run_too_short_for_the_contact_has_no_steady_force() -> None:
     measured = measure(sliding("drag", travel=5.0))
     assert measured.steady_force.value is None
-    assert measured.steady_force.reason == "nothing is left of the steady phase after 5.59 mm of travel"
+    assert measured.steady_force.reason == "no sample is left in the steady phase after 5.59 mm of travel"
 
 
 def test_a_capsule_without_measures_has_no_steady_drag_force() -> None:

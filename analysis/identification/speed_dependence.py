@@ -216,7 +216,7 @@ def _boundary_sentence(
     return (
         f"{what[:1].upper()}{what[1:]} part ways {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
         f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(chance)} {_simulation_note()}): at {far:.3g} mm/s "
-        f"the measured force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than expected from the other speeds."
+        f"the force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than expected from the other speeds."
     )
 
 

@@ -20,105 +20,13 @@ from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.runfile.model import Attribute, Channel, RunEvent, RunHeader, RunStatus
 
 NOT_CHANNELS = frozenset({"time", "command", "phase"})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RestoredRun:
-    """What `write_run` needs to write the run again."""
-
-    header: RunHeader
-    columns: Mapping[str, AnyFloatArray | PhaseArray]
-    events: tuple[RunEvent, ...]
-    status: RunStatus
-    reason: str
-    end_time: datetime | None
-    checks: Mapping[str, Attribute]
-
-
-def restore_export(table: ForeignTable) -> RestoredRun:
-    """Put an exported run together again; what the filter made is left to the filter.
-
-    Raises
-    ------
-    ImportDataError
-        When its metadata were changed so that they no longer fit.
-    """
-    said = table.export
-    try:
-        columns, channels = _restored_columns(table, said["columns"])
-        header = RunHeader(
-            run_id=str(said["run_id"]),
-            start_time=datetime.fromisoformat(str(said["start_time"])),
-            order=int(str(said["order"])),
-            backend="external",
-            kind=str(said["kind"]),
-            sample_rate_hz=float(str(said["sample_rate_hz"])),
-            channels=channels,
-            entry={**_restored_attributes(said["entry"]), "exported_from": str(said["backend"])},
-            protocol=_restored_attributes(said["protocol"]),
-            capsule=_restored_attributes(said["capsule"]),
-            specimen=_restored_attributes(said["specimen"]),
-            settings_toml=str(said.get("settings_toml", "")),
-        )
-        return RestoredRun(
-            header,
-            columns,
-            tuple(_restored_events(said["events"])),
-            RunStatus(str(said["status"])),
-            str(said["reason"]),
-            datetime.fromisoformat(str(said["end_time"])) if said["end_time"] else None,
-            _restored_attributes(said["checks"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ImportDataError(
-            f"{table.path}: the metadata of an export are there but were changed ({error}); restore them, or remove "
-            "them all and map the columns."
-        ) from error
-
-
-def _restored_columns(
-    table: ForeignTable, said: object
-) -> tuple[dict[str, AnyFloatArray | PhaseArray], tuple[Channel, ...]]:
-    if not isinstance(said, dict):
-        raise TypeError("columns is no table")
-    columns: dict[str, AnyFloatArray | PhaseArray] = {}
-    channels: list[Channel] = []
-    for name, (dataset, units, dtype) in said.items():
-        if str(dataset).startswith("filtered/"):
-            continue
-        column = table.column(name)
-        values = table.numbers(column, whole=dataset in NOT_CHANNELS)
-        if dataset == "phase":
-            columns["phase"] = values.astype(np.uint8)
-        elif dtype == "float32":
-            columns[dataset] = values.astype(np.float32)
-        else:
-            columns[dataset] = values
-        if dataset not in NOT_CHANNELS:
-            channels.append(Channel(dataset, units, "float32" if dtype == "float32" else "float64"))
-    return columns, tuple(channels)
-
-
-def _restored_attributes(said: object) -> dict[str, Attribute]:
-    """Attributes of a group; None stands for a number that was not finite."""
-    if not isinstance(said, dict):
-        raise TypeError("attributes are no table")
-    return {str(key): float("nan") if value is None else value for key, value in said.items()}
-
-
-def _restored_events(said: object) -> list[RunEvent]:
-    if not isinstance(said, list):
-        raise TypeError("events are no list")
-    return [RunEvent(float(time), str(kind), str(message)) for time, kind, message in said]
-
-
 UNKNOWN_SIZE = float("nan")
 MAX_PREAMBLE_CHARS = 4000
 
 
 @dataclass(frozen=True, slots=True)
 class ImportedRun:
-    """The run file that was written, and what is to be said of it."""
+    """The run file that was written, and the events in it."""
 
     path: Path
     samples: int
@@ -129,58 +37,54 @@ class ImportedRun:
 def import_file(path: Path, target: Path, settings: ImportSettings | None = None) -> ImportedRun:
     """Turn a foreign measurement into a run file.
 
-    A file that this software exported comes back as the run it was; for every other file a column map
-    is needed. `force` and `motor_force` are stored in mN. A quantity of another kind becomes one by a
-    stated factor only (a friction coefficient by the normal load it belongs to, `Friction:1*1000` for
-    1 N; a current by the motor's constant, `Iq:A*40000`); the column itself is then kept beside it, in its
+    A file that this software exported comes back as the run it was; every other file needs a column map, unless its
+    column names say quantity and unit. `force` and `motor_force` are stored in mN. A column of another quantity
+    becomes one of them by a stated factor only (a friction coefficient by the normal load, `Friction:1*1000` for
+    1 N; a current by the motor's constant, `Iq:A*40000`); the column itself is then stored too, in its
     own unit, and an event says so.
 
     Parameters
     ----------
     target
-        A run file to be, or a folder in which it gets its usual name.
+        The run file to write, or a folder in which it gets its default name.
 
     Raises
     ------
     ImportDataError
         When the file does not hold what the settings say.
     OutputError
-        When something stands at the target already, or it cannot be written.
+        When the target exists already, or cannot be written.
     """
-    from dragrig.rig.runfile import run_file_name, write_run
+    from dragrig.rig.runfile import write_run
 
     settings = settings or ImportSettings()
     table = read_foreign(path, settings)
     if table.export and not settings.columns.mapped():
-        back = restore_export(table)
-        where = _run_file_path(target, run_file_name(back.header.start_time, back.header.kind, back.header.order))
-        written = write_run(
-            where, back.header, back.columns, events=back.events, status=back.status, reason=back.reason,
-            end_time=back.end_time, checks=back.checks,
-        )  # fmt: skip
-        return ImportedRun(written, table.rows, back.header.sample_rate_hz, back.events)
+        return _restore_export(table, target)
     measured = convert_table(table, settings)
     header, events = _run_header(path, table, settings, measured)
-    where = _run_file_path(target, run_file_name(header.start_time, header.kind, header.order))
-    written = write_run(where, header, measured.columns, events=events)
+    written = write_run(_run_file_path(target, header), header, measured.columns, events=events)
     return ImportedRun(written, len(measured.columns["time"]), measured.sample_rate_hz, events)
 
 
-def _run_file_path(target: Path, name: str) -> Path:
-    found = target / name if target.is_dir() else target
-    if found.suffix != ".h5":
-        raise OutputError(f"{found}: is not a name for a run file; let it end in .h5, or give a folder that exists.")
-    return found
+def _run_file_path(target: Path, header: RunHeader) -> Path:
+    from dragrig.rig.runfile import run_file_name
+
+    path = target / run_file_name(header.start_time, header.kind, header.order) if target.is_dir() else target
+    if path.suffix != ".h5":
+        raise OutputError(f"{path}: a run file's name must end in .h5; rename it, or give a folder that exists.")
+    return path
 
 
 def _run_header(
     path: Path, table: ForeignTable, settings: ImportSettings, measured: ConvertedMeasurement
 ) -> tuple[RunHeader, tuple[RunEvent, ...]]:
-    events = list(measured.events)
+    events = measured.events
     start_time = settings.start_time
     if start_time is None:
         start_time = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        events.insert(0, RunEvent(0.0, IMPORT_EVENT, "start time not known: when the file was last changed"))
+        unknown = RunEvent(0.0, IMPORT_EVENT, "start time not known: time of the file's last change used")
+        events = (unknown, *events)
     entry: dict[str, Attribute] = {
         "software": f"dragrig {version('dragrig')}",
         "operator": settings.operator,
@@ -203,12 +107,85 @@ def _run_header(
         channels=measured.channels,
         entry={key: value for key, value in entry.items() if value != ""},
         protocol=dict(settings.protocol),
-        capsule={
-            "diameter_mm": UNKNOWN_SIZE,
-            "length_mm": UNKNOWN_SIZE,
-            "mass_g": UNKNOWN_SIZE,
-            "contact_angle_deg": UNKNOWN_SIZE,
-        },
+        capsule=dict.fromkeys(("diameter_mm", "length_mm", "mass_g", "contact_angle_deg"), UNKNOWN_SIZE),
         specimen={"name": settings.specimen or path.stem, "wall_thickness_mm": UNKNOWN_SIZE, "fixture": "none"},
     )
-    return header, tuple(events)
+    return header, events
+
+
+def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:
+    """Write an exported run again, without its filtered traces; they can be computed again."""
+    from dragrig.rig.runfile import write_run
+
+    metadata = table.export
+    try:
+        columns, channels = _exported_columns(table, _mapping(metadata["columns"]))
+        header = RunHeader(
+            run_id=str(metadata["run_id"]),
+            start_time=datetime.fromisoformat(str(metadata["start_time"])),
+            order=int(str(metadata["order"])),
+            backend="external",
+            kind=str(metadata["kind"]),
+            sample_rate_hz=float(str(metadata["sample_rate_hz"])),
+            channels=channels,
+            entry={**_attributes(metadata["entry"]), "exported_from": str(metadata["backend"])},
+            protocol=_attributes(metadata["protocol"]),
+            capsule=_attributes(metadata["capsule"]),
+            specimen=_attributes(metadata["specimen"]),
+            settings_toml=str(metadata.get("settings_toml", "")),
+        )
+        events = tuple(_event(entry) for entry in _sequence(metadata["events"]))
+        status, reason = RunStatus(str(metadata["status"])), str(metadata["reason"])
+        end_time = datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None
+        checks = _attributes(metadata["checks"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ImportDataError(
+            f"{table.path}: holds the metadata of an export, which were changed ({error}); restore them, or remove "
+            "them all and map the columns."
+        ) from error
+    written = write_run(
+        _run_file_path(target, header), header, columns, events=events, status=status, reason=reason,
+        end_time=end_time, checks=checks,
+    )  # fmt: skip
+    return ImportedRun(written, table.rows, header.sample_rate_hz, events)
+
+
+def _exported_columns(
+    table: ForeignTable, described: Mapping[str, object]
+) -> tuple[dict[str, AnyFloatArray | PhaseArray], tuple[Channel, ...]]:
+    columns: dict[str, AnyFloatArray | PhaseArray] = {}
+    channels: list[Channel] = []
+    for name, description in described.items():
+        dataset, units, dtype = (str(part) for part in _sequence(description))
+        if dataset.startswith("filtered/"):
+            continue
+        values = table.numbers(table.column(name), whole=dataset in NOT_CHANNELS)
+        if dataset == "phase":
+            columns["phase"] = values.astype(np.uint8)
+        else:
+            columns[dataset] = values.astype(np.float32) if dtype == "float32" else values
+        if dataset not in NOT_CHANNELS:
+            channels.append(Channel(dataset, units, "float32" if dtype == "float32" else "float64"))
+    return columns, tuple(channels)
+
+
+def _event(entry: object) -> RunEvent:
+    time_s, kind, message = _sequence(entry)
+    return RunEvent(float(str(time_s)), str(kind), str(message))
+
+
+def _attributes(group: object) -> dict[str, Attribute]:
+    """Attributes of a group; None stands for a number that was not finite."""
+    return {str(key): float("nan") if value is None else value for key, value in _mapping(group).items()}
+
+
+def _mapping(value: object) -> Mapping[str, "Attribute | None"]:
+    if not isinstance(value, dict):
+        raise TypeError(f"{value!r:.40} is no table")
+    return value
+
+
+def _sequence(value: object) -> list[object]:
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r:.40} is no list")
+    return value

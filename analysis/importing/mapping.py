@@ -16,14 +16,14 @@ _UNIT_PATTERN = re.compile(
 
 
 class ColumnSource(Settings):
-    """A column of the foreign file, and how its numbers become ours: `value * factor + offset`."""
+    """A column of the foreign file, and its conversion: `value * factor + offset`."""
 
     column: str | int
     """Name, name without its unit, or number from 1."""
     unit: str = ""
-    """Unit of the column; what the file says of itself when left out."""
+    """Unit of the column; default: as the file states."""
     factor: float | None = None
-    """Multiplies besides the unit's own factor; needed for a unit of another kind (mV, rad, A, 1)."""
+    """Multiplies besides the unit's own factor; required for a unit of another quantity (mV, rad, A, 1)."""
     offset: float = 0.0
     """Added at the end, in mN, mm, s or degC."""
 
@@ -31,12 +31,12 @@ class ColumnSource(Settings):
     @classmethod
     def _not_zero(cls, factor: float | None) -> float | None:
         if factor == 0:
-            raise ValueError("a factor of 0 would leave nothing of the data")
+            raise ValueError("a factor of 0 would erase the data")
         return factor
 
 
 class ColumnMap(Settings):
-    """Which column is which quantity. What is not mapped is kept as a further channel."""
+    """Which column is which quantity. Columns that are not mapped become further channels."""
 
     time: ColumnSource | None = None
     force: ColumnSource | None = None
@@ -52,7 +52,7 @@ class ColumnMap(Settings):
 
 
 class ImportSettings(Settings):
-    """Everything about an import that can be set; empty means: as the file itself says, or as detected."""
+    """All settings of an import; empty means: as the file states, or as detected."""
 
     columns: ColumnMap = ColumnMap()
     encoding: str = ""
@@ -64,30 +64,30 @@ class ImportSettings(Settings):
     table: str = ""
     """Variable or struct of a MAT file, or group of a TDMS file; the largest table when empty."""
     sample_rate_hz: float | None = Field(default=None, gt=0)
-    """Rows are evenly spaced at this rate; time stamps then only have to agree with it on the whole."""
+    """Rows are evenly spaced at this rate; time stamps then only have to agree with it in their span."""
     resample_hz: float | None = Field(default=None, gt=0)
-    """Rate to which rows at uneven times are interpolated; never done unasked."""
+    """Rate to which rows at uneven times are interpolated; default: no interpolation."""
     tolerance: float = Field(default=0.1, gt=0, lt=0.5)
-    """How far a time stamp may be off an even grid, in sample periods."""
+    """Allowed distance of a time stamp from the even grid, in sample periods."""
     steady: bool = False
-    """The stage was told to go at one speed, of which the file says nothing: the straight line through the position is
-    taken for the command."""
+    """The stage was commanded at a constant speed that the file does not hold: a straight line through the position is
+    taken as the command."""
     from_s: float | None = None
-    """Leave out rows before this time, as the file counts it."""
+    """Ignore rows before this time, as the file counts it."""
     to_s: float | None = None
-    """Leave out rows after this time."""
+    """Ignore rows after this time."""
     kind: str = Field(default="motion", pattern=r"^[a-z][a-z0-9_-]*$")
     protocol: dict[str, str | float | int | bool] = Field(default_factory=dict)
-    """What is known of the motion, by the run file's names: speed_mm_s, travel_mm, …."""
+    """The motion as far as known, by the run file's names: speed_mm_s, travel_mm, …."""
     specimen: str = ""
     operator: str = ""
     note: str = ""
     order: int = Field(default=0, ge=0)
     start_time: AwareDatetime | None = None
-    """When the measurement began; when the file was last changed, if nobody knows better."""
+    """When the measurement began; default: time of the file's last change."""
 
     @model_validator(mode="after")
-    def _one_rate(self) -> "ImportSettings":
+    def _consistent(self) -> "ImportSettings":
         if self.sample_rate_hz is not None and self.resample_hz is not None:
             raise ValueError("sample_rate_hz says that rows are evenly spaced, resample_hz that they are not; give one")
         if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
@@ -100,17 +100,17 @@ class ImportSettings(Settings):
 
 
 def parse_map(assignments: Iterable[str]) -> ColumnMap:
-    """Read what is given as `--map QUANTITY=COLUMN[:UNIT[*FACTOR][+OFFSET]]`, each quantity once.
+    """Parse column maps of the form `QUANTITY=COLUMN[:UNIT[*FACTOR][+OFFSET]]`, each quantity once.
 
-    `force="Load (N)":N`, `force=3:mV*12.5`, `force=Friction:1*1000`, `position="Pos":rad*5`. A column whose name
-    holds a colon is put into quotes.
+    `force="Load (N)":N`, `force=3:mV*12.5`, `force=Friction:1*1000`, `position="Pos":rad*5`. A column name
+    with a colon is put into quotes.
 
     Raises
     ------
     ImportDataError
-        When one is not of this form, or the quantity is not known.
+        When a map is not of this form, or its quantity is unknown.
     """
-    found: dict[str, object] = {}
+    sources: dict[str, object] = {}
     for text in assignments:
         quantity, equals, source = (part.strip() for part in text.partition("="))
         if not equals or not source:
@@ -119,11 +119,11 @@ def parse_map(assignments: Iterable[str]) -> ColumnMap:
             raise ImportDataError(
                 f"--map {text}: {quantity!r} is not a quantity; {suggestion(quantity, list(TARGET_UNITS))}"
             )
-        if quantity in found:
+        if quantity in sources:
             raise ImportDataError(f"--map {text}: {quantity} is mapped twice; map it once.")
-        found[quantity] = _parse_source(text, source)
+        sources[quantity] = _parse_source(text, source)
     try:
-        return ColumnMap.model_validate(found)
+        return ColumnMap.model_validate(sources)
     except ValidationError as error:
         raise ImportDataError(describe_validation_error(error, ColumnMap, "--map")) from error
 
@@ -147,10 +147,10 @@ def _parse_source(text: str, source: str) -> dict[str, object]:
 
 
 def guess_columns(table: ForeignTable) -> ColumnMap:
-    """Map the columns that are called like a quantity and state a unit of its kind: `force_N`, `Time (ms)`."""
-    found: dict[str, ColumnSource] = {}
+    """Map the columns that are named like a quantity and state a unit that converts to it: `force_N`, `Time (ms)`."""
+    sources: dict[str, ColumnSource] = {}
     for quantity, target in TARGET_UNITS.items():
-        called = [one for one in table.columns if one.label.casefold() == quantity and one.bad is None]
-        if len(called) == 1 and canonical_unit(called[0].units) in CONVERTIBLE_UNITS[target]:
-            found[quantity] = ColumnSource(column=called[0].name, unit=called[0].units)
-    return ColumnMap.model_validate(found)
+        columns = [column for column in table.columns if column.label.casefold() == quantity and column.bad is None]
+        if len(columns) == 1 and canonical_unit(columns[0].units) in CONVERTIBLE_UNITS[target]:
+            sources[quantity] = ColumnSource(column=columns[0].name, unit=columns[0].units)
+    return ColumnMap.model_validate(sources)

@@ -1,357 +1,37 @@
 """Readers of foreign files: text tables in any dialect, MATLAB, Parquet, TDMS and NumPy files."""
 
+import codecs
+import csv
 import io
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-import pyarrow.compute as pc
-from pyarrow import csv
 
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable, InvalidCell, canonical_unit, split_unit
 from dragrig.analysis.importing.mapping import ImportSettings
-from dragrig.analysis.importing.text_dialect import TextDialect, detect_dialect, read_lines, split_cells
 from dragrig.config.errors import ImportDataError
 from dragrig.config.settings import suggestion
 
-_EXPORT_LINE = re.compile(r"# ([\w-]+): (.*)")
-_DECIMAL_COMMA = r"^[-+]?\d*,\d+([eE][-+]?\d+)?$"
-_DECIMAL_POINT = r"^[-+]?\d*\.\d*([eE][-+]?\d+)?$"
-
-
-def read_text(
-    path: Path, encoding: str = "", delimiter: str = "", decimal: str = "", header_lines: int | None = None
-) -> ForeignTable:
-    """Read a text table; what is not given is detected.
-
-    Raises
-    ------
-    ImportDataError
-        When there is no table, its rows differ in width, or its decimal mark is ambiguous.
-    """
-    lines = read_lines(path, encoding)
-    dialect = detect_dialect(path, lines, delimiter, header_lines)
-    rows = [k for k in range(dialect.first_row, len(lines)) if lines[k].strip()]
-    if not rows:
-        raise ImportDataError(f"{path}: has no rows of numbers after its header; give a file with data.")
-    cells = _split_rows(path, lines, rows, dialect)
-    mark = decimal or _decimal_mark(path, cells)
-    names, units = _names_and_units(dialect, cells)
-    columns = tuple(_text_column(name, unit, cell, mark) for name, unit, cell in zip(names, units, cells, strict=True))
-    whole = len(rows) == rows[-1] - rows[0] + 1
-    return ForeignTable(
-        path,
-        columns,
-        lines=range(rows[0] + 1, rows[-1] + 2) if whole else tuple(k + 1 for k in rows),
-        preamble=tuple(lines[: dialect.first_row]),
-        export=_export_preamble(lines[: dialect.first_row]),
-    )
-
-
-def _split_rows(path: Path, lines: Sequence[str], rows: Sequence[int], dialect: TextDialect) -> list[pa.Array]:
-    """Cells of all rows as text, one array for each column."""
-    kept = [lines[k] for k in rows]
-    if dialect.delimiter == " ":
-        kept = [" ".join(line.split()) for line in kept]
-    width = len(split_cells(kept[0], dialect.delimiter))
-    names = [str(k) for k in range(width)]
-    body = "\n".join(kept).encode("utf-8", "surrogatepass")
-    try:
-        table = csv.read_csv(
-            io.BytesIO(body),
-            csv.ReadOptions(column_names=names, block_size=max(1 << 20, 2 * max(map(len, kept)))),
-            csv.ParseOptions(delimiter=dialect.delimiter, ignore_empty_lines=False),
-            csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
-        )
-    except pa.ArrowInvalid as error:
-        raise _ragged_row_error(path, lines, rows, dialect, width) from error
-    columns = [pc.utf8_trim_whitespace(column.combine_chunks()) for column in table.columns]
-    if width > 1 and pc.all(pc.equal(columns[-1], "")).as_py():
-        columns.pop()  # each line ends with a delimiter
-    return columns
-
-
-def _ragged_row_error(
-    path: Path, lines: Sequence[str], rows: Sequence[int], dialect: TextDialect, width: int
-) -> ImportDataError:
-    for k in rows:
-        found = len(split_cells(lines[k], dialect.delimiter))
-        if found != width:
-            return ImportDataError(
-                f"{path}: line {k + 1} has {found} cells where the first row has {width}; correct or remove it, or "
-                "state delimiter and header_lines."
-            )
-    return ImportDataError(f"{path}: holds quotes that do not match; remove them.")
-
-
-def _decimal_mark(path: Path, columns: Sequence[pa.Array]) -> str:
-    held = [[_contains(column, mark) for mark in ",."] for column in columns]
-    if not all(map(any, zip(*held, strict=True))):
-        return "," if any(comma for comma, _ in held) else "."
-    commas, points = (
-        sum(pc.sum(pc.match_substring_regex(column, pattern)).as_py() or 0 for column in columns)
-        for pattern in (_DECIMAL_COMMA, _DECIMAL_POINT)
-    )
-    if commas and points:
-        raise ImportDataError(
-            f"{path}: has decimal commas in {commas} cells and decimal points in {points}; state the decimal mark."
-        )
-    return "," if commas else "."
-
-
-def _contains(cells: pa.Array, text: str) -> bool:
-    return bool(pc.any(pc.match_substring(cells, text)).as_py())
-
-
-def _names_and_units(dialect: TextDialect, cells: Sequence[pa.Array]) -> tuple[list[str], list[str]]:
-    width = len(cells)
-    given = [*dialect.names[:width], *[""] * (width - len(dialect.names))]
-    names: list[str] = []
-    for k, own in enumerate(given):
-        name = own or f"column {k + 1}"
-        names.append(name if name not in names else f"{name} ({k + 1})")
-    units = [canonical_unit(unit) or unit for unit in dialect.units[:width]]
-    units += [""] * (width - len(units))
-    return names, [unit or split_unit(name)[1] or "" for name, unit in zip(names, units, strict=True)]
-
-
-def _text_column(name: str, units: str, cells: pa.Array, decimal: str) -> ForeignColumn:
-    """Turn cells into numbers; a cell is missing when it is empty."""
-    plain = pc.replace_substring_regex(cells, r"^\+", "") if _contains(cells, "+") else cells
-    if decimal == ",":
-        if _contains(plain, "."):
-            plain = pc.if_else(pc.match_substring(plain, "."), "a point where commas are decimal marks", plain)
-        plain = pc.replace_substring(plain, ",", ".", max_replacements=1)
-    filled = pc.if_else(pc.equal(plain, ""), None, plain)
-    try:
-        numbers = pc.cast(filled, pa.float64())
-    except pa.ArrowInvalid:
-        return ForeignColumn(name, units, np.full(len(cells), np.nan), _first_invalid(cells, filled))
-    values = np.asarray(numbers.to_numpy(zero_copy_only=False), dtype=np.float64)
-    return ForeignColumn(name, units, values)
-
-
-def _first_invalid(cells: pa.Array, filled: pa.Array) -> InvalidCell:
-    """Find the first cell that is no number, by halving."""
-    start, stop = 0, len(filled)
-    while stop - start > 1:
-        middle = (start + stop) // 2
-        try:
-            pc.cast(filled[start:middle], pa.float64())
-        except pa.ArrowInvalid:
-            stop = middle
-        else:
-            start = middle
-    return InvalidCell(start, str(cells[start].as_py()))
-
-
-def _export_preamble(preamble: Sequence[str]) -> dict[str, object]:
-    """Read back the comment lines that an export of ours begins with."""
-    found = {match[1]: match[2] for line in preamble if (match := _EXPORT_LINE.fullmatch(line))}
-    if "dragrig-export" not in found:
-        return {}
-    try:
-        return {key: json.loads(value) for key, value in found.items()}
-    except ValueError:
-        return {}
-
-
-MAX_MATRIX_COLUMNS = 64
-"""A matrix with more columns than this is no table."""
-METADATA_KEY = b"dragrig"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _NamedArray:
-    """A named row of values; `group` is what it stood in."""
-
-    group: str
-    name: str
-    values: npt.NDArray[np.generic]
-    units: str = ""
-
-
-def read_parquet(path: Path) -> ForeignTable:
-    """Read a Parquet file; raises `ImportDataError` when it is none."""
+if TYPE_CHECKING:
+    import h5py
     import pyarrow as pa
-    from pyarrow import parquet
 
-    try:
-        table = parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise _damaged_file(path, "Parquet", error) from error
-    vectors = []
-    for field, column in zip(table.schema, table.columns, strict=True):
-        units = (field.metadata or {}).get(b"units", b"").decode("utf-8", "replace")
-        numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-        values = column.to_numpy() if numeric else np.array(column.to_pylist(), dtype=object)
-        vectors.append(_NamedArray("", field.name, values, units))
-    export = (table.schema.metadata or {}).get(METADATA_KEY, b"")
-    return _foreign_table(path, vectors, export=_parquet_export_metadata(export.decode("utf-8", "replace")))
-
-
-def read_npz(path: Path) -> ForeignTable:
-    """Read a NumPy archive; raises `ImportDataError` when it is none."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            held = {str(name): archive[name] for name in archive.files}
-    except Exception as error:
-        # NumPy and zipfile report damage as many classes of exception; each means the same to the user.
-        raise _damaged_file(path, "NumPy", error) from error
-    export = str(held.pop("metadata", ""))
-    return _foreign_table(path, list(_named_arrays("", held)), export=_parquet_export_metadata(export))
-
-
-def read_mat(path: Path, table: str = "") -> ForeignTable:
-    """Read a MAT file of version 5 or 7.3; raises `ImportDataError` when it is none.
-
-    Parameters
-    ----------
-    table
-        Variable or struct whose columns are meant; those with the most values when empty.
-    """
-    import h5py
-
-    try:
-        held = _hdf5_tree(path) if h5py.is_hdf5(path) else _mat5_tree(path)
-    except Exception as error:
-        # Both readers report damage as almost any class of exception; each means the same to the user.
-        raise _damaged_file(path, "MAT", error) from error
-    run = held.get("run")
-    export = str(run.get("metadata_json", "")) if isinstance(run, dict) else ""
-    return _foreign_table(path, list(_named_arrays("", held)), table, export=_parquet_export_metadata(export))
-
-
-def read_tdms(path: Path, table: str = "") -> ForeignTable:
-    """Read a TDMS file; raises `ImportDataError` when it is none.
-
-    Parameters
-    ----------
-    table
-        Group whose channels are meant; the one with the most values when empty.
-    """
-    from nptdms import TdmsFile
-
-    vectors: list[_NamedArray] = []
-    increments: dict[str, set[float]] = {}
-    try:
-        for group in TdmsFile.read(path).groups():
-            for channel in group.channels():
-                units = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
-                vectors.append(_NamedArray(group.name, channel.name, np.asarray(channel[:]), units))
-                increments.setdefault(group.name, set()).add(float(channel.properties.get("wf_increment", 0.0)))
-    except Exception as error:
-        # npTDMS reports damage as almost any class of exception; each means the same to the user.
-        raise _damaged_file(path, "TDMS", error) from error
-    chosen, group_name = _largest_table(path, vectors, table)
-    steps = increments.get(group_name, set())
-    step = steps.pop() if len(steps) == 1 else 0.0
-    return _foreign_table(path, chosen, sample_rate_hz=1 / step if step > 0 else None)
-
-
-def _mat5_tree(path: Path) -> dict[str, object]:
-    from scipy.io import loadmat
-
-    held = loadmat(path, simplify_cells=True)
-    return {str(name): value for name, value in held.items() if not str(name).startswith("__")}
-
-
-def _hdf5_tree(path: Path) -> dict[str, object]:
-    """Nested variables of a version 7.3 file; MATLAB stores matrices there column by column."""
-    import h5py
-
-    def tree(group: "h5py.Group") -> dict[str, object]:
-        found: dict[str, object] = {}
-        for name, item in group.items():
-            if isinstance(item, h5py.Group):
-                if not name.startswith("#"):
-                    found[name] = tree(item)
-            elif item.attrs.get("MATLAB_class") == b"char":
-                found[name] = "".join(map(chr, np.asarray(item[()]).T.ravel().tolist()))
-            elif item.dtype.kind in "fiub" and "MATLAB_empty" not in item.attrs:
-                found[name] = np.squeeze(np.asarray(item[()]).T)
-        return found
-
-    with h5py.File(path, "r") as file:
-        return tree(file)
-
-
-def _named_arrays(group: str, held: Mapping[str, object]) -> Iterable[_NamedArray]:
-    for name, value in held.items():
-        if isinstance(value, dict):
-            yield from _named_arrays(f"{group}.{name}" if group else name, value)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
-            if value.ndim == 1:
-                yield _NamedArray(group, name, value)
-            elif value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
-                columns = value if value.shape[0] >= value.shape[1] else value.T
-                for k in range(columns.shape[1]):
-                    yield _NamedArray(f"{group}.{name}" if group else name, f"{name}[{k + 1}]", columns[:, k])
-
-
-def _largest_table(path: Path, vectors: Sequence[_NamedArray], table: str) -> tuple[list[_NamedArray], str]:
-    """Vectors of one group and one length: those that are asked for, or that hold the most values."""
-    groups: dict[tuple[str, int], list[_NamedArray]] = {}
-    for vector in vectors:
-        groups.setdefault((vector.group, len(vector.values)), []).append(vector)
-    wanted = {key: found for key, found in groups.items() if not table or key[0] == table}
-    if not wanted:
-        known = sorted({vector.group for vector in vectors if vector.group})
-        if not vectors:
-            raise ImportDataError(f"{path}: holds no columns of numbers; give a file with data.")
-        raise ImportDataError(
-            f"{path}: there is no table {table!r}; {suggestion(table, known) if known else 'name none.'}"
-        )
-    (group, _), chosen = max(wanted.items(), key=lambda one: one[0][1] * len(one[1]))
-    return chosen, group
-
-
-def _foreign_table(
-    path: Path,
-    vectors: Sequence[_NamedArray],
-    table: str = "",
-    *,
-    sample_rate_hz: float | None = None,
-    export: Mapping[str, object] | None = None,
-) -> ForeignTable:
-    chosen, _ = _largest_table(path, vectors, table)
-    if not len(chosen[0].values):
-        raise ImportDataError(f"{path}: holds columns without any rows; give a file with data.")
-    return ForeignTable(
-        path, tuple(_array_column(vector) for vector in chosen), sample_rate_hz=sample_rate_hz, export=export or {}
-    )
-
-
-def _array_column(vector: _NamedArray) -> ForeignColumn:
-    units = canonical_unit(vector.units) or vector.units or split_unit(vector.name)[1] or ""
-    if vector.values.dtype.kind == "M":
-        seconds = (vector.values - vector.values[0]) / np.timedelta64(1, "s")
-        return ForeignColumn(vector.name, "s", np.asarray(seconds, dtype=np.float64))
-    if vector.values.dtype.kind not in "fiub":
-        bad = InvalidCell(0, str(vector.values[0]))
-        return ForeignColumn(vector.name, units, np.full(len(vector.values), np.nan), bad)
-    return ForeignColumn(vector.name, units, np.asarray(vector.values, dtype=np.float64))
-
-
-def _parquet_export_metadata(text: str) -> dict[str, object]:
-    try:
-        found = json.loads(text) if text else {}
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) and "dragrig-export" in found else {}
-
-
-def _damaged_file(path: Path, what: str, error: Exception) -> ImportDataError:
-    if isinstance(error, OSError) and error.strerror:
-        return ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.")
-    said = (str(error).splitlines() or [type(error).__name__])[0]
-    return ImportDataError(f"{path}: is damaged or no {what} file ({said:.100}); export it anew or as CSV.")
-
+DELIMITERS = ("\t", ";", "|", ",", " ")
+"""In the order of preference when two fit equally well; a space stands for any white space."""
+SAMPLED_LINES = 400
+"""Lines from all over a file that tell its dialect."""
+SAMPLED_BYTES = 4096
+MAX_MATRIX_COLUMNS = 64
+"""A matrix with more columns is an image or a grid, not a table."""
+EXPORT_KEY = "dragrig-export"
+"""Metadata with this key are those of an exported run."""
 
 _UNSUPPORTED_ENDINGS = {
     ".xlsx": "save the sheet as CSV",
@@ -361,6 +41,16 @@ _UNSUPPORTED_ENDINGS = {
     ".hdf5": "export it as CSV or MAT",
     ".nxs": "export it as CSV or MAT",
 }
+_BYTE_ORDER_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\d*[.,]\d+)([eE][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.IGNORECASE)
+_COMMENT = re.compile(r"\s*(#|%|//)\s?")
+_EXPORT_LINE = re.compile(r"# ([\w-]+): (.*)")
 
 
 def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignTable:
@@ -379,7 +69,6 @@ def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignT
         raise ImportDataError(f"{path}: {ending} files are not read; {_UNSUPPORTED_ENDINGS[ending]}.")
     if path.stat().st_size == 0:
         raise ImportDataError(f"{path}: is empty; give a file with a table of numbers.")
-
     if ending == ".mat":
         return read_mat(path, settings.table)
     if ending in {".parquet", ".pq"}:
@@ -388,5 +77,476 @@ def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignT
         return read_tdms(path, settings.table)
     if ending == ".npz":
         return read_npz(path)
-
     return read_text(path, settings.encoding, settings.delimiter, settings.decimal, settings.header_lines)
+
+
+# Text tables: encoding, dialect, cells.
+
+
+@dataclass(frozen=True, slots=True)
+class TextDialect:
+    """Layout of a text table: delimiter, index of the first line of numbers, names and units (or none) by column."""
+
+    delimiter: str
+    first_row: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+
+def read_text(
+    path: Path, encoding: str = "", delimiter: str = "", decimal: str = "", header_lines: int | None = None
+) -> ForeignTable:
+    """Read a text table; parameters that are not given are detected.
+
+    Raises
+    ------
+    ImportDataError
+        When there is no table, its rows differ in width, or its decimal mark is ambiguous.
+    """
+    lines = read_lines(path, encoding)
+    dialect = detect_dialect(path, lines, delimiter, header_lines)
+    rows = [number for number in range(dialect.first_row, len(lines)) if lines[number].strip()]
+    if not rows:
+        raise ImportDataError(f"{path}: has no rows of numbers after its header; give a file with data.")
+    columns = _parse_rows(path, lines, rows, dialect, decimal)
+    gapless = len(rows) == rows[-1] - rows[0] + 1
+    preamble = tuple(lines[: dialect.first_row])
+    return ForeignTable(
+        path,
+        columns,
+        lines=range(rows[0] + 1, rows[-1] + 2) if gapless else tuple(number + 1 for number in rows),
+        preamble=preamble,
+        export=_export_preamble(preamble),
+    )
+
+
+def read_lines(path: Path, encoding: str = "") -> list[str]:
+    """Read a text file's lines, with line ends of any system; `encoding` overrides the detected one.
+
+    Raises
+    ------
+    ImportDataError
+        When the file cannot be read, is empty, or is not text of this encoding.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
+    if not data.strip(b"\r\n\t \0"):
+        raise ImportDataError(f"{path}: is empty; give a file with a table of numbers.")
+    encoding = encoding or detect_encoding(data)
+    try:
+        text = data.decode(encoding)
+    except LookupError:
+        raise ImportDataError(
+            f"{path}: the encoding {encoding!r} is not known; give one such as utf-8, cp1252 or utf-16."
+        ) from None
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise ImportDataError(
+            f"{path}: line {line} is not text in the encoding {encoding}; state the right one, such as cp1252 or "
+            "utf-16."
+        ) from error
+    if "\0" in text:
+        raise ImportDataError(f"{path}: is binary, not text; MAT, Parquet and TDMS files are recognised by ending.")
+    return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def detect_encoding(data: bytes) -> str:
+    """Return the encoding of a text file: by its byte order mark, else UTF-16 by its zero bytes, UTF-8, or cp1252.
+
+    Tables of numbers hold too few letters for a statistical guess: charset-normalizer takes `[µN]` in cp1252 for Big5
+    (docs/decisions/0009).
+    """
+    for mark, encoding in _BYTE_ORDER_MARKS:
+        if data.startswith(mark):
+            return encoding
+    sample = data[:SAMPLED_BYTES]
+    if sample[1::2].count(0) > len(sample) // 4:
+        return "utf-16-le"
+    if sample[::2].count(0) > len(sample) // 4:
+        return "utf-16-be"
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"
+
+
+def detect_dialect(
+    path: Path, lines: Sequence[str], delimiter: str = "", header_lines: int | None = None
+) -> TextDialect:
+    """Find delimiter, first row, names and units; a stated delimiter or number of header lines is taken as it is.
+
+    The delimiter is the one that gives the most columns of numbers, then the largest share of such columns.
+
+    Raises
+    ------
+    ImportDataError
+        When there is no table of numbers.
+    """
+    after_header = lines[header_lines or 0 :]
+    spread = after_header[:: max(1, len(after_header) // SAMPLED_LINES)]
+    sample = [line for line in spread if line.strip() and not _COMMENT.match(line)]
+    shapes = {candidate: _table_shape(sample, candidate) for candidate in ([delimiter] if delimiter else DELIMITERS)}
+    chosen, (width, numeric) = max(
+        shapes.items(), key=lambda item: (len(item[1][1]), len(item[1][1]) / max(item[1][0], 1))
+    )
+    if not numeric:
+        raise ImportDataError(
+            f"{path}: holds no table of numbers with columns separated by tab, semicolon, bar, comma or white space; "
+            "state delimiter and header_lines if it does."
+        )
+    first = header_lines if header_lines is not None else _first_row(lines, chosen, numeric)
+    while first < len(lines) and not lines[first].strip():
+        first += 1
+    return TextDialect(chosen, first, *_header(lines[:first], chosen, width))
+
+
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into cells, without the white space and quotes around them."""
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number with either decimal mark."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _table_shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...]]:
+    """Most common number of cells per line, and the columns that are mostly numbers."""
+    rows = [row for row in (split_cells(line, delimiter) for line in sample) if any(map(is_number, row))]
+    if not rows:
+        return 0, ()
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    cells_by_column = zip(*(row for row in rows if len(row) == width), strict=True)
+    surplus = (sum(1 if is_number(cell) else -1 for cell in cells if cell) for cells in cells_by_column)
+    return width, tuple(column for column, majority in enumerate(surplus) if majority > 0)
+
+
+def _first_row(lines: Sequence[str], delimiter: str, numeric: Sequence[int]) -> int:
+    """First line with numbers in at least half of the columns of numbers."""
+    for number, line in enumerate(lines):
+        if not line.strip() or _COMMENT.match(line):
+            continue
+        cells = split_cells(line, delimiter)
+        numbers = sum(column < len(cells) and is_number(cells[column]) for column in numeric)
+        if numbers and 2 * numbers >= len(numeric):
+            return number
+    return len(lines)
+
+
+def _header(lines: Sequence[str], delimiter: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units from the last lines before the table that have its width."""
+    rows = [cells for line in lines if line.strip() and (cells := _header_cells(line, delimiter, width))]
+    if not rows:
+        return (), ()
+    if len(rows) > 1 and _are_units(rows[-1]) and not _are_units(rows[-2]):
+        return tuple(rows[-2]), tuple(rows[-1])
+    return tuple(rows[-1]), ()
+
+
+def _header_cells(line: str, delimiter: str, width: int) -> list[str]:
+    """Cells of a line as wide as the table, up to empty cells or one missing cell at its end; else none."""
+    cells = split_cells(_COMMENT.sub("", line, count=1), delimiter)
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    missing = width - len(cells)
+    if missing and not (missing == 1 and delimiter != " " and width > 2):
+        return []
+    return cells + [""] * missing
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    return bool(filled) and all(canonical_unit(cell) is not None for cell in filled)
+
+
+def _parse_rows(
+    path: Path, lines: Sequence[str], rows: Sequence[int], dialect: TextDialect, decimal: str
+) -> tuple[ForeignColumn, ...]:
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    delimiter = dialect.delimiter
+    body = "\n".join(" ".join(lines[row].split()) if delimiter == " " else lines[row] for row in rows)
+    if "+" in body:
+        # Arrow reads no number with a leading plus.
+        body = re.sub(rf'((?:^|{re.escape(delimiter)})\s*"?)\+(?=[\d.,])', r"\1", body, flags=re.MULTILINE)
+    decimal = decimal or _decimal_mark(path, body, delimiter)
+    width = len(split_cells(lines[rows[0]], delimiter))
+    try:
+        data = body.encode("utf-8", "surrogatepass")
+        table = arrow_csv.read_csv(
+            io.BytesIO(data),
+            # One block, so that a column's type is inferred from all of its rows.
+            arrow_csv.ReadOptions(
+                column_names=[str(column) for column in range(width)], block_size=min(len(data) + 1, 2**31 - 1)
+            ),
+            arrow_csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
+            arrow_csv.ConvertOptions(decimal_point=decimal, null_values=[""], true_values=[], false_values=[]),
+        )
+    except pa.ArrowInvalid as error:
+        raise _ragged_row_error(path, lines, rows, delimiter, width) from error
+    if width > 1 and table.column(width - 1).null_count == len(rows):
+        width -= 1  # each line ends with a delimiter
+    names, units = _names_and_units(dialect, width)
+    return tuple(
+        _text_column(name, unit, table.column(column), decimal)
+        for column, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+
+
+def _decimal_mark(path: Path, body: str, delimiter: str) -> str:
+    has_comma, has_point = "," in body and (delimiter != "," or '"' in body), "." in body
+    if not (has_comma and has_point):
+        return "," if has_comma else "."
+    edge = re.escape(delimiter)
+    commas, points = (
+        len(re.findall(rf'(?:^|{edge})\s*"?[-+]?{pattern}(?:[eE][-+]?\d+)?"?\s*(?=$|{edge})', body, re.MULTILINE))
+        for pattern in (r"\d*,\d+", r"\d*\.\d*")
+    )
+    if commas and points:
+        raise ImportDataError(
+            f"{path}: has decimal commas in {commas} cells and decimal points in {points}; state the decimal mark."
+        )
+    return "," if commas else "."
+
+
+def _ragged_row_error(
+    path: Path, lines: Sequence[str], rows: Sequence[int], delimiter: str, width: int
+) -> ImportDataError:
+    for row in rows:
+        cells = len(split_cells(lines[row], delimiter))
+        if cells != width:
+            return ImportDataError(
+                f"{path}: line {row + 1} has {cells} cells where the first row has {width}; correct or remove it, or "
+                "state delimiter and header_lines."
+            )
+    return ImportDataError(f"{path}: holds quotes that do not match; remove them.")
+
+
+def _names_and_units(dialect: TextDialect, width: int) -> tuple[list[str], list[str]]:
+    names: list[str] = []
+    units: list[str] = []
+    for column in range(width):
+        name = (dialect.names[column] if column < len(dialect.names) else "") or f"column {column + 1}"
+        name = name if name not in names else f"{name} ({column + 1})"
+        unit = dialect.units[column] if column < len(dialect.units) else ""
+        names.append(name)
+        units.append(canonical_unit(unit) or unit or split_unit(name)[1] or "")
+    return names, units
+
+
+def _text_column(name: str, units: str, cells: "pa.ChunkedArray", decimal: str) -> ForeignColumn:
+    """Numbers of a column, or its first cell that is none."""
+    import pyarrow as pa
+
+    if pa.types.is_null(cells.type):
+        return ForeignColumn(name, units, np.full(len(cells), np.nan))
+    if pa.types.is_integer(cells.type) or pa.types.is_floating(cells.type):
+        return ForeignColumn(name, units, np.asarray(cells.cast(pa.float64()).to_numpy(), dtype=np.float64))
+    texts = [str(cell).strip() for cell in cells.to_pylist()]
+    wrong_mark = "." if decimal == "," else ","
+    invalid = (row for row, text in enumerate(texts) if not is_number(text) or wrong_mark in text)
+    first = next(invalid, 0)
+    return ForeignColumn(name, units, np.full(len(cells), np.nan), InvalidCell(first, texts[first]))
+
+
+def _export_preamble(preamble: Sequence[str]) -> dict[str, object]:
+    """Metadata in the comment lines that an exported run begins with."""
+    entries = {match[1]: match[2] for line in preamble if (match := _EXPORT_LINE.fullmatch(line))}
+    if EXPORT_KEY not in entries:
+        return {}
+    try:
+        return {key: json.loads(value) for key, value in entries.items()}
+    except ValueError:
+        return {}
+
+
+# Binary tables: named arrays, of which the largest group is the table.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _NamedArray:
+    """A column and the variable, struct or group that holds it."""
+
+    group: str
+    name: str
+    values: npt.NDArray[np.generic]
+    units: str = ""
+
+
+def read_parquet(path: Path) -> ForeignTable:
+    """Read a Parquet file; raises `ImportDataError` when it is none."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise _damaged_file(path, "Parquet", error) from error
+    arrays = []
+    for column, cells in zip(table.schema, table.columns, strict=True):
+        units = (column.metadata or {}).get(b"units", b"").decode("utf-8", "replace")
+        numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+        values = cells.to_numpy() if numeric else np.array(cells.to_pylist(), dtype=object)
+        arrays.append(_NamedArray("", column.name, values, units))
+    export = (table.schema.metadata or {}).get(b"dragrig", b"")
+    return _foreign_table(path, arrays, export=export.decode("utf-8", "replace"))
+
+
+def read_npz(path: Path) -> ForeignTable:
+    """Read a NumPy archive; raises `ImportDataError` when it is none."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {str(name): archive[name] for name in archive.files}
+    except Exception as error:
+        # NumPy and zipfile report damage as many classes of exception; each means the same to the user.
+        raise _damaged_file(path, "NumPy", error) from error
+    export = str(arrays.pop("metadata", ""))
+    return _foreign_table(path, list(_named_arrays("", arrays)), export=export)
+
+
+def read_mat(path: Path, table: str = "") -> ForeignTable:
+    """Read a MAT file of version 5 or 7.3; raises `ImportDataError` when it is none.
+
+    Parameters
+    ----------
+    table
+        Variable or struct whose columns are meant; the largest when empty.
+    """
+    import h5py
+    from scipy.io import loadmat
+
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path, "r") as file:
+                variables = _hdf5_tree(file)
+        else:
+            contents = loadmat(path, simplify_cells=True)
+            variables = {str(name): value for name, value in contents.items() if not str(name).startswith("__")}
+    except Exception as error:
+        # Both readers report damage as almost any class of exception; each means the same to the user.
+        raise _damaged_file(path, "MAT", error) from error
+    run = variables.get("run")
+    export = str(run.get("metadata_json", "")) if isinstance(run, dict) else ""
+    return _foreign_table(path, list(_named_arrays("", variables)), table, export=export)
+
+
+def read_tdms(path: Path, table: str = "") -> ForeignTable:
+    """Read a TDMS file; raises `ImportDataError` when it is none.
+
+    Parameters
+    ----------
+    table
+        Group whose channels are meant; the largest when empty.
+    """
+    from nptdms import TdmsFile
+
+    arrays: list[_NamedArray] = []
+    increments: dict[str, set[float]] = {}
+    try:
+        for group in TdmsFile.read(path).groups():
+            for channel in group.channels():
+                units = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
+                arrays.append(_NamedArray(group.name, channel.name, np.asarray(channel[:]), units))
+                increments.setdefault(group.name, set()).add(float(channel.properties.get("wf_increment", 0.0)))
+    except Exception as error:
+        # npTDMS reports damage as almost any class of exception; each means the same to the user.
+        raise _damaged_file(path, "TDMS", error) from error
+    chosen = _largest_table(path, arrays, table)
+    steps = increments.get(chosen[0].group, set())
+    step = steps.pop() if len(steps) == 1 else 0.0
+    return _foreign_table(path, chosen, sample_rate_hz=1 / step if step > 0 else None)
+
+
+def _hdf5_tree(group: "h5py.Group") -> dict[str, object]:
+    """Nested variables of a MAT file of version 7.3; MATLAB stores matrices there column by column."""
+    import h5py
+
+    tree: dict[str, object] = {}
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            if not name.startswith("#"):
+                tree[name] = _hdf5_tree(item)
+        elif item.attrs.get("MATLAB_class") == b"char":
+            tree[name] = "".join(map(chr, np.asarray(item[()]).T.ravel().tolist()))
+        elif item.dtype.kind in "fiub" and "MATLAB_empty" not in item.attrs:
+            tree[name] = np.squeeze(np.asarray(item[()]).T)
+    return tree
+
+
+def _named_arrays(group: str, variables: Mapping[str, object]) -> Iterable[_NamedArray]:
+    for name, value in variables.items():
+        path = f"{group}.{name}" if group else name
+        if isinstance(value, dict):
+            yield from _named_arrays(path, value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            if value.ndim == 1:
+                yield _NamedArray(group, name, value)
+            elif value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
+                columns = value if value.shape[0] >= value.shape[1] else value.T
+                for number, column in enumerate(columns.T, start=1):
+                    yield _NamedArray(path, f"{name}[{number}]", column)
+
+
+def _largest_table(path: Path, arrays: Sequence[_NamedArray], table: str) -> list[_NamedArray]:
+    """Arrays of one group and one length: of the stated group, and with the most values."""
+    groups: dict[tuple[str, int], list[_NamedArray]] = {}
+    for array in arrays:
+        groups.setdefault((array.group, len(array.values)), []).append(array)
+    wanted = {key: group for key, group in groups.items() if not table or key[0] == table}
+    if not arrays:
+        raise ImportDataError(f"{path}: holds no columns of numbers; give a file with data.")
+    if not wanted:
+        known = sorted({array.group for array in arrays if array.group})
+        hint = suggestion(table, known) if known else "leave its name out."
+        raise ImportDataError(f"{path}: there is no table {table!r}; {hint}")
+    return max(wanted.items(), key=lambda item: item[0][1] * len(item[1]))[1]
+
+
+def _foreign_table(
+    path: Path,
+    arrays: Sequence[_NamedArray],
+    table: str = "",
+    *,
+    sample_rate_hz: float | None = None,
+    export: str = "",
+) -> ForeignTable:
+    chosen = _largest_table(path, arrays, table)
+    if not len(chosen[0].values):
+        raise ImportDataError(f"{path}: holds columns without any rows; give a file with data.")
+    try:
+        metadata = json.loads(export) if export else {}
+    except ValueError:
+        metadata = {}
+    is_export = isinstance(metadata, dict) and EXPORT_KEY in metadata
+    return ForeignTable(
+        path,
+        tuple(_array_column(array) for array in chosen),
+        sample_rate_hz=sample_rate_hz,
+        export=metadata if is_export else {},
+    )
+
+
+def _array_column(array: _NamedArray) -> ForeignColumn:
+    units = canonical_unit(array.units) or array.units or split_unit(array.name)[1] or ""
+    if array.values.dtype.kind == "M":
+        seconds = (array.values - array.values[0]) / np.timedelta64(1, "s")
+        return ForeignColumn(array.name, "s", np.asarray(seconds, dtype=np.float64))
+    if array.values.dtype.kind not in "fiub":
+        missing = np.full(len(array.values), np.nan)
+        return ForeignColumn(array.name, units, missing, InvalidCell(0, str(array.values[0])))
+    return ForeignColumn(array.name, units, np.asarray(array.values, dtype=np.float64))
+
+
+def _damaged_file(path: Path, what: str, error: Exception) -> ImportDataError:
+    if isinstance(error, OSError) and error.strerror:
+        return ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.")
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return ImportDataError(f"{path}: is damaged or no {what} file ({reason:.100}); export it anew or as CSV.")
