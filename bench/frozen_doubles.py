@@ -1,0 +1,73 @@
+"""What is kept of a run on the doubles of the hardware, whose motion begins with the jitter of a serial line.
+
+Command, phase and time are the same in every call and are kept as digests; force and position only as means over each
+phase that lasts, within what the jitter of some milliseconds does to them.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+from frozen_values import Cleaner, Json, digest
+from numpy.typing import NDArray
+
+LASTS_S = 0.4
+"""Phases of at least this duration have a mean."""
+
+WITHIN = {
+    "command_t0_uncertainty_s": 0.2,
+    "following_error_mm": 0.3,
+    "insertion_dwell_s": 1.0,
+    "origin_mm": 0.01,
+    "rest_noise_mN": 0.3,
+    "rest_offset_mN": 3.0,
+    "slip_time_s": 1.0,
+}
+"""What an attribute may differ by from call to call."""
+
+FORCE_WITHIN_MN, POSITION_WITHIN_MM = 3.0, 0.02
+EXACT = ("command", "phase", "time")
+LEFT_OUT = ("entry/settings", "entry/events")
+"""Settings are those of the simulated runs and name a port; events carry the time of the jitter."""
+
+
+def double_run(path: Path, cleaner: Cleaner) -> Json:
+    """Return what is the same in every call of a run on the doubles."""
+    found: dict[str, Json] = {}
+    with h5py.File(path) as file:
+
+        def visit(name: str, node: h5py.Group | h5py.Dataset) -> None:
+            found[f"{name} attributes"] = _attributes(cleaner.value(dict(node.attrs)))
+            if isinstance(node, h5py.Dataset) and name not in LEFT_OUT:
+                found[name] = _dataset(name.rpartition("/")[2], node, file["entry/trace"])
+
+        file.visititems(visit)
+    return found
+
+
+def _attributes(values: Json) -> Json:
+    assert isinstance(values, Mapping)
+    return {key: {"about": value, "within": WITHIN[key]} if key in WITHIN else value for key, value in values.items()}
+
+
+def _dataset(name: str, node: h5py.Dataset, trace: h5py.Group) -> Json:
+    if name in EXACT:
+        return digest(node[()])
+    within = POSITION_WITHIN_MM if name == "position" else FORCE_WITHIN_MN
+    means = _means(node[()], trace["phase"][()], float(trace.attrs["sample_rate_hz"]))
+    return {
+        "dtype": str(node.dtype),
+        "means": {phase: {"about": mean, "within": within} for phase, mean in means.items()},
+    }
+
+
+def _means(values: NDArray[np.float32], phases: NDArray[np.uint8], rate_hz: float) -> dict[str, float]:
+    """Return the mean of each phase that lasts, without the first and last tenth of it."""
+    found = {}
+    for phase in np.unique(phases):
+        chosen = np.flatnonzero(phases == phase)
+        edge = chosen.size // 10
+        if chosen.size >= LASTS_S * rate_hz:
+            found[str(phase)] = float(values[chosen[edge : chosen.size - edge]].mean(dtype=np.float64))
+    return found
