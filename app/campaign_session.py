@@ -20,8 +20,8 @@ from dragrig.rig.engine import Store
 from dragrig.rig.operator import Answer, NullOperator, Operator, Prompt, SessionObserver
 from dragrig.rig.preflight import preflight
 from dragrig.rig.runfile import Campaign, FolderStore, RecoveryOutcome, read_campaign, recover
-from dragrig.rig.runfile.mirror import Mirror, MirrorReport
 from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.runfile.store import Mirror, MirrorReport
 from dragrig.rig.session import (
     CampaignProgress,
     Session,
@@ -436,7 +436,7 @@ def _store_opener(
                 f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
             ) from error
         return FolderStore(
-            folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb, told=told
+            folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb, on_finished=told
         )
 
     return opened

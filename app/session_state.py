@@ -17,7 +17,7 @@ from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import Answer, Operator, Prompt, SessionObserver
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import filesystem as files
+from dragrig.rig.runfile.filesystem import BusyError, file_lock, rename_into_place
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
@@ -114,9 +114,9 @@ def session_lock(folder: Path) -> Iterator[None]:
     with contextlib.ExitStack() as held:
         while True:
             try:
-                held.enter_context(files.file_lock(folder / LOCK_FILE, busy))
+                held.enter_context(file_lock(folder / LOCK_FILE, busy))
                 break
-            except files.BusyError:
+            except BusyError:
                 if time.monotonic() > until:
                     raise
             time.sleep(_LOCK_POLL_S)
@@ -196,7 +196,7 @@ class StatePublisher:
         part = self._folder / f".{STATE_FILE}.part"
         with contextlib.suppress(OSError, OutputError):
             part.write_text(self._state.model_dump_json(indent=1), "utf-8")
-            files.rename_into_place(part, self._folder / STATE_FILE)
+            rename_into_place(part, self._folder / STATE_FILE)
 
 
 def _planned_duration_s(run: PlannedRun) -> float:

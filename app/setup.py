@@ -22,9 +22,8 @@ from dragrig.config.settings import (
     suggestion,
 )
 from dragrig.config.specimen import Specimen
-from dragrig.rig import lab_folder as calibration
-from dragrig.rig import lab_folder as contact
 from dragrig.rig.devices import Backend, BackendRequest, StageLimits
+from dragrig.rig.lab_folder import latest_calibration, read_contact
 from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
 from dragrig.rig.session import session_record_of_run
@@ -220,7 +219,7 @@ class RigSetup:
             return {}
         serials = {"force": self.rig.force_sensor.serial}
         found = {
-            one: calibration.latest_calibration(self.rig_folder, one, self.made_on, serials.get(one, ""))
+            one: latest_calibration(self.rig_folder, one, self.made_on, serials.get(one, ""))
             for one in CALIBRATED_QUANTITIES
         }
         return {quantity: entry for quantity, entry in found.items() if entry is not None}
@@ -278,7 +277,7 @@ def choose_settings(
 
 def contact_position(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
     """Return the absolute position of the contact that a lab keeps now, or else the one that was known before."""
-    kept = contact.read_contact(rig_folder) if rig_folder is not None else None
+    kept = read_contact(rig_folder) if rig_folder is not None else None
     return before_mm if kept is None else kept.position_mm
 
 

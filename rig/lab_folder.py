@@ -7,16 +7,13 @@ from pathlib import Path
 from dragrig.config.errors import OutputError, SettingsError
 from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint
 from dragrig.config.settings import load_settings, parse, to_toml
-from dragrig.rig.runfile import filesystem as files
+from dragrig.rig.runfile.filesystem import replace_text
 
 
 def read_calibrations(folder: Path) -> tuple[Calibration, ...]:
-    """Return every entry of a lab folder's history, oldest first; none where there is no history.
+    """Return every entry of a lab folder's history, oldest first; empty where there is no history.
 
-    Raises
-    ------
-    SettingsError
-        For a line that is no calibration, by its number.
+    Raises `SettingsError` for a line that is no calibration, by its number.
     """
     path = folder / CALIBRATION_FILE
     try:
@@ -30,24 +27,34 @@ def read_calibrations(folder: Path) -> tuple[Calibration, ...]:
     )
 
 
+def _parse_calibration(line: str, source: str) -> Calibration:
+    try:
+        data = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise SettingsError(f"{source}: is not JSON ({error}); restore the line from a copy.") from error
+    if not isinstance(data, dict):
+        raise SettingsError(f"{source}: is not a JSON object with the keys of a calibration.")
+    return parse(Calibration, data, source)
+
+
 def latest_calibration(
     folder: Path, quantity: str = "force", made_on: str = "", sensor_serial: str = ""
 ) -> Calibration | None:
-    """Return the entry that holds now for a quantity (force, encoder); None before the first one.
+    """Return the latest entry for a quantity (force, encoder); None before the first one.
 
     Parameters
     ----------
     made_on
-        Backend that it has to hold for; any unless given.
+        Backend that it must be valid for; empty for any.
     sensor_serial
-        Sensor that it has to hold for; any unless given. An entry that names none holds for every one.
+        Sensor that it must be valid for; empty for any. An entry without a serial number is valid for every sensor.
     """
     entries = [
-        one
-        for one in read_calibrations(folder)
-        if one.quantity == quantity
-        and (not made_on or one.made_on in {"", made_on})
-        and (not sensor_serial or one.sensor_serial in {"", sensor_serial})
+        entry
+        for entry in read_calibrations(folder)
+        if entry.quantity == quantity
+        and (not made_on or entry.made_on in {"", made_on})
+        and (not sensor_serial or entry.sensor_serial in {"", sensor_serial})
     ]
     return entries[-1] if entries else None
 
@@ -58,53 +65,33 @@ def append_calibration(folder: Path, entry: Calibration) -> None:
     Raises
     ------
     SettingsError
-        When the history has an entry of this id already, or holds a line that is no calibration.
+        When the history already has an entry of this id, or holds a line that is no calibration.
     OutputError
         When the history cannot be written.
     """
     path = folder / CALIBRATION_FILE
-    if any(one.id == entry.id for one in read_calibrations(folder)):
+    if any(earlier.id == entry.id for earlier in read_calibrations(folder)):
         raise SettingsError(f"{path}: id = {entry.id!r} is in the history already; choose another.")
     try:
         with path.open("a+b") as history:
-            history.write(_missing_newline(path) + entry.model_dump_json().encode() + b"\n")
+            # An editor may have left the last line without its end; the new entry must not join it.
+            text = path.read_bytes()
+            line_end = b"\n" if text and not text.endswith(b"\n") else b""
+            history.write(line_end + entry.model_dump_json().encode() + b"\n")
             history.flush()
             os.fsync(history.fileno())
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
 
 
-def _missing_newline(path: Path) -> bytes:
-    # An editor may have left the last line without its end; the new entry must not join it.
-    text = path.read_bytes()
-    return b"" if not text or text.endswith(b"\n") else b"\n"
-
-
-def _parse_calibration(line: str, source: str) -> Calibration:
-    try:
-        data = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise SettingsError(f"{source}: is not JSON ({error}); the history is only ever appended to.") from error
-    if not isinstance(data, dict):
-        raise SettingsError(f"{source}: is not an object of a calibration's keys.")
-    return parse(Calibration, data, source)
-
-
 def read_contact(folder: Path) -> ContactPoint | None:
-    """Return the contact that a lab folder keeps; None before the first one. Raises `SettingsError`."""
+    """Return the contact stored in a lab folder, or None; raises `SettingsError`."""
     path = folder / CONTACT_FILE
     return load_settings(ContactPoint, path) if path.is_file() else None
 
 
 def write_contact(folder: Path, contact: ContactPoint) -> Path:
-    """Keep a contact in place of the one before; raises `OutputError`."""
+    """Store a contact in place of the one before; raises `OutputError`."""
     path = folder / CONTACT_FILE
-    part = path.with_suffix(".part")
-    try:
-        part.write_text(to_toml(contact), "utf-8")
-        files.move_into_place(part, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); check the folder.") from error
-    finally:
-        files.remove_quietly(part)
+    replace_text(path, to_toml(contact))
     return path

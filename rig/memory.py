@@ -48,10 +48,7 @@ class MemorySink:
     def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
         """Take a reading's arrays."""
         if first_index > self._next_index:
-            lost, rate_hz = first_index - self._next_index, self._header.sample_rate_hz
-            self._events.append(
-                RunEvent(self._next_index / rate_hz, "gap", f"{lost} samples lost, {lost / rate_hz:.6g} s")
-            )
+            self._events.append(RunEvent.gap(self._next_index, first_index, self._header.sample_rate_hz))
         self._next_index = first_index + len(arrays["time"])
         self._pieces.append(arrays)
 

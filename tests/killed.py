@@ -18,26 +18,21 @@ from pathlib import Path
 import numpy as np
 from runfiles import START, arrays, header
 
-from dragrig.rig.runfile import filesystem as files
-from dragrig.rig.runfile import finish, read_run, recover
-from dragrig.rig.runfile import finisher as repack
-from dragrig.rig.runfile import recorder as recording
-from dragrig.rig.runfile import schema as naming
-from dragrig.rig.runfile import writer as writing
+from dragrig.rig.runfile import finish, finisher, read_run, recorder, recover, schema, writer
 from dragrig.rig.runfile.model import RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 
 BLOCK_S = 0.005
 STEPS = {
-    "making": (writing, "write_header"),
-    "opening": (recording, "_open_for_swmr"),
-    "appending": (recording.RecordingFile, "append"),
-    "flushing": (recording.RecordingFile, "flush"),
-    "noting": (recording.RecordingFile, "append_events"),
-    "closing": (recording.RecordingFile, "close"),
-    "copying": (repack, "_copy_recorded_trace"),
-    "syncing": (files, "move_into_place"),
-    "placed": (files, "remove_file"),
+    "making": (recorder, "write_header"),
+    "opening": (recorder, "_open_for_swmr"),
+    "appending": (recorder.RecordingFile, "append"),
+    "flushing": (recorder.RecordingFile, "flush"),
+    "noting": (recorder.RecordingFile, "append_events"),
+    "closing": (recorder.RecordingFile, "close"),
+    "copying": (finisher, "_copy_recorded_trace"),
+    "syncing": (writer, "move_into_place"),
+    "placed": (finisher, "remove_file"),
 }
 
 
@@ -118,7 +113,7 @@ def run_victim(
         first = process.stdout.readline()
         if kill_after_s is not None:
             time.sleep(kill_after_s)
-            file = naming.recording_path(path)
+            file = schema.recording_path(path)
             before = file.stat().st_mtime_ns
             while in_a_flush and file.stat().st_mtime_ns == before and process.poll() is None:
                 pass

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.lab import create_lab
-from dragrig.rig import lab_folder as calibration
+from dragrig.rig.lab_folder import latest_calibration, read_calibrations
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.sensor_calibration import fit_encoder, fit_force
 
@@ -91,7 +91,7 @@ def test_weights_make_a_line_that_is_kept(calibrate: Calibrate, lab: Path, capsy
     ]  # fmt: skip
     assert "gain 950 ±" in told.out
     assert "NOTE" not in told.out
-    kept = calibration.latest_calibration(lab, "force")
+    kept = latest_calibration(lab, "force")
     assert kept is not None
     assert (kept.operator, kept.sensor_serial, kept.points, kept.made_on) == ("Ada", "S7", 8, "handed")
     assert (kept.gain, kept.zero) == (pytest.approx(950.0), pytest.approx(-12.0))
@@ -102,7 +102,7 @@ def test_runs_refer_to_the_calibration_of_their_own_rig(
     calibrate: Calibrate, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert calibrate("force", "--weights", "0,20,50", volts=volts_of([0, 20, 50])) == 0
-    kept = calibration.latest_calibration(lab, "force")
+    kept = latest_calibration(lab, "force")
     assert kept is not None
     short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
     assert main(["run", "drag", *short, "--yes", "--out", "a"]) == 0
@@ -149,7 +149,7 @@ def test_nonsense_is_refused_and_nothing_kept(
     told = capsys.readouterr()
     assert sentence in told.err
     assert told.out == ""
-    assert calibration.read_calibrations(lab) == ()
+    assert read_calibrations(lab) == ()
 
 
 def test_yes_hangs_no_weight_and_an_end_keeps_nothing(
@@ -157,7 +157,7 @@ def test_yes_hangs_no_weight_and_an_end_keeps_nothing(
 ) -> None:
     assert calibrate("force", "--weights", "0,20,50", "--yes", volts=[0.0, 0.2, 0.5], typed="") == 3
     assert calibrate("force", "--weights", "0,20,50", volts=[0.0, 0.2, 0.5], typed="\n\na\n") == 3
-    assert calibration.read_calibrations(lab) == ()
+    assert read_calibrations(lab) == ()
 
 
 def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,7 +167,7 @@ def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.C
     assert told["entry"]["gain"] == pytest.approx(40.04 / 40_000, rel=1e-6)
     assert told["entry"]["residual"] == pytest.approx(0.01, rel=1e-3)
     assert told["notes"] == []
-    kept = calibration.latest_calibration(lab, "encoder", "simulated")
+    kept = latest_calibration(lab, "encoder", "simulated")
     assert kept is not None
     assert kept.points == 3
     assert main(["calibrate", "encoder", "--travel", "20", "--yes"]) == 0
@@ -180,7 +180,7 @@ def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytes
     told = capsys.readouterr()
     assert "push it 10 mm up" in told.err
     assert "push it 10 mm down" in told.err
-    kept = calibration.latest_calibration(lab, "encoder")
+    kept = latest_calibration(lab, "encoder")
     assert kept is not None
     assert kept.gain == pytest.approx(10 / 8000)
     assert "NOTE a count of 1.25 µm is not encoder.resolution_um = 1" in told.out
@@ -203,7 +203,7 @@ def test_travels_that_make_no_sense_are_refused(
 ) -> None:
     assert main(["calibrate", "encoder", *words, "--yes"]) == code
     assert sentence in capsys.readouterr().err
-    assert calibration.read_calibrations(lab) == ()
+    assert read_calibrations(lab) == ()
 
 
 def test_calibrating_needs_a_lab(

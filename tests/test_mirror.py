@@ -13,8 +13,8 @@ from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.runfile import mark_bad
-from dragrig.rig.runfile.mirror import Mirror, copy_verified
 from dragrig.rig.runfile.schema import mark_path
+from dragrig.rig.runfile.store import Mirror, copy_verified
 
 FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
 
@@ -111,7 +111,7 @@ def test_a_missing_mirror_is_said_at_once(tmp_path: Path) -> None:
     mirror = Mirror(tmp_path / "gone", "runs", told.append)
     assert mirror.close().whole
     assert told == [f"NOT MIRRORED: {tmp_path / 'gone' / 'runs'}: there is no such folder; make it, or mount the disk; "
-                    "the runs are made all the same."]  # fmt: skip
+                    "the runs are recorded all the same."]  # fmt: skip
 
 
 def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> None:

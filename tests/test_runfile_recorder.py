@@ -69,12 +69,12 @@ def test_the_ring_hands_over_every_sample_in_order(capacity: int, sizes: list[in
     taker.start()
     first = 0
     for size in sizes:
-        assert ring.give({"time": np.arange(first, first + size, dtype=float)})
+        assert ring.put({"time": np.arange(first, first + size, dtype=float)})
         first += size
     ring.close()
     taker.join()
     assert taken == list(range(first))
-    assert not ring.give({"time": np.zeros(1)})
+    assert not ring.put({"time": np.zeros(1)})
 
 
 def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
@@ -255,11 +255,11 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from runfiles import arrays, header
 from dragrig.config.errors import RecordingError
-from dragrig.rig.runfile import Recorder, filesystem
+from dragrig.rig.runfile import Recorder, recorder as module
 from dragrig.rig.runfile.model import RunStatus
 folder = Path(sys.argv[1])
 if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
-    filesystem.free_bytes = lambda _: 1 << 60
+    module.free_bytes = lambda _: 1 << 60
 recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=14 << 20, flush_s=0.005)
 first = 0
 try:

@@ -68,9 +68,9 @@ def choose_runs(
         When it holds no usable run.
     """
     if isinstance(campaign, Path):
-        from dragrig.rig.runfile import read_campaign as look
+        from dragrig.rig.runfile import read_campaign
 
-        there = look(campaign)
+        there = read_campaign(campaign)
         meant, others = _main_specimen(there.runs, there.good, specimen)
         usable = list[RunInfo]()
 

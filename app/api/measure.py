@@ -9,10 +9,9 @@ from dragrig import campaign_session as campaigns
 from dragrig import setup as backends
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, discard_message, run_session
 from dragrig.config.errors import OutputError
-from dragrig.rig import preflight as sanity
 from dragrig.rig.devices import BackendRequest, RigCheck
 from dragrig.rig.memory import MemoryStore
-from dragrig.rig.preflight import Preflight, preflight
+from dragrig.rig.preflight import Preflight, check_calibration, check_limits, check_wiring, preflight
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.setup import (
@@ -57,12 +56,12 @@ def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
     rig, calibrations = setup.rig, setup.calibrations()
     request = BackendRequest(rig, setup.model, calibrations=calibrations, connect=False)
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
-        yield sanity.check_limits(rig)
+        yield check_limits(rig)
         if backend.needs_hands:
-            yield from sanity.check_wiring(rig, calibrations)
+            yield from check_wiring(rig, calibrations)
         for quantity in CALIBRATED_QUANTITIES:
             if quantity in calibrations or (backend.needs_hands and not setup.double):
-                yield sanity.check_calibration(quantity, calibrations.get(quantity), rig, backend.clock.now())
+                yield check_calibration(quantity, calibrations.get(quantity), rig, backend.clock.now())
         yield from backend.examine()
 
 

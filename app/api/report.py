@@ -24,9 +24,8 @@ from dragrig.present.files import (
 from dragrig.rig.engine import AcquisitionOutcome as RunOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile import filesystem as files
-from dragrig.rig.runfile import read_campaign, read_run
-from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile import read_campaign, read_run, schema
+from dragrig.rig.runfile.filesystem import remove_file
 from dragrig.rig.session import session_record_of_run
 from dragrig.session_state import STATE_FILE
 from dragrig.setup import Setup, resolve
@@ -265,7 +264,7 @@ def _write_paper_model(found: "IdentifiedCampaign", folder: Path) -> Path | None
     try:
         text = found.toml()
     except AnalysisError:
-        files.remove_file(folder / PAPER_MODEL_FILE)
+        remove_file(folder / PAPER_MODEL_FILE)
         return None
     return write_texts(folder, {PAPER_MODEL_FILE: text})[0]
 
@@ -333,11 +332,11 @@ def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{(*held, *written)[0]}: is there already; name another folder, or say --overwrite.")
     one_each = {one.header.settings_toml: one.path for one in here.runs if one.path in own}
     beside = {folder / session_record_of_run(path).file_name() for path in one_each.values()}
-    beside |= {naming.mark_path(path) for path in own}
+    beside |= {schema.mark_path(path) for path in own}
     beside |= {folder / STATE_FILE} if own else set()
     try:
         for path in (*sorted(own), *sorted(beside)):
-            files.remove_file(path)
+            remove_file(path)
     except OSError as error:
         raise OutputError(f"{error.filename}: cannot be replaced ({error.strerror}); choose another folder.") from error
 

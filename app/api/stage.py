@@ -11,11 +11,10 @@ from typing import TypeVar, Unpack
 from dragrig.campaign_session import PromptRelay, run_on_worker
 from dragrig.config.errors import AbortedError, DeviceError, SettingsError
 from dragrig.config.rig import Calibration, ContactPoint
-from dragrig.rig import lab_folder as calibration
-from dragrig.rig import lab_folder as contact
 from dragrig.rig.devices import Backend, BackendRequest, TravelEnd, Trip
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
+from dragrig.rig.lab_folder import append_calibration, write_contact
 from dragrig.rig.manual import JOG_SPEED_MM_S, ManualControl, require_jog, require_speed, require_touch_off
 from dragrig.rig.operator import NullOperator, Operator, park
 from dragrig.rig.sensor_calibration import (
@@ -138,7 +137,7 @@ def touch_off(
         kept = ContactPoint(
             position_mm=round(found.position_mm, 4), made_at=now, force_mN=round(found.force_mN, 2), operator=operator
         )
-        contact.write_contact(folder, kept)
+        write_contact(folder, kept)
         return kept
 
     return run_on_bench(work, setup, pace, person)
@@ -251,7 +250,7 @@ def calibrate_force(
             )
         now = bench.backend.clock.now()
         entry = _calibration_entry("force", line, now, setup, rig.force_sensor.serial, operator, (note, *notes))
-        calibration.append_calibration(folder, entry)
+        append_calibration(folder, entry)
         return ForceCalibration(entry, line, points, tuple(notes))
 
     return run_on_bench(work, setup, pace, person)
@@ -317,7 +316,7 @@ def calibrate_encoder(
         notes = _encoder_notes(line, setup, known_travel=by_hand or bool(measured_mm))
         now = bench.backend.clock.now()
         entry = _calibration_entry("encoder", line, now, setup, "", operator, (note, *notes))
-        calibration.append_calibration(folder, entry)
+        append_calibration(folder, entry)
         return EncoderCalibration(entry, line, points, notes)
 
     return run_on_bench(work, setup, pace, person)

@@ -25,14 +25,30 @@ if TYPE_CHECKING:
     from dragrig.rig.runfile.reader import read_info, read_run, read_tail
     from dragrig.rig.runfile.recorder import Recorder
     from dragrig.rig.runfile.schema import run_file_name
-    from dragrig.rig.runfile.store import FolderStore
+    from dragrig.rig.runfile.store import FolderStore, Mirror, MirrorReport
     from dragrig.rig.runfile.writer import Verification, rewrite, store_filtered, verify, write_run
+
+_MODULE_OF = {
+    name: module
+    for module, names in {
+        "campaigns": "Campaign RunMark mark_bad read_campaign read_mark specimen_key unmark",
+        "finisher": "FinishResult Finisher RecoveredRecording RecoveryOutcome finish left_recordings recover",
+        "reader": "read_info read_run read_tail",
+        "recorder": "Recorder",
+        "schema": "run_file_name",
+        "store": "FolderStore Mirror MirrorReport",
+        "writer": "Verification rewrite store_filtered verify write_run",
+    }.items()
+    for name in names.split()
+}
 
 __all__ = [
     "Campaign",
     "FinishResult",
     "Finisher",
     "FolderStore",
+    "Mirror",
+    "MirrorReport",
     "Recorder",
     "RecoveredRecording",
     "RecoveryOutcome",
@@ -56,27 +72,8 @@ __all__ = [
     "write_run",
 ]
 
-_HOME = {
-    "campaigns": ("Campaign", "RunMark", "mark_bad", "read_campaign", "read_mark", "specimen_key", "unmark"),
-    "finisher": (
-        "FinishResult",
-        "Finisher",
-        "RecoveredRecording",
-        "RecoveryOutcome",
-        "finish",
-        "left_recordings",
-        "recover",
-    ),
-    "reader": ("read_info", "read_run", "read_tail"),
-    "recorder": ("Recorder",),
-    "schema": ("run_file_name",),
-    "store": ("FolderStore",),
-    "writer": ("Verification", "rewrite", "store_filtered", "verify", "write_run"),
-}
-
 
 def __getattr__(name: str) -> object:
-    for module, names in _HOME.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)

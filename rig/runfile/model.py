@@ -5,18 +5,18 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
 
 Attribute = str | float | int | bool
-"""What an attribute of the file can be; NumPy scalars are turned into these on reading."""
+"""What an attribute of the file can be; NumPy scalars become these on reading."""
 
 PHASE_NAMES = ("rest", "accelerate", "steady", "decelerate", "hold")
 
 
 class RunStatus(StrEnum):
-    """How a run ended; `recording` stands only in a file that is still being written."""
+    """How a run ended; `recording` occurs only in a file that is still being written."""
 
     RECORDING = "recording"
     COMPLETE = "complete"
@@ -28,10 +28,7 @@ class RunStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One recorded quantity: name of the dataset, its unit and how its numbers are stored.
-
-    float32 holds 24 bits, more than any converter of a rig has.
-    """
+    """One recorded quantity: dataset name, unit and number type; float32 holds 24 bits, more than a rig's converter."""
 
     name: str
     units: str
@@ -42,8 +39,8 @@ class Channel:
 class RunHeader:
     """Everything known before the first sample.
 
-    `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same
-    name (`/entry` itself for `entry`), without `NX_class`, `default` and what the writer sets itself.
+    `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same name (`/entry` itself
+    for `entry`), without `NX_class`, `default` and what the writer sets itself.
     """
 
     run_id: str
@@ -68,6 +65,12 @@ class RunEvent:
     kind: str
     message: str
 
+    @classmethod
+    def gap(cls, begin_index: int, end_index: int, rate_hz: float) -> Self:
+        """Return the event of lost samples, from the first lost one to the next that came."""
+        lost = end_index - begin_index
+        return cls(begin_index / rate_hz, "gap", f"{lost} samples lost, {lost / rate_hz:.6g} s")
+
 
 @dataclass(frozen=True, slots=True)
 class RunEnding:
@@ -81,7 +84,7 @@ class RunEnding:
 
 @dataclass(frozen=True, slots=True)
 class RunInfo:
-    """A run file's attributes: what it is, without its samples."""
+    """A run file without its samples."""
 
     path: Path
     format_version: int
@@ -103,8 +106,8 @@ class RunInfo:
 class Trace:
     """The samples of a run, each array of shape `(N,)` and read-only.
 
-    `signal` names the channel that the run is about: force, or motor_force for a stage alone.
-    `channels` holds every recorded quantity except time, command and phase, by name.
+    `signal` names the channel that the run is about: force, or motor_force for a stage alone. `channels` holds every
+    recorded quantity except time, command and phase, by name.
     """
 
     sample_rate_hz: float
@@ -128,7 +131,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilteredTrace:
-    """What the filter stored beside the raw trace, with its parameters; arrays of shape `(N,)`, read-only."""
+    """A filtered trace stored beside the raw one, with the filter's parameters; arrays of shape `(N,)`, read-only."""
 
     time: FloatArray
     channels: Mapping[str, FloatArray]
@@ -138,7 +141,7 @@ class FilteredTrace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One run file, read whole."""
+    """A run file, read whole."""
 
     info: RunInfo
     trace: Trace

@@ -35,9 +35,15 @@ from dragrig.rig.runfile.model import (
 )
 
 MAX_ATTRIBUTE_VALUES = 256
-"""An attribute with more values than this is damaged; asking for them could take all memory."""
+"""An attribute with more values than this is damaged; reading them could take all memory."""
 MAX_VALUE_BYTES = 1 << 16
 SCALAR_CLASSES = frozenset({h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM})
+MAX_DEFLATE_RATIO = 1100
+"""Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
+UNCHECKED_BYTES = 1 << 24
+MAX_LIVE_ATTEMPTS = 5
+
+ReadT = TypeVar("ReadT")
 
 
 class LayoutError(ValueError):
@@ -46,18 +52,18 @@ class LayoutError(ValueError):
 
 def required_group(file: h5py.File, path: str) -> h5py.Group:
     """Return a group that must exist."""
-    found = file.get(path)
-    if not isinstance(found, h5py.Group):
+    group = file.get(path)
+    if not isinstance(group, h5py.Group):
         raise LayoutError(f"the group {path} is missing")
-    return found
+    return group
 
 
 def required_dataset(file: h5py.File, path: str) -> h5py.Dataset:
     """Return a dataset that must exist."""
-    found = file.get(path)
-    if not isinstance(found, h5py.Dataset):
+    dataset = file.get(path)
+    if not isinstance(dataset, h5py.Dataset):
         raise LayoutError(f"the dataset {path} is missing")
-    return found
+    return dataset
 
 
 def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
@@ -91,41 +97,39 @@ def to_python(value: object) -> Attribute:
 
 
 def checked_attributes(file: h5py.File, path: str) -> dict[str, Attribute]:
-    """Return the attributes of a group after making sure that those the layout asks for are there and fit."""
-    found = attributes_of(file["/"] if path == "/" else required_group(file, path))
+    """Return the attributes of a group, once those that the layout requires are there and valid."""
+    attributes = attributes_of(file["/"] if path == "/" else required_group(file, path))
     for name, fixed in schema.FIXED_ATTRIBUTES.get(path, {}).items():
-        if name not in found:
+        if name not in attributes:
             raise LayoutError(f"{path} lacks the attribute {name}")
-        if found[name] != fixed:
-            raise LayoutError(f"the attribute {name} of {path} is {found[name]!r} instead of {fixed!r}")
-    check_attributes(path, found)
-    return found
+        if attributes[name] != fixed:
+            raise LayoutError(f"the attribute {name} of {path} is {attributes[name]!r} instead of {fixed!r}")
+    check_attributes(path, attributes)
+    return attributes
 
 
-def check_attributes(path: str, found: Mapping[str, Attribute]) -> None:
-    """Make sure that a group has the attributes that the layout asks of it, each of the right type."""
-    for name, kind in schema.REQUIRED_ATTRIBUTES.get(path, {}).items():
-        if name not in found:
-            raise LayoutError(f"{path} lacks the attribute {name}")
-        check_type(path, name, found[name], kind)
-    if path == schema.PROTOCOL:
-        for name in schema.PARAMETERS_OF_KIND.get(str(found["kind"]), ()):
-            if name not in found:
-                raise LayoutError(f"{path} lacks the attribute {name}, which the kind {found['kind']} needs")
-            check_type(path, name, found[name], float)
+def check_attributes(path: str, attributes: Mapping[str, Attribute]) -> None:
+    """Raise `LayoutError` unless a group has the attributes that the layout requires, each of the right type."""
+    required = dict(schema.REQUIRED_ATTRIBUTES.get(path, {}))
+    if path == schema.PROTOCOL and "kind" in attributes:
+        required |= dict.fromkeys(schema.PARAMETERS_OF_KIND.get(str(attributes["kind"]), ()), float)
+    for name, kind in required.items():
+        if name not in attributes:
+            reason = "" if name in schema.REQUIRED_ATTRIBUTES[path] else f", which the kind {attributes['kind']} needs"
+            raise LayoutError(f"{path} lacks the attribute {name}{reason}")
+        _check_type(path, name, attributes[name], kind)
 
 
-def check_type(path: str, name: str, value: Attribute, kind: type) -> None:
-    """Make sure that an attribute is text, a whole number or a number that is not infinite."""
+def _check_type(path: str, name: str, value: Attribute, kind: type) -> None:
     if kind is str:
-        fits = isinstance(value, str) and bool(value)
+        valid = isinstance(value, str) and bool(value)
     elif kind is int:
-        fits = isinstance(value, int) and not isinstance(value, bool) and value >= 0
+        valid = isinstance(value, int) and not isinstance(value, bool) and value >= 0
     else:
-        fits = isinstance(value, int | float) and not isinstance(value, bool) and not math.isinf(value)
-    if not fits:
-        wanted = {str: "text", int: "a whole number from 0", float: "a number"}[kind]
-        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of {wanted}")
+        valid = isinstance(value, int | float) and not isinstance(value, bool) and not math.isinf(value)
+    if not valid:
+        expected = {str: "text", int: "a whole number from 0", float: "a number"}[kind]
+        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of {expected}")
 
 
 def positive_rate(value: Attribute) -> float:
@@ -148,15 +152,10 @@ def timestamp(name: str, value: Attribute) -> datetime:
 
 
 def one_allowed(path: str, name: str, value: Attribute, allowed: tuple[str, ...]) -> str:
-    """Return a text that must be one of a few."""
+    """Return a text that must be among those allowed."""
     if value not in allowed:
         raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of one of {', '.join(allowed)}")
     return str(value)
-
-
-def status_of(value: Attribute) -> RunStatus:
-    """Return how a run ended."""
-    return RunStatus(one_allowed(schema.ENTRY, "status", value, tuple(RunStatus)))
 
 
 def run_id_of(value: Attribute) -> str:
@@ -168,13 +167,8 @@ def run_id_of(value: Attribute) -> str:
     return str(value)
 
 
-MAX_DEFLATE_RATIO = 1100
-"""Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
-UNCHECKED_BYTES = 1 << 24
-
-
 def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
-    """Read what a file says of itself: attributes and shapes only."""
+    """Read what a file of layout 1 states about its run: attributes and shapes only."""
     checked_attributes(file, "/")
     entry = checked_attributes(file, schema.ENTRY)
     trace = checked_attributes(file, schema.TRACE)
@@ -196,12 +190,12 @@ def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
         protocol=protocol,
         capsule=_without_class(capsule),
         specimen=_without_class(specimen),
-        settings_toml=_text(file, schema.SETTINGS),
+        settings_toml=str(to_python(required_dataset(file, schema.SETTINGS)[()])) if schema.SETTINGS in file else "",
     )
     return RunInfo(
         path=path,
         format_version=schema.FORMAT_VERSION,
-        status=status_of(entry["status"]),
+        status=RunStatus(one_allowed(schema.ENTRY, "status", entry["status"], tuple(RunStatus))),
         header=header,
         samples=samples,
         reason=str(entry.get("reason", "")),
@@ -209,6 +203,10 @@ def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
         checks=_without_class(attributes_of(required_group(file, schema.CHECKS))) if schema.CHECKS in file else {},
         raw_sha256=str(entry.get("raw_sha256", "")),
     )
+
+
+def _without_class(attributes: dict[str, Attribute]) -> dict[str, Attribute]:
+    return {name: value for name, value in attributes.items() if name != "NX_class"}
 
 
 def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
@@ -220,37 +218,35 @@ def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Tr
     if not (np.diff(time) > 0).all():
         raise LayoutError("/entry/trace/time does not rise from sample to sample")
     phase = _phase(file, rows)
-    command = _column(file, schema.COMMAND, rows)
-    channels = {channel.name: _column(file, channel.name, rows) for channel in info.header.channels}
     for array in (time, phase):
         read_only(array)
     return Trace(
         sample_rate_hz=info.header.sample_rate_hz,
         signal=str(attributes_of(file[schema.TRACE])["signal"]),
         time=time,
-        command=command,
+        command=_column(file, schema.COMMAND, rows),
         phase=phase,
-        channels=channels,
+        channels={channel.name: _column(file, channel.name, rows) for channel in info.header.channels},
         units={schema.TIME: "s", schema.COMMAND: "mm"} | {c.name: c.units for c in info.header.channels},
     )
 
 
 def read_events_v1(file: h5py.File) -> tuple[RunEvent, ...]:
-    """Read the table of events; a file without one has none. Of a recording, the rows that are whole."""
+    """Read the table of events, of a recording its valid rows; a file without a table has none."""
     if schema.EVENTS not in file:
         return ()
     table = required_dataset(file, schema.EVENTS)
     if table.ndim != 1 or table.dtype.names != schema.EVENT_FIELDS:
         raise LayoutError(f"/entry/events is not a table of {', '.join(schema.EVENT_FIELDS)}")
     _require_plausible_size(table)
-    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if is_unfinished(file) else None]
+    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if _is_unfinished(file) else None]
     return tuple(
         RunEvent(float(time), str(to_python(kind)), str(to_python(message))) for time, kind, message in rows.tolist()
     )
 
 
 def read_filtered_v1(file: h5py.File) -> FilteredTrace | None:
-    """Read what the filter stored, if it did."""
+    """Read the filtered trace, if one was stored."""
     if schema.FILTERED not in file:
         return None
     group = required_group(file, schema.FILTERED)
@@ -269,68 +265,63 @@ def read_filtered_v1(file: h5py.File) -> FilteredTrace | None:
     del units[schema.TIME]
     if any(column.shape != time.shape for column in columns.values()):
         raise LayoutError(f"the datasets of {schema.FILTERED} differ in length")
-    parameters = {k: v for k, v in attributes_of(group).items() if k not in {"NX_class", "signal", "axes"}}
+    layout_names = {"NX_class", "signal", "axes"}
+    parameters = {name: value for name, value in attributes_of(group).items() if name not in layout_names}
     return FilteredTrace(time=time, channels=columns, parameters=parameters, units=units)
 
 
-def valid_count(file: h5py.File, path: str, otherwise: int) -> int:
-    """Return how many rows a recording says are whole; `otherwise` where it does not say."""
+def valid_count(file: h5py.File, path: str, default: int) -> int:
+    """Return how many rows of a dataset a recording declares valid, `default` where it declares none."""
     dataset = file.get(path)
-    return min(int(np.ravel(dataset[()])[0]), otherwise) if isinstance(dataset, h5py.Dataset) else otherwise
+    return min(int(np.ravel(dataset[()])[0]), default) if isinstance(dataset, h5py.Dataset) else default
 
 
-def is_unfinished(file: h5py.File) -> bool:
-    """Tell whether a file is a recording, whose datasets may be longer than what is whole of them."""
+def _is_unfinished(file: h5py.File) -> bool:
+    """Tell whether a file is a recording, whose datasets may be longer than their valid part."""
     entry = required_group(file, schema.ENTRY)
     return "status" in entry.attrs and attribute_of(entry, "status") == RunStatus.RECORDING
 
 
 def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]]:
-    trace = file[schema.TRACE]
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
         required_dataset(file, f"{schema.TRACE}/{name}")
     lengths: dict[str, int] = {}
     channels: list[Channel] = []
-    for name, dataset in trace.items():
-        where = f"{schema.TRACE}/{name}"
+    for name, dataset in file[schema.TRACE].items():
+        path = f"{schema.TRACE}/{name}"
         if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
-            raise LayoutError(f"{where} is not a row of samples")
+            raise LayoutError(f"{path} is not a row of samples")
         lengths[name] = int(dataset.shape[0])
         if name == schema.PHASE:
             continue
         if dataset.dtype.kind != "f" or dataset.dtype.itemsize not in {4, 8}:
-            raise LayoutError(f"{where} holds {dataset.dtype} instead of float32 or float64")
-        units = _units(dataset, where, schema.UNITS.get(name))
+            raise LayoutError(f"{path} holds {dataset.dtype} instead of float32 or float64")
+        units = _checked_units(dataset, path, schema.UNITS.get(name))
         if name not in schema.FRAME_DATASETS:
             channels.append(Channel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
-    return _common_length(file, lengths), tuple(channels)
-
-
-def _common_length(file: h5py.File, lengths: dict[str, int]) -> int:
     samples = lengths[schema.TIME]
-    if is_unfinished(file):
-        return valid_count(file, schema.VALID_SAMPLES, min(lengths.values()))
+    if _is_unfinished(file):
+        return valid_count(file, schema.VALID_SAMPLES, min(lengths.values())), tuple(channels)
     for name, length in lengths.items():
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
-    return samples
+    return samples, tuple(channels)
 
 
-def _units(dataset: h5py.Dataset, where: str, wanted: str | None) -> str:
-    found = attributes_of(dataset)
-    if "units" not in found:
-        raise LayoutError(f"{where} lacks the attribute units")
-    if wanted is not None and found["units"] != wanted:
-        raise LayoutError(f"the attribute units of {where} is {found['units']!r} instead of {wanted!r}")
-    return str(found["units"])
+def _checked_units(dataset: h5py.Dataset, path: str, required: str | None) -> str:
+    attributes = attributes_of(dataset)
+    if "units" not in attributes:
+        raise LayoutError(f"{path} lacks the attribute units")
+    if required is not None and attributes["units"] != required:
+        raise LayoutError(f"the attribute units of {path} is {attributes['units']!r} instead of {required!r}")
+    return str(attributes["units"])
 
 
 def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
     dataset = file[schema.TRACE][name]
     _require_plausible_size(dataset)
-    native = np.float32 if dataset.dtype.itemsize == 4 else np.float64
-    array: AnyFloatArray = dataset[rows].astype(native, copy=False)
+    array: AnyFloatArray = dataset[rows].astype(np.float32 if dataset.dtype.itemsize == 4 else np.float64, copy=False)
     read_only(array)
     return array
 
@@ -352,22 +343,10 @@ def _phase(file: h5py.File, rows: slice) -> PhaseArray:
 
 
 def _require_plausible_size(dataset: h5py.Dataset) -> None:
-    """Refuse a damaged shape before memory is asked for it."""
+    """Refuse a damaged shape before memory is allocated for it."""
     claimed = dataset.size * dataset.dtype.itemsize
     if claimed > UNCHECKED_BYTES and claimed > MAX_DEFLATE_RATIO * dataset.id.get_storage_size():
         raise LayoutError(f"{dataset.name} claims {claimed} bytes, which the file does not hold")
-
-
-def _text(file: h5py.File, path: str) -> str:
-    return str(to_python(required_dataset(file, path)[()])) if path in file else ""
-
-
-def _without_class(found: dict[str, Attribute]) -> dict[str, Attribute]:
-    return {name: value for name, value in found.items() if name != "NX_class"}
-
-
-ReadT = TypeVar("ReadT")
-MAX_LIVE_ATTEMPTS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -383,32 +362,24 @@ class LayoutReader:
 LAYOUT_READERS: Mapping[int, LayoutReader] = {
     1: LayoutReader(read_info_v1, read_trace_v1, read_events_v1, read_filtered_v1),
 }
-"""Every version that can be read; a new one is added, none is taken away."""
+"""Every version that can be read; a new one is added, none is removed."""
 
 
 def read_info(path: Path) -> RunInfo:
-    """Read what a run file says of itself, without its samples.
+    """Read what a run file states about its run, without its samples.
 
-    Raises
-    ------
-    RunFileError
-        When the file is missing, foreign, damaged, of a newer format, or lacks something it must have.
+    Raises `RunFileError` when the file is missing, foreign, damaged, of a newer format, or lacks a required part.
     """
-
-    def read() -> RunInfo:
-        with open_run(path) as file, as_run_file_error(path):
-            return layout_of(file).info(file, path)
-
-    return _retry_while_recording(read, path)
+    return _read(path, lambda layout, file: layout.info(file, path))
 
 
-def read_run(path: Path, known: RunInfo | None = None) -> Run:
-    """Read a run file whole; a recording is cut where its samples end to be sure.
+def read_run(path: Path, info: RunInfo | None = None) -> Run:
+    """Read a run file whole, a recording up to its last valid sample.
 
     Parameters
     ----------
-    known
-        What `read_info` just said of the file, which need not be read again.
+    info
+        The result of `read_info`, so that it need not be read again.
 
     Raises
     ------
@@ -416,32 +387,37 @@ def read_run(path: Path, known: RunInfo | None = None) -> Run:
         As `read_info` does, and when the samples break the format.
     """
 
-    def read() -> Run:
-        with open_run(path) as file, as_run_file_error(path):
-            version = layout_of(file)
-            info = version.info(file, path) if known is None else known
-            return Run(info, version.trace(file, info, None), version.events(file), version.filtered(file))
+    def read(layout: LayoutReader, file: h5py.File) -> Run:
+        described = layout.info(file, path) if info is None else info
+        return Run(described, layout.trace(file, described, None), layout.events(file), layout.filtered(file))
 
-    return _retry_while_recording(read, path)
+    return _read(path, read)
 
 
-def read_tail(path: Path, seconds: float) -> Run:
+def read_tail(path: Path, duration_s: float) -> Run:
     """Read the last samples of a run file, finished or still being recorded; its `info` counts all of them.
 
-    Raises
-    ------
-    RunFileError
-        As `read_run` does.
+    Raises `RunFileError` as `read_run` does.
     """
 
-    def read() -> Run:
-        with open_run(path) as file, as_run_file_error(path):
-            version = layout_of(file)
-            info = version.info(file, path)
-            last = max(1, round(seconds * info.header.sample_rate_hz))
-            return Run(info, version.trace(file, info, last), version.events(file))
+    def read(layout: LayoutReader, file: h5py.File) -> Run:
+        info = layout.info(file, path)
+        last = max(1, round(duration_s * info.header.sample_rate_hz))
+        return Run(info, layout.trace(file, info, last), layout.events(file))
 
-    return _retry_while_recording(read, path)
+    return _read(path, read)
+
+
+def _read(path: Path, read: Callable[[LayoutReader, h5py.File], ReadT]) -> ReadT:
+    """Read from an opened file; again when a file that is being written changed meanwhile."""
+    for attempts_left in reversed(range(MAX_LIVE_ATTEMPTS)):
+        try:
+            with open_run(path) as file, as_run_file_error(path):
+                return read(layout_of(file), file)
+        except RunFileError:
+            if not (attempts_left and path.is_file() and is_open_for_writing(path)):
+                raise
+    raise AssertionError("the last attempt returns or raises")
 
 
 @contextmanager
@@ -451,8 +427,8 @@ def open_run(path: Path) -> Iterator[h5py.File]:
         with as_run_file_error(path):
             if not path.is_file():
                 raise RunFileError(f"{path}: there is no such file; give the path of a run file (.h5)")
-            if (place := find_damaged_text(path)) is not None:
-                raise LayoutError(f"its text is damaged at byte {place}")
+            if (offset := find_damaged_text(path)) is not None:
+                raise LayoutError(f"its text is damaged at byte {offset}")
             if is_open_for_writing(path):
                 view = UnfinishedFile(stack.enter_context(path.open("rb", buffering=0)))
                 file = h5py.File(view, "r")
@@ -464,28 +440,23 @@ def open_run(path: Path) -> Iterator[h5py.File]:
 
 @contextmanager
 def as_run_file_error(path: Path) -> Iterator[None]:
-    """Say whatever goes wrong while a file is read as a `RunFileError`."""
+    """Turn whatever goes wrong while a file is read into a `RunFileError`."""
+    restore = "restore it from a copy or bring the data in with `dragrig import`"
     try:
         yield
     except DragrigError:
         raise
-    except LayoutError as fault:
-        raise RunFileError(
-            f"{path}: {fault}; this is not a whole run file, restore it from a copy or bring the data in"
-            " with `dragrig import`"
-        ) from fault
-    except BlockingIOError as fault:
-        raise RunFileError(f"{path}: is being written by another program; close it there") from fault
-    except PermissionError as fault:
-        raise RunFileError(f"{path}: may not be read; ask for permission or copy it elsewhere") from fault
-    except MemoryError as fault:
-        raise RunFileError(f"{path}: does not fit into memory; close other programs or use a larger machine") from fault
-    except Exception as fault:
+    except LayoutError as error:
+        raise RunFileError(f"{path}: {error}; this is not a whole run file, {restore}") from error
+    except BlockingIOError as error:
+        raise RunFileError(f"{path}: is being written by another program; close it there") from error
+    except PermissionError as error:
+        raise RunFileError(f"{path}: may not be read; ask for permission or copy it elsewhere") from error
+    except MemoryError as error:
+        raise RunFileError(f"{path}: does not fit into memory; close other programs or use a larger machine") from error
+    except Exception as error:
         # h5py reports damage as almost any class of exception; each means that the file cannot be read.
-        raise RunFileError(
-            f"{path}: is damaged, cut short or no HDF5 file ({error_text(fault)}); restore it from a copy or bring"
-            " the data in with `dragrig import`"
-        ) from fault
+        raise RunFileError(f"{path}: is damaged, cut short or no HDF5 file ({error_text(error)}); {restore}") from error
 
 
 def layout_of(file: h5py.File) -> LayoutReader:
@@ -504,14 +475,3 @@ def layout_of(file: h5py.File) -> LayoutReader:
             " install a newer one"
         )
     raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
-
-
-def _retry_while_recording(read: Callable[[], ReadT], path: Path) -> ReadT:
-    """Read; again when a file that is being written changed under the reader's eyes."""
-    for _ in range(MAX_LIVE_ATTEMPTS - 1):
-        try:
-            return read()
-        except RunFileError:
-            if not (path.is_file() and is_open_for_writing(path)):
-                raise
-    return read()

@@ -24,43 +24,42 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
-from dragrig.rig.runfile import filesystem as files
-from dragrig.rig.runfile import reader as layout
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile import schema as naming
-from dragrig.rig.runfile import writer as writing
+from dragrig.rig.runfile.filesystem import error_text, free_bytes, lock_run, remove_quietly
+from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
 from dragrig.rig.runfile.model import Attribute, Channel, RunEnding, RunEvent, RunHeader, RunStatus
-from dragrig.rig.runfile.reader import LayoutError
+from dragrig.rig.runfile.reader import LayoutError, valid_count
+from dragrig.rig.runfile.writer import (
+    check_header,
+    column_types,
+    column_units,
+    event_rows,
+    write_dataset_attributes,
+    write_header,
+)
 
 Columns = Mapping[str, npt.NDArray[np.generic]]
 
 
 class SampleRing:
-    """Preallocated columns of `capacity` samples between one giver and one taker.
+    """Preallocated columns of `capacity` samples between one producer and one consumer.
 
-    The giver copies its samples in and waits while there is no room; nothing is dropped. The taker sees
-    what has gathered as views and hands their room back when it has written them. Each side touches only
-    its own part of the columns; the counters are guarded by a lock.
-
-    Parameters
-    ----------
-    types
-        Type of each column by name.
-    capacity
-        Samples that fit; the taker is woken when a quarter of them has gathered.
+    The producer copies its samples in and waits while there is no room; nothing is dropped. The consumer sees the
+    samples as views and frees their room once it has written them; it is woken when a quarter of the ring is filled.
+    Each side touches only its own part of the columns; a lock guards the counters.
     """
 
     def __init__(self, types: Mapping[str, np.dtype[np.generic]], capacity: int) -> None:
         self._columns = {name: np.empty(capacity, dtype) for name, dtype in types.items()}
         self._capacity = capacity
-        self._gathered = capacity // 4
-        self._given = 0
+        self._wake_at = capacity // 4
+        self._put = 0
         self._taken = 0
         self._closed = False
         self._change = Condition()
 
-    def give(self, columns: Columns) -> bool:
-        """Copy samples in, in pieces where they do not fit at once; return False when the ring was closed."""
+    def put(self, columns: Columns) -> bool:
+        """Copy samples in, in pieces where they do not fit at once; return False once the ring is closed."""
         count = len(next(iter(columns.values())))
         done = 0
         while done < count:
@@ -68,26 +67,26 @@ class SampleRing:
             if room == 0:
                 return False
             step = min(room, count - done)
-            for slots, part in self._slots(self._given, step):
+            for slots, part in self._slots(self._put, step):
                 for name, column in self._columns.items():
                     column[slots] = columns[name][done : done + step][part]
             done += step
             with self._change:
-                self._given += step
-                if self._given - self._taken >= self._gathered:
+                self._put += step
+                if self._put - self._taken >= self._wake_at:
                     self._change.notify_all()
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until enough has gathered, at most `timeout_s`; return whether the ring is closed."""
+        """Wait until enough samples are there, at most `timeout_s`; return whether the ring is closed."""
         with self._change:
-            self._change.wait_for(lambda: self._closed or self._given - self._taken >= self._gathered, timeout_s)
+            self._change.wait_for(lambda: self._closed or self._put - self._taken >= self._wake_at, timeout_s)
             return self._closed
 
     def take(self) -> Iterator[Columns]:
-        """Yield all that has gathered so far as views, each valid until the next is asked for."""
+        """Yield the samples put so far as views, each valid until the next one is taken."""
         with self._change:
-            count = self._given - self._taken
+            count = self._put - self._taken
         for slots, part in self._slots(self._taken, count):
             yield {name: column[slots] for name, column in self._columns.items()}
             with self._change:
@@ -95,18 +94,18 @@ class SampleRing:
                 self._change.notify_all()
 
     def close(self) -> None:
-        """Wake both sides: nothing more is given, and a giver that waits goes on."""
+        """Wake both sides: no more samples are put, and a waiting producer returns."""
         with self._change:
             self._closed = True
             self._change.notify_all()
 
     def _wait_for_room(self) -> int:
         with self._change:
-            self._change.wait_for(lambda: self._closed or self._given - self._taken < self._capacity)
-            return 0 if self._closed else self._capacity - (self._given - self._taken)
+            self._change.wait_for(lambda: self._closed or self._put - self._taken < self._capacity)
+            return 0 if self._closed else self._capacity - (self._put - self._taken)
 
     def _slots(self, position: int, count: int) -> Iterator[tuple[slice, slice]]:
-        """Yield where `count` samples from `position` on lie: slots of the ring, and which of them these are."""
+        """Yield where `count` samples from `position` on lie: slots of the ring, and which of the samples are there."""
         first = position % self._capacity
         ahead = min(count, self._capacity - first)
         if ahead:
@@ -116,30 +115,27 @@ class SampleRing:
 
 
 class FileSyncer:
-    """Calls `fsync` on a file when asked; requests that come while one is under way become one.
-
-    A refusal is raised by the next `request`.
-    """
+    """Calls `fsync` in a thread of its own; requests during a sync become one, and its error is raised by the next."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         self._change = Condition()
-        self._asked = False
+        self._requested = False
         self._closed = False
-        self._fault: OSError | None = None
+        self._error: OSError | None = None
         self._thread = Thread(target=self._sync, name=f"sync of {path.name}", daemon=True)
         self._thread.start()
 
     def request(self) -> None:
-        """Ask for a sync of all that was written so far."""
+        """Request a sync of all that was written so far."""
         with self._change:
-            if self._fault is not None:
-                raise self._fault
-            self._asked = True
+            if self._error is not None:
+                raise self._error
+            self._requested = True
             self._change.notify()
 
     def close(self) -> None:
-        """End after the last sync asked for."""
+        """End after the last requested sync."""
         with self._change:
             self._closed = True
             self._change.notify()
@@ -149,17 +145,17 @@ class FileSyncer:
         try:
             while self._wait():
                 os.fsync(self._descriptor)
-        except OSError as fault:
+        except OSError as error:
             with self._change:
-                self._fault = fault
+                self._error = error
         finally:
             os.close(self._descriptor)
 
     def _wait(self) -> bool:
         with self._change:
-            self._change.wait_for(lambda: self._asked or self._closed)
-            asked, self._asked = self._asked, False
-            return asked
+            self._change.wait_for(lambda: self._requested or self._closed)
+            requested, self._requested = self._requested, False
+            return requested
 
 
 RECORDING_CHUNK = 4096
@@ -170,25 +166,25 @@ VERSION_BOUNDS = ("v110", "v110")
 
 
 def create_recording(path: Path, header: RunHeader) -> None:
-    """Make a recording without samples; it has its name only once it is whole."""
-    part = naming.part_path(path)
+    """Make a recording without samples; it gets its name once it is whole."""
+    part = schema.part_path(path)
     try:
         part.write_bytes(_empty_recording(header.channels))
         with h5py.File(part, "r+", libver=VERSION_BOUNDS, locking=False) as file:
-            writing.write_header(file, header, RunStatus.RECORDING)
+            write_header(file, header, RunStatus.RECORDING)
         part.replace(path)
     finally:
-        files.remove_quietly(part)
+        remove_quietly(part)
 
 
 @cache
 def _empty_recording(channels: tuple[Channel, ...]) -> bytes:
-    """Return what the recordings of all runs with these channels begin as; making it takes longer than a header."""
+    """Return the bytes of an empty recording with these channels; making them takes longer than writing a header."""
     image = BytesIO()
     with h5py.File(image, "w", libver=VERSION_BOUNDS) as file:
-        units = writing.column_units(channels)
-        for name, dtype in writing.column_types(channels).items():
-            writing.write_dataset_attributes(
+        units = column_units(channels)
+        for name, dtype in column_types(channels).items():
+            write_dataset_attributes(
                 _growing_dataset(file, f"{schema.TRACE}/{name}", dtype, RECORDING_CHUNK), name, units
             )
         _growing_dataset(file, schema.EVENTS, schema.event_dtype(), EVENTS_CHUNK)
@@ -203,7 +199,7 @@ def _growing_dataset(file: h5py.File, path: str, dtype: np.dtype[np.generic], ch
 
 
 class RecordingFile:
-    """An open recording. One thread owns it."""
+    """An open recording, owned by one thread."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -231,28 +227,28 @@ class RecordingFile:
 
     def append_events(self, events: Sequence[RunEvent]) -> None:
         """Append rows to the table of events."""
-        _extend(self._events, writing.event_rows(events))
+        _extend(self._events, event_rows(events))
 
     def append_annotations(self, annotations: Sequence[Mapping[str, object]]) -> None:
-        """Append what became known late, a line of JSON each."""
+        """Append what became known during the run, one line of JSON each."""
         text = "".join(f"{json.dumps(line)}\n" for line in annotations)
         _extend(self._annotations, np.frombuffer(text.encode(), dtype="u1"))
 
     def flush(self) -> None:
-        """Hand everything to the operating system, then say how much of it is whole."""
+        """Hand everything to the operating system, then record how much of it is valid."""
         self._file.flush()
-        whole = (self.samples, len(self._events), len(self._annotations))
-        for dataset, count in zip(self._valid, whole, strict=True):
+        counts = (self.samples, len(self._events), len(self._annotations))
+        for dataset, count in zip(self._valid, counts, strict=True):
             dataset[0] = count
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file; what was not flushed before is not counted as whole."""
+        """Close the file; what was not flushed before does not count as valid."""
         self._file.close()
 
     def discard(self) -> None:
         """Let go of the file without writing to it again, after the disk refused data."""
-        files.abandon_hdf5_file(self._file)
+        abandon_hdf5_file(self._file)
 
 
 def _extend(dataset: h5py.Dataset, rows: np.ndarray[tuple[int], np.dtype[np.generic]]) -> None:
@@ -262,11 +258,10 @@ def _extend(dataset: h5py.Dataset, rows: np.ndarray[tuple[int], np.dtype[np.gene
 
 
 def _open_for_swmr(path: Path) -> h5py.File:
-    """Open for writing and for others' reading in one step, so that no moment leaves an unreadable file.
+    """Open for writing and for reading by others in one step, so that the file is readable at any moment.
 
-    The chunk cache is off: HDF5 writes each piece straight to its place instead of a whole chunk per flush.
-    HDF5's own lock is off: `files.writing` stands for it, and a child process that is just being started
-    would hold it a moment longer than we do.
+    The chunk cache is off: HDF5 writes each piece straight to its place instead of a whole chunk per flush. HDF5's own
+    lock is off: `lock_run` replaces it, and a child process that is just being started would hold it a moment longer.
     """
     access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
     access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
@@ -283,47 +278,47 @@ def entry_annotation(entry: Mapping[str, Attribute]) -> dict[str, object]:
 
 
 def ending_annotation(ending: RunEnding) -> dict[str, object]:
-    """Return the annotation that says how the run ended."""
+    """Return the annotation that states how the run ended."""
     end_time = ending.end_time.isoformat() if ending.end_time else ""
-    said = {"status": str(ending.status), "reason": ending.reason, "end_time": end_time, "checks": dict(ending.checks)}
-    return {"ending": said}
+    values = {"status": str(ending.status), "reason": ending.reason, "end_time": end_time, "checks": {**ending.checks}}
+    return {"ending": values}
 
 
 def read_annotations(file: h5py.File) -> tuple[dict[str, Attribute], RunEnding | None]:
-    """Read what became known late: attributes of `/entry`, and how the run ended if that was written."""
+    """Read what became known during the run: attributes of `/entry`, and how the run ended if that was written."""
     entry: dict[str, Attribute] = {}
     ending: RunEnding | None = None
     if schema.ANNOTATIONS in file:
-        valid = layout.valid_count(file, schema.VALID_ANNOTATION_BYTES, len(file[schema.ANNOTATIONS]))
+        valid = valid_count(file, schema.VALID_ANNOTATION_BYTES, len(file[schema.ANNOTATIONS]))
         for line in file[schema.ANNOTATIONS][:valid].tobytes().splitlines():
-            found = json.loads(line)
-            entry.update(found.get("entry", {}))
-            if said := found.get("ending"):
-                end_time = datetime.fromisoformat(said["end_time"]) if said["end_time"] else None
-                ending = RunEnding(RunStatus(said["status"]), said["reason"], end_time, said["checks"])
+            annotation = json.loads(line)
+            entry.update(annotation.get("entry", {}))
+            if values := annotation.get("ending"):
+                end_time = datetime.fromisoformat(values["end_time"]) if values["end_time"] else None
+                ending = RunEnding(RunStatus(values["status"]), values["reason"], end_time, values["checks"])
     return entry, ending
 
 
 @dataclass(frozen=True, slots=True)
 class DiskSpace:
-    """How much room a run needs: what is still to come of it, its finished copy, and a reserve."""
+    """Disk space that a run needs: its samples still to come, its finished copy, and a reserve."""
 
     folder: Path
     reserve_bytes: int
     run_bytes: int
 
     def shortage(self, written_bytes: int) -> str | None:
-        """Say what is missing on the disk, or None while there is room."""
-        whole = max(self.run_bytes, written_bytes)
-        needed = whole - written_bytes + whole + self.reserve_bytes
-        free = files.free_bytes(self.folder)
+        """Return a sentence about the missing space, or None while there is enough."""
+        total = max(self.run_bytes, written_bytes)
+        needed = total - written_bytes + total + self.reserve_bytes
+        free = free_bytes(self.folder)
         if free >= needed:
             return None
         return f"{self.folder}: {free / 1e6:.1f} MB are free and {needed / 1e6:.1f} MB needed; make room"
 
 
 class NoteQueue:
-    """Events and annotations on their way to the writing thread; every method may be called from any."""
+    """Events and annotations on their way to the writing thread; for any thread."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -336,7 +331,7 @@ class NoteQueue:
             self._events.append(event)
 
     def annotation(self, line: Mapping[str, object]) -> None:
-        """Add what became known late."""
+        """Add what became known during the run."""
         with self._lock:
             self._annotations.append(line)
 
@@ -351,8 +346,8 @@ class NoteQueue:
 class WriterThread(Thread):
     """Writes until the ring is closed or the disk refuses.
 
-    `failure` and `shortage` are written by this thread alone: the fault that ended it, and what is missing
-    on the disk while it still writes.
+    Only this thread sets `failure`, the error that ended it, and `shortage`, a sentence about missing disk space while
+    it still writes.
     """
 
     def __init__(
@@ -373,8 +368,8 @@ class WriterThread(Thread):
         try:
             self._write_until_closed()
             self._file.close()
-        except Exception as fault:  # noqa: BLE001 - kept for the acquiring thread, which raises it
-            self.failure = fault
+        except Exception as error:  # noqa: BLE001 - the acquiring thread raises it
+            self.failure = error
             self._file.discard()
         finally:
             self._ring.close()
@@ -404,7 +399,7 @@ class WriterThread(Thread):
 
 
 FLUSH_S = 0.1
-"""Wall time between flushes: what a killed process loses at most, but for the time that a flush takes."""
+"""Wall time between flushes: what a killed process loses at most, besides the time that a flush takes."""
 RESERVE_BYTES = 64 << 20
 RING_SAMPLES = 1 << 18
 
@@ -417,22 +412,20 @@ class Recorder:
     Parameters
     ----------
     path
-        Where the finished file will stand, `NAME.h5`; the recording stands beside it. Neither may exist.
-    header
-        Everything known before the first sample.
+        The finished file, `NAME.h5`; the recording is written beside it. Neither may exist.
     flush_s
         Wall time between flushes, also while no samples come.
     reserve_bytes
         Free space that must be left besides what the run and its finished copy need.
     expected_samples
-        Length of the run as planned, for the watch over free space.
+        Planned length of the run, for the check of free space.
 
     Raises
     ------
     OutputError
         When the run exists already or the folder refuses.
     RecordingError
-        When the disk has too little room for the run.
+        When the disk has too little space for the run.
     RunFileError
         When the header breaks the format.
     """
@@ -446,19 +439,19 @@ class Recorder:
         reserve_bytes: int = RESERVE_BYTES,
         expected_samples: int = 0,
     ) -> None:
-        self.path = naming.recording_path(path)
-        """The recording."""
+        self.path = schema.recording_path(path)
+        """The recording's file."""
         self.lost_samples = 0
-        """Samples that never came, so far."""
+        """Samples lost so far."""
         self._rate = header.sample_rate_hz
         self._types = _column_types(path, header)
         self._next_index = 0
         self._closed = False
-        self._shortage_told = False
+        self._shortage_raised = False
         sample_bytes = sum(dtype.itemsize for dtype in self._types.values())
         room = DiskSpace(path.parent, reserve_bytes, expected_samples * sample_bytes)
         with ExitStack() as stack:
-            stack.enter_context(files.lock_run(path))
+            stack.enter_context(lock_run(path))
             file = _create_recording_file(self.path, header, room)
             self._notes = NoteQueue()
             self._ring = SampleRing(self._types, RING_SAMPLES)
@@ -474,14 +467,14 @@ class Recorder:
     ) -> None:
         if not self._closed:
             status = RunStatus.ABORTED if isinstance(fault, KeyboardInterrupt) else RunStatus.FAILED
-            self.close(status, str(fault) if fault else "the recorder was left without a finish reason")
+            self.close(status, str(fault) if fault else "the recorder was left before the run was closed")
 
     @property
     def failure(self) -> RecordingError | None:
-        """Why recording cannot go on, or None: the disk refused data or has too little room."""
+        """Why recording cannot go on, or None: the disk refused data or has too little space."""
         if self._thread.failure is not None:
             return RecordingError(
-                f"{self.path}: the disk refused data ({files.error_text(self._thread.failure)}); make room, then"
+                f"{self.path}: the disk refused data ({error_text(self._thread.failure)}); make room, then"
                 " `dragrig recover` finishes what was recorded"
             )
         return RecordingError(self._thread.shortage) if self._thread.shortage else None
@@ -492,16 +485,15 @@ class Recorder:
         Parameters
         ----------
         first_index
-            Index of the first sample, lost ones counted. Larger than where the samples before ended means
-            lost samples: an event `gap` says so, and `time` jumps.
+            Index of the first sample, lost ones counted. Beyond the end of the samples before, it means lost samples:
+            an event `gap` says so, and `time` jumps.
         arrays
-            command, phase and every channel of the header, each of shape `(n,)`, and time unless it is to
-            be index / rate.
+            command, phase and every channel of the header, each of shape `(n,)`; time as well, or it is index / rate.
 
         Raises
         ------
         RecordingError
-            When the disk refused data or has too little room.
+            When the disk refused data or has too little space.
         ValueError
             When arrays are missing, differ in length, are no real numbers, or come twice.
         """
@@ -512,16 +504,16 @@ class Recorder:
         columns = self._columns(first_index, arrays)
         if first_index > self._next_index:
             self._note_gap(first_index)
-        if not self._ring.give(columns) and (failure := self.failure) is not None:
+        if not self._ring.put(columns) and (failure := self.failure) is not None:
             raise failure
         self._next_index = first_index + len(columns[schema.TIME])
-        if self._thread.shortage and not self._shortage_told and (failure := self.failure) is not None:
-            # Told once: the reserve is there for what is still sampled until the stage stands.
-            self._shortage_told = True
+        if self._thread.shortage and not self._shortage_raised and (failure := self.failure) is not None:
+            # Raised once: the reserve is for what is still sampled until the stage stands.
+            self._shortage_raised = True
             raise failure
 
     def event(self, event: RunEvent) -> None:
-        """Note something that happened; it is on file with the next flush."""
+        """Record an event; it is on file with the next flush."""
         self._notes.event(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
@@ -537,10 +529,7 @@ class Recorder:
     ) -> Path:
         """Write what is left and how the run ended; return the recording, ready to be finished.
 
-        Raises
-        ------
-        RecordingError
-            When the disk refused data; what was flushed before stays recoverable at `path`.
+        Raises `RecordingError` when the disk refused data; what was flushed before stays recoverable at `path`.
         """
         if not self._closed:
             self._closed = True
@@ -570,22 +559,20 @@ class Recorder:
         return columns
 
     def _note_gap(self, first_index: int) -> None:
-        lost = first_index - self._next_index
-        self.lost_samples += lost
-        time_s = self._next_index / self._rate
-        self.event(RunEvent(time_s, "gap", f"{lost} samples lost, {lost / self._rate:.6g} s"))
+        self.lost_samples += first_index - self._next_index
+        self.event(RunEvent.gap(self._next_index, first_index, self._rate))
 
 
 def _column_types(path: Path, header: RunHeader) -> dict[str, np.dtype[np.generic]]:
     try:
-        writing.check_header(header)
-    except LayoutError as fault:
-        raise RunFileError(f"{path}: cannot be recorded because {fault}; correct the settings") from fault
-    return writing.column_types(header.channels)
+        check_header(header)
+    except LayoutError as error:
+        raise RunFileError(f"{path}: cannot be recorded because {error}; correct the settings") from error
+    return column_types(header.channels)
 
 
 def _create_recording_file(recording: Path, header: RunHeader, room: DiskSpace) -> RecordingFile:
-    for path in (recording, naming.finished_path(recording)):
+    for path in (recording, schema.finished_path(recording)):
         if path.exists():
             raise OutputError(f"{path}: there is a run file already; choose another name")
     if (shortage := room.shortage(0)) is not None:
@@ -593,7 +580,5 @@ def _create_recording_file(recording: Path, header: RunHeader, room: DiskSpace) 
     try:
         create_recording(recording, header)
         return RecordingFile(recording)
-    except (OSError, RuntimeError) as fault:
-        raise OutputError(
-            f"{recording}: could not be made ({files.error_text(fault)}); choose another folder"
-        ) from fault
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"{recording}: could not be made ({error_text(error)}); choose another folder") from error

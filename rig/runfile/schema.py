@@ -67,24 +67,24 @@ PARAMETERS_OF_KIND: Mapping[str, tuple[str, ...]] = {
     "blank": _STROKE_PARAMETERS,
     "relaxation": ("shear_strain", "ramp_speed_mm_s", "ramp_accel_mm_s2", "rest_s", "hold_s"),
 }
-"""Numbers that `/entry/protocol` must hold for these kinds; other kinds say what they say."""
+"""Numbers that `/entry/protocol` must hold for these kinds; the other kinds are free."""
 
 HEADER_ATTRIBUTES: frozenset[str] = frozenset(
     {"NX_class", "default", "status", "reason", "end_time", "raw_sha256", "run_id", "start_time", "order", "backend"}
 )
-"""Attributes of `/entry` that stand in a `RunInfo` or in their own fields of a `RunHeader`, not in its `entry`."""
+"""Attributes of `/entry` that have fields of their own in a `RunInfo` or `RunHeader` and are not in its `entry`."""
 
 VALID_SAMPLES = "/entry/valid_samples"
 VALID_EVENTS = "/entry/valid_events"
 VALID_ANNOTATION_BYTES = "/entry/valid_annotation_bytes"
 ANNOTATIONS = "/entry/annotations"
-"""Only in a recording: how much of it is whole, and what became known late, as lines of JSON."""
+"""Only in a recording: how much of it is valid, and what became known during the run, as lines of JSON."""
 
 EVENT_KIND_BYTES = 16
 EVENT_MESSAGE_BYTES = 160
 EVENT_FIELDS = ("time_s", "kind", "message")
 FILTER_EVENT = "filter"
-"""Kind of the events that the filter writes and, run again, replaces."""
+"""Kind of the events that the filter writes, and replaces when it is run again."""
 
 
 def event_dtype() -> np.dtype[np.void]:
@@ -106,10 +106,7 @@ _KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
 def run_file_name(start_time: datetime, kind: str, order: int) -> str:
     """Return `YYYYmmdd-HHMMSS-KIND-NNN.h5`, in the time zone of `start_time`.
 
-    Raises
-    ------
-    OutputError
-        When a kind would not make a file name on every system.
+    Raises `OutputError` for a kind that is no valid file name on every system.
     """
     if not _KIND_PATTERN.fullmatch(kind):
         raise OutputError(f"the kind {kind!r} cannot name a file; use small letters, digits, - and _")
@@ -117,36 +114,36 @@ def run_file_name(start_time: datetime, kind: str, order: int) -> str:
 
 
 def is_recording(path: Path) -> bool:
-    """Tell whether a name is that of a run that is still being recorded, or was left so."""
+    """Tell whether a name is that of a recording: of a run that is not finished yet."""
     return path.name.endswith(RECORDING_SUFFIX)
 
 
 def run_name(path: Path) -> str:
-    """Return the name that a run's file, its recording, lock and mark have in common."""
+    """Return the stem that a run's file, its recording, lock and mark share."""
     suffix = RECORDING_SUFFIX if is_recording(path) else FINISHED_SUFFIX
     return path.name.removesuffix(suffix)
 
 
 def finished_path(path: Path) -> Path:
-    """Return where the finished file of a run stands."""
+    """Return the path of a run's finished file."""
     return path.with_name(run_name(path) + FINISHED_SUFFIX)
 
 
 def recording_path(path: Path) -> Path:
-    """Return where the recording of a run stands."""
+    """Return the path of a run's recording."""
     return path.with_name(run_name(path) + RECORDING_SUFFIX)
 
 
 def part_path(path: Path) -> Path:
-    """Return where a file is made before it is put in place."""
+    """Return where a file is written before it is moved into place."""
     return path.with_name(path.name + PART_SUFFIX)
 
 
 def lock_path(path: Path) -> Path:
-    """Return the file whose lock the one process holds that writes a run."""
+    """Return the lock file of the process that writes a run."""
     return path.with_name(run_name(path) + LOCK_SUFFIX)
 
 
 def mark_path(path: Path) -> Path:
-    """Return where a person's verdict on a run is kept."""
+    """Return the path of a run's mark."""
     return path.with_name(run_name(path) + ".mark.toml")

@@ -1,8 +1,18 @@
-"""A session's runs as a folder of run files."""
+"""Where a session's runs are stored: a folder of run files, and a verified copy of it on another disk.
 
+Copying to the mirror has its own thread, and no run waits for it. What the mirror refuses is reported and tried again
+with the next file and at the end; the measurement goes on.
+"""
+
+import contextlib
+import hashlib
+import os
+import queue
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from threading import Thread
 from types import TracebackType
 from typing import Self
 
@@ -10,11 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import OutputError, RecordingError
-from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import mark_bad
+from dragrig.rig.runfile.filesystem import error_text, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
+
+COPY_BYTES = 1 << 20
+MAX_STALL_S = 120.0
+"""How long the end of a session waits for a mirror that makes no progress."""
 
 
 class FolderStore:
@@ -23,12 +38,12 @@ class FolderStore:
     Parameters
     ----------
     folder
-        Where the run files go; made when it does not exist.
+        Folder of the run files; made when it does not exist.
     flush_s
         Wall time between flushes of a recording.
     reserve_mb
         Free space [MB] that a run must leave besides twice its own size.
-    told
+    on_finished
         Called with each run file once it is in its place, on another thread; it must be quick.
 
     Raises
@@ -43,32 +58,32 @@ class FolderStore:
         *,
         flush_s: float = FLUSH_S,
         reserve_mb: float = RESERVE_BYTES / 2**20,
-        told: Callable[[Path], None] | None = None,
+        on_finished: Callable[[Path], None] | None = None,
     ) -> None:
         self._folder = folder
         self._flush_s = flush_s
         self._reserve_bytes = round(reserve_mb * 2**20)
-        self._told = told
-        self._finisher = Finisher(told)
+        self._on_finished = on_finished
+        self._finisher = Finisher(on_finished)
         self._paths: dict[int, Path] = {}
         self.finished: list[FinishResult] = []
-        """What became of the recordings, so far as `settle` has waited for them."""
+        """Results of the recordings that `settle` has waited for."""
         try:
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as fault:
-            raise OutputError(f"{folder}: cannot be made ({fault.strerror}); choose another folder") from fault
+        except OSError as error:
+            raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from error
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._finisher.close()
 
     def open(self, header: RunHeader, expected_samples: int) -> "FolderSink":
         """Begin a record; raises `RecordingError` or `OutputError` when it cannot be."""
-        path = self._folder / naming.run_file_name(header.start_time, header.kind, header.order)
+        path = self._folder / schema.run_file_name(header.start_time, header.kind, header.order)
         recorder = Recorder(
             path,
             header,
@@ -80,24 +95,21 @@ class FolderStore:
         return FolderSink(recorder, self._finisher)
 
     def mark_bad(self, order: int, reason: str) -> None:
-        """Note that a run of this session is not to be used."""
+        """Mark a run of this session as bad."""
         mark_bad(self._paths[order], reason)
 
     def settle(self) -> None:
-        """Wait until every closed run is in its final place, and let the finishing process go.
+        """Wait until every closed run is in its final place, and end the finishing process.
 
-        Raises
-        ------
-        RecordingError
-            When one cannot be put there; it stays a recording that `dragrig recover` finishes.
+        Raises `RecordingError` when a run cannot be put there; it stays a recording that `dragrig recover` finishes.
         """
-        finisher, self._finisher = self._finisher, Finisher(self._told)
-        done = finisher.wait()
+        finisher, self._finisher = self._finisher, Finisher(self._on_finished)
+        results = finisher.wait()
         finisher.close()
-        self.finished.extend(done)
-        for one in done:
-            if one.error is not None:
-                raise RecordingError(str(one.error)) from one.error
+        self.finished.extend(results)
+        for result in results:
+            if result.error is not None:
+                raise RecordingError(str(result.error)) from result.error
 
 
 class FolderSink:
@@ -108,7 +120,7 @@ class FolderSink:
         self._finisher = finisher
 
     def offer(self, first_index: int, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
+        """Take a reading's arrays; raises `RecordingError` once they cannot be stored."""
         self._recorder.offer(first_index, arrays)
 
     def event(self, event: RunEvent) -> None:
@@ -116,11 +128,168 @@ class FolderSink:
         self._recorder.event(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known while the run goes on."""
+        """Take attributes of `/entry` that become known during the run."""
         self._recorder.annotate(entry)
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
-        """Finish the record and hand it on; return where its file will stand, after `settle` at the latest."""
+        """Finish the record and hand it on; return its run file, which exists after `settle` at the latest."""
         recording = self._recorder.close(status, reason, end_time, checks)
         self._finisher.submit(recording)
-        return naming.finished_path(recording)
+        return schema.finished_path(recording)
+
+
+@dataclass(frozen=True, slots=True)
+class MirrorReport:
+    """What is in the mirror and what is not.
+
+    Attributes
+    ----------
+    folder
+        Folder of the copies.
+    copied
+        Names of files whose copy was read back and is equal.
+    missing
+        Names of files without such a copy, with the reason.
+    """
+
+    folder: Path
+    copied: tuple[str, ...] = ()
+    missing: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is missing."""
+        return not self.missing
+
+
+class Mirror:
+    """Copies files into a folder of the mirror, one after the other, on a thread of its own.
+
+    Parameters
+    ----------
+    root
+        The mirror, an existing folder; none is made, because where a disk is not mounted an empty folder would be
+        filled.
+    name
+        Of the folder in it.
+    report
+        Called, on the mirror's thread, with a sentence about each file that could not be copied.
+    """
+
+    def __init__(self, root: Path, name: str, report: Callable[[str], None]) -> None:
+        self.folder = root / name
+        self._root, self._report = root, report
+        self._device: int | None = None
+        self._jobs: queue.SimpleQueue[Path | None] = queue.SimpleQueue()
+        self._submitted: dict[str, Path] = {}
+        self._copied: dict[str, None] = {}
+        self._missing: dict[str, str] = {}
+        self._steps = 0
+        self._thread = Thread(target=self._work, name="mirror", daemon=True)
+        self._thread.start()
+
+    def submit(self, file: Path) -> None:
+        """Have a file copied; returns at once."""
+        self._submitted[file.name] = file
+        self._jobs.put(file)
+
+    def close(self, max_stall_s: float = MAX_STALL_S) -> MirrorReport:
+        """Try once more what failed, and report what is in the mirror; a mirror that hangs is given up."""
+        self._jobs.put(None)
+        steps_before = -1
+        while self._thread.is_alive() and steps_before != self._steps:
+            steps_before = self._steps
+            self._thread.join(max_stall_s)
+        hung = self._submitted.keys() - self._copied.keys() - self._missing.keys()
+        missing = {**self._missing, **dict.fromkeys(hung, "the mirror does not respond")}
+        return MirrorReport(self.folder, tuple(self._copied), missing)
+
+    def _work(self) -> None:
+        try:
+            self._require_mirror()
+        except (OSError, OutputError) as error:
+            self._report(f"NOT MIRRORED: {self.folder}: {error_text(error)}; the runs are recorded all the same.")
+        while (file := self._jobs.get()) is not None:
+            if self._copy(file):
+                self._retry_missing()
+        self._retry_missing()
+
+    def _retry_missing(self) -> None:
+        for name in tuple(self._missing):
+            self._copy(self._submitted[name])
+
+    def _copy(self, file: Path) -> bool:
+        try:
+            self._require_mirror()
+            copy_verified(file, self.folder / file.name, self._count_step)
+        except (OSError, OutputError) as error:
+            reason = error_text(error)
+            if self._missing.get(file.name) != reason:
+                self._missing[file.name] = reason
+                self._report(
+                    f"NOT MIRRORED: {file.name} is not in {self.folder}: {reason}; it stays where it was made."
+                )
+            return False
+        self._missing.pop(file.name, None)
+        self._copied[file.name] = None
+        return True
+
+    def _require_mirror(self) -> None:
+        if not self._root.is_dir():
+            raise OutputError("there is no such folder; make it, or mount the disk")
+        device = self._root.stat().st_dev
+        if self._device is None:
+            self._device = device
+        elif device != self._device:
+            raise OutputError("another disk is there than at the beginning; mount the right one")
+        self.folder.mkdir(exist_ok=True)
+
+    def _count_step(self) -> None:
+        self._steps += 1
+
+
+def copy_verified(source: Path, target: Path, progress: Callable[[], None] = lambda: None) -> None:
+    """Copy a file, read the copy back from its disk, compare, and give it its name atomically.
+
+    An equal copy that exists already is left; one that differs is never replaced. `progress` is called after each
+    piece.
+
+    Raises
+    ------
+    OutputError
+        When a different file of this name exists, or the copy differs when it is read back.
+    OSError
+        When a disk refuses.
+    """
+    if target.exists():
+        if _file_sha256(target, progress) == _file_sha256(source, progress):
+            return
+        raise OutputError("a file of this name is there and differs; it is left as it is")
+    part = schema.part_path(target)
+    try:
+        digest = hashlib.sha256()
+        with source.open("rb") as original, part.open("wb") as copy:
+            while piece := original.read(COPY_BYTES):
+                digest.update(piece)
+                copy.write(piece)
+                progress()
+            copy.flush()
+            os.fsync(copy.fileno())
+        if _file_sha256(part, progress) != digest.digest():
+            raise OutputError("the copy differs from the original when read back; replace that disk")
+        move_into_place(part, target)
+    finally:
+        remove_quietly(part)
+
+
+def _file_sha256(path: Path, progress: Callable[[], None]) -> bytes:
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        if hasattr(os, "posix_fadvise"):
+            # Otherwise the system reads its cache back instead of the disk.
+            with contextlib.suppress(OSError):
+                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        while piece := file.read(COPY_BYTES):
+            digest.update(piece)
+            progress()
+    return digest.digest()

@@ -15,11 +15,9 @@ import numpy as np
 
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
-from dragrig.rig.runfile import filesystem as files
-from dragrig.rig.runfile import reader, schema
-from dragrig.rig.runfile import reader as at
-from dragrig.rig.runfile import reader as layout
-from dragrig.rig.runfile import schema as naming
+from dragrig.rig.runfile import schema
+from dragrig.rig.runfile.filesystem import error_text, lock_run, move_into_place, remove_quietly
+from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
 from dragrig.rig.runfile.model import (
     PHASE_NAMES,
     Attribute,
@@ -30,9 +28,25 @@ from dragrig.rig.runfile.model import (
     RunHeader,
     RunStatus,
 )
-from dragrig.rig.runfile.reader import LayoutError
-from dragrig.rig.runfile.schema import is_recording
+from dragrig.rig.runfile.reader import (
+    LayoutError,
+    as_run_file_error,
+    check_attributes,
+    one_allowed,
+    open_run,
+    positive_rate,
+    read_events_v1,
+    read_info,
+    read_run,
+    run_id_of,
+    timestamp,
+)
 
+Column = AnyFloatArray | PhaseArray
+
+FILE_CHUNK = 1 << 16
+"""Samples of a chunk in a finished file."""
+GZIP_LEVEL = 4
 DIGEST_SAMPLES = 1 << 19
 """Samples read at a time, so that memory does not grow with the run."""
 
@@ -40,30 +54,25 @@ DIGEST_SAMPLES = 1 << 19
 class TraceDigest:
     """SHA-256 over the datasets of `/entry/trace`, in the order of their names.
 
-    Each dataset adds one line of UTF-8, `NAME TYPE COUNT` and a line feed, where TYPE is NumPy's code of
-    the little-endian type (`<f8`, `<f4`, `|u1`), and then its samples as little-endian bytes. How the file
-    is chunked, compressed or annotated does not matter.
+    Each dataset adds one line of UTF-8, `NAME TYPE COUNT` and a line feed, where TYPE is NumPy's code of the little-
+    endian type (`<f8`, `<f4`, `|u1`), and then its samples as little-endian bytes. How the file is chunked, compressed
+    or annotated does not matter.
     """
 
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
 
     def begin(self, name: str, dtype: np.dtype[np.generic], samples: int) -> None:
-        """Begin the next dataset; names must come in rising order."""
-        self._hash.update(f"{name} {little_endian(dtype).str} {samples}\n".encode())
+        """Begin the next dataset; names must come in alphabetical order."""
+        self._hash.update(f"{name} {dtype.newbyteorder('<').str} {samples}\n".encode())
 
     def update(self, values: AnyFloatArray | PhaseArray) -> None:
         """Add the next samples of the dataset begun."""
-        self._hash.update(np.ascontiguousarray(values, dtype=little_endian(values.dtype)).view(np.uint8).data)
+        self._hash.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).view(np.uint8).data)
 
     def hexdigest(self) -> str:
         """Return the checksum of all that was added."""
         return self._hash.hexdigest()
-
-
-def little_endian(dtype: np.dtype[np.generic]) -> np.dtype[np.generic]:
-    """Return a type in little-endian order."""
-    return dtype.newbyteorder("<")
 
 
 def trace_sha256(trace: h5py.Group) -> str:
@@ -78,13 +87,6 @@ def trace_sha256(trace: h5py.Group) -> str:
     return digest.hexdigest()
 
 
-Column = AnyFloatArray | PhaseArray
-
-FILE_CHUNK = 1 << 16
-"""Samples of a chunk in a finished file."""
-GZIP_LEVEL = 4
-
-
 def column_types(channels: Sequence[Channel]) -> dict[str, np.dtype[np.generic]]:
     """Return the type of every dataset of a recorded trace, by name."""
     frame: dict[str, np.dtype[np.generic]] = {
@@ -95,44 +97,31 @@ def column_types(channels: Sequence[Channel]) -> dict[str, np.dtype[np.generic]]
     return frame | {channel.name: np.dtype(channel.dtype).newbyteorder("<") for channel in channels}
 
 
-def signal_name(channels: Sequence[Channel]) -> str:
-    """Return the channel that a run is about: force, or motor_force for a stage alone."""
-    names = {channel.name for channel in channels}
-    return next(name for name in schema.SIGNALS if name in names)
-
-
 def check_header(header: RunHeader) -> None:
-    """Make sure that a file with this header could be read back.
-
-    Raises
-    ------
-    LayoutError
-        When the layout asks for something that the header lacks or says otherwise.
-    """
+    """Raise `LayoutError` unless a file with this header could be read back."""
     names = [channel.name for channel in header.channels]
     if len(set(names)) < len(names) or set(names) & set(schema.FRAME_DATASETS) or "position" not in names:
-        raise LayoutError(f"the channels {', '.join(names)} are not position and further ones, each once")
+        raise LayoutError(f"the channels {', '.join(names)} are not position and others, each once")
     if not set(names) & set(schema.SIGNALS):
         raise LayoutError("neither force nor motor_force is among the channels")
     for channel in header.channels:
         if channel.units != schema.UNITS.get(channel.name, channel.units):
             raise LayoutError(f"{channel.name} is in {channel.units!r} instead of {schema.UNITS[channel.name]!r}")
-    for path, found in _groups(header, RunStatus.RECORDING).items():
-        at.check_attributes(path, found)
-    at.run_id_of(header.run_id)
-    at.timestamp("start_time", header.start_time.isoformat())
-    at.positive_rate(header.sample_rate_hz)
-    at.one_allowed(schema.SPECIMEN, "fixture", header.specimen["fixture"], schema.FIXTURES)
+    for path, attributes in _groups(header, RunStatus.RECORDING).items():
+        check_attributes(path, attributes)
+    run_id_of(header.run_id)
+    timestamp("start_time", header.start_time.isoformat())
+    positive_rate(header.sample_rate_hz)
+    one_allowed(schema.SPECIMEN, "fixture", header.specimen["fixture"], schema.FIXTURES)
 
 
 def write_header(file: h5py.File, header: RunHeader, status: RunStatus) -> None:
     """Write every group and attribute that is known before the first sample."""
     file.attrs["format"] = schema.FORMAT
     file.attrs["format_version"] = schema.FORMAT_VERSION
-    known = _groups(header, status)
-    for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *known)):
-        group = file.require_group(path)
-        write_attributes(group, {**schema.FIXED_ATTRIBUTES.get(path, {}), **known.get(path, {})})
+    groups = _groups(header, status)
+    for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *groups)):
+        write_attributes(file.require_group(path), {**schema.FIXED_ATTRIBUTES.get(path, {}), **groups.get(path, {})})
     if header.settings_toml:
         file[schema.SETTINGS] = header.settings_toml
 
@@ -145,25 +134,23 @@ def _groups(header: RunHeader, status: RunStatus) -> dict[str, Mapping[str, Attr
         "status": str(status),
         "backend": header.backend,
     }
-    trace: dict[str, Attribute] = {
-        "signal": signal_name(header.channels),
-        "sample_rate_hz": float(header.sample_rate_hz),
-    }
+    # What the run is about: force, or motor_force for a stage alone.
+    signal = next(name for name in schema.SIGNALS if name in {channel.name for channel in header.channels})
     return {
         schema.ENTRY: entry | dict(header.entry),
-        schema.TRACE: trace,
+        schema.TRACE: {"signal": signal, "sample_rate_hz": float(header.sample_rate_hz)},
         schema.PROTOCOL: {"kind": header.kind, **header.protocol},
         schema.CAPSULE: header.capsule,
         schema.SPECIMEN: header.specimen,
     }
 
 
-def write_attributes(group: h5py.Group, found: Mapping[str, Attribute]) -> None:
-    """Write attributes; a number that the layout wants as a real number is written as one."""
+def write_attributes(group: h5py.Group, attributes: Mapping[str, Attribute]) -> None:
+    """Write attributes; a number that the layout requires to be real is written as one."""
     real = {name for name, kind in schema.REQUIRED_ATTRIBUTES.get(group.name, {}).items() if kind is float}
     if group.name == schema.PROTOCOL:
         real.update(*schema.PARAMETERS_OF_KIND.values())
-    for name, value in found.items():
+    for name, value in attributes.items():
         group.attrs[name] = float(value) if name in real else value
 
 
@@ -197,14 +184,8 @@ def create_column(group: h5py.Group, name: str, samples: int, dtype: np.dtype[np
 
 def event_rows(events: Sequence[RunEvent]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
     """Turn events into rows of `/entry/events`; text too long for a row ends in an ellipsis."""
-    rows = [
-        (
-            event.time_s,
-            clip_utf8(event.kind, schema.EVENT_KIND_BYTES),
-            clip_utf8(event.message, schema.EVENT_MESSAGE_BYTES),
-        )
-        for event in events
-    ]
+    kind_bytes, message_bytes = schema.EVENT_KIND_BYTES, schema.EVENT_MESSAGE_BYTES
+    rows = [(e.time_s, clip_utf8(e.kind, kind_bytes), clip_utf8(e.message, message_bytes)) for e in events]
     return np.array(rows, dtype=schema.event_dtype())
 
 
@@ -249,24 +230,24 @@ def write_run(
     Parameters
     ----------
     path
-        Where the file is to stand; what stands there already is never written over.
+        The new file; an existing one is never overwritten.
     columns
-        time [s], command [mm], phase and every channel of the header, each of shape `(N,)`; float32 stays
-        float32, other numbers become float64.
+        time [s], command [mm], phase and every channel of the header, each of shape `(N,)`; float32 stays float32,
+        other numbers become float64.
 
     Raises
     ------
     OutputError
-        When something stands at `path` already or the folder refuses.
+        When the file exists already or the folder refuses.
     RunFileError
         When header or columns break the format.
     """
     try:
         check_header(header)
         _check_columns(header, columns)
-    except LayoutError as fault:
-        raise RunFileError(f"{path}: cannot be written as a run file because {fault}; correct the input") from fault
-    with files.lock_run(path):
+    except LayoutError as error:
+        raise RunFileError(f"{path}: cannot be written as a run file because {error}; correct the input") from error
+    with lock_run(path):
         if path.exists():
             raise OutputError(f"{path}: there is a file already; choose another name or remove it")
         with new_file(path) as file:
@@ -278,36 +259,36 @@ def write_run(
 
 @contextmanager
 def new_file(path: Path) -> Iterator[h5py.File]:
-    """Make an HDF5 file beside `path` and put it in place, synced, once it is whole; drop it otherwise.
+    """Make an HDF5 file beside `path` and move it into place, synced, once it is whole; remove it otherwise.
 
-    Raises
-    ------
-    OutputError
-        When the disk refuses.
+    Raises `OutputError` when the disk refuses.
     """
-    part = naming.part_path(path)
+    part = schema.part_path(path)
     try:
         file = h5py.File(part, "w", locking=False)
         try:
             yield file
             file.flush()
         except BaseException:
-            files.abandon_hdf5_file(file)
+            abandon_hdf5_file(file)
             raise
         file.close()
-        files.move_into_place(part, path)
-    except (OSError, RuntimeError) as fault:
+        move_into_place(part, path)
+    except (OSError, RuntimeError) as error:
         raise OutputError(
-            f"{path}: could not be written ({files.error_text(fault)}); make room or choose another folder"
-        ) from fault
+            f"{path}: could not be written ({error_text(error)}); make room or choose another folder"
+        ) from error
     finally:
-        files.remove_quietly(part)
+        remove_quietly(part)
 
 
 def _write_columns(group: h5py.Group, header: RunHeader, columns: Mapping[str, Column]) -> str:
     units, digest = column_units(header.channels), TraceDigest()
     for name in sorted(columns):
-        values = np.ascontiguousarray(columns[name], dtype=_stored_type(name, np.asarray(columns[name]).dtype))
+        column = np.asarray(columns[name])
+        is_float32 = column.dtype.itemsize == 4 and column.dtype.kind == "f"
+        stored_type = {schema.TIME: "<f8", schema.PHASE: "u1"}.get(name, "<f4" if is_float32 else "<f8")
+        values = np.ascontiguousarray(column, dtype=np.dtype(stored_type))
         dataset = create_column(group, name, len(values), values.dtype)
         write_dataset_attributes(dataset, name, units)
         dataset[:] = values
@@ -316,16 +297,10 @@ def _write_columns(group: h5py.Group, header: RunHeader, columns: Mapping[str, C
     return digest.hexdigest()
 
 
-def _stored_type(name: str, given: np.dtype[np.generic]) -> np.dtype[np.generic]:
-    """Return float32 for what is float32, float64 for any other number, the layout's type for time and phase."""
-    fixed = {schema.TIME: "<f8", schema.PHASE: "u1"}.get(name)
-    return np.dtype(fixed or ("<f4" if given.itemsize == 4 and given.kind == "f" else "<f8"))
-
-
 def _check_columns(header: RunHeader, columns: Mapping[str, Column]) -> None:
-    wanted = set(column_types(header.channels))
-    if set(columns) != wanted:
-        raise LayoutError(f"the columns are {', '.join(sorted(columns))} instead of {', '.join(sorted(wanted))}")
+    required = set(column_types(header.channels))
+    if set(columns) != required:
+        raise LayoutError(f"the columns are {', '.join(sorted(columns))} instead of {', '.join(sorted(required))}")
     lengths = {name: np.shape(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1 or len(next(iter(lengths.values()))) != 1:
         raise LayoutError(f"the columns differ in shape: {lengths}")
@@ -338,7 +313,7 @@ def _check_columns(header: RunHeader, columns: Mapping[str, Column]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Whether a trace still is what was recorded; `stored` is empty where no checksum was ever stored."""
+    """The checksum stored with a trace, empty where none ever was, and the one computed from it now."""
 
     path: Path
     stored: str
@@ -346,32 +321,26 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether there is a checksum and it is the trace's."""
+        """Whether the trace still is what was recorded."""
         return self.stored == self.computed
 
 
 def verify(path: Path) -> Verification:
-    """Read a run file whole and compare its trace with `raw_sha256`.
-
-    Raises
-    ------
-    RunFileError
-        As `read_run` does.
-    """
-    run = reader.read_run(path)
-    with reader.open_run(path) as file, reader.as_run_file_error(path):
+    """Read a run file whole and compare its trace with `raw_sha256`; raises `RunFileError` as `read_run` does."""
+    run = read_run(path)
+    with open_run(path) as file, as_run_file_error(path):
         return Verification(path, run.info.raw_sha256, trace_sha256(file[schema.TRACE]))
 
 
 def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[str] = ()) -> None:
-    """Replace a finished file by a copy that was edited; readers see the old one or the new one whole.
+    """Replace a finished file by an edited copy; readers see either the old file or the new one, whole.
 
     Parameters
     ----------
     edit
         Changes the copy. The trace must stay as it is.
     without
-        Children of `/entry` that are not copied, so that their room is not kept.
+        Children of `/entry` that are not copied, so that they take no room.
 
     Raises
     ------
@@ -382,29 +351,21 @@ def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[
     RunFileError
         When the file is still being recorded or cannot be read.
     """
-    if is_recording(path):
+    if schema.is_recording(path):
         raise RunFileError(f"{path}: is still a recording; finish it with `dragrig recover` first")
-    with files.lock_run(path):
-        reader.read_info(path)
+    with lock_run(path):
+        read_info(path)
         with new_file(path) as file:
             # Closed before the copy takes its place: Windows replaces no file that is open.
-            with reader.open_run(path) as source:
+            with open_run(path) as source:
                 _copy_run(source, file, frozenset(without))
             edit(file)
 
 
 def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEvent] = ()) -> None:
-    """Store a filtered trace beside the raw one as `/entry/filtered`, in place of one stored before.
+    """Store a filtered trace as `/entry/filtered` beside the raw one, in place of an earlier one; raises as `rewrite`.
 
-    Parameters
-    ----------
-    events
-        What the filter has to say, such as pieces too short for it; what it said before is replaced.
-
-    Raises
-    ------
-    BusyError, OutputError, RunFileError
-        As `rewrite` does.
+    `events` are the filter's remarks, such as pieces too short for it; its earlier remarks are replaced.
     """
 
     def edit(file: h5py.File) -> None:
@@ -419,11 +380,11 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
             dataset = create_column(group, name, len(column), np.dtype("<f8"))
             dataset.attrs["units"] = units.get(name, "")
             dataset[:] = column
-        kept = [event for event in layout.read_events_v1(file) if event.kind != schema.FILTER_EVENT]
-        said = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
+        of_the_run = [event for event in read_events_v1(file) if event.kind != schema.FILTER_EVENT]
+        of_the_filter = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
         if schema.EVENTS in file:
             del file[schema.EVENTS]
-        file.create_dataset(schema.EVENTS, data=event_rows([*kept, *said]))
+        file.create_dataset(schema.EVENTS, data=event_rows([*of_the_run, *of_the_filter]))
 
     rewrite(path, edit, without=("filtered",))
 
