@@ -178,7 +178,7 @@ def test_rough_campaigns_differ_slightly_from_the_nominal_equations() -> None:
     runs = (ramp(1.5), stroke("drag", 20.0))
     plain = [published(run).force for run in runs]
     for seed in range(12):
-        rough = draw_campaign(seed, rough=True).rough
+        rough = draw_campaign(seed, rough=True).nominal_errors
         bent = [published(run, rough).force for run in runs]
         off = [np.sqrt(np.mean((one - other) ** 2)) / np.ptp(one) for one, other in zip(plain, bent, strict=True)]
         assert 5e-4 < max(off) < 0.10, rough

@@ -13,14 +13,14 @@ from dragrig.sim_backend.blind.programme import RunList, RunPlan, draw_programme
 
 @dataclass(frozen=True, slots=True)
 class HiddenSpecimen:
-    """Scales of a specimen against the published values, and what the rig does not know about it.
+    """Scales of a specimen against the published values, and quantities unknown to the rig.
 
-    `five` scales E1, E2, E3, η1 and η2 on top of `stiffness`; `gain` is the force calibration's; `dwell_s` the true
-    contact age at the first sample.
+    `element_scales` scale E1, E2, E3, η1 and η2 on top of `stiffness`; `gain` is that of the force calibration,
+    `dwell_s` the true contact age at the first sample.
     """
 
     stiffness: float
-    five: tuple[float, float, float, float, float]
+    element_scales: tuple[float, float, float, float, float]
     mu: float
     mucus: float
     angle_deg: float
@@ -47,7 +47,7 @@ class NominalErrors:
 
 @dataclass(frozen=True, slots=True)
 class RunVariation:
-    """What one run has of its own: factors on stiffness and μ, and the zero offset [mN]."""
+    """Variation of one run: factors on stiffness and μ, and the zero offset [mN]."""
 
     stiffness: float
     mu: float
@@ -71,7 +71,7 @@ def draw_hidden_specimen(random: np.random.Generator) -> HiddenSpecimen:
 
     return HiddenSpecimen(
         stiffness=about(1.0, 0.15),
-        five=(about(1, 0.07), about(1, 0.07), about(1, 0.07), about(1, 0.07), about(1, 0.07)),
+        element_scales=(about(1, 0.07), about(1, 0.07), about(1, 0.07), about(1, 0.07), about(1, 0.07)),
         mu=about(0.082, 0.12),
         mucus=about(1.0, 0.20),
         angle_deg=60.0 + about(0.7, 1.0) - 0.7,
@@ -97,13 +97,13 @@ def draw_nominal_errors(random: np.random.Generator) -> NominalErrors:
 
 
 def draw_run_variation(random: np.random.Generator) -> RunVariation:
-    """Draw what one run has of its own."""
+    """Draw the variation of one run."""
     stiffness, mu, zero = random.standard_normal(3).tolist()
     return RunVariation(1 + 0.02 * stiffness, 1 + 0.015 * mu, 3.0 * zero)
 
 
 def draw_noise_levels(random: np.random.Generator) -> NoiseLevels:
-    """Draw how noisy the sensor is in a campaign."""
+    """Draw the noise of the sensor in a campaign."""
     white = float(random.uniform(1.0, 2.0))
     return NoiseLevels(white, white / 3, float(random.uniform(0.1, 0.4)))
 
@@ -113,18 +113,18 @@ Json = str | float | bool | None | Sequence["Json"] | Mapping[str, "Json"]
 
 @dataclass(frozen=True, slots=True)
 class BlindCampaign:
-    """A campaign with all that is hidden in it; the same seed gives the same campaign."""
+    """A campaign with everything hidden in it; the same seed gives the same campaign."""
 
     seed: int
     specimen: HiddenSpecimen
     noise: NoiseLevels
-    rough: NominalErrors
+    nominal_errors: NominalErrors
     effects: tuple[HiddenEffect, ...]
     sizes: tuple[float, ...]
     programme: str
     runs: tuple[RunPlan, ...]
     variations: tuple[RunVariation, ...]
-    """What each run has of its own, in the order of `runs`."""
+    """Variation of each run, in the order of `runs`."""
 
 
 def draw_campaign(
@@ -140,19 +140,19 @@ def draw_campaign(
     Parameters
     ----------
     effects
-        Names from the vocabulary, or of effects that it does not have; none for a campaign without a gap. The form of
-        each and its shape come from the seed.
+        Ids from the catalogue, or of effects outside it; none for a campaign without a gap. The seed determines the
+        form of each and its shape.
     size
-        Factor on the amplitudes, one for all or one each; shapes stay as they are.
+        Factor on the amplitudes, one for all or one each; shapes are not scaled.
     rough
         Whether the nominal equations are slightly wrong.
     runs
-        `practice`, or `fresh`: a session of its own with the same specimen and effects at other speeds and strains.
+        `practice`, or `fresh`: another session with the same specimen and effects at other speeds and strains.
 
     Raises
     ------
     ValueError
-        For a name of an effect or programme that there is not, or sizes that do not match the effects.
+        For an unknown effect or programme, or sizes that do not match the effects.
     """
     names = tuple(effects or ())
     sizes = tuple(map(float, size)) if isinstance(size, Sequence) else (float(size),) * len(names)
@@ -163,8 +163,8 @@ def draw_campaign(
         seed=seed,
         specimen=draw_hidden_specimen(_random(seed, "specimen")),
         noise=draw_noise_levels(_random(seed, "noise")),
-        rough=draw_nominal_errors(_random(seed, "rough")) if rough else NominalErrors(),
-        effects=tuple(_draw_effect(seed, name, one) for name, one in zip(names, sizes, strict=True)),
+        nominal_errors=draw_nominal_errors(_random(seed, "rough")) if rough else NominalErrors(),
+        effects=tuple(_draw_effect(seed, name, factor) for name, factor in zip(names, sizes, strict=True)),
         sizes=sizes,
         programme=runs,
         runs=plans,
@@ -172,49 +172,51 @@ def draw_campaign(
     )
 
 
-def parallel_session(secret: BlindCampaign, runs: str | RunList = "fresh") -> BlindCampaign:
+def parallel_session(campaign: BlindCampaign, runs: str | RunList = "fresh") -> BlindCampaign:
     """Return a session of another programme with the same specimen and effects, as `draw_campaign` has it for `runs`.
 
-    Order and session time begin anew, and so do ageing and preconditioning: it is a parallel session, not a later one.
+    Order and session time begin anew, and so do ageing and preconditioning: the session is parallel, not later.
     """
-    plans, variations = _session(secret.seed, runs)
+    plans, variations = _session(campaign.seed, runs)
     name = runs if isinstance(runs, str) else runs.name
-    return replace(secret, programme=name, runs=plans, variations=variations)
+    return replace(campaign, programme=name, runs=plans, variations=variations)
 
 
-def without_effects(secret: BlindCampaign) -> BlindCampaign:
-    """Return the same campaign with nothing hidden in it."""
-    return replace(secret, effects=(), sizes=())
+def without_effects(campaign: BlindCampaign) -> BlindCampaign:
+    """Return the same campaign without hidden effects."""
+    return replace(campaign, effects=(), sizes=())
 
 
-def true_answer(secret: BlindCampaign) -> dict[str, Json]:
-    """Return the right verdict and what is behind it, in the form of an entry of `answers.json`."""
-    known = [one.name for one in secret.effects if one.name in CATALOGUE]
-    foreign = len(known) < len(secret.effects)
-    verdict = "no_gap" if not secret.effects else "unknown" if not known else "several" if len(known) > 1 else "effect"
-    one = secret.specimen
+def true_answer(campaign: BlindCampaign) -> dict[str, Json]:
+    """Return the true verdict and its background as an entry of `answers.json`."""
+    known = [effect.name for effect in campaign.effects if effect.name in CATALOGUE]
+    foreign = len(known) < len(campaign.effects)
+    verdict = (
+        "no_gap" if not campaign.effects else "unknown" if not known else "several" if len(known) > 1 else "effect"
+    )
+    specimen = campaign.specimen
     nominal: dict[str, Json] = {
-        "ksE": one.stiffness,
-        "mu": one.mu,
-        "ksV": one.mucus,
-        "kE": list(one.five),
-        "gain": one.gain,
-        "T0": one.dwell_s,
-        "alpha": float(np.radians(one.angle_deg)),
+        "ksE": specimen.stiffness,
+        "mu": specimen.mu,
+        "ksV": specimen.mucus,
+        "kE": list(specimen.element_scales),
+        "gain": specimen.gain,
+        "T0": specimen.dwell_s,
+        "alpha": float(np.radians(specimen.angle_deg)),
     }
     return {
-        "nominal_slightly_wrong": secret.rough != NominalErrors(),
+        "nominal_slightly_wrong": campaign.nominal_errors != NominalErrors(),
         "verdict": verdict,
         "effects": list(known),
         "outside": foreign,
-        "truth": ", ".join(one.name for one in secret.effects) or "nothing",
-        "form": [one.form for one in secret.effects],
-        "size": list(secret.sizes),
-        "channel": [one.channel for one in secret.effects],
-        "parameters": [dict(one.parameters) for one in secret.effects],
-        "seed": secret.seed,
-        "runs": secret.programme,
-        "rough": {name: getattr(secret.rough, name) for name in NominalErrors.__slots__},
+        "truth": ", ".join(effect.name for effect in campaign.effects) or "nothing",
+        "form": [effect.form for effect in campaign.effects],
+        "size": list(campaign.sizes),
+        "channel": [effect.channel for effect in campaign.effects],
+        "parameters": [dict(effect.parameters) for effect in campaign.effects],
+        "seed": campaign.seed,
+        "runs": campaign.programme,
+        "rough": {name: getattr(campaign.nominal_errors, name) for name in NominalErrors.__slots__},
         "specimen": nominal,
     }
 
@@ -230,8 +232,8 @@ def _draw_effect(seed: int, name: str, size: float) -> HiddenEffect:
 def _session(seed: int, runs: str | RunList) -> tuple[tuple[RunPlan, ...], tuple[RunVariation, ...]]:
     name = runs if isinstance(runs, str) else runs.name
     plans = draw_programme(runs, _random(seed, f"programme {runs}")) if isinstance(runs, str) else runs.runs
-    varied = _random(seed, f"runs {name}")
-    return plans, tuple(draw_run_variation(varied) for _ in plans)
+    random = _random(seed, f"runs {name}")
+    return plans, tuple(draw_run_variation(random) for _ in plans)
 
 
 def _random(seed: int, purpose: str) -> np.random.Generator:

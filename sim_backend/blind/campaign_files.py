@@ -1,8 +1,6 @@
-"""Campaigns of the plant as run files."""
+"""Campaigns of the plant written as run files."""
 
-from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 from uuid import UUID, uuid5
 
@@ -21,17 +19,13 @@ _COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")
 
 
-def write_campaign(
-    secret: BlindCampaign, folder: str | Path, workers: int = 1, *, runs: str | RunList | None = None
-) -> None:
-    """Write a campaign's run files, NNN-KIND.h5, with the required part of the run format and nothing hidden in it.
+def write_campaign(campaign: BlindCampaign, folder: str | Path, *, runs: str | RunList | None = None) -> None:
+    """Write a campaign's run files, NNN-KIND.h5: the required part of the run format, without anything hidden.
 
     Parameters
     ----------
-    workers
-        Processes that share the runs; more than one only pays on an idle machine.
     runs
-        Programme to be written in place of the one that was drawn, `fresh` for one, or a list of runs.
+        Programme in place of the drawn one: `fresh`, or a list of runs.
 
     Raises
     ------
@@ -39,36 +33,30 @@ def write_campaign(
         When a file cannot be written.
     """
     if runs is not None:
-        secret = parallel_session(secret, runs)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    one = partial(_write_run, secret, place)
-    if workers > 1:
-        with ProcessPoolExecutor(workers) as pool:
-            list(pool.map(one, range(len(secret.runs)), chunksize=4))
-    else:
-        for index in range(len(secret.runs)):
-            one(index)
+        campaign = parallel_session(campaign, runs)
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    for index in range(len(campaign.runs)):
+        _write_run(campaign, Path(folder), index)
 
 
-def _write_run(secret: BlindCampaign, folder: Path, index: int) -> None:
-    trace = recorded_run(secret, index)
-    run = trace.run
+def _write_run(campaign: BlindCampaign, folder: Path, index: int) -> None:
+    record = recorded_run(campaign, index)
+    run = record.run
     with h5py.File(folder / f"{run.order:03d}-{run.kind}.h5", "w") as file:
-        _write_metadata(file, secret, run)
-        _write_trace(file.create_group("entry/trace"), trace)
+        _write_metadata(file, campaign, run)
+        _write_trace(file.create_group("entry/trace"), record)
 
 
-def _write_metadata(file: h5py.File, secret: BlindCampaign, run: RunPlan) -> None:
+def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> None:
     file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": "dragrig-run", "format_version": 1})
-    session = SESSION_START + (timedelta(days=1) if secret.programme == "fresh" else timedelta())
+    session = SESSION_START + (timedelta(days=1) if campaign.programme == "fresh" else timedelta())
     entry = file.create_group("entry")
     entry.attrs.update(
         {
             "NX_class": "NXentry",
             "default": "trace",
             "backend": "external",
-            "run_id": str(uuid5(_RUN_ID_NAMESPACE, f"{secret.seed} {secret.programme} {run.order}")),
+            "run_id": str(uuid5(_RUN_ID_NAMESPACE, f"{campaign.seed} {campaign.programme} {run.order}")),
             "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
             "order": run.order,
             "status": "complete",
@@ -86,20 +74,20 @@ def _write_metadata(file: h5py.File, secret: BlindCampaign, run: RunPlan) -> Non
 
 
 def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:
-    both: dict[str, str | float] = {"kind": run.kind, "rest_s": run.rest_s, "hold_s": run.hold_s}
+    shared: dict[str, str | float] = {"kind": run.kind, "rest_s": run.rest_s, "hold_s": run.hold_s}
     if run.strain is not None:
         ramp = {"ramp_speed_mm_s": run.speed_mm_s, "ramp_accel_mm_s2": run.accel_mm_s2}
-        return {**both, "shear_strain": run.strain, **ramp}
-    return {**both, "speed_mm_s": run.speed_mm_s, "travel_mm": run.travel_mm, "accel_mm_s2": run.accel_mm_s2}
+        return {**shared, "shear_strain": run.strain, **ramp}
+    return {**shared, "speed_mm_s": run.speed_mm_s, "travel_mm": run.travel_mm, "accel_mm_s2": run.accel_mm_s2}
 
 
-def _write_trace(group: h5py.Group, trace: PlantRecord) -> None:
+def _write_trace(group: h5py.Group, record: PlantRecord) -> None:
     group.attrs.update({"NX_class": "NXdata", "signal": "force", "axes": "time", "sample_rate_hz": RATE_HZ})
-    columns = {"force": trace.force, "position": trace.position, "command": trace.command}
-    group.create_dataset("time", data=trace.time, **_COMPRESSION)
+    columns = {"force": record.force, "position": record.position, "command": record.command}
+    group.create_dataset("time", data=record.time, **_COMPRESSION)
     for name, values in columns.items():
         group.create_dataset(name, data=values.astype(np.float32), **_COMPRESSION)
     for name, unit in _UNITS.items():
         group[name].attrs["units"] = unit
-    phase = group.create_dataset("phase", data=trace.phase, **_COMPRESSION)
+    phase = group.create_dataset("phase", data=record.phase, **_COMPRESSION)
     phase.attrs.create("names", PHASES, dtype=h5py.string_dtype())

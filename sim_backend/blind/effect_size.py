@@ -4,17 +4,30 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from dragrig.sim_backend.blind import BlindCampaign, effect_signatures, without_effects
-from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, NoiseLevels
-from dragrig.sim_backend.blind.plant import noise_free_run
+from dragrig.sim_backend.blind.blind_campaign import BlindCampaign, HiddenSpecimen, NoiseLevels, without_effects
+from dragrig.sim_backend.blind.plant import ENCODER_COUNT_MM, effect_signatures, noise_free_run
+from dragrig.sim_backend.blind.programme import RATE_HZ, Floats
 
-Floats = npt.NDArray[np.float64]
-SAMPLE_RATE_HZ = 500.0
-COUNT_SD_MM = 0.001 / 12**0.5
+COUNT_SD_MM = ENCODER_COUNT_MM / 12**0.5
+"""Standard deviation of rounding to counts."""
 ZERO_PRIOR_MN = 100.0
-"""Prior of a run's zero offset: free."""
+"""Prior of a run's zero offset: practically free."""
+STIFFNESS_PRIOR, MU_PRIOR = 0.02, 0.015
+"""Relative standard deviations between runs."""
+RELATIVE_STEP = 0.001
+"""Step of the derivatives."""
+ELEMENTS = ("E1", "E2", "E3", "eta1", "eta2")
+SPECIMEN_PRIORS = {
+    "stiffness": 0.15,
+    **dict.fromkeys(ELEMENTS, 0.07),
+    "mu": 0.12,
+    "mucus": 0.2,
+    "angle_deg": 0.7 / 60,
+    "gain": 0.005,
+    "dwell_s": 0.25,
+}
+"""Relative standard deviations between specimens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +40,7 @@ class EffectSize:
 
 @dataclass(frozen=True, slots=True)
 class NuisanceDirections:
-    """Whitened directions that are no gap, each times its prior: of the specimen, and of every run alone."""
+    """Whitened directions that are no gap, in units of their priors: of the specimen, and of every run alone."""
 
     noise: NoiseLevels
     shared: tuple[Floats, ...]
@@ -35,87 +48,71 @@ class NuisanceDirections:
 
 
 def whiten(values: Floats, noise: NoiseLevels) -> Floats:
-    """Return the values, shape `(N, …)`, as they are seen through white noise plus an exponentially correlated one.
+    """Return the values, shape `(N, …)`, whitened for white noise plus an exponentially correlated one.
 
     The sum is an ARMA(1, 1) process; its inverse filter leaves unit white noise.
     """
     from scipy.signal import lfilter
 
-    kept = float(np.exp(-1 / (SAMPLE_RATE_HZ * noise.correlation_s)))
-    white, slow = noise.white_mN**2, noise.slow_mN**2 * (1 - kept**2)
-    both, lag = (1 + kept**2) * white + slow, kept * white
-    theta = (both - np.sqrt(both**2 - 4 * lag**2)) / (2 * lag)
-    return np.asarray(lfilter([1.0, -kept], [1.0, -theta], values, axis=0) / np.sqrt(lag / theta))
+    decay = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
+    white, slow = noise.white_mN**2, noise.slow_mN**2 * (1 - decay**2)
+    variance, lag = (1 + decay**2) * white + slow, decay * white
+    theta = (variance - np.sqrt(variance**2 - 4 * lag**2)) / (2 * lag)
+    return np.asarray(lfilter([1.0, -decay], [1.0, -theta], values, axis=0) / np.sqrt(lag / theta))
 
 
-def nuisance_directions(secret: BlindCampaign) -> NuisanceDirections:
-    """Return what specimens and runs may differ in without a gap, about the hidden specimen."""
-    plain = without_effects(secret)
-    runs = range(len(secret.runs))
-    base = [noise_free_run(plain, at).force for at in runs]
-    changes = [(_changed_specimen(secret.specimen, name, step), factor) for name, step, factor in _SPECIMEN_STEPS]
+def nuisance_directions(campaign: BlindCampaign) -> NuisanceDirections:
+    """Return the directions in which specimens and runs differ without a gap, about the hidden specimen."""
+    plain = without_effects(campaign)
+    specimens = [_with_step(campaign.specimen, name) for name in SPECIMEN_PRIORS]
+    priors = np.array(list(SPECIMEN_PRIORS.values())) / RELATIVE_STEP
     shared, own = [], []
-    for at in runs:
-        columns = [
-            (noise_free_run(replace(plain, specimen=one), at).force - base[at]) * factor for one, factor in changes
-        ]
-        shared.append(whiten(np.column_stack(columns), secret.noise))
-        variation = secret.variations[at]
-        loose = [
-            tuple(one if here == at else other for here, other in enumerate(plain.variations))
-            for one in (
-                replace(variation, stiffness=variation.stiffness * 1.001),
-                replace(variation, mu=variation.mu * 1.001),
-            )
-        ]
-        stiff, slip = ((noise_free_run(replace(plain, variations=one), at).force - base[at]) * 1000 for one in loose)
-        alone = np.column_stack([np.full_like(base[at], ZERO_PRIOR_MN), 0.02 * stiff, 0.015 * slip])
-        own.append(whiten(alone, secret.noise))
-    return NuisanceDirections(secret.noise, tuple(shared), tuple(own))
+    for index, variation in enumerate(campaign.variations):
+        force = noise_free_run(plain, index).force
+        changed = [noise_free_run(replace(plain, specimen=specimen), index).force for specimen in specimens]
+        shared.append(whiten((np.column_stack(changed) - force[:, None]) * priors, campaign.noise))
+        step = 1 + RELATIVE_STEP
+        varied = (
+            replace(variation, stiffness=variation.stiffness * step),
+            replace(variation, mu=variation.mu * step),
+        )
+        before, after = plain.variations[:index], plain.variations[index + 1 :]
+        stiff, slip = (
+            (noise_free_run(replace(plain, variations=(*before, run, *after)), index).force - force) / RELATIVE_STEP
+            for run in varied
+        )
+        columns = np.column_stack([np.full_like(force, ZERO_PRIOR_MN), STIFFNESS_PRIOR * stiff, MU_PRIOR * slip])
+        own.append(whiten(columns, campaign.noise))
+    return NuisanceDirections(campaign.noise, tuple(shared), tuple(own))
 
 
-_SPECIMEN_STEPS = (
-    ("stiffness", 0.001, 150.0),
-    ("E1", 0.001, 70.0),
-    ("E2", 0.001, 70.0),
-    ("E3", 0.001, 70.0),
-    ("eta1", 0.001, 70.0),
-    ("eta2", 0.001, 70.0),
-    ("mu", 0.001, 120.0),
-    ("mucus", 0.001, 200.0),
-    ("angle_deg", 0.001, 0.7 / 60 * 1000),
-    ("gain", 0.001, 5.0),
-    ("dwell_s", 0.001, 250.0),
-)
-"""Name, relative step, and standard deviation between specimens over the step."""
+def _with_step(specimen: HiddenSpecimen, name: str) -> HiddenSpecimen:
+    factor = 1 + RELATIVE_STEP
+    if name not in ELEMENTS:
+        return replace(specimen, **{name: getattr(specimen, name) * factor})
+    E1, E2, E3, eta1, eta2 = (
+        scale * factor if element == name else scale
+        for element, scale in zip(ELEMENTS, specimen.element_scales, strict=True)
+    )
+    return replace(specimen, element_scales=(E1, E2, E3, eta1, eta2))
 
 
-def _changed_specimen(specimen: HiddenSpecimen, name: str, step: float) -> HiddenSpecimen:
-    five = ("E1", "E2", "E3", "eta1", "eta2")
-    if name in five:
-        scales = list(specimen.five)
-        scales[five.index(name)] *= 1 + step
-        return replace(specimen, five=(scales[0], scales[1], scales[2], scales[3], scales[4]))
-    return replace(specimen, **{name: getattr(specimen, name) * (1 + step)})
-
-
-def residual_chi2(found: NuisanceDirections, residuals: Sequence[Floats]) -> float:
+def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -> float:
     """Return the squared norm of force residuals, one per run, beyond the directions within their priors."""
-    parameters = found.shared[0].shape[1]
-    total, gram, right = 0.0, np.zeros((parameters, parameters)), np.zeros(parameters)
-    for residual, shared, own in zip(residuals, found.shared, found.own, strict=True):
-        seen = whiten(residual, found.noise)
+    count = directions.shared[0].shape[1]
+    total, gram, right = 0.0, np.zeros((count, count)), np.zeros(count)
+    for residual, shared, own in zip(residuals, directions.shared, directions.own, strict=True):
+        columns = np.column_stack([shared, whiten(residual, directions.noise)])
         inner = np.linalg.inv(np.eye(own.shape[1]) + own.T @ own)
-        kept = np.column_stack([shared, seen])
-        kept = kept.T @ kept - (kept.T @ own) @ inner @ (own.T @ kept)
-        gram, right, total = gram + kept[:-1, :-1], right + kept[:-1, -1], total + float(kept[-1, -1])
+        reduced = columns.T @ columns - (columns.T @ own) @ inner @ (own.T @ columns)
+        gram, right, total = gram + reduced[:-1, :-1], right + reduced[:-1, -1], total + float(reduced[-1, -1])
     best = np.linalg.solve(np.eye(len(gram)) + gram, right)
     return total - float(best @ right)
 
 
-def effect_size(secret: BlindCampaign, found: NuisanceDirections | None = None) -> EffectSize:
+def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> EffectSize:
     """Return how large the effects of a campaign are."""
-    marks = effect_signatures(secret)
-    force = residual_chi2(found or nuisance_directions(secret), [one.force for one in marks])
-    position = sum(float((one.position**2).sum()) for one in marks) / COUNT_SD_MM**2
+    signatures = effect_signatures(campaign)
+    force = residual_chi2(directions or nuisance_directions(campaign), [run.force for run in signatures])
+    position = sum(float((run.position**2).sum()) for run in signatures) / COUNT_SD_MM**2
     return EffectSize(max(force, 0.0) ** 0.5, position**0.5)

@@ -46,19 +46,19 @@ _EQ14 = {
 
 @dataclass(frozen=True)
 class GutContact:
-    """The gut about the capsule in one run, effects that act in the tissue included."""
+    """Wall and capsule of one run, effects in the tissue included: moduli, geometry, and pressure by contact age."""
 
     specimen: HiddenSpecimen
     variation: RunVariation
-    rough: NominalErrors
+    errors: NominalErrors
     effects: Sequence[HiddenEffect]
     ageing: float
-    """Factor on stiffness from effects that act from run to run."""
+    """Factor on stiffness of the effects that vary from run to run."""
 
     @cached_property
     def angle(self) -> float:
         """Contact angle [rad]."""
-        return radians(self.specimen.angle_deg + self.rough.angle_deg)
+        return radians(self.specimen.angle_deg + self.errors.angle_deg)
 
     @cached_property
     def length_mm(self) -> float:
@@ -81,19 +81,19 @@ class GutContact:
 
     def moduli(self, strain: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Return E1, E2, E3 [kPa] and the time constants of the two branches [s] at a strain."""
-        five = self.specimen.five
+        scales = self.specimen.element_scales
         E1, E2, E3, eta1, eta2 = (
-            np.polyval(one, strain) * scale for one, scale in zip(_EQ14.values(), five, strict=True)
+            np.polyval(polynomial, strain) * scale for polynomial, scale in zip(_EQ14.values(), scales, strict=True)
         )
-        scale = self.specimen.stiffness * self.variation.stiffness * self.ageing * self._bend(strain)
+        scale = self.specimen.stiffness * self.variation.stiffness * self.ageing * self._shape_error(strain)
         first, second, third = scale.copy(), scale.copy(), scale.copy()
         for effect in self.effects:
-            one, two, three = effect.branches(strain)
-            first, second, third = first * one, second * two, third * three
+            on_E1, on_E2, on_E3 = effect.branches(strain)
+            first, second, third = first * on_E1, second * on_E2, third * on_E3
         return E1 * first, E2 * second, E3 * third, eta1 / E1, eta2 / E2
 
     def tail(self, age: Floats, strain: Floats) -> Floats:
-        """Return what effects add to the stress at an age and a strain, as a part of E3."""
+        """Return the stress that effects add at an age and a strain, relative to E3."""
         if not self.effects:
             return np.zeros_like(age)
         return np.asarray(np.sum([effect.tail(age, strain) for effect in self.effects], axis=0))
@@ -105,11 +105,11 @@ class GutContact:
         stress = E1 * np.exp(-age / tau1) + E2 * np.exp(-age / tau2) + E3 * (1 + self.tail(age, strain))
         return 2 * PLANT_WALL_MM * strain * stress / self.diameter_mm(x)
 
-    def _bend(self, strain: Floats) -> Floats:
-        if not self.rough.shape:
+    def _shape_error(self, strain: Floats) -> Floats:
+        if not self.errors.shape:
             return np.ones_like(strain)
-        bent = {"linear": strain - 1, "arched": 2 * (strain - 1) ** 2 - 1, "wave": np.sin(np.pi * (strain - 0.5))}
-        return np.asarray(1 + self.rough.shape * bent[self.rough.shape_form])
+        forms = {"linear": strain - 1, "arched": 2 * (strain - 1) ** 2 - 1, "wave": np.sin(np.pi * (strain - 0.5))}
+        return np.asarray(1 + self.errors.shape * forms[self.errors.shape_form])
 
 
 SHEARED_AREA_MM2 = np.pi * 12.9 * 15.2
@@ -117,7 +117,7 @@ _STEPS_PER_SAMPLE = 4
 """Steps of the recursion per sample."""
 
 
-def relaxation_force(gut: GutContact, scene: RunConditions) -> Floats:
+def relaxation_force(gut: GutContact, run: RunConditions) -> Floats:
     """Return the force at every sample [mN], shape `(N,)`.
 
     Two Maxwell branches and a spring, with the moduli at the final strain, driven by the true motion.
@@ -125,27 +125,27 @@ def relaxation_force(gut: GutContact, scene: RunConditions) -> Floats:
     from scipy.interpolate import CubicHermiteSpline
     from scipy.signal import lfilter
 
-    run, motion = scene.run, scene.motion
-    if run.strain is None:
-        raise ValueError(f"a {run.kind} run has no strain to relax from")
-    E1, E2, E3, tau1, tau2 = (float(one[0]) for one in gut.moduli(np.array([run.strain])))
+    plan, motion = run.plan, run.motion
+    if plan.strain is None:
+        raise ValueError(f"a {plan.kind} run has no shear strain")
+    E1, E2, E3, tau1, tau2 = (float(values[0]) for values in gut.moduli(np.array([plan.strain])))
     h = float(motion.t[1] - motion.t[0]) / _STEPS_PER_SAMPLE
     fine = motion.t[0] + h * np.arange((motion.t.size - 1) * _STEPS_PER_SAMPLE + 1)
     strain = CubicHermiteSpline(motion.t, motion.p, motion.v)(fine) / PLANT_WALL_MM
     steps = np.diff(strain, prepend=0.0)
     stress = E3 * strain
     for modulus, tau in ((E1, tau1), (E2, tau2)):
-        if gut.rough.ramp_step_s:
-            stress = stress + modulus * _first_order_rule(strain, fine, tau, gut.rough.ramp_step_s)
+        if gut.errors.ramp_step_s:
+            stress = stress + modulus * _first_order_rule(strain, fine, tau, gut.errors.ramp_step_s)
             continue
-        kept = np.exp(-h / tau)
-        stress = stress + lfilter([modulus * tau / h * (1 - kept)], [1.0, -kept], steps)
+        decay = np.exp(-h / tau)
+        stress = stress + lfilter([modulus * tau / h * (1 - decay)], [1.0, -decay], steps)
     force = stress[::_STEPS_PER_SAMPLE] * SHEARED_AREA_MM2
     return np.asarray(force + SHEARED_AREA_MM2 * E3 * _tail_stress(gut, motion.t, strain[::_STEPS_PER_SAMPLE]))
 
 
 def _first_order_rule(strain: Floats, fine: Floats, tau: float, step_s: float) -> Floats:
-    """Return a branch's stress over its modulus by the first-order rule at a coarse step, linear in between."""
+    """Return a branch's stress over its modulus by the first-order rule at a coarse step, interpolated linearly."""
     from scipy.signal import lfilter
 
     every = max(round(step_s / (fine[1] - fine[0])), 1)
@@ -155,7 +155,7 @@ def _first_order_rule(strain: Floats, fine: Floats, tau: float, step_s: float) -
 
 
 def _tail_stress(gut: GutContact, t: Floats, strain: Floats) -> Floats:
-    """Return what effects add, as a part of E3: their answer to a step, summed over the steps of the ramp."""
+    """Return the stress that effects add, relative to E3: their step response summed over the steps of the ramp."""
     tail = gut.tail(t - t[0], np.full_like(t, strain[-1]))
     if not tail.any():
         return np.zeros_like(t)
@@ -167,12 +167,12 @@ def _tail_stress(gut: GutContact, t: Floats, strain: Floats) -> Floats:
 
 
 _SIMPSON_INTERVALS = 48
-"""Of Simpson's rule, on each side of the place where the pressure jumps."""
+"""Intervals of Simpson's rule on each side of the jump of the pressure."""
 _KNOT_STEP_MM = 0.06
-"""Travel from knot to knot; contact forces are evaluated at the knots and linear between them."""
+"""Travel between knots; contact forces are evaluated at the knots and interpolated linearly."""
 
 
-def sliding_force(gut: GutContact, scene: RunConditions, *, closed: bool) -> Floats:
+def sliding_force(gut: GutContact, run: RunConditions, *, closed: bool) -> Floats:
     """Return the force on the capsule at every sample [mN], shape `(N,)`.
 
     Parameters
@@ -180,25 +180,25 @@ def sliding_force(gut: GutContact, scene: RunConditions, *, closed: bool) -> Flo
     closed
         Whether the wall closes about the capsule; it does not in the vacuum fixture.
     """
-    motion, specimen = scene.motion, gut.specimen
+    motion, specimen = run.motion, gut.specimen
     mu = specimen.mu * gut.variation.mu
     weight = CAPSULE_MASS_G * GRAVITY_M_S2
     elastic, normal = np.zeros_like(motion.t), np.full_like(motion.t, weight)
     if closed:
-        knots = _contact_knots(scene)
-        at_knots, side = _contact_forces(gut, scene, knots)
+        knots = _contact_knots(run)
+        at_knots, side = _contact_forces(gut, run, knots)
         elastic = np.interp(motion.t, motion.t[knots], at_knots)
         normal = weight + gut.area_mm2 * np.interp(motion.t, motion.t[knots], side)
-    viscous = np.sign(motion.v) * specimen.mucus * viscous_law(scene.speed)
-    grip, change = scene.direction, np.zeros_like(motion.t)
+    viscous = np.sign(motion.v) * specimen.mucus * viscous_law(run.speed)
+    grip, change = run.direction, np.zeros_like(motion.t)
     for effect in gut.effects:
-        grip = effect.grip(grip, scene)
-        change = change + effect.friction(scene)
+        grip = effect.grip(grip, run)
+        change = change + effect.friction(run)
     coulomb = mu * (1 + change) * normal * grip
-    parts = CapsuleForces(elastic, viscous, coulomb, normal)
+    forces = CapsuleForces(elastic, viscous, coulomb, normal)
     total = elastic + viscous + coulomb
     for effect in gut.effects:
-        total = total + effect.pull(parts, scene)
+        total = total + effect.pull(forces, run)
     return total
 
 
@@ -207,36 +207,36 @@ def viscous_law(speed: Floats) -> Floats:
     return np.asarray(11.24 * 0.030**0.7552 * speed**0.2448 + 0.1148 * speed)
 
 
-def _contact_knots(scene: RunConditions) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Return the samples at which the contact is evaluated: close where age or position change fast."""
-    t = scene.motion.t
-    travelled = np.cumsum(np.abs(np.diff(scene.motion.p, prepend=0.0))) / _KNOT_STEP_MM
-    since = [t - edge for edge in scene.run.bounds_s]
-    fresh = sum(np.where(one >= -0.004, np.log1p(np.maximum(one, 0.0) / 0.02) / 0.06, 0.0) for one in since)
-    count = np.floor(travelled + fresh + t / 0.5)
+def _contact_knots(run: RunConditions) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return the samples at which the contact is evaluated: dense where age or position change fast."""
+    t = run.motion.t
+    travelled = np.cumsum(np.abs(np.diff(run.motion.p, prepend=0.0))) / _KNOT_STEP_MM
+    since = [t - edge for edge in run.plan.bounds_s]
+    dense = sum(np.where(time_s >= -0.004, np.log1p(np.maximum(time_s, 0.0) / 0.02) / 0.06, 0.0) for time_s in since)
+    count = np.floor(travelled + dense + t / 0.5)
     chosen = np.flatnonzero(np.diff(count, prepend=-1.0, append=np.inf)[:-1] > 0)
     return np.union1d(chosen, [0, t.size - 1])
 
 
 def _contact_forces(
-    gut: GutContact, scene: RunConditions, knots: np.ndarray[tuple[int], np.dtype[np.intp]]
+    gut: GutContact, run: RunConditions, knots: np.ndarray[tuple[int], np.dtype[np.intp]]
 ) -> tuple[Floats, Floats]:
     """Return elastic resistance [mN] and the pressure at the equator [kPa] at the knots."""
-    motion = scene.motion
+    motion = run.motion
     reached = np.maximum.accumulate(motion.p - motion.p[0])
     far, first = np.unique(reached, return_index=True)
     times = motion.t[np.maximum(first, 0)].copy()
     times[0] = motion.t[max(int(np.argmax(reached > 0)) - 1, 0)]
 
-    # What a specimen's contact really ages by is another number than what is noted.
-    dwell = gut.specimen.dwell_s * (scene.run.dwell_s / NOTED_DWELL_S)
+    # The true age of a specimen's contact differs from the noted one.
+    dwell = gut.specimen.dwell_s * (run.plan.dwell_s / NOTED_DWELL_S)
 
     def age(x: Floats, now: Floats, here: Floats) -> Floats:
         back = here - x
         return np.where(back >= 0, now - np.interp(back, far, times), dwell + now)
 
     now, here = motion.t[knots][:, None], reached[knots][:, None]
-    speeds = [effect.passing(scene)[knots][:, None] for effect in gut.effects]
+    speeds = [effect.passing(run)[knots][:, None] for effect in gut.effects]
     length = gut.length_mm
     total = np.zeros(knots.size)
     jump = np.minimum(here, length)
@@ -245,21 +245,21 @@ def _contact_forces(
         if not wide.size:
             continue
         a, b = low[wide], high[wide]
-        where, weights = _quadrature(gut.rough.panels)
+        where, weights = _quadrature(gut.errors.panels)
         x = a + (b - a) * where
         old = now[wide] - np.interp(np.maximum(here[wide] - x, 0.0), far, times)
         ages = old if fresh else np.broadcast_to(dwell + now[wide], x.shape)
-        held = np.ones_like(x)
+        remaining = np.ones_like(x)
         for effect, speed in zip(gut.effects, speeds, strict=True):
-            held = held * effect.contact(x / length, speed[wide])
+            remaining = remaining * effect.contact(x / length, speed[wide])
         slant = (length - x) / CAPSULE_RADIUS_MM * 2 * np.pi * CAPSULE_RADIUS_MM
-        total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * held).sum(axis=1)
+        total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * remaining).sum(axis=1)
     end = np.full_like(here, length)
     return total, gut.pressure(end, age(end, now, here))[:, 0]
 
 
 def _quadrature(panels: int) -> tuple[Floats, Floats]:
-    """Return nodes and weights on 0 to 1: Simpson's rule in a variable that crowds the nodes at 0, or midpoints."""
+    """Return nodes and weights on (0, 1): Simpson's rule with nodes crowded at 0, or midpoints of so many panels."""
     if panels:
         return (np.arange(panels) + 0.5) / panels, np.full(panels, 1 / panels)
     s = np.linspace(0.0, 1.0, 2 * _SIMPSON_INTERVALS + 1)
@@ -272,14 +272,14 @@ ENCODER_COUNT_MM = 0.001
 CONVERTER_STEP_MN = 20_000 / 2**16
 """Sixteen bits over ±10 N."""
 VIBRATION_MM = 0.00015
-"""What vibration moves the scale by, from sample to sample."""
+"""Standard deviation of the scale's vibration, from sample to sample."""
 CONVERTER_RANK = 4
-"""Of what acts behind the noise."""
+"""Rank of effects that act after the noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlantRecord:
-    """One run: time [s], force [mN], position and command [mm], phase, each of shape `(N,)`."""
+    """One recorded run: time [s], force [mN], position and command [mm], phase, each of shape `(N,)`."""
 
     run: RunPlan
     time: Floats
@@ -289,19 +289,19 @@ class PlantRecord:
     phase: npt.NDArray[np.uint8]
 
 
-def noise_free_run(secret: BlindCampaign, index: int) -> PlantRecord:
+def noise_free_run(campaign: BlindCampaign, index: int) -> PlantRecord:
     """Return run number `index` without noise, offset and rounding."""
-    return _simulate_run(secret, index, noisy=False)
+    return _simulate_run(campaign, index, noisy=False)
 
 
-def recorded_run(secret: BlindCampaign, index: int) -> PlantRecord:
+def recorded_run(campaign: BlindCampaign, index: int) -> PlantRecord:
     """Return run number `index` as sensor, encoder and converter deliver it."""
-    return _simulate_run(secret, index, noisy=True)
+    return _simulate_run(campaign, index, noisy=True)
 
 
 @dataclass(frozen=True, slots=True)
 class EffectSignature:
-    """What the effects do to one run: force [mN] and position [mm] with them minus those without, shape `(N,)`."""
+    """Effect of the hidden effects on one run: force [mN] and position [mm] with minus without them, shape `(N,)`."""
 
     run: RunPlan
     time: Floats
@@ -309,61 +309,61 @@ class EffectSignature:
     position: Floats
 
 
-def effect_signatures(secret: BlindCampaign) -> tuple[EffectSignature, ...]:
-    """Return what the effects do, run by run, noise-free and on the same specimen."""
-    bare = without_effects(secret)
-    found = []
-    for index, run in enumerate(secret.runs):
-        one, other = noise_free_run(secret, index), noise_free_run(bare, index)
-        found.append(EffectSignature(run, one.time, one.force - other.force, one.position - other.position))
-    return tuple(found)
+def effect_signatures(campaign: BlindCampaign) -> tuple[EffectSignature, ...]:
+    """Return the signatures run by run, noise-free and on the same specimen."""
+    bare = without_effects(campaign)
+    signatures = []
+    for index, plan in enumerate(campaign.runs):
+        run, nominal = noise_free_run(campaign, index), noise_free_run(bare, index)
+        signatures.append(EffectSignature(plan, run.time, run.force - nominal.force, run.position - nominal.position))
+    return tuple(signatures)
 
 
-def _simulate_run(secret: BlindCampaign, index: int, *, noisy: bool) -> PlantRecord:
-    run, variation = secret.runs[index], secret.variations[index]
-    seed = crc32(f"{secret.seed} {secret.programme}".encode())
-    effects = tuple(one for one in secret.effects if run.kind in one.kinds)
-    time = np.arange(run.samples) / RATE_HZ
+def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantRecord:
+    plan, variation, errors = campaign.runs[index], campaign.variations[index], campaign.nominal_errors
+    seed = crc32(f"{campaign.seed} {campaign.programme}".encode())
+    effects = tuple(effect for effect in campaign.effects if plan.kind in effect.kinds)
+    time = np.arange(plan.samples) / RATE_HZ
     true_time = time
     for effect in effects:
-        true_time = effect.clock(run, true_time, seed)
-    command = planned_motion(run, true_time, secret.rough.blunt_s)
+        true_time = effect.clock(plan, true_time, seed)
+    command = planned_motion(plan, true_time, errors.blunt_s)
     motion = command
     for effect in effects:
-        motion = effect.motion(motion, RunConditions(run, seed, command, motion))
-    scene = RunConditions(run, seed, command, motion)
-    ageing = prod(effect.stiffness(run) for effect in effects)
-    gut = GutContact(secret.specimen, variation, secret.rough, effects, ageing)
-    force = secret.specimen.gain * _gut_force(gut, scene)
+        motion = effect.motion(motion, RunConditions(plan, seed, command, motion))
+    run = RunConditions(plan, seed, command, motion)
+    ageing = prod(effect.stiffness(plan) for effect in effects)
+    gut = GutContact(campaign.specimen, variation, errors, effects, ageing)
+    force = campaign.specimen.gain * _gut_force(gut, run)
     position = motion.p
     for effect in effects:
-        position = effect.position(position, force, scene)
-    force = _sensor_force(force, effects, scene, range(CONVERTER_RANK))
+        position = effect.position(position, force, run)
+    force = _sensor_force(force, effects, run, range(CONVERTER_RANK))
     if noisy:
-        force = force + variation.zero_mN + _force_noise(secret.noise, time.size, scene.random("noise"))
-    force = _sensor_force(force, effects, scene, range(CONVERTER_RANK, CONVERTER_RANK + 1))
+        force = force + variation.zero_mN + _force_noise(campaign.noise, time.size, run.random("noise"))
+    force = _sensor_force(force, effects, run, range(CONVERTER_RANK, CONVERTER_RANK + 1))
     if noisy:
         force = np.clip(np.round(force / CONVERTER_STEP_MN), -(2**15), 2**15 - 1) * CONVERTER_STEP_MN
-        position = position + VIBRATION_MM * scene.random("encoder").standard_normal(time.size)
+        position = position + VIBRATION_MM * run.random("encoder").standard_normal(time.size)
         position = np.round(position / ENCODER_COUNT_MM) * ENCODER_COUNT_MM
-    nominal = planned_motion(run, time, secret.rough.blunt_s).p if true_time is not time else command.p
-    return PlantRecord(run, time, force, position, nominal, sample_phases(run, time))
+    nominal = command.p if true_time is time else planned_motion(plan, time, errors.blunt_s).p
+    return PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
 
 
-def _gut_force(gut: GutContact, scene: RunConditions) -> Floats:
-    """Return what gut and capsule do to the sensor [mN]."""
-    if scene.run.kind == "blank":
-        return np.zeros_like(scene.motion.t)
-    if scene.run.kind == "relaxation":
-        return relaxation_force(gut, scene)
-    return sliding_force(gut, scene, closed=scene.run.kind == "drag")
+def _gut_force(gut: GutContact, run: RunConditions) -> Floats:
+    """Return the force of gut and capsule on the sensor [mN]."""
+    if run.plan.kind == "blank":
+        return np.zeros_like(run.motion.t)
+    if run.plan.kind == "relaxation":
+        return relaxation_force(gut, run)
+    return sliding_force(gut, run, closed=run.plan.kind == "drag")
 
 
-def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], scene: RunConditions, ranks: range) -> Floats:
-    """Return the force behind the effects of these ranks, lowest first."""
-    for effect in sorted(effects, key=lambda one: one.rank):
+def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], run: RunConditions, ranks: range) -> Floats:
+    """Return the force after the sensor effects of these ranks, lowest first."""
+    for effect in sorted(effects, key=lambda effect: effect.rank):
         if effect.rank in ranks:
-            force = effect.sensor(force, scene)
+            force = effect.sensor(force, run)
     return force
 
 
@@ -371,7 +371,7 @@ def _force_noise(noise: NoiseLevels, samples: int, random: np.random.Generator) 
     """Return white noise plus a stationary Ornstein-Uhlenbeck process."""
     from scipy.signal import lfilter
 
-    kept = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
-    drive = noise.slow_mN * np.sqrt(1 - kept**2) * random.standard_normal(samples)
-    drive[0] = noise.slow_mN * random.standard_normal()
-    return np.asarray(noise.white_mN * random.standard_normal(samples) + lfilter([1.0], [1.0, -kept], drive))
+    decay = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
+    innovations = noise.slow_mN * np.sqrt(1 - decay**2) * random.standard_normal(samples)
+    innovations[0] = noise.slow_mN * random.standard_normal()
+    return np.asarray(noise.white_mN * random.standard_normal(samples) + lfilter([1.0], [1.0, -decay], innovations))

@@ -9,18 +9,18 @@ import numpy.typing as npt
 
 RATE_HZ = 500.0
 PAUSE_S = 90.0
-"""From the last sample of a run to the first of the next."""
+"""Pause between the last sample of a run and the first of the next."""
 PLANT_WALL_MM = 2.5
 DRAG_SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 FRESH_DRAG_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
 PROGRAMMES = ("practice", "fresh")
 NOTED_DWELL_S = 60.0
-"""Age of the contact at the first sample as it is noted, unless a list of runs says otherwise."""
+"""Noted age of the contact at the first sample; a list of runs may set another."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """One run as it is commanded; a relaxation has a strain, every other run has none."""
+    """One commanded run; only a relaxation has a strain."""
 
     kind: str
     order: int
@@ -35,20 +35,20 @@ class RunPlan:
 
     @property
     def bounds_s(self) -> tuple[float, float, float, float]:
-        """When acceleration, steady motion, deceleration and hold begin [s]."""
+        """Begin of acceleration, steady motion, deceleration and hold [s]."""
         ramp = self.peak_mm_s / self.accel_mm_s2
         steady = self.travel_mm / self.peak_mm_s - ramp
-        go = self.rest_s
-        return go, go + ramp, go + ramp + steady, go + 2 * ramp + steady
+        start = self.rest_s
+        return start, start + ramp, start + ramp + steady, start + 2 * ramp + steady
 
     @property
     def peak_mm_s(self) -> float:
-        """The highest speed that the travel allows."""
+        """Highest speed that the travel allows."""
         return min(self.speed_mm_s, sqrt(self.travel_mm * self.accel_mm_s2))
 
     @property
     def samples(self) -> int:
-        """How many samples the record has."""
+        """Number of samples of the record."""
         return round((self.bounds_s[3] + self.hold_s) * RATE_HZ)
 
 
@@ -74,15 +74,18 @@ def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...
         strains, coulomb, speeds = [0.75, 1.25], [1.0, 15.0], [*FRESH_DRAG_SPEEDS_MM_S, *FRESH_DRAG_SPEEDS_MM_S]
         blanks = [10.0, 50.0]
     else:
-        raise ValueError(f"{name!r} is no programme; take one of {', '.join(PROGRAMMES)}")
+        raise ValueError(f"{name!r} is not a programme; choose one of {', '.join(PROGRAMMES)}")
     drags = random.permutation(np.array(speeds)).tolist()
     moves = [("blank", v) for v in blanks] + [("coulomb", v) for v in coulomb] + [("drag", v) for v in drags]
-    return _timed([_relaxation(strain) for strain in strains] + [_stroke(kind, speed) for kind, speed in moves])
+    relaxations = [
+        RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, 1.0, 20.0, strain) for strain in strains
+    ]
+    return _timed(relaxations + [RunPlan(kind, 0, 0.0, speed, 40.0, 400.0, 1.0, 3.0) for kind, speed in moves])
 
 
 @dataclass(frozen=True, slots=True)
 class RunList:
-    """A programme of one's own: its name, and its runs as they are commanded."""
+    """A user's programme: its name and its commanded runs."""
 
     name: str
     runs: tuple[RunPlan, ...]
@@ -94,16 +97,16 @@ class RunList:
         Parameters
         ----------
         runs
-            One table each, in their order: `kind`, `start_s` of its first sample on the session's clock, `rest_s`,
+            One table a run, in their order: `kind`, `start_s` of its first sample on the session's clock, `rest_s`,
             `hold_s`, `dwell_s`; of a relaxation `shear_strain`, `ramp_speed_mm_s` and `ramp_accel_mm_s2`, of any other
             run `speed_mm_s`, `travel_mm` and `accel_mm_s2`.
 
         Raises
         ------
         ValueError
-            For a kind that the plant does not have, or a way back.
+            For a kind that the plant does not have, or a return stroke.
         """
-        return cls(name, tuple(_run_plan(order, one) for order, one in enumerate(runs)))
+        return cls(name, tuple(_run_plan(order, run) for order, run in enumerate(runs)))
 
 
 def _run_plan(order: int, run: Mapping[str, str | float]) -> RunPlan:
@@ -114,7 +117,7 @@ def _run_plan(order: int, run: Mapping[str, str | float]) -> RunPlan:
     ramp = "ramp_" if strain is not None else ""
     travel = float(run["travel_mm"]) if strain is None else strain * PLANT_WALL_MM
     if travel <= 0:
-        raise ValueError(f"run {order} goes {travel:g} mm; the plant's strokes go forward")
+        raise ValueError(f"run {order} travels {travel:g} mm; the plant's strokes must go forward")
     return RunPlan(
         kind=kind,
         order=order,
@@ -127,14 +130,6 @@ def _run_plan(order: int, run: Mapping[str, str | float]) -> RunPlan:
         strain=strain,
         dwell_s=float(run["dwell_s"]),
     )
-
-
-def _relaxation(strain: float) -> RunPlan:
-    return RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, 1.0, 20.0, strain)
-
-
-def _stroke(kind: str, speed_mm_s: float) -> RunPlan:
-    return RunPlan(kind, 0, 0.0, speed_mm_s, 40.0, 400.0, 1.0, 3.0)
 
 
 def _timed(runs: Sequence[RunPlan]) -> tuple[RunPlan, ...]:
@@ -169,8 +164,8 @@ def planned_motion(run: RunPlan, t: Floats, blunt_s: float = 0.0) -> SampledMoti
     """
     from scipy.interpolate import PPoly
 
-    go, steady, brake, stop = run.bounds_s
-    knots = np.array([-10.0, go, steady, brake, stop, stop + run.hold_s + 10.0])
+    start, steady, brake, stop = run.bounds_s
+    knots = np.array([-10.0, start, steady, brake, stop, stop + run.hold_s + 10.0])
     a = PPoly(np.array([[0.0, run.accel_mm_s2, 0.0, -run.accel_mm_s2, 0.0]]), knots)
     v = a.antiderivative()
     p = v.antiderivative()
@@ -186,10 +181,10 @@ def planned_motion(run: RunPlan, t: Floats, blunt_s: float = 0.0) -> SampledMoti
 
 
 def sample_phases(run: RunPlan, t: Floats) -> npt.NDArray[np.uint8]:
-    """Return the phase of every sample, 0 rest to 4 hold, as the trapezoid has them."""
+    """Return the phase of every sample, 0 rest to 4 hold, by the trapezoid."""
     return np.searchsorted(np.array(run.bounds_s) - 1e-9, t, side="right").astype(np.uint8)
 
 
 def _zero_rounding(values: Floats) -> Floats:
-    """Round away what sums of pieces leave at standstill."""
+    """Remove the rounding errors at standstill that sums of pieces leave."""
     return np.where(np.abs(values) < 1e-9, 0.0, values)

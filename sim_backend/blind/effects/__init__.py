@@ -3,33 +3,23 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from dragrig.sim_backend.blind.effects import gut as organ
-from dragrig.sim_backend.blind.effects import gut as session
-from dragrig.sim_backend.blind.effects import gut as wall
-from dragrig.sim_backend.blind.effects import instrument as drive
-from dragrig.sim_backend.blind.effects import instrument as sensor
-from dragrig.sim_backend.blind.effects import interface, outside
-from dragrig.sim_backend.blind.effects import interface as slip
-from dragrig.sim_backend.blind.effects import outside as outside_position
 from dragrig.sim_backend.blind.effects.base import HiddenEffect
+from dragrig.sim_backend.blind.effects.gut import ORGAN_FORMS, SESSION_FORMS, WALL_FORMS
+from dragrig.sim_backend.blind.effects.instrument import DRIVE_FORMS, SENSOR_FORMS
+from dragrig.sim_backend.blind.effects.interface import INTERFACE_FORMS, SLIP_FORMS
+from dragrig.sim_backend.blind.effects.outside import OUTSIDE_FORCE_FORMS, OUTSIDE_POSITION_FORMS
 
 
-def _by_name(*groups: tuple[type[HiddenEffect], ...]) -> Mapping[str, tuple[type[HiddenEffect], ...]]:
+def _by_name(*forms: type[HiddenEffect]) -> Mapping[str, tuple[type[HiddenEffect], ...]]:
     names: dict[str, tuple[type[HiddenEffect], ...]] = {}
-    for form in (form for group in groups for form in group):
+    for form in forms:
         names[form.name] = (*names.get(form.name, ()), form)
     return MappingProxyType(names)
 
 
 CATALOGUE = _by_name(
-    wall.WALL_FORMS,
-    interface.INTERFACE_FORMS,
-    slip.SLIP_FORMS,
-    organ.ORGAN_FORMS,
-    session.SESSION_FORMS,
-    sensor.SENSOR_FORMS,
-    drive.DRIVE_FORMS,
+    *WALL_FORMS, *INTERFACE_FORMS, *SLIP_FORMS, *ORGAN_FORMS, *SESSION_FORMS, *SENSOR_FORMS, *DRIVE_FORMS
 )
-"""Forms of every effect of the vocabulary."""
-OUTSIDE = _by_name(outside.OUTSIDE_FORCE_FORMS, outside_position.OUTSIDE_POSITION_FORMS)
-"""Forms of the effects that the vocabulary does not have."""
+"""Forms of every effect of the catalogue; their order decides which form a seed draws."""
+OUTSIDE = _by_name(*OUTSIDE_FORCE_FORMS, *OUTSIDE_POSITION_FORMS)
+"""Forms of the effects that the catalogue does not have."""

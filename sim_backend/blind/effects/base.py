@@ -18,7 +18,7 @@ SLIDING_RUNS = frozenset({"drag", "coulomb"})
 TISSUE_RUNS = frozenset({"drag", "relaxation"})
 ALL_RUNS = frozenset({"drag", "coulomb", "relaxation", "blank"})
 SIGN_CHANGE_MM_S = 0.05
-"""Width of the change of sign about standstill."""
+"""Speed over which the sign of the velocity changes at standstill."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,9 @@ DrawnPhase = Annotated[float, DrawnFrom(0.0, 2 * np.pi)]
 
 @dataclass(frozen=True, slots=True)
 class RunConditions:
-    """One run as an effect sees it.
+    """What a hidden effect may depend on in one run: its plan, the commanded and the true motion."""
 
-    `session_s` holds the session's time at every sample, `command` and `motion` the commanded and the true motion.
-    """
-
-    run: RunPlan
+    plan: RunPlan
     seed: int
     command: SampledMotion
     motion: SampledMotion
@@ -55,7 +52,7 @@ class RunConditions:
     @property
     def session_s(self) -> Floats:
         """Time since the session began [s], shape `(N,)`."""
-        return self.run.start_s + self.motion.t
+        return self.plan.start_s + self.motion.t
 
     @property
     def direction(self) -> Floats:
@@ -68,8 +65,8 @@ class RunConditions:
         return np.abs(self.motion.v)
 
     def random(self, purpose: str) -> np.random.Generator:
-        """Return the random numbers of this run for one purpose, the same whenever they are asked for."""
-        return np.random.default_rng((self.seed, self.run.order, crc32(purpose.encode())))
+        """Return the run's random generator for one purpose, always in its initial state."""
+        return np.random.default_rng((self.seed, self.plan.order, crc32(purpose.encode())))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +81,10 @@ class CapsuleForces:
 
 @dataclass(frozen=True, slots=True)
 class HiddenEffect:
-    """A hidden effect; subclasses override the hooks of the place where it acts.
+    """A hidden effect; subclasses override the hooks of the location where it acts.
 
-    `name` is the catalogue's id, or one that the catalogue does not have; `form` the functional form. Parameters are
-    fields annotated with the `DrawnFrom` they come from; `amplitude` is the one that the size scales.
+    `name` is an id of the catalogue, or another for an effect outside it; `form` is the functional form. Parameters are
+    fields annotated with the `DrawnFrom` that they are drawn from; the size scales `amplitude` alone.
     """
 
     amplitude: float
@@ -99,79 +96,79 @@ class HiddenEffect:
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion, made from what is commanded."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
+        """Return the true motion of the stage, from the commanded one."""
         return motion
 
-    def stiffness(self, run: RunPlan) -> float:
+    def stiffness(self, plan: RunPlan) -> float:
         """Return the factor on all stiffness in one run."""
         return 1.0
 
     def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the factors on E1, E2 and E3 at a strain, time constants kept."""
-        one = np.ones_like(strain)
-        return one, one, one
+        ones = np.ones_like(strain)
+        return ones, ones, ones
 
     def tail(self, age_s: Floats, strain: Floats) -> Floats:
-        """Return what the stress has beyond the model at a contact age and a strain, as a part of E3."""
+        """Return the additional stress at a contact age and a strain, relative to E3."""
         return np.zeros_like(age_s)
 
-    def passing(self, scene: RunConditions) -> Floats:
-        """Return the speed that decides where the wall is in contact [mm/s], shape `(N,)`."""
-        return scene.speed
+    def passing(self, run: RunConditions) -> Floats:
+        """Return the speed that determines where the wall is in contact [mm/s], shape `(N,)`."""
+        return run.speed
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
-        """Return the share of the pressure left at x / L = `where` at a speed [mm/s]; the two broadcast."""
+        """Return the remaining share of the pressure at x / L = `where` and a speed [mm/s]; the two broadcast."""
         return np.ones(np.broadcast_shapes(where.shape, speed.shape))
 
-    def friction(self, scene: RunConditions) -> Floats | float:
+    def friction(self, run: RunConditions) -> Floats | float:
         """Return the relative change of μ, shape `(N,)`."""
         return 0.0
 
-    def grip(self, direction: Floats, scene: RunConditions) -> Floats:
-        """Return the share of the Coulomb force that acts, with its sign, shape `(N,)`."""
+    def grip(self, direction: Floats, run: RunConditions) -> Floats:
+        """Return the acting share of the Coulomb force, signed, shape `(N,)`."""
         return direction
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return a force on the capsule beyond the model [mN], shape `(N,)`."""
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        """Return an additional force on the capsule [mN], shape `(N,)`."""
         return 0.0
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force that is recorded [mN] where `force` acts, shape `(N,)`."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        """Return the recorded force [mN] of a true one, shape `(N,)`."""
         return force
 
-    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
-        """Return the position that the encoder sees [mm], shape `(N,)`."""
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
+        """Return the position at the encoder [mm], shape `(N,)`."""
         return position
 
-    def clock(self, run: RunPlan, t: Floats, seed: int) -> Floats:
-        """Return the true times of the samples [s] that are recorded at `t`."""
+    def clock(self, plan: RunPlan, t: Floats, seed: int) -> Floats:
+        """Return the true times of the samples [s] recorded at `t`."""
         return t
 
     @classmethod
     def drawn(cls, random: np.random.Generator, size: float) -> Self:
         """Draw an effect of this form; `size` scales its amplitude alone."""
         hints = get_type_hints(cls, include_extras=True)
-        ranges = {one.name: _range(cls, one.name, hints[one.name]) for one in fields(cls)}
-        values = {name: draw(random) for name, draw in ranges.items()}
+        ranges = {field.name: _range(cls, field.name, hints[field.name]) for field in fields(cls)}
+        values = {name: drawn_from(random) for name, drawn_from in ranges.items()}
         values["amplitude"] *= size
         return cls(**values)
 
     @property
     def parameters(self) -> Mapping[str, float]:
         """Names and values of the parameters, the amplitude among them."""
-        return MappingProxyType({one.name: float(getattr(self, one.name)) for one in fields(self)})
+        return MappingProxyType({field.name: float(getattr(self, field.name)) for field in fields(self)})
 
 
 def _range(cls: type[HiddenEffect], name: str, hint: object) -> DrawnFrom:
     for extra in getattr(hint, "__metadata__", ()):
         if isinstance(extra, DrawnFrom):
             return extra
-    raise TypeError(f"{cls.__name__}.{name} does not say what range it is drawn from")
+    raise TypeError(f"{cls.__name__}.{name} has no DrawnFrom; annotate it with the range that it is drawn from")
 
 
 def second_order(values: Floats, natural: float, damping: float, t: Floats) -> Floats:
-    """Return the answer of ω² / (s² + 2ζωs + ω²), at rest before the first sample, input linear between samples."""
+    """Return the response of ω² / (s² + 2ζωs + ω²), at rest before the first sample, input linear between samples."""
     from scipy.signal import cont2discrete, lfilter
 
     system = (np.array([natural**2]), np.array([1.0, 2 * damping * natural, natural**2]))
@@ -180,58 +177,58 @@ def second_order(values: Floats, natural: float, damping: float, t: Floats) -> F
 
 
 def low_pass(values: Floats, time_s: float, damping: float, t: Floats) -> Floats:
-    """Return the values through two poles at `1 / time_s`, or a pair of them with less damping."""
+    """Return the response of two poles at `1 / time_s`, or of a pair with less damping."""
     return second_order(values, 1 / time_s, damping, t)
 
 
 def resonance(values: Floats, hertz: float, damping: float, t: Floats) -> Floats:
-    """Return the values as a mass on a spring passes them on: the quasi-static part and the ringing."""
+    """Return the force transmitted by a mass on a spring: the quasi-static part and the ringing."""
     return second_order(values, 2 * np.pi * hertz, damping, t)
 
 
 def delayed(values: Floats, seconds: Floats | float, t: Floats) -> Floats:
-    """Return the values as they were `seconds` ago; the ends are held."""
+    """Return the values of `seconds` ago; the ends are held."""
     return np.interp(t - seconds, t, values)
 
 
 def first_order(values: Floats, time_s: float, t: Floats) -> Floats:
-    """Return the values through one pole at `1 / time_s`, at rest before the first sample."""
+    """Return the response of one pole at `1 / time_s`, at rest before the first sample."""
     from scipy.signal import lfilter
 
-    kept = float(np.exp(-(t[1] - t[0]) / time_s))
-    return np.asarray(lfilter([1 - kept], [1.0, -kept], values))
+    decay = float(np.exp(-(t[1] - t[0]) / time_s))
+    return np.asarray(lfilter([1 - decay], [1.0, -decay], values))
 
 
 def play_operator(values: Floats, half: float) -> Floats:
     """Return the output of a play of half-width `half`: it follows only once the gap is taken up."""
     out = np.empty_like(values)
     last = float(values[0])
-    for piece, way in _monotone_pieces(values):
-        follows = values[piece] - way * half
-        out[piece] = np.maximum(last, follows) if way > 0 else np.minimum(last, follows)
+    for piece, direction in _monotone_pieces(values):
+        follows = values[piece] - direction * half
+        out[piece] = np.maximum(last, follows) if direction > 0 else np.minimum(last, follows)
         last = float(out[piece][-1])
     return out
 
 
 def dahl_operator(values: Floats, width: float) -> Floats:
-    """Return a state within −1 to 1 that approaches the sign of the input's motion over `width` of the input."""
+    """Return Dahl's state in (−1, 1), which approaches the sign of the input's change over `width` of the input."""
     state = np.empty_like(values)
     last = 0.0
-    for piece, way in _monotone_pieces(values):
-        passed = np.abs(values[piece] - values[max(piece.start - 1, 0)])
-        state[piece] = way - (way - last) * np.exp(-passed / width)
+    for piece, direction in _monotone_pieces(values):
+        change = np.abs(values[piece] - values[max(piece.start - 1, 0)])
+        state[piece] = direction - (direction - last) * np.exp(-change / width)
         last = float(state[piece][-1])
     return state
 
 
 def _monotone_pieces(values: Floats) -> Iterator[tuple[slice, int]]:
-    """Give the stretches in which the input goes one way, and which way."""
-    ways = np.sign(np.diff(values, prepend=values[0]))
-    moved = np.flatnonzero(ways)
+    """Yield the pieces in which the input is monotone, and their direction."""
+    directions = np.sign(np.diff(values, prepend=values[0]))
+    moved = np.flatnonzero(directions)
     if not moved.size:
         yield slice(0, values.size), 1
         return
-    filled = ways[moved[np.clip(np.searchsorted(moved, np.arange(values.size), side="right") - 1, 0, None)]]
+    filled = directions[moved[np.clip(np.searchsorted(moved, np.arange(values.size), side="right") - 1, 0, None)]]
     starts = np.concatenate([[0], np.flatnonzero(np.diff(filled)) + 1, [values.size]])
     for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
         yield slice(start, end), int(filled[start])

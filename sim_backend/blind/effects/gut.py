@@ -29,14 +29,12 @@ class LiftOffFade(HiddenEffect):
     front: Annotated[float, DrawnFrom(0.45, 0.75)]
     back_s: Annotated[float, DrawnFrom(0.08, 0.2, log=True)]
 
-    def passing(self, scene: RunConditions) -> Floats:
-        """Return the highest speed so far, faded by the time since."""
-        t = scene.motion.t
-        log_speed = np.log(np.maximum(scene.speed, 1e-9))
+    def passing(self, run: RunConditions) -> Floats:
+        t = run.motion.t
+        log_speed = np.log(np.maximum(run.speed, 1e-9))
         return np.asarray(np.exp(np.maximum.accumulate(log_speed + t / self.back_s) - t / self.back_s))
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
-        """Return the share of the pressure left."""
         edge = 1 / (1 + np.exp((where - self.front) / 0.04))
         return np.asarray(1 - self.amplitude * edge * (1 - 1 / (1 + (speed / self.speed_mm_s) ** self.power)))
 
@@ -51,12 +49,10 @@ class LiftOffPeel(HiddenEffect):
     power: Annotated[float, DrawnFrom(0.6, 1.2)]
     distance_mm: Annotated[float, DrawnFrom(1.5, 4.0)]
 
-    def passing(self, scene: RunConditions) -> Floats:
-        """Return the speed as far as the wall has peeled by now."""
-        return np.asarray(scene.speed * -np.expm1(-np.maximum(scene.motion.p, 0.0) / self.distance_mm))
+    def passing(self, run: RunConditions) -> Floats:
+        return np.asarray(run.speed * -np.expm1(-np.maximum(run.motion.p, 0.0) / self.distance_mm))
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
-        """Return the share of the pressure left."""
         part = np.maximum(speed - self.speed_mm_s, 0.0) / (60.0 - self.speed_mm_s)
         lost = self.amplitude * part**self.power
         return np.asarray(1 - np.clip((lost - where) / 0.06 + 0.5, 0.0, 1.0) * np.minimum(lost / 0.06, 1.0))
@@ -73,12 +69,10 @@ class LiftOffHollow(HiddenEffect):
     reach: Annotated[float, DrawnFrom(0.6, 0.95)]
     time_s: Annotated[float, DrawnFrom(0.03, 0.07, log=True)]
 
-    def passing(self, scene: RunConditions) -> Floats:
-        """Return the speed as the wall follows it."""
-        return first_order(scene.speed, self.time_s, scene.motion.t)
+    def passing(self, run: RunConditions) -> Floats:
+        return first_order(run.speed, self.time_s, run.motion.t)
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
-        """Return the share of the pressure left."""
         opened = 1 - np.exp(-((np.maximum(speed - self.begin_mm_s, 0.0) / self.width_mm_s) ** 2))
         depth = np.sqrt(np.maximum(1 - (where / self.reach) ** 2, 0.0))
         return np.asarray(1 - self.amplitude * opened * depth)
@@ -92,9 +86,8 @@ class InertiaPower(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(20.0, 50.0)]
     power: Annotated[float, DrawnFrom(2.7, 3.4)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        return np.asarray(self.amplitude * scene.direction * (scene.speed / 60.0) ** self.power)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * run.direction * (run.speed / 60.0) ** self.power)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +98,9 @@ class InertiaBending(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(20.0, 50.0)]
     speed_mm_s: Annotated[float, DrawnFrom(12.0, 40.0)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        v, bend = scene.speed, self.speed_mm_s
-        return np.asarray(self.amplitude * scene.direction * (v / 60.0) ** 2 * (1 + 60.0 / bend) / (1 + v / bend))
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        v, bend = run.speed, self.speed_mm_s
+        return np.asarray(self.amplitude * run.direction * (v / 60.0) ** 2 * (1 + 60.0 / bend) / (1 + v / bend))
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +113,6 @@ class HyperelasticLock(HiddenEffect):
     slower: Annotated[float, DrawnFrom(0.2, 0.7)]
 
     def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the factors on the moduli."""
         more = self.amplitude * (np.maximum(strain, 0.0) / 2) ** self.power
         return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
 
@@ -137,7 +128,6 @@ class HyperelasticKink(HiddenEffect):
     slower: Annotated[float, DrawnFrom(0.2, 0.7)]
 
     def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the factors on the moduli."""
         low, high = (np.logaddexp(0.0, (strain - at) / 0.05) * 0.05 for at in (self.strain, self.strain + self.span))
         more = self.amplitude * (low - high) / self.span
         return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
@@ -154,7 +144,6 @@ class HyperelasticBent(HiddenEffect):
     slower: Annotated[float, DrawnFrom(0.2, 0.7)]
 
     def branches(self, strain: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the factors on the moduli."""
         risen = (np.maximum(strain, 0.0) / self.strain) ** self.power
         more = self.amplitude * risen / (1 + risen)
         return 1 + more, 1 + more * self.slower, np.ones_like(strain)
@@ -171,7 +160,6 @@ class RelaxationStretched(HiddenEffect):
     faster: Annotated[float, DrawnFrom(0.6, 1.2)]
 
     def tail(self, age_s: Floats, strain: Floats) -> Floats:
-        """Return the stress beyond the model as a part of E3."""
         time_s = self.time_s * np.clip(strain, 0.2, 2.5) ** -self.faster
         return np.asarray(self.amplitude * np.exp(-((np.maximum(age_s, 0.0) / time_s) ** self.power)))
 
@@ -187,7 +175,6 @@ class RelaxationPower(HiddenEffect):
     grows: Annotated[float, DrawnFrom(0.35, 0.65)]
 
     def tail(self, age_s: Floats, strain: Floats) -> Floats:
-        """Return the stress beyond the model as a part of E3."""
         share = self.amplitude * (np.maximum(strain, 0.0) / 1.2) ** self.grows
         return np.asarray(share * (1 + np.maximum(age_s, 0.0) / self.time_s) ** -self.power)
 
@@ -203,7 +190,6 @@ class RelaxationLog(HiddenEffect):
     strain: Annotated[float, DrawnFrom(0.03, 0.12)]
 
     def tail(self, age_s: Floats, strain: Floats) -> Floats:
-        """Return the stress beyond the model as a part of E3."""
         fall = np.log1p(np.maximum(age_s, 0.0) / self.time_s) / np.log1p(self.last_s / self.time_s)
         share = self.amplitude * np.maximum(strain - self.strain, 0.0) / (1.5 - self.strain)
         return np.asarray(share * np.maximum(1 - fall, 0.0))
@@ -226,11 +212,10 @@ class FoldsHarmonics(HiddenEffect):
     second: Annotated[float, DrawnFrom(0.10, 0.2)]
     second_phase: DrawnPhase
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        turn = 2 * np.pi * scene.motion.p / self.period_mm
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        turn = 2 * np.pi * run.motion.p / self.period_mm
         wave = np.cos(turn + self.phase) + self.second * np.cos(2 * turn + self.second_phase)
-        return np.asarray(self.amplitude * parts.elastic * wave)
+        return np.asarray(self.amplitude * forces.elastic * wave)
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,13 +228,12 @@ class FoldsRidges(HiddenEffect):
     phase: DrawnPhase
     sharpness: Annotated[float, DrawnFrom(0.5, 1.5)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
         from scipy.special import i0e
 
-        turn = 2 * np.pi * scene.motion.p / self.period_mm + self.phase
+        turn = 2 * np.pi * run.motion.p / self.period_mm + self.phase
         ridges = np.exp(self.sharpness * (np.cos(turn) - 1)) - i0e(self.sharpness)
-        return np.asarray(self.amplitude * parts.elastic * ridges * (1 + self.sharpness / 2))
+        return np.asarray(self.amplitude * forces.elastic * ridges * (1 + self.sharpness / 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,11 +246,10 @@ class FoldsWandering(HiddenEffect):
     phase: DrawnPhase
     wander: Annotated[float, DrawnFrom(0.02, 0.05)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        p = scene.motion.p
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        p = run.motion.p
         turn = 2 * np.pi * p / self.period_mm + self.phase + 2 * np.pi * self.wander * np.sin(2 * np.pi * p / 33.0)
-        return np.asarray(self.amplitude * parts.elastic * np.arcsin(np.sin(turn)) * 2 / np.pi)
+        return np.asarray(self.amplitude * forces.elastic * np.arcsin(np.sin(turn)) * 2 / np.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,10 +263,9 @@ class TetherPower(HiddenEffect):
     relaxes: Annotated[float, DrawnFrom(0.4, 0.7)]
     time_s: Annotated[float, DrawnFrom(0.4, 1.5)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        beyond = np.maximum(scene.motion.p - self.place_mm, 0.0) / (40.0 - self.place_mm)
-        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        beyond = np.maximum(run.motion.p - self.place_mm, 0.0) / (40.0 - self.place_mm)
+        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
         return np.asarray(self.amplitude * beyond**self.power * (1 + self.relaxes * np.expm1(-held / self.time_s)))
 
 
@@ -298,9 +280,8 @@ class TetherSoft(HiddenEffect):
     step_mm: Annotated[float, DrawnFrom(6.0, 11.0)]
     slips: Annotated[float, DrawnFrom(0.4, 0.65)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        w, p = self.width_mm, scene.motion.p
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        w, p = self.width_mm, run.motion.p
         grown, end = (np.logaddexp(0.0, (at - self.place_mm) / w) for at in (p, np.array(40.0)))
         taut = (grown - np.logaddexp(0.0, -self.place_mm / w)) / end
         turn = np.pi * (p - self.place_mm) / self.step_mm
@@ -317,15 +298,14 @@ class TetherTwoStrands(HiddenEffect):
     later_mm: Annotated[float, DrawnFrom(6.0, 10.0)]
     ratio: Annotated[float, DrawnFrom(0.5, 0.9)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
 
         def taut(p: Floats) -> Floats:
             beyond = p - self.place_mm - self.later_mm
             first = np.clip(p - self.place_mm, 0.0, self.later_mm) / (1 + np.exp(np.clip((beyond - 1) / 0.3, -50, 50)))
             return np.asarray(first + self.ratio * np.maximum(beyond, 0.0))
 
-        return np.asarray(self.amplitude * taut(scene.motion.p) / taut(np.array(40.0)))
+        return np.asarray(self.amplitude * taut(run.motion.p) / taut(np.array(40.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,9 +319,8 @@ class PeristalsisPulses(HiddenEffect):
     width: Annotated[float, DrawnFrom(0.10, 0.18)]
     wander: Annotated[float, DrawnFrom(0.03, 0.06)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        turn = scene.session_s / self.period_s + self.phase / (2 * np.pi)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        turn = run.session_s / self.period_s + self.phase / (2 * np.pi)
         late = turn + self.wander * np.sin(1.9 * turn)
         return np.asarray(self.amplitude * np.exp(-(((late - np.round(late)) / self.width) ** 2)))
 
@@ -356,9 +335,8 @@ class PeristalsisTwitch(HiddenEffect):
     phase: DrawnPhase
     rise: Annotated[float, DrawnFrom(0.05, 0.15)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        turn = np.mod(scene.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        turn = np.mod(run.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
         return np.asarray(self.amplitude * turn / self.rise * np.exp(1 - turn / self.rise))
 
 
@@ -372,9 +350,8 @@ class PeristalsisUneven(HiddenEffect):
     phase: DrawnPhase
     uneven: Annotated[float, DrawnFrom(0.1, 0.35)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        turn = scene.session_s / self.period_s + self.phase / (2 * np.pi)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        turn = run.session_s / self.period_s + self.phase / (2 * np.pi)
         strength = 1 + self.uneven * np.sin(2.4 * np.floor(turn + 0.5))
         return np.asarray(self.amplitude * strength * ((1 + np.cos(2 * np.pi * turn)) / 2) ** 3)
 
@@ -393,9 +370,8 @@ class AgeingRoot(HiddenEffect):
     every_s: Annotated[float, DrawnFrom(600.0, 1000.0)]
     share: Annotated[float, DrawnFrom(0.15, 0.3)]
 
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        lasting, dried = (run.start_s / 3000.0) ** 0.5, (run.start_s / self.every_s) % 1.0
+    def stiffness(self, plan: RunPlan) -> float:
+        lasting, dried = (plan.start_s / 3000.0) ** 0.5, (plan.start_s / self.every_s) % 1.0
         return float(1 + self.amplitude * ((1 - self.share) * lasting + self.share * dried))
 
 
@@ -409,10 +385,9 @@ class AgeingLate(HiddenEffect):
     swing: Annotated[float, DrawnFrom(0.1, 0.2)]
     period_s: Annotated[float, DrawnFrom(500.0, 1000.0)]
 
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        swung = 1 + self.swing * np.sin(2 * np.pi * run.start_s / self.period_s)
-        return float(1 + self.amplitude * (run.start_s / 3000.0) ** self.power * swung)
+    def stiffness(self, plan: RunPlan) -> float:
+        swung = 1 + self.swing * np.sin(2 * np.pi * plan.start_s / self.period_s)
+        return float(1 + self.amplitude * (plan.start_s / 3000.0) ** self.power * swung)
 
 
 @dataclass(frozen=True, slots=True)
@@ -424,9 +399,8 @@ class AgeingTurn(HiddenEffect):
     middle_s: Annotated[float, DrawnFrom(900.0, 2000.0)]
     width_s: Annotated[float, DrawnFrom(400.0, 750.0)]
 
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        now, start = (1 / (1 + np.exp(-(t - self.middle_s) / self.width_s)) for t in (run.start_s, 0.0))
+    def stiffness(self, plan: RunPlan) -> float:
+        now, start = (1 / (1 + np.exp(-(t - self.middle_s) / self.width_s)) for t in (plan.start_s, 0.0))
         return float(1 + self.amplitude * (now - start) / (1 - start))
 
 
@@ -440,10 +414,9 @@ class PreconditioningRational(HiddenEffect):
     power: Annotated[float, DrawnFrom(1.0, 2.0)]
     grows: Annotated[float, DrawnFrom(0.3, 0.6)]
 
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness; the capsule strains the wall by about 100 %."""
-        fresh = (1.0 if run.strain is None else run.strain) ** self.grows
-        return float(1 + self.amplitude * fresh / (1 + (run.order / self.runs) ** self.power))
+    def stiffness(self, plan: RunPlan) -> float:
+        fresh = (1.0 if plan.strain is None else plan.strain) ** self.grows
+        return float(1 + self.amplitude * fresh / (1 + (plan.order / self.runs) ** self.power))
 
 
 @dataclass(frozen=True, slots=True)
@@ -454,9 +427,8 @@ class PreconditioningBell(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.35, 0.7)]
     runs: Annotated[float, DrawnFrom(2.0, 9.0)]
 
-    def stiffness(self, run: RunPlan) -> float:
-        """Return the factor on all stiffness."""
-        return float(1 + self.amplitude * np.exp(-((run.order / self.runs) ** 2)))
+    def stiffness(self, plan: RunPlan) -> float:
+        return float(1 + self.amplitude * np.exp(-((plan.order / self.runs) ** 2)))
 
 
 SESSION_FORMS: tuple[type[HiddenEffect], ...] = (

@@ -24,10 +24,9 @@ class DriftRoot(HiddenEffect):
     name, form, rank = "force_drift", "root of time", 2
     amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        own = 1 + 0.2 * scene.random("drift").standard_normal()
-        return force + self.amplitude * own * np.sqrt(scene.motion.t / 20.0)
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        own = 1 + 0.2 * run.random("drift").standard_normal()
+        return force + self.amplitude * own * np.sqrt(run.motion.t / 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +37,9 @@ class DriftBent(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
     time_s: Annotated[float, DrawnFrom(3.0, 15.0, log=True)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        own = 1 + 0.3 * scene.random("drift").standard_normal()
-        grown = np.log1p(scene.motion.t / self.time_s) / np.log1p(20.0 / self.time_s)
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        own = 1 + 0.3 * run.random("drift").standard_normal()
+        grown = np.log1p(run.motion.t / self.time_s) / np.log1p(20.0 / self.time_s)
         return np.asarray(force + self.amplitude * own * grown)
 
 
@@ -53,8 +51,7 @@ class NonlinearCubic(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.1, 0.2, signed=True)]
     load_mN: Annotated[float, DrawnFrom(220.0, 450.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         beyond = np.maximum(np.abs(force) - self.load_mN, 0.0)
         return np.asarray(force + self.amplitude * np.sign(force) * beyond)
 
@@ -67,8 +64,7 @@ class NonlinearSoft(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.03, 0.08, signed=True)]
     full_mN: Annotated[float, DrawnFrom(1400.0, 2000.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         return np.asarray(force * (1 + self.amplitude * np.sin(np.pi * force / self.full_mN)))
 
 
@@ -82,12 +78,11 @@ class HysteresisDahl(HiddenEffect):
     creeps: Annotated[float, DrawnFrom(0.4, 0.6)]
     time_s: Annotated[float, DrawnFrom(2.0, 6.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import dahl_operator, first_order
 
         state = dahl_operator(force, self.width_mN)
-        return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, scene.motion.t))
+        return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, run.motion.t))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +94,7 @@ class HysteresisStack(HiddenEffect):
     spread: Annotated[float, DrawnFrom(0.2, 0.7)]
     load_mN: Annotated[float, DrawnFrom(250.0, 500.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import play_operator
 
         load = np.arcsinh(force / self.load_mN)
@@ -118,11 +112,10 @@ class HumHarmonics(HiddenEffect):
     mains: Annotated[float, DrawnFrom(0.0, 1.0)]
     third: Annotated[float, DrawnFrom(0.1, 0.4)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        random = scene.random("hum")
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        random = run.random("hum")
         hertz = (50.0 if self.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
-        turn = 2 * np.pi * hertz * scene.motion.t + random.uniform(0, 2 * np.pi)
+        turn = 2 * np.pi * hertz * run.motion.t + random.uniform(0, 2 * np.pi)
         return force + self.amplitude * (np.sin(turn) + self.third * np.sin(3 * turn + 1.0))
 
 
@@ -135,9 +128,8 @@ class HumBeating(HiddenEffect):
     mains: Annotated[float, DrawnFrom(0.0, 1.0)]
     swell: Annotated[float, DrawnFrom(0.2, 0.5)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        random, t = scene.random("hum"), scene.motion.t
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        random, t = run.random("hum"), run.motion.t
         hertz = (50.0 if self.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
         first, second = random.uniform(0, 2 * np.pi, 2)
         slow = 1 + self.swell * np.sin(2 * np.pi * t * 0.15 + second)
@@ -152,11 +144,10 @@ class InertiaSoft(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(15.0, 40.0)]
     time_s: Annotated[float, DrawnFrom(0.003, 0.006)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import low_pass
 
-        a, t = scene.motion.a, scene.motion.t
+        a, t = run.motion.a, run.motion.t
         slow = low_pass(np.minimum(a, 0.0), self.time_s, 1.0, t)
         return force + self.amplitude / 1000 * (np.maximum(a, 0.0) + slow)
 
@@ -169,9 +160,8 @@ class InertiaUneven(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(15.0, 40.0)]
     missing: Annotated[float, DrawnFrom(0.1, 0.4)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        a = scene.motion.a
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        a = run.motion.a
         return force + self.amplitude / 1000 * np.where(a > 0, a, (1 - self.missing) * a)
 
 
@@ -185,11 +175,10 @@ class ComplianceMode(HiddenEffect):
     damping: Annotated[float, DrawnFrom(0.03, 0.07)]
     ratio: Annotated[float, DrawnFrom(1.6, 2.4)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import resonance
 
-        a, t = scene.motion.a, scene.motion.t
+        a, t = run.motion.a, run.motion.t
         faster = resonance(np.maximum(a, 0.0), self.hertz, self.damping, t)
         slower = resonance(np.minimum(a, 0.0), self.hertz, self.damping * self.ratio, t)
         return force + self.amplitude / 1000 * (faster + slower)
@@ -206,11 +195,10 @@ class ComplianceTwoModes(HiddenEffect):
     ratio: Annotated[float, DrawnFrom(1.6, 2.8)]
     second: Annotated[float, DrawnFrom(0.15, 0.3)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import resonance
 
-        a, t = scene.motion.a, scene.motion.t
+        a, t = run.motion.a, run.motion.t
         first = resonance(a, self.hertz, self.damping, t)
         other = resonance(a, self.hertz * self.ratio, self.damping, t)
         return force + self.amplitude / 1000 * ((1 - self.second) * first + self.second * other)
@@ -232,8 +220,7 @@ class LagSecondOrder(HiddenEffect):
     integral_s: Annotated[float, DrawnFrom(0.5, 1.5, log=True)]
     share: Annotated[float, DrawnFrom(0.45, 0.7)]
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         if not self.amplitude:
             return motion
         time_s = self.amplitude / (2 * self.damping)
@@ -254,11 +241,10 @@ class LagDeadTime(HiddenEffect):
     dead: Annotated[float, DrawnFrom(0.2, 0.5)]
     grows: Annotated[float, DrawnFrom(0.6, 1.0)]
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         if not self.amplitude:
             return motion
-        lag = self.amplitude * (scene.run.peak_mm_s / 40.0) ** self.grows
+        lag = self.amplitude * (run.plan.peak_mm_s / 40.0) ** self.grows
         late, time_s = self.dead * lag, (1 - self.dead) * lag / 2
         p, v, a = (
             low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a)
@@ -278,8 +264,7 @@ class LagTwoTimes(HiddenEffect):
     share_1_s: Annotated[float, DrawnFrom(0.15, 0.3)]
     creep_s: Annotated[float, DrawnFrom(1.5, 3.0)]
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         if not self.amplitude:
             return motion
         slow = self.share_1_s * self.amplitude
@@ -302,8 +287,7 @@ class RippleHarmonics(HiddenEffect):
     second: Annotated[float, DrawnFrom(0.2, 0.4)]
     second_phase: DrawnPhase
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         k = 2 * np.pi / self.period_mm
         terms = ((k, self.phase, 1.0), (2 * k, self.second_phase, self.second))
         return _rippled(motion, self.amplitude, terms)
@@ -319,8 +303,7 @@ class RippleSaw(HiddenEffect):
     phase: DrawnPhase
     decay: Annotated[float, DrawnFrom(0.35, 0.6)]
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         k = 2 * np.pi / self.period_mm
         terms = tuple((n * k, n * self.phase, self.decay ** (n - 1) / n) for n in (1, 2, 3, 4))
         return _rippled(motion, self.amplitude, terms)
@@ -337,8 +320,7 @@ class RippleTwoPeriods(HiddenEffect):
     ratio: Annotated[float, DrawnFrom(1.3, 2.7)]
     second: Annotated[float, DrawnFrom(0.2, 0.35)]
 
-    def motion(self, motion: SampledMotion, scene: RunConditions) -> SampledMotion:
-        """Return the true motion."""
+    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         k = 2 * np.pi / self.period_mm
         return _rippled(motion, self.amplitude, ((k, self.phase, 1.0), (k / self.ratio, 0.0, self.second)))
 
@@ -351,10 +333,9 @@ class LatencySpread(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True, signed=True)]
     spread: Annotated[float, DrawnFrom(0.3, 0.55)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        own = 1 + self.spread * scene.random("latency").uniform(-1.0, 1.0)
-        return delayed(force, self.amplitude * own, scene.motion.t)
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        own = 1 + self.spread * run.random("latency").uniform(-1.0, 1.0)
+        return delayed(force, self.amplitude * own, run.motion.t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,10 +346,9 @@ class LatencyAveraged(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True)]
     width: Annotated[float, DrawnFrom(0.5, 1.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         taps = np.linspace(-self.width, self.width, 9) * self.amplitude
-        late = [delayed(force, self.amplitude + tap, scene.motion.t) for tap in taps.tolist()]
+        late = [delayed(force, self.amplitude + tap, run.motion.t) for tap in taps.tolist()]
         return np.asarray(np.mean(late, axis=0))
 
 
@@ -380,9 +360,8 @@ class LatencyGrows(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.006, 0.018, log=True)]
     time_s: Annotated[float, DrawnFrom(2.0, 10.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        t = scene.motion.t
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        t = run.motion.t
         return delayed(force, self.amplitude * (1.5 - np.exp(-t / self.time_s)), t)
 
 
@@ -396,8 +375,7 @@ class ScaleBent(HiddenEffect):
     period_mm: Annotated[float, DrawnFrom(9.0, 25.0)]
     phase: DrawnPhase
 
-    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
-        """Return the position the encoder sees."""
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
         swung = np.sin(2 * np.pi * position / self.period_mm + self.phase)
         return np.asarray(position * (1 + self.amplitude * (1 + self.swing * swung)))
 
@@ -410,9 +388,8 @@ class ScaleWarm(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.002, 0.012, log=True, signed=True)]
     warming: Annotated[float, DrawnFrom(0.7, 0.95)]
 
-    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
-        """Return the position the encoder sees."""
-        return position * (1 + self.amplitude * (1 - self.warming * np.exp(-scene.session_s / 900.0)))
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
+        return position * (1 + self.amplitude * (1 - self.warming * np.exp(-run.session_s / 900.0)))
 
 
 def _rippled(motion: SampledMotion, amplitude: float, terms: tuple[tuple[float, float, float], ...]) -> SampledMotion:

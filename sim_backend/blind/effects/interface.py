@@ -29,10 +29,9 @@ class StribeckRational(HiddenEffect):
     power: Annotated[float, DrawnFrom(1.0, 2.2)]
     distance_mm: Annotated[float, DrawnFrom(1.1, 2.6)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
-        film = -np.expm1(-np.maximum(scene.motion.p, 0.0) / self.distance_mm)
-        return np.asarray(self.amplitude / (1 + film * (scene.speed / self.speed_mm_s) ** self.power))
+    def friction(self, run: RunConditions) -> Floats | float:
+        film = -np.expm1(-np.maximum(run.motion.p, 0.0) / self.distance_mm)
+        return np.asarray(self.amplitude / (1 + film * (run.speed / self.speed_mm_s) ** self.power))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +44,11 @@ class StribeckLogNormal(HiddenEffect):
     width: Annotated[float, DrawnFrom(0.5, 1.3)]
     dip: Annotated[float, DrawnFrom(0.25, 0.45)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
+    def friction(self, run: RunConditions) -> Floats | float:
         from scipy.special import erfc
 
-        decades = np.log(np.maximum(scene.speed, 1e-6) / self.speed_mm_s)
-        risen = np.maximum(scene.speed - 12.0, 0.0) / 30.0
+        decades = np.log(np.maximum(run.speed, 1e-6) / self.speed_mm_s)
+        risen = np.maximum(run.speed - 12.0, 0.0) / 30.0
         return np.asarray(self.amplitude * (erfc(decades / self.width) / 2 * (1 + self.dip) + self.dip * (risen - 1)))
 
 
@@ -64,11 +62,10 @@ class StribeckRamp(HiddenEffect):
     ratio: Annotated[float, DrawnFrom(6.0, 20.0, log=True)]
     load: Annotated[float, DrawnFrom(2.2, 3.2)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the friction that is added [mN]."""
-        hersey = np.maximum(scene.speed, 1e-6) * (REFERENCE_MN / parts.normal) ** self.load
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        hersey = np.maximum(run.speed, 1e-6) * (REFERENCE_MN / forces.normal) ** self.load
         part = np.log(hersey / self.low_mm_s) / np.log(self.ratio)
-        return np.asarray(parts.coulomb * self.amplitude * np.clip(1 - part, 0.0, 1.0))
+        return np.asarray(forces.coulomb * self.amplitude * np.clip(1 - part, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +78,9 @@ class AdhesionRoot(HiddenEffect):
     aged: Annotated[float, DrawnFrom(0.36, 0.62)]
     slip_mm: Annotated[float, DrawnFrom(4.0, 10.0)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the tack [mN]."""
-        more = 1 + self.aged * np.exp(-np.maximum(scene.motion.p, 0.0) / self.slip_mm)
-        return np.asarray(self.amplitude * more * scene.direction / np.sqrt(1 + (scene.speed / self.speed_mm_s) ** 2))
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        more = 1 + self.aged * np.exp(-np.maximum(run.motion.p, 0.0) / self.slip_mm)
+        return np.asarray(self.amplitude * more * run.direction / np.sqrt(1 + (run.speed / self.speed_mm_s) ** 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +93,10 @@ class AdhesionLog(HiddenEffect):
     end_mm_s: Annotated[float, DrawnFrom(40.0, 120.0)]
     length_mm: Annotated[float, DrawnFrom(110.0, 200.0)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the tack [mN]."""
-        fall = np.log1p(scene.speed / self.speed_mm_s) / np.log1p(self.end_mm_s / self.speed_mm_s)
-        left = np.exp(-np.maximum(scene.motion.p, 0.0) / self.length_mm)
-        return np.asarray(self.amplitude * left * scene.direction * np.maximum(1 - fall, 0.0))
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        fall = np.log1p(run.speed / self.speed_mm_s) / np.log1p(self.end_mm_s / self.speed_mm_s)
+        left = np.exp(-np.maximum(run.motion.p, 0.0) / self.length_mm)
+        return np.asarray(self.amplitude * left * run.direction * np.maximum(1 - fall, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +108,8 @@ class AdhesionBend(HiddenEffect):
     speed_mm_s: Annotated[float, DrawnFrom(2.0, 8.0, log=True)]
     power: Annotated[float, DrawnFrom(0.8, 1.4)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the tack [mN]."""
-        return np.asarray(
-            self.amplitude * scene.direction * np.maximum(scene.speed / self.speed_mm_s, 1.0) ** -self.power
-        )
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * run.direction * np.maximum(run.speed / self.speed_mm_s, 1.0) ** -self.power)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +120,8 @@ class FilmPower(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.35, 0.9)]
     power: Annotated[float, DrawnFrom(1.3, 2.2)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
-        return np.asarray(self.amplitude * (np.maximum(scene.motion.p, 0.0) / 40.0) ** self.power)
+    def friction(self, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * (np.maximum(run.motion.p, 0.0) / 40.0) ** self.power)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +133,9 @@ class FilmStep(HiddenEffect):
     middle_mm: Annotated[float, DrawnFrom(10.0, 25.0)]
     width_mm: Annotated[float, DrawnFrom(2.5, 4.5)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
+    def friction(self, run: RunConditions) -> Floats | float:
         lower = 1 / (1 + np.exp(self.middle_mm / self.width_mm))
-        grown = 1 / (1 + np.exp(-(scene.motion.p - self.middle_mm) / self.width_mm))
+        grown = 1 / (1 + np.exp(-(run.motion.p - self.middle_mm) / self.width_mm))
         return np.asarray(self.amplitude * (grown - lower))
 
 
@@ -163,9 +153,8 @@ class BreakawayBump(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.4, 1.0)]
     slip_mm: Annotated[float, DrawnFrom(0.12, 0.5, log=True)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
-        return np.asarray(self.amplitude * np.exp(-((scene.motion.p / self.slip_mm) ** 2)))
+    def friction(self, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * np.exp(-((run.motion.p / self.slip_mm) ** 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +165,8 @@ class BreakawayRamp(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.4, 1.0)]
     slip_mm: Annotated[float, DrawnFrom(0.25, 0.9, log=True)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
-        return np.asarray(self.amplitude * np.clip(1 - scene.motion.p / self.slip_mm, 0.0, 1.0))
+    def friction(self, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * np.clip(1 - run.motion.p / self.slip_mm, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,9 +178,8 @@ class BreakawayPlateau(HiddenEffect):
     plateau_mm: Annotated[float, DrawnFrom(0.03, 0.15)]
     slip_mm: Annotated[float, DrawnFrom(0.15, 0.5, log=True)]
 
-    def friction(self, scene: RunConditions) -> Floats | float:
-        """Return the relative change of μ."""
-        part = np.clip((scene.motion.p - self.plateau_mm) / self.slip_mm, 0.0, 1.0)
+    def friction(self, run: RunConditions) -> Floats | float:
+        part = np.clip((run.motion.p - self.plateau_mm) / self.slip_mm, 0.0, 1.0)
         return np.asarray(self.amplitude * (1 + np.cos(np.pi * part)) / 2)
 
 
@@ -206,11 +193,10 @@ class PreslidingHyperbola(HiddenEffect):
     power: Annotated[float, DrawnFrom(0.8, 2.0)]
     half_s: Annotated[float, DrawnFrom(1.0, 4.0, log=True)]
 
-    def grip(self, direction: Floats, scene: RunConditions) -> Floats:
-        """Return the share of the Coulomb force that acts."""
-        slip = np.maximum(scene.motion.p, 0.0)
+    def grip(self, direction: Floats, run: RunConditions) -> Floats:
+        slip = np.maximum(run.motion.p, 0.0)
         built = (slip / (slip + self.slip_mm)) ** self.power
-        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
         return (1 - self.amplitude) * direction + self.amplitude * built / (1 + held / self.half_s)
 
 
@@ -223,10 +209,9 @@ class PreslidingCreep(HiddenEffect):
     slip_mm: Annotated[float, DrawnFrom(0.08, 0.4, log=True)]
     creep: Annotated[float, DrawnFrom(0.12, 0.19)]
 
-    def grip(self, direction: Floats, scene: RunConditions) -> Floats:
-        """Return the share of the Coulomb force that acts."""
-        built = np.clip(scene.motion.p / self.slip_mm, 0.0, 1.0)
-        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+    def grip(self, direction: Floats, run: RunConditions) -> Floats:
+        built = np.clip(run.motion.p / self.slip_mm, 0.0, 1.0)
+        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
         return (1 - self.amplitude) * direction + self.amplitude * built * (1 - self.creep * np.log1p(held / 0.05))
 
 
@@ -240,11 +225,10 @@ class PreslidingRelease(HiddenEffect):
     stays: Annotated[float, DrawnFrom(0.4, 0.7)]
     release_s: Annotated[float, DrawnFrom(0.3, 0.9)]
 
-    def grip(self, direction: Floats, scene: RunConditions) -> Floats:
-        """Return the share of the Coulomb force that acts."""
-        slip = np.maximum(scene.motion.p, 0.0)
+    def grip(self, direction: Floats, run: RunConditions) -> Floats:
+        slip = np.maximum(run.motion.p, 0.0)
         built = slip / np.hypot(slip, self.slip_mm)
-        held = np.maximum(scene.motion.t - scene.run.bounds_s[3], 0.0)
+        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
         left = self.stays + (1 - self.stays) * np.exp(-held / self.release_s)
         return (1 - self.amplitude) * direction + self.amplitude * built * left
 

@@ -26,8 +26,7 @@ class AmplifierSaturates(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.7, 1.0)]
     load_mN: Annotated[float, DrawnFrom(500.0, 1000.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         return np.asarray(force - self.amplitude * np.maximum(force - self.load_mN, 0.0))
 
 
@@ -40,14 +39,13 @@ class StickSlip(HiddenEffect):
     slip_mm: Annotated[float, DrawnFrom(0.15, 0.6, log=True)]
     speed_mm_s: Annotated[float, DrawnFrom(2.0, 4.0)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        p = scene.motion.p
-        lengths = self.slip_mm * scene.random("stick").gamma(4.0, 0.25, int(p.max() / self.slip_mm * 2) + 20)
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        p = run.motion.p
+        lengths = self.slip_mm * run.random("stick").gamma(4.0, 0.25, int(p.max() / self.slip_mm * 2) + 20)
         edges = np.concatenate([[0.0], np.cumsum(lengths)])
         at = np.clip(np.searchsorted(edges, p, side="right") - 1, 0, lengths.size - 1)
         part = (p - edges[at]) / lengths[at]
-        slow = np.exp(-((scene.speed / self.speed_mm_s) ** 4)) * (scene.speed > 0)
+        slow = np.exp(-((run.speed / self.speed_mm_s) ** 4)) * (run.speed > 0)
         return np.asarray(self.amplitude * (lengths[at] / self.slip_mm) * (part - 0.5) * slow)
 
 
@@ -58,9 +56,8 @@ class CurrentCrosstalk(HiddenEffect):
     name, form, rank = "current_crosstalk", "proportional to speed", 2
     amplitude: Annotated[float, DrawnFrom(10.0, 25.0, signed=True)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        return force + self.amplitude * np.abs(scene.command.v) / 60.0
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        return force + self.amplitude * np.abs(run.command.v) / 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,14 +69,13 @@ class LooseCoupling(HiddenEffect):
     length_mm: Annotated[float, DrawnFrom(1.5, 6.0)]
     share: Annotated[float, DrawnFrom(0.15, 0.35)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        p, random = scene.motion.p, scene.random("coupling")
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        p, random = run.motion.p, run.random("coupling")
         firm = random.exponential(self.length_mm * (1 / self.share - 1), 200)
         loose = random.exponential(self.length_mm, 200)
         edges = np.cumsum(np.ravel(np.column_stack([firm, loose])))
         lost = np.searchsorted(edges, p) % 2 == 1
-        return np.asarray(force * np.where(lost & (scene.motion.v > 0), 1 - self.amplitude, 1.0))
+        return np.asarray(force * np.where(lost & (run.motion.v > 0), 1 - self.amplitude, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +85,8 @@ class GainSwitches(HiddenEffect):
     name, form, rank = "gain_switches", "two gains", 2
     amplitude: Annotated[float, DrawnFrom(0.10, 0.30)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        return force * (1 - self.amplitude * float(scene.random("gain").random() < 0.5))
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        return force * (1 - self.amplitude * float(run.random("gain").random() < 0.5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,10 +98,9 @@ class FixtureCreeps(HiddenEffect):
     out_s: Annotated[float, DrawnFrom(0.3, 1.5)]
     back_s: Annotated[float, DrawnFrom(0.5, 2.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        go, _, _, stop = scene.run.bounds_s
-        t = scene.motion.t
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        go, _, _, stop = run.plan.bounds_s
+        t = run.motion.t
         grown = 1 - np.exp(-np.clip(t - go, 0.0, stop - go) / self.out_s)
         return force + self.amplitude * grown * np.exp(-np.maximum(t - stop, 0.0) / self.back_s)
 
@@ -120,10 +114,9 @@ class FoamResonance(HiddenEffect):
     speed_mm_s: Annotated[float, DrawnFrom(7.0, 14.0)]
     width: Annotated[float, DrawnFrom(0.25, 0.5)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        off = np.log(np.maximum(scene.speed, 1e-6) / self.speed_mm_s) / self.width
-        return np.asarray(self.amplitude * scene.direction * np.exp(-(off**2)))
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        off = np.log(np.maximum(run.speed, 1e-6) / self.speed_mm_s) / self.width
+        return np.asarray(self.amplitude * run.direction * np.exp(-(off**2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +128,8 @@ class WallSeam(HiddenEffect):
     place_mm: Annotated[float, DrawnFrom(8.0, 24.0)]
     width_mm: Annotated[float, DrawnFrom(0.8, 2.5)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        return np.asarray(self.amplitude * np.exp(-(((scene.motion.p - self.place_mm) / self.width_mm) ** 2)))
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        return np.asarray(self.amplitude * np.exp(-(((run.motion.p - self.place_mm) / self.width_mm) ** 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +142,8 @@ class ThermostatZero(HiddenEffect):
     on: Annotated[float, DrawnFrom(0.15, 0.35)]
     phase: DrawnPhase
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        turn = np.mod(scene.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        turn = np.mod(run.session_s / self.period_s + self.phase / (2 * np.pi), 1.0)
         return force + self.amplitude * (np.where(turn < self.on, turn / self.on, (1 - turn) / (1 - self.on)) - 0.5)
 
 
@@ -165,13 +156,12 @@ class TableVibration(HiddenEffect):
     hertz: Annotated[float, DrawnFrom(3.0, 8.0)]
     damping: Annotated[float, DrawnFrom(0.01, 0.04)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         from dragrig.sim_backend.blind.effects.base import resonance
 
-        t = scene.motion.t
+        t = run.motion.t
         before = 2000
-        drive = scene.random("table").standard_normal(t.size + before)
+        drive = run.random("table").standard_normal(t.size + before)
         shaken = resonance(drive, self.hertz, self.damping, t)
         gain = np.sqrt(np.pi * self.hertz * (t[1] - t[0]) / (2 * self.damping))
         return np.asarray(force + self.amplitude * (shaken / gain)[before:])
@@ -184,8 +174,7 @@ class MissingBits(HiddenEffect):
     name, form, rank = "missing_bits", "steps", 4
     amplitude: Annotated[float, DrawnFrom(12.0, 24.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
         return np.round(force / self.amplitude) * self.amplitude if self.amplitude else force
 
 
@@ -197,9 +186,8 @@ class Suction(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(10.0, 25.0)]
     time_s: Annotated[float, DrawnFrom(0.5, 2.0)]
 
-    def pull(self, parts: CapsuleForces, scene: RunConditions) -> Floats | float:
-        """Return the force [mN]."""
-        t, (go, _, _, stop) = scene.motion.t, scene.run.bounds_s
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        t, (go, _, _, stop) = run.motion.t, run.plan.bounds_s
         standing = np.where(t < go, t, np.maximum(t - stop, 0.0))
         return np.asarray(-self.amplitude * (1 - np.exp(-((standing / self.time_s) ** 1.5))))
 
@@ -212,9 +200,8 @@ class BrakeClamps(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(8.0, 20.0, signed=True)]
     after_s: Annotated[float, DrawnFrom(0.3, 1.5)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        return force + self.amplitude * (scene.motion.t > scene.run.bounds_s[3] + self.after_s)
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        return force + self.amplitude * (run.motion.t > run.plan.bounds_s[3] + self.after_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,9 +212,8 @@ class CableLoop(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
     place_mm: Annotated[float, DrawnFrom(14.0, 26.0)]
 
-    def sensor(self, force: Floats, scene: RunConditions) -> Floats:
-        """Return the force recorded."""
-        p = scene.motion.p / self.place_mm
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        p = run.motion.p / self.place_mm
         return np.asarray(force + self.amplitude * p * (1 - p))
 
 
@@ -245,9 +231,8 @@ class EncoderMisses(HiddenEffect):
     amplitude: Annotated[float, DrawnFrom(0.05, 0.25, log=True)]
     every_mm: Annotated[float, DrawnFrom(4.0, 15.0)]
 
-    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
-        """Return the position the encoder sees."""
-        random = scene.random("misses")
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
+        random = run.random("misses")
         at = np.cumsum(random.exponential(self.every_mm, 60))
         lost = self.amplitude * random.standard_normal(at.size)
         return np.asarray(position - np.concatenate([[0.0], np.cumsum(lost)])[np.searchsorted(at, position)])
@@ -260,8 +245,7 @@ class StageYields(HiddenEffect):
     name, form, channel = "stage_yields", "spring", "position"
     amplitude: Annotated[float, DrawnFrom(0.10, 0.40, log=True)]
 
-    def position(self, position: Floats, force: Floats, scene: RunConditions) -> Floats:
-        """Return the position the encoder sees."""
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
         return np.asarray(position - self.amplitude * (force - force[0]) / 1000.0)
 
 
@@ -272,9 +256,8 @@ class ClockOff(HiddenEffect):
     name, form, channel = "clock_off", "some runs", "position"
     amplitude: Annotated[float, DrawnFrom(0.01, 0.04, signed=True)]
 
-    def clock(self, run: RunPlan, t: Floats, seed: int) -> Floats:
-        """Return the true times of the samples."""
-        wrong = np.random.default_rng((seed, run.order, 77)).random() < 0.5
+    def clock(self, plan: RunPlan, t: Floats, seed: int) -> Floats:
+        wrong = np.random.default_rng((seed, plan.order, 77)).random() < 0.5
         return t * (1 + self.amplitude) if wrong else t
 
 
