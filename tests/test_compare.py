@@ -114,7 +114,7 @@ def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_fr
     assert all(one.value > 0 for one in found.groups if one.verdict is DifferenceVerdict.BEYOND)
     assert found.groups[0].condition.kind == "coulomb"
     assert [one.times_error for one in found.groups] == sorted((one.times_error for one in found.groups), reverse=True)
-    assert any("coulomb, steady force: B lies above A" in one for one in found.sentences)
+    assert any("coulomb, steady force: B is above A" in one for one in found.sentences)
 
 
 def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -> None:

@@ -1,27 +1,26 @@
 """Everything that a comparison says, as values. A difference is always B − A; forces in mN."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
-from math import hypot, isfinite, nan
+from math import hypot, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dragrig.analysis.comparison.overlay import AlignedRuns, align_runs
 from dragrig.analysis.estimates import NORMAL_95, Estimate, Exclusion
-from dragrig.analysis.segments import in_phase
+from dragrig.analysis.segments import attribute_number, in_phase
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Attribute, Run, RunInfo
+from dragrig.rig.runfile.model import Run, RunInfo
 
 if TYPE_CHECKING:
     import pandas as pd
 
-
 SAME_SETTING_TOLERANCE = 0.01
-"""Settings that differ by a smaller share are the same."""
+"""Relative difference up to which settings count as equal."""
 SAME_MEASURED_TOLERANCE = 0.03
-"""The same of speeds and ways that no protocol names and that are taken from the recorded positions."""
+"""The same for speeds and travels that no protocol states, measured from the recorded positions."""
 CAPSULE_SIZES = {
     "diameter_mm": "mm in diameter",
     "length_mm": "mm long",
@@ -29,22 +28,24 @@ CAPSULE_SIZES = {
     "contact_angle_deg": "° contact angle",
 }
 SECONDARY_SETTINGS = {
-    "accel_mm_s2": "acceleration",
-    "ramp_accel_mm_s2": "acceleration of the ramp",
-    "rest_s": "rest",
-    "hold_s": "hold",
+    "accel_mm_s2": ("acceleration", "mm/s²"),
+    "ramp_accel_mm_s2": ("acceleration of the ramp", "mm/s²"),
+    "rest_s": ("rest", "s"),
+    "hold_s": ("hold", "s"),
 }
-"""Settings that may differ between runs that are compared, but are told of."""
+"""Settings that may differ between compared runs, with a remark: name and unit."""
+STEADY_FORCE, ABOVE_REST, REST_FORCE = "steady force", "above rest", "rest"
+PEAK_FORCE, HOLD_FORCE, STEADY_SPEED = "peak", "hold", "speed"
 
 
 @dataclass(frozen=True, slots=True)
 class RunCondition:
-    """Kind, speed, strain, way, capsule and fixture of a run; None where the run does not say.
+    """Kind, speed, strain, travel, capsule and fixture of a run; None where the run does not say.
 
     Attributes
     ----------
     speed_mm_s
-        Without sign; `measured` where no protocol names it.
+        Without sign; `measured` where no protocol states it.
     travel_mm
         With the sign of its direction.
     capsule
@@ -68,20 +69,41 @@ class RunCondition:
         return self.kind if self.speed_mm_s is None else f"{self.kind} at {self.speed_mm_s:.3g} mm/s{back}"
 
     def differs_from(self, other: "RunCondition") -> tuple[str, ...]:
-        """Say in words in what two conditions differ; empty where the runs may be compared."""
-        return tuple(_condition_differences(self, other))
+        """Return in words what differs between two conditions; empty where the runs may be compared."""
+        differences = [
+            f"{name} {own or 'not stated'} against {others or 'not stated'}"
+            for name, own, others in (
+                ("kind", self.kind, other.kind),
+                ("signal", self.signal, other.signal),
+                ("fixture", self.fixture, other.fixture),
+            )
+            if own != others
+        ]
+        tolerance = SAME_MEASURED_TOLERANCE if self.measured or other.measured else SAME_SETTING_TOLERANCE
+        for a, b, factor, unit in (
+            (self.speed_mm_s, other.speed_mm_s, 1.0, "mm/s"),
+            (self.shear_strain, other.shear_strain, 100.0, "% strain"),
+            (self.travel_mm, other.travel_mm, 1.0, "mm of travel"),
+            *(
+                (a, b, 1.0, unit)
+                for a, b, unit in zip(self.capsule, other.capsule, CAPSULE_SIZES.values(), strict=True)
+            ),
+        ):
+            if not _agree(a, b, tolerance):
+                differences.append(f"{_value_text(a, factor)} against {_value_text(b, factor)} {unit}")
+        return tuple(differences)
 
 
 def run_condition(run: Run) -> RunCondition:
-    """Gather what was done in a run; what no protocol names comes from the recorded positions."""
+    """Condition of a run; speed and travel that no protocol states come from the recorded positions."""
     header = run.info.header
     protocol = header.protocol
-    speed = _finite_attribute(protocol, "speed_mm_s", "ramp_speed_mm_s")
-    travel, strain = _finite_attribute(protocol, "travel_mm"), _finite_attribute(protocol, "shear_strain")
+    speed = attribute_number(protocol, "speed_mm_s", "ramp_speed_mm_s")
+    travel, strain = attribute_number(protocol, "travel_mm"), attribute_number(protocol, "shear_strain")
     measured = strain is None and (speed is None or travel is None)
     if measured:
-        seen_speed, seen_travel = _recorded_motion(run)
-        speed, travel = speed or seen_speed, travel or seen_travel
+        recorded_speed, recorded_travel = _recorded_motion(run)
+        speed, travel = speed or recorded_speed, travel or recorded_travel
     return RunCondition(
         kind=header.kind,
         signal=run.trace.signal,
@@ -89,84 +111,45 @@ def run_condition(run: Run) -> RunCondition:
         speed_mm_s=None if speed is None else abs(speed),
         shear_strain=strain,
         travel_mm=travel,
-        capsule=tuple(_finite_attribute(header.capsule, key) for key in CAPSULE_SIZES),
+        capsule=tuple(attribute_number(header.capsule, key) for key in CAPSULE_SIZES),
         measured=measured,
     )
 
 
-def secondary_differences(a: RunInfo, b: RunInfo) -> tuple[str, ...]:
-    """Say in which further settings two runs differ that are compared all the same."""
-    found = []
-    for key, word in SECONDARY_SETTINGS.items():
-        values = _finite_attribute(a.header.protocol, key), _finite_attribute(b.header.protocol, key)
-        if not _agree(*values, SAME_SETTING_TOLERANCE):
-            found.append(f"{word} {_value_text(values[0])} against {_value_text(values[1])} {key.rsplit('_', 1)[-1]}")
-    return tuple(one.replace("mm_s2", "mm/s²").replace(" s2", " mm/s²") for one in found)
+def secondary_differences(a: RunInfo, b: RunInfo) -> Iterator[str]:
+    """Yield the settings in which two runs differ that may be compared all the same."""
+    for key, (name, unit) in SECONDARY_SETTINGS.items():
+        setting_a, setting_b = (attribute_number(info.header.protocol, key) for info in (a, b))
+        if not _agree(setting_a, setting_b, SAME_SETTING_TOLERANCE):
+            yield f"{name} {_value_text(setting_a)} against {_value_text(setting_b)} {unit}"
 
 
-def _condition_differences(one: RunCondition, other: RunCondition) -> Iterator[str]:
-    for word, mine, theirs in (
-        ("kind", one.kind, other.kind),
-        ("signal", one.signal, other.signal),
-        ("fixture", one.fixture, other.fixture),
-    ):
-        if mine != theirs:
-            yield f"{word} {mine or 'not said'} against {theirs or 'not said'}"
-    share = SAME_MEASURED_TOLERANCE if one.measured or other.measured else SAME_SETTING_TOLERANCE
-    for mine_, theirs_, factor, unit in (
-        (one.speed_mm_s, other.speed_mm_s, 1.0, "mm/s"),
-        (one.shear_strain, other.shear_strain, 100.0, "% strain"),
-        (one.travel_mm, other.travel_mm, 1.0, "mm of travel"),
-        *((m, t, 1.0, unit) for m, t, unit in zip(one.capsule, other.capsule, CAPSULE_SIZES.values(), strict=True)),
-    ):
-        if not _agree(mine_, theirs_, share):
-            yield f"{_value_text(mine_, factor)} against {_value_text(theirs_, factor)} {unit}"
-
-
-def _agree(one: float | None, other: float | None, share: float) -> bool:
-    if one is None or other is None:
-        return one is other
-    return abs(one - other) <= share * max(abs(one), abs(other))
+def _agree(a: float | None, b: float | None, tolerance: float) -> bool:
+    if a is None or b is None:
+        return a is b
+    return abs(a - b) <= tolerance * max(abs(a), abs(b))
 
 
 def _value_text(value: float | None, factor: float = 1.0) -> str:
-    return "not said" if value is None else f"{factor * value:.4g}"
+    return "not stated" if value is None else f"{factor * value:.4g}"
 
 
 def _recorded_motion(run: Run) -> tuple[float | None, float | None]:
-    """Speed of the steady phase and way of the whole run, both signed."""
+    """Speed of the steady phase [mm/s] and travel of the whole run [mm], both signed."""
     position, time = np.asarray(run.trace.position, dtype=np.float64), run.trace.time
-    seen = np.isfinite(position)
-    if np.count_nonzero(seen) < 2:
+    finite = np.isfinite(position)
+    if np.count_nonzero(finite) < 2:
         return None, None
-    travel = float(position[seen][-1] - position[seen][0])
-    steady = seen & in_phase(run.trace, Phase.STEADY)
+    travel = float(position[finite][-1] - position[finite][0])
+    steady = finite & in_phase(run.trace, Phase.STEADY)
     if np.count_nonzero(steady) < 2:
         return None, travel
-    took = float(time[steady][-1] - time[steady][0])
-    return float(position[steady][-1] - position[steady][0]) / took if took > 0 else None, travel
-
-
-def _finite_attribute(attributes: Mapping[str, Attribute], *keys: str) -> float | None:
-    for key in keys:
-        value = attributes.get(key)
-        if isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value):
-            return float(value)
-    return None
-
-
-STEADY_FORCE, ABOVE_REST, REST_FORCE, PEAK_FORCE, HOLD_FORCE, STEADY_SPEED = (
-    "steady force",
-    "above rest",
-    "rest",
-    "peak",
-    "hold",
-    "speed",
-)
+    duration = float(time[steady][-1] - time[steady][0])
+    return float(position[steady][-1] - position[steady][0]) / duration if duration > 0 else None, travel
 
 
 class DifferenceVerdict(StrEnum):
-    """How a difference stands beside what differs anyway; each limit holds 95 % of equal runs."""
+    """Whether noise, or run-to-run scatter, explains a difference; each limit holds 95 % of equal runs."""
 
     NOISE = "within noise"
     SCATTER = "within scatter"
@@ -185,13 +168,13 @@ class MeasureDifference:
     a, b
         As recorded.
     zeros
-        What the rest before the motion shows of both, taken off before they were subtracted; None where it was not.
+        Rest offsets that were subtracted from both first; None where none were.
     value
-        B − A; None where one is missing, with the `reason`.
+        B − A; None where either is missing, with the `reason`.
     noise
         Its standard error by the noise of both runs.
     spread
-        Standard deviation by which it differs between repeats on one specimen, unknown zeros included.
+        Its standard deviation between repeats on one specimen, unknown zeros included.
     """
 
     measure: str
@@ -206,12 +189,12 @@ class MeasureDifference:
 
     @property
     def compared(self) -> tuple[float | None, float | None]:
-        """Values of both that were subtracted, zeros taken off."""
-        zeros = self.zeros or (0.0, 0.0)
-        a, b = (
-            None if one.value is None else one.value - zero for one, zero in zip((self.a, self.b), zeros, strict=True)
+        """Both values after subtracting the zeros."""
+        zero_a, zero_b = self.zeros or (0.0, 0.0)
+        return (
+            None if self.a.value is None else self.a.value - zero_a,
+            None if self.b.value is None else self.b.value - zero_b,
         )
-        return a, b
 
     @property
     def error(self) -> float | None:
@@ -234,13 +217,13 @@ def judge_difference(value: float | None, noise: float | None, error: float | No
 
 
 def main_measures(kind: str) -> tuple[str, ...]:
-    """Return the measures that a kind of run is made for."""
+    """Measures that decide the verdict on a kind of run."""
     return (PEAK_FORCE, HOLD_FORCE) if kind == "relaxation" else (STEADY_FORCE,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedRun:
-    """A run of one side: its attributes, and how to get at its samples, which are not kept."""
+    """A run of one side: its attributes, and a function that reads its samples."""
 
     info: RunInfo
     read: Callable[[], Run]
@@ -254,7 +237,7 @@ class ComparedRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedSide:
-    """One of the two that are compared: its runs in order, and what is left out with the reason."""
+    """One side of a comparison: its runs in order, and the excluded ones with the reason."""
 
     name: str
     runs: tuple[ComparedRun, ...]
@@ -265,10 +248,7 @@ class ComparedSide:
 
 @dataclass(frozen=True, slots=True)
 class PhaseDifference:
-    """The difference of the filtered traces while both runs are in one phase; `at_s` counts from the start of motion.
-
-    `phase` is `all` for the whole run.
-    """
+    """Difference of the filtered traces while both runs are in one phase, or `all`; `at_s` from the start of motion."""
 
     phase: str
     samples: int
@@ -280,7 +260,7 @@ class PhaseDifference:
 
 @dataclass(frozen=True, slots=True)
 class FollowingError:
-    """Position minus command of one run in motion; `lag_s` is by how long steady motion comes late."""
+    """Position minus command of one run in motion; `lag_s` is the delay in steady motion."""
 
     rms_mm: float
     largest_mm: float
@@ -289,26 +269,24 @@ class FollowingError:
 
 @dataclass(frozen=True, slots=True)
 class MotionDifference:
-    """Position against command of both runs, None where no command was recorded, and position B − A on one clock."""
+    """Following errors of both runs, None where no command was recorded, and position B − A on one clock."""
 
     a: FollowingError | None
-    b: FollowingError | None
-    rms_mm: float | None
-    largest_mm: float | None
+    b: FollowingError | None = None
+    rms_mm: float | None = None
+    largest_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPair:
-    """Two runs in which the same was done.
+    """Two runs of the same condition.
 
     Attributes
     ----------
     shift_s
-        What was added to the times of B so that both begin to move together; None where that cannot be told.
-    differences
-        The measures side by side.
+        Added to the times of B so that both start to move together; None where unknown.
     phases
-        The filtered traces by phase; empty where they cannot be laid over each other, with the reason in `remarks`.
+        The filtered traces by phase; empty where they cannot be aligned, with the reason in `remarks`.
     """
 
     condition: RunCondition
@@ -323,30 +301,30 @@ class RunPair:
 
     @property
     def main(self) -> tuple[MeasureDifference, ...]:
-        """The measures that a run of this kind is made for."""
+        """Differences of the main measures of the pair's kind."""
         wanted = main_measures(self.condition.kind)
-        return tuple(one for one in self.differences if one.measure in wanted)
+        return tuple(difference for difference in self.differences if difference.measure in wanted)
 
     @property
     def verdict(self) -> DifferenceVerdict:
         """The most serious verdict on a main measure."""
-        found = {one.verdict for one in self.main}
+        verdicts = {difference.verdict for difference in self.main}
         order = (DifferenceVerdict.BEYOND, DifferenceVerdict.SCATTER, DifferenceVerdict.NOISE)
-        return next((one for one in order if one in found), DifferenceVerdict.UNKNOWN)
+        return next((verdict for verdict in order if verdict in verdicts), DifferenceVerdict.UNKNOWN)
 
     def overlay(self) -> AlignedRuns:
-        """Read both runs and lay their traces over each other; raises `AnalysisError` where that cannot be done."""
+        """Read both runs and align them; raises `AnalysisError` where that cannot be done."""
         return align_runs(self.a.read(), self.b.read())
 
 
 @dataclass(frozen=True, slots=True)
 class GroupDifference:
-    """What the pairs of one condition say together of one measure.
+    """One measure over all pairs of one condition.
 
     Attributes
     ----------
     a, b
-        Means of both sides, zeros taken off where the pairs' are.
+        Means of both sides, zeros subtracted where the pairs' are.
     value, noise, error
         Mean of B − A, its standard error by noise alone, and by noise and scatter.
     relative
@@ -368,7 +346,7 @@ class GroupDifference:
 
     @property
     def verdict(self) -> DifferenceVerdict:
-        """As of a pair."""
+        """As for a pair."""
         return judge_difference(self.value, self.noise, self.error)
 
     @property
@@ -381,7 +359,7 @@ class GroupDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """All that was compared.
+    """All results of a comparison.
 
     Attributes
     ----------
@@ -390,11 +368,11 @@ class Comparison:
     alone_a, alone_b
         Runs without a partner, and why.
     zero_mN
-        Standard deviation of a sensor's unknown zero that is allowed for where the rest does not show it.
+        Standard deviation of a sensor's unknown zero, allowed for where the rest does not show it.
     groups
         The largest differences first.
     sentences
-        What a person at the rig needs to know.
+        The result in words.
     """
 
     a: ComparedSide
@@ -408,54 +386,44 @@ class Comparison:
     sentences: tuple[str, ...] = field(default=())
 
 
-Cell = str | float | bool
-"""NaN for a number that is not there."""
-
-
-def comparison_rows(comparison: Comparison) -> Iterator[dict[str, Cell]]:
-    """Yield the rows, all with the same keys; forces in mN, speeds in mm/s, as `unit` says."""
+def comparison_rows(comparison: Comparison) -> Iterator[dict[str, str | float | bool]]:
+    """Yield a row for each measure of each pair, all with the same keys; a missing number is NaN."""
     for pair in comparison.pairs:
-        for one in pair.differences:
-            yield _comparison_row(pair, one)
+        condition = pair.condition
+        trace = next((phase for phase in pair.phases if phase.phase == "all"), None)
+        for difference in pair.differences:
+            error = difference.error
+            row: dict[str, str | float | bool | None] = {
+                "kind": condition.kind,
+                "speed_mm_s": condition.speed_mm_s,
+                "shear_strain": condition.shear_strain,
+                "travel_mm": condition.travel_mm,
+                "a_file": pair.a.file,
+                "b_file": pair.b.file,
+                "shift_s": pair.shift_s,
+                "measure": difference.measure,
+                "unit": difference.unit,
+                "a": difference.a.value,
+                "a_error": difference.a.standard_error,
+                "b": difference.b.value,
+                "b_error": difference.b.standard_error,
+                "zeros_taken_off": difference.zeros is not None,
+                "b_minus_a": difference.value,
+                "noise_error": difference.noise,
+                "error_with_scatter": error,
+                "half_width_95": None if error is None else NORMAL_95 * error,
+                "verdict": difference.verdict.value,
+                "reason": difference.reason,
+                "trace_rms_mN": None if trace is None else trace.rms_mN,
+                "trace_largest_mN": None if trace is None else trace.largest_mN,
+                "trace_largest_at_s": None if trace is None else trace.at_s,
+                "remarks": "; ".join(pair.remarks),
+            }
+            yield {key: nan if value is None else value for key, value in row.items()}
 
 
 def comparison_frame(comparison: Comparison) -> "pd.DataFrame":
-    """Return a data frame of the rows of `comparison_rows`."""
+    """Return `comparison_rows` as a data frame."""
     import pandas as pd
 
     return pd.DataFrame(list(comparison_rows(comparison)))
-
-
-def _comparison_row(pair: RunPair, one: MeasureDifference) -> dict[str, Cell]:
-    condition = pair.condition
-    whole = next((each for each in pair.phases if each.phase == "all"), None)
-    return {
-        "kind": condition.kind,
-        "speed_mm_s": _value_or_nan(condition.speed_mm_s),
-        "shear_strain": _value_or_nan(condition.shear_strain),
-        "travel_mm": _value_or_nan(condition.travel_mm),
-        "a_file": pair.a.file,
-        "b_file": pair.b.file,
-        "shift_s": _value_or_nan(pair.shift_s),
-        "measure": one.measure,
-        "unit": one.unit,
-        "a": _value_or_nan(one.a.value),
-        "a_error": _value_or_nan(one.a.standard_error),
-        "b": _value_or_nan(one.b.value),
-        "b_error": _value_or_nan(one.b.standard_error),
-        "zeros_taken_off": one.zeros is not None,
-        "b_minus_a": _value_or_nan(one.value),
-        "noise_error": _value_or_nan(one.noise),
-        "error_with_scatter": _value_or_nan(one.error),
-        "half_width_95": nan if one.error is None else NORMAL_95 * one.error,
-        "verdict": one.verdict.value,
-        "reason": one.reason,
-        "trace_rms_mN": nan if whole is None else whole.rms_mN,
-        "trace_largest_mN": nan if whole is None else whole.largest_mN,
-        "trace_largest_at_s": nan if whole is None else whole.at_s,
-        "remarks": "; ".join(pair.remarks),
-    }
-
-
-def _value_or_nan(value: float | None) -> float:
-    return nan if value is None else value

@@ -1,12 +1,13 @@
 """Two runs aligned on one clock: filtered alike, interpolated where their samples do not coincide."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, smooth
-from dragrig.analysis.segments import Mask, gap_starts
+from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, smooth_channel
+from dragrig.analysis.segments import Mask
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
 from dragrig.rig.profile import Phase
@@ -14,17 +15,19 @@ from dragrig.rig.runfile.model import Run, Trace
 
 ALIGNMENT_LEAD_S = 0.05
 ALIGNMENT_TRAVEL_MM = 2.0
-"""The start of the way, over which two positions are laid on each other."""
+"""The start of the motion, over which two positions are aligned."""
 MAX_ALIGNMENT_S = 0.5
 MAX_REFINEMENT_SAMPLES = 3.0
-"""The recorded rest ends within so many samples of the start of motion."""
+"""The recorded rest ends within this many samples of the start of motion."""
 ITERATIONS = 8
+SAME_RATE_TOLERANCE = 0.05
+"""Rates that differ by a smaller part of a sample over the whole run are equal."""
 
 
 def start_of_motion(run: Run) -> float | None:
     """Return the time in the file [s] at which the recorded position leaves its first rest; None where it never does.
 
-    Where the positions cannot be used, or show no rest, it is where the phases say that the rest ends.
+    Where the positions cannot be used, or show no rest, it is the end of the rest phase.
     """
     trace = run.trace
     if not trace.time.size:
@@ -32,65 +35,61 @@ def start_of_motion(run: Run) -> float | None:
     try:
         motion = Experiment(run).motion
     except AnalysisError:
-        pass  # a spoilt position; the phases still tell
+        pass  # an unusable position; the phases remain
     else:
         moving = np.flatnonzero(motion.signs)
         if moving.size and moving[0] > 0:
-            seen = np.flatnonzero(np.isfinite(trace.position))
-            return float(trace.time[seen[0]] + motion.breaks_s[moving[0]])
+            first = np.isfinite(trace.position).argmax()
+            return float(trace.time[first] + motion.breaks_s[moving[0]])
         if not moving.size:
             return None
-    off = np.flatnonzero((trace.phase > Phase.REST) & (trace.phase < Phase.HOLD))
-    return float(trace.time[off[0]]) if off.size else None
+    in_motion = np.flatnonzero((trace.phase > Phase.REST) & (trace.phase < Phase.HOLD))
+    return float(trace.time[in_motion[0]]) if in_motion.size else None
 
 
 def time_shift(a: Run, b: Run) -> float | None:
-    """Return what is to be added to the times of B so that both begin to move at the same time.
+    """Return the shift of B's times so that both start to move at the same time; None where either never moves.
 
-    The starts are found to about a sample each; sliding the first millimetres of the two positions over each other
-    by least squares makes that a small part of one.
+    The starts are found to about a sample each; aligning the first millimetres of the two positions by least squares
+    reduces that to a small part of a sample.
     """
-    starts = start_of_motion(a), start_of_motion(b)
-    if starts[0] is None or starts[1] is None:
+    start_a, start_b = start_of_motion(a), start_of_motion(b)
+    if start_a is None or start_b is None:
         return None
-    shift = starts[0] - starts[1]
+    shift = start_a - start_b
     limit = MAX_REFINEMENT_SAMPLES / min(a.trace.sample_rate_hz, b.trace.sample_rate_hz)
-    return shift + _refine_shift(a, b, starts[0], shift, limit)
+    return shift + _refine_shift(a, b, start_a, shift, limit)
 
 
 def _refine_shift(a: Run, b: Run, start_s: float, shift_s: float, limit_s: float) -> float:
-    time, position = _finite_positions(a)
-    other_time, other = _finite_positions(b)
-    if position.size < 2 or other.size < 2:
+    time_a, position_a = _finite_positions(a)
+    time_b, position_b = _finite_positions(b)
+    if position_a.size < 2 or position_b.size < 2:
         return 0.0
-    way = np.abs(position - position[np.searchsorted(time, start_s).clip(0, time.size - 1)])
-    arrived = time[(time > start_s) & (way > ALIGNMENT_TRAVEL_MM)]
-    until = min(start_s + MAX_ALIGNMENT_S, float(arrived[0]) if arrived.size else np.inf)
-    window = (time >= start_s - ALIGNMENT_LEAD_S) & (time <= until)
+    travel = np.abs(position_a - position_a[np.searchsorted(time_a, start_s).clip(0, time_a.size - 1)])
+    beyond = time_a[(time_a > start_s) & (travel > ALIGNMENT_TRAVEL_MM)]
+    until = min(start_s + MAX_ALIGNMENT_S, float(beyond[0]) if beyond.size else np.inf)
+    window = (time_a >= start_s - ALIGNMENT_LEAD_S) & (time_a <= until)
     if np.count_nonzero(window) < 4:
         return 0.0
-    at, mine = time[window], position[window] - position[window][0]
-    fine = 0.0
+    time, reference = time_a[window], position_a[window] - position_a[window][0]
+    refinement = 0.0
     for _ in range(ITERATIONS):
-        theirs = np.interp(at - shift_s - fine, other_time, other)
-        slope = np.gradient(theirs, at)
-        strength = float(slope @ slope)
-        if strength == 0:
+        shifted = np.interp(time - shift_s - refinement, time_b, position_b)
+        slope = np.gradient(shifted, time)
+        squared_slope = float(slope @ slope)
+        if squared_slope == 0:
             return 0.0
         # A constant between the two positions is no shift.
-        miss = (theirs - theirs[0]) - mine
-        fine += float(slope @ miss) / strength
-    return fine if abs(fine) <= limit_s else 0.0
+        difference = (shifted - shifted[0]) - reference
+        refinement += float(slope @ difference) / squared_slope
+    return refinement if abs(refinement) <= limit_s else 0.0
 
 
 def _finite_positions(run: Run) -> tuple[FloatArray, FloatArray]:
     position = np.asarray(run.trace.position, dtype=np.float64)
-    seen = np.isfinite(position)
-    return run.trace.time[seen], position[seen]
-
-
-SAME_RATE_TOLERANCE = 0.05
-"""Rates that differ by a smaller share of a sample over the whole run are the same."""
+    finite = np.isfinite(position)
+    return run.trace.time[finite], position[finite]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +101,9 @@ class AlignedRuns:
     a, b
         The runs as read.
     start_a_s, start_b_s
-        Times in either file that are 0 on the clock.
+        Times in the files that are 0 on the clock.
     shift_s
-        What was added to the times of B; None where no motion shows, and the files' own times are used.
+        Added to the times of B; None where no motion shows, and the files' own times are used.
     time_s
         The clock at the samples of the slower run that both cover, shape `(N,)`.
     force_a, force_b
@@ -138,7 +137,7 @@ class AlignedRuns:
 
 
 def align_runs(a: Run, b: Run) -> AlignedRuns:
-    """Lay two runs over each other.
+    """Align two runs by the start of their motion.
 
     Raises
     ------
@@ -148,13 +147,15 @@ def align_runs(a: Run, b: Run) -> AlignedRuns:
     shift = time_shift(a, b)
     start_a = (start_of_motion(a) if shift is not None else None) or 0.0
     start_b = start_a - (shift or 0.0)
-    a_leads = a.trace.sample_rate_hz <= b.trace.sample_rate_hz * (1 + SAME_RATE_TOLERANCE / max(len(b.trace.time), 1))
-    slow, start = (a.trace, start_a) if a_leads else (b.trace, start_b)
+    a_is_slower = a.trace.sample_rate_hz <= b.trace.sample_rate_hz * (
+        1 + SAME_RATE_TOLERANCE / max(len(b.trace.time), 1)
+    )
+    slow, start = (a.trace, start_a) if a_is_slower else (b.trace, start_b)
     clock = np.asarray(slow.time - start, dtype=np.float64)
-    begin = max(float(run.trace.time[0]) - own for run, own in ((a, start_a), (b, start_b)))
-    end = min(float(run.trace.time[-1]) - own for run, own in ((a, start_a), (b, start_b)))
-    half = 0.5 / slow.sample_rate_hz
-    clock = clock[(clock >= begin - half) & (clock <= end + half)]
+    begin = max(float(a.trace.time[0]) - start_a, float(b.trace.time[0]) - start_b)
+    end = min(float(a.trace.time[-1]) - start_a, float(b.trace.time[-1]) - start_b)
+    half_step = 0.5 / slow.sample_rate_hz
+    clock = clock[(clock >= begin - half_step) & (clock <= end + half_step)]
     if clock.size < 2:
         raise AnalysisError(f"{a.info.path.name} and {b.info.path.name}: the two runs have no time in common")
     settings = default_filter_settings(slow.sample_rate_hz)
@@ -172,43 +173,37 @@ def align_runs(a: Run, b: Run) -> AlignedRuns:
         position_b=_interpolated(b.trace, b.trace.position, clock + start_b),
         phase_a=_phase_at(a.trace, clock + start_a),
         phase_b=_phase_at(b.trace, clock + start_b),
-        remarks=tuple(_alignment_remarks(a, b, a_leads=a_leads, aligned=shift is not None)),
+        remarks=tuple(_alignment_remarks(a, b, a_is_slower=a_is_slower, aligned=shift is not None)),
     )
 
 
 def _filtered_force(run: Run, window: SavgolSettings) -> FloatArray:
-    trace = run.trace
     try:
-        gaps = gap_starts(trace.time, trace.sample_rate_hz)
-        return smooth(trace.force, trace.sample_rate_hz, window, gaps, trace.time).values
+        return smooth_channel(run.trace, run.trace.force, window).values
     except AnalysisError as error:
         raise AnalysisError(f"{run.info.path.name}: {error}") from error
 
 
 def _interpolated(trace: Trace, values: AnyFloatArray, time_s: FloatArray) -> FloatArray:
-    """Interpolate a channel, never across a gap; half a sample beyond the ends stands for the end."""
-    own = trace.time
-    inside = np.interp(time_s, own, np.asarray(values, dtype=np.float64))
-    after = np.clip(np.searchsorted(own, time_s), 1, own.size - 1)
-    bridged = (own[after] - own[after - 1]) * trace.sample_rate_hz > 1.5
-    between = (time_s > own[after - 1]) & (time_s < own[after])
-    return np.asarray(np.where(bridged & between, np.nan, inside))
+    """Interpolate a channel, never across a gap; half a sample beyond the ends the end value is used."""
+    own_s = trace.time
+    interpolated = np.interp(time_s, own_s, np.asarray(values, dtype=np.float64))
+    after = np.clip(np.searchsorted(own_s, time_s), 1, own_s.size - 1)
+    is_gap = (own_s[after] - own_s[after - 1]) * trace.sample_rate_hz > 1.5
+    between = (time_s > own_s[after - 1]) & (time_s < own_s[after])
+    return np.asarray(np.where(is_gap & between, np.nan, interpolated))
 
 
 def _phase_at(trace: Trace, time_s: FloatArray) -> PhaseArray:
-    half = 0.5 / trace.sample_rate_hz
-    nearest = np.clip(np.searchsorted(trace.time, time_s + half, side="right") - 1, 0, trace.time.size - 1)
+    half_step = 0.5 / trace.sample_rate_hz
+    nearest = np.clip(np.searchsorted(trace.time, time_s + half_step, side="right") - 1, 0, trace.time.size - 1)
     return np.asarray(trace.phase[nearest])
 
 
-def _alignment_remarks(a: Run, b: Run, *, a_leads: bool, aligned: bool) -> list[str]:
+def _alignment_remarks(a: Run, b: Run, *, a_is_slower: bool, aligned: bool) -> Iterator[str]:
     rates = a.trace.sample_rate_hz, b.trace.sample_rate_hz
-    said = []
     if abs(rates[0] / rates[1] - 1) * max(len(a.trace.time), len(b.trace.time)) > SAME_RATE_TOLERANCE:
-        fast, slow = ("B", "A") if a_leads else ("A", "B")
-        said.append(
-            f"A was sampled at {rates[0]:g} Hz and B at {rates[1]:g} Hz: {fast} is interpolated onto {slow}'s samples"
-        )
+        fast, slow = ("B", "A") if a_is_slower else ("A", "B")
+        yield f"A was sampled at {rates[0]:g} Hz and B at {rates[1]:g} Hz: {fast} is interpolated onto {slow}'s samples"
     if not aligned:
-        said.append("no start of motion shows in the positions, so that the files' own times are compared")
-    return said
+        yield "the positions show no start of motion, so that the files' own times are compared"
