@@ -111,7 +111,7 @@ def plain_fit(folder: Path, most: int) -> Plain:
 
 def force_of(experiment: Experiment, settings: FrictionModelSettings) -> FloatArray:
     """Predict all samples of a run, from its measured motion."""
-    motion = experiment.followed if experiment.contact is Contact.STICKING else experiment.motion
+    motion = experiment.unsmoothed_motion if experiment.contact is Contact.STICKING else experiment.motion
     return prepare(acquisition_of(experiment), settings, motion).force(experiment.time_s)
 
 

@@ -34,11 +34,13 @@ def test_what_an_effect_adds_is_doubted_block_by_block(broken_away: Design) -> N
     random = np.random.default_rng(8)
     for before, after in zip(broken_away.parts, inflate_by_form_error(broken_away).parts, strict=True):
         sure, doubted = before.whitening, after.whitening
-        own = sure.noise_root @ np.column_stack((sure.noise_root.T, sure.own @ sure.own.T @ sure.noise_root.T))
+        own = sure.noise_root @ np.column_stack(
+            (sure.noise_root.T, sure.run_effects @ sure.run_effects.T @ sure.noise_root.T)
+        )
         blocks = sure.noise_root.shape[0]
         covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_ERROR_SD * before.added) ** 2)
         values = random.standard_normal(blocks)
-        assert np.sum(doubted.whole(values) ** 2) == pytest.approx(values @ np.linalg.solve(covariance, values))
+        assert np.sum(doubted.whiten(values) ** 2) == pytest.approx(values @ np.linalg.solve(covariance, values))
         assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_ERROR_SD * before.added))
 
 
@@ -56,8 +58,8 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
         bent = FORM_ERROR_SD * before.added * np.sign(np.sin(np.arange(before.added.size)))
         elsewhere = np.where(np.abs(before.added) < 0.1, 3.0 * np.sin(np.arange(before.added.size) / 9.0), 0.0)
         both = np.column_stack((bent, elsewhere))
-        sure += np.sum(before.whitening.whole(both) ** 2, axis=0)
-        unsure += np.sum(after.whitening.whole(both) ** 2, axis=0)
+        sure += np.sum(before.whitening.whiten(both) ** 2, axis=0)
+        unsure += np.sum(after.whitening.whiten(both) ** 2, axis=0)
     blocks = sum(broken_away.blocks)
     assert sure[0] > 2 * unsure[0]
     assert unsure[0] < blocks

@@ -61,13 +61,13 @@ def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -
     plain, stiffer = (linearise(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
     seen = 0
     for sight, one, other in zip(relaxing.sights, plain.parts, stiffer.parts, strict=True):
-        before, after = one.whitening.own, other.whitening.own
+        before, after = one.whitening.run_effects, other.whitening.run_effects
         if sight.experiment.kind != "relaxation":
             assert np.array_equal(before, after)
             continue
         share = np.linalg.norm(other.added) / np.linalg.norm(one.predicted)
-        stiff = -len(relaxing.problem.sds)
-        more = one.whitening.of_noise(relaxing.problem.sds[0] * other.added)
+        stiff = -len(relaxing.problem.variation_sds)
+        more = one.whitening.whiten_noise(relaxing.problem.variation_sds[0] * other.added)
         assert after[:, stiff] == pytest.approx(before[:, stiff] + more)
         assert share > 0.01
         seen += 1
@@ -75,7 +75,7 @@ def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -
 
 
 def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) -> None:
-    alike = {sight.file: first for sight, first in zip(study.sights, study.problem.alike, strict=True)}
+    alike = {sight.file: first for sight, first in zip(study.sights, study.problem.representatives, strict=True)}
     own = [sight.file for sight in study.sights if sight.experiment.insertion_dwell_s == DWELL_S]
     assert (len(own), len(alike)) == (1, 6)
     assert list(alike.values()).count(alike[own[0]]) == 1

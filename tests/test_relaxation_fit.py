@@ -153,10 +153,10 @@ def test_a_ramp_taken_as_measured_keeps_its_corners() -> None:
     # A stage that does not obey to the count, so that what was measured is taken.
     one = Experiment(replace(run, trace=replace(run.trace, command=run.trace.command + 0.01)))
     position = np.asarray(run.trace.position)
-    assert not one.obeyed
-    assert one.followed.position(one.time_s) == pytest.approx(position, abs=0.0016)
+    assert not one.follows_command
+    assert one.unsmoothed_motion.position(one.time_s) == pytest.approx(position, abs=0.0016)
     assert np.abs(one.motion.position(one.time_s) - position).max() > 0.01
-    assert one.followed.breaks_s.size < 200
+    assert one.unsmoothed_motion.breaks_s.size < 200
 
 
 def test_gaps_and_lost_samples_are_left_out() -> None:

@@ -97,7 +97,7 @@ def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
     )
     assert {one.count_mm for one in fine.experiments} == {0.001}
     assert {one.count_mm for one in coarse.experiments} == {0.005}
-    assert all(one.obeyed for one in coarse.experiments)
+    assert all(one.follows_command for one in coarse.experiments)
 
 
 @given(st.floats(0.0005, 0.003), st.booleans())
@@ -139,7 +139,7 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     stribeck: RunSelection, tmp_path: Path, encoder: str
 ) -> None:
     selection = with_position(stribeck, tmp_path / "other", *ENCODERS[encoder])
-    moved = [one for one in selection.experiments if one.obeyed]
+    moved = [one for one in selection.experiments if one.follows_command]
     assert len(moved) == len(selection.experiments)
     assert not any(one.strays for one in position_errors(selection.experiments))
 
@@ -156,7 +156,7 @@ def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, e
     selection = hidden(tmp_path / "lag", 14, "servo_lag")
     before, after = selection.experiments, with_position(selection, tmp_path / "other", *ENCODERS[encoder]).experiments
     assert any(one.strays for one in position_errors(after))
-    straying = [(one, other) for one, other in zip(before, after, strict=True) if not other.obeyed]
+    straying = [(one, other) for one, other in zip(before, after, strict=True) if not other.follows_command]
     assert len(straying) > len(before) / 2
     for one, other in straying:
         assert other.motion.breaks_s.size <= one.motion.breaks_s.size + 4

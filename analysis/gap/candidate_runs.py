@@ -311,7 +311,7 @@ def study_of_candidates(study: Study, trials: Sequence[CandidateRun]) -> Study:
     starts = [first + trial.step.wait_s for trial in trials]
     problem = replace(
         study.problem,
-        evidence=evidence,
+        channels=evidence,
         noises=(study.problem.noises[0],) * count,
         zero_sds=(max(study.problem.zero_sds),) * count,
     )

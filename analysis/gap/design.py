@@ -58,7 +58,7 @@ class Study(ABC):
     def scenes(self, z: FloatArray) -> Iterator[tuple[RunState, float]]:
         """Give `scene` of each run in turn; that of a repeat shares all but its place in the session with the first."""
         first: dict[int, tuple[RunState, float]] = {}
-        for number, (sight, like) in enumerate(zip(self.sights, self.problem.alike, strict=True)):
+        for number, (sight, like) in enumerate(zip(self.sights, self.problem.representatives, strict=True)):
             if like == number:
                 first[number] = self.scene(number, z)
                 yield first[number]
@@ -114,7 +114,7 @@ class Study(ABC):
     @property
     def channel(self) -> str:
         """The force that is explained."""
-        return self.problem.evidence[0].channel
+        return self.problem.channels[0].channel
 
     def of_runs(self, kept: Sequence[int]) -> Self:
         """Return the study of some of the runs, in their order; noise and priors stay as all runs give them."""
@@ -146,7 +146,7 @@ def problem_of_runs(problem: JointProblem, kept: Sequence[int]) -> JointProblem:
     """Return a problem with some of its evidence, in that order."""
     return replace(
         problem,
-        evidence=tuple(problem.evidence[one] for one in kept),
+        channels=tuple(problem.channels[one] for one in kept),
         noises=tuple(problem.noises[one] for one in kept),
         zero_sds=tuple(problem.zero_sds[one] for one in kept),
     )
@@ -323,20 +323,20 @@ def linearise(
         if foreign:
             rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
         if dictionary:
-            like = problem.alike[number]
+            like = problem.representatives[number]
             shown = signatures(study.shapes, scene, gain, known.get(like))
             known.setdefault(like, shown)
             rows.append(sight.of_blocks(shown))
         whitening = whitenings[number]
         if wall.effects and sight.acquisition.contact is Contact.STICKING:
             stiff = sight.of_blocks(added_force(wall, scene, gain))
-            whitening = problem.stiffened(number, predictions[number], stiff, whitening)
+            whitening = problem.with_stiffness(number, predictions[number], stiff, whitening)
         residual = sight.evidence.blocks.mean - predictions[number].total - more
         columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
-        varying = problem.sds[:, None] * predictions[number].varying
+        varying = problem.variation_sds[:, None] * predictions[number].varying
         spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
         parts.append(RunDesign(residual, columns, beside, predictions[number].total, *spread, whitening))
-        white = whitening.whole(np.column_stack((residual, columns)))
+        white = whitening.whiten(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
     priors = _column_priors(z, len(details), candidates, len(study.modulations[0]) if foreign else 0)
     shapes = study.shapes if dictionary else ()

@@ -126,8 +126,8 @@ def inflate_by_form_error(design: Design) -> Design:
 
 def _inflated_run(part: RunDesign) -> tuple[RunDesign, FloatArray]:
     sd = FORM_ERROR_SD * np.abs(part.added)
-    whitening = part.whitening.doubting(sd)
-    white = whitening.whole(np.column_stack((part.residual, part.columns)))
+    whitening = part.whitening.with_form_error(sd)
+    white = whitening.whiten(np.column_stack((part.residual, part.columns)))
     return replace(part, motion_sd=np.hypot(part.motion_sd, sd), whitening=whitening), white.T @ white
 
 

@@ -107,9 +107,9 @@ def run_factor_force(
     residual: FloatArray, whitening: Whitening, zero_sd: float, furthest: float = np.inf
 ) -> FloatArray:
     """Return what the run's own factors make of it [mN], shape `(B,)`, none beyond so many standard deviations."""
-    own = whitening.own
+    own = whitening.run_effects
     precision = np.eye(own.shape[1]) + own.T @ own
-    found = np.linalg.solve(precision, own.T @ whitening.of_noise(residual))
+    found = np.linalg.solve(precision, own.T @ whitening.whiten_noise(residual))
     found = np.clip(found, -furthest, furthest)
     if zero_sd > 0:
         found[0] = 0.0
@@ -120,9 +120,9 @@ def run_zero_offset(residual: FloatArray, whitening: Whitening, zero_sd: float) 
     """Return the run's own zero [mN], its own factors being free too."""
     if zero_sd <= 0:
         return 0.0
-    own = whitening.own
+    own = whitening.run_effects
     precision = np.eye(own.shape[1]) + own.T @ own
-    return zero_sd * float(np.linalg.solve(precision, own.T @ whitening.of_noise(residual))[0])
+    return zero_sd * float(np.linalg.solve(precision, own.T @ whitening.whiten_noise(residual))[0])
 
 
 def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
@@ -388,7 +388,7 @@ def _predicted_chi2(design: Design, runs: Sequence[int], columns: IndexArray, fo
 
 def _whitened_chi2(design: Design, residuals: Mapping[int, FloatArray]) -> FloatArray:
     parts = enumerate(design.parts)
-    return np.array([float(np.sum(part.whitening.whole(residuals[number]) ** 2)) for number, part in parts])
+    return np.array([float(np.sum(part.whitening.whiten(residuals[number]) ** 2)) for number, part in parts])
 
 
 def _best_effect(design: Design, runs: Sequence[int]) -> RankedEffect | None:
@@ -449,11 +449,11 @@ def _capsule_study(selection: RunSelection, settings: FrictionModelSettings) -> 
 
 def _on_same_blocks(study: CapsuleStudy, other: CapsuleStudy) -> CapsuleStudy:
     """Let a study look at the same blocks as another one, whose model bends at other moments."""
-    pairs = zip(study.problem.evidence, other.problem.evidence, strict=True)
+    pairs = zip(study.problem.channels, other.problem.channels, strict=True)
     evidence = tuple(replace(mine, blocks=theirs.blocks) for mine, theirs in pairs)
     problem = replace(
         study.problem,
-        evidence=evidence,
+        channels=evidence,
         noises=other.problem.noises,
         zero_sds=other.problem.zero_sds,
     )

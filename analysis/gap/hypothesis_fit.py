@@ -96,7 +96,7 @@ def fit_common_phase(study: Study, design: Design, shape: EffectVariant) -> Comm
     gram, product = np.zeros(len(forms)), np.zeros(len(forms))
     for one in residuals:
         rows = [signature(form, one.scene, one.gain) for form in forms]
-        white = one.part.whitening.whole(one.sight.of_blocks(np.array(rows)).T)
+        white = one.part.whitening.whiten(one.sight.of_blocks(np.array(rows)).T)
         gram += np.sum(white**2, axis=0)
         product += one.white @ white
     taken = np.where(product > 0, product**2 / np.maximum(gram, 1e-12), 0.0)
@@ -125,7 +125,7 @@ def _whitened_residuals(study: Study, design: Design) -> list[_WhitenedResidual]
         scene, gain = study.scene(number, design.z)
         if scene.gut_closed:
             left = part.residual - part.columns[:, nuisances.columns] @ nuisances.found
-            found.append(_WhitenedResidual(sight, part, scene, gain, part.whitening.whole(left)))
+            found.append(_WhitenedResidual(sight, part, scene, gain, part.whitening.whiten(left)))
     return found
 
 
@@ -150,7 +150,7 @@ def _harmonic_rows(one: _WhitenedResidual, periods_s: FloatArray, harmonics: int
 
 
 def _harmonic_products(rows: FloatArray, one: _WhitenedResidual, harmonics: int) -> tuple[FloatArray, FloatArray]:
-    white = one.part.whitening.whole(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
+    white = one.part.whitening.whiten(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
     return white @ white.transpose(0, 2, 1), white @ one.white
 
 
@@ -305,7 +305,7 @@ def _excess_elsewhere(design: Design, plain: LeastSquaresFit) -> float:
     rows = np.append(0, 1 + plain.columns)
     squares, blocks = 0.0, 0
     for part, gram, count in zip(design.parts, design.grams, design.blocks, strict=True):
-        if float(np.sum(part.whitening.whole(part.added) ** 2)) < MIN_EFFECT_CHI2:
+        if float(np.sum(part.whitening.whiten(part.added) ** 2)) < MIN_EFFECT_CHI2:
             squares += float(fitted @ gram[np.ix_(rows, rows)] @ fitted)
             blocks += count
     return (squares - blocks) / max(float(np.sqrt(2.0 * blocks)), NOISE_UNCERTAINTY / CHANCE_SIGMAS * blocks, 1.0)

@@ -140,8 +140,8 @@ def empirical_priors(problem: JointProblem) -> JointProblem:
     stage that cannot be, where the next one no longer holds.
     """
     values = problem.scales.values(solve_joint(problem).z)
-    measured = np.concatenate([one.blocks.mean for one in problem.evidence])
-    by_value = np.concatenate([one.sensitivities(values) for one in problem.evidence], axis=1)
+    measured = np.concatenate([one.blocks.mean for one in problem.channels])
+    by_value = np.concatenate([one.sensitivities(values) for one in problem.channels], axis=1)
     size = np.sqrt(np.mean(measured**2))
     parameters = []
     for parameter, value, slope in zip(problem.nominal.parameters, values.tolist(), by_value, strict=True):

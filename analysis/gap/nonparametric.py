@@ -146,7 +146,7 @@ def fit_nonparametric_laws(
     total = np.zeros((edges[-1] + len(predicted), edges[-1] + len(predicted)))
     for number, part in enumerate(design.parts):
         shared = (part.residual, part.columns[:, nuisances], *(one[number] for one in columns.values()))
-        white = part.whitening.whole(np.column_stack((*shared, RUN_GAIN_PRIOR_SD * predicted[number])))
+        white = part.whitening.whiten(np.column_stack((*shared, RUN_GAIN_PRIOR_SD * predicted[number])))
         rows = np.append(np.arange(edges[-1]), edges[-1] + number)
         total[np.ix_(rows, rows)] += white.T @ white
     left = schur_complement(design, total, nuisances, np.arange(edges[0], len(total)), own)

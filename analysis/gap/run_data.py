@@ -64,7 +64,7 @@ class RunData:
     def scene(self, settings: FrictionModelSettings) -> RunState:
         """Return what effects see of the run at the nodes of its blocks, with a nominal model of these settings."""
         experiment = self.experiment
-        still = experiment.followed if self.acquisition.contact is Contact.STICKING else None
+        still = experiment.unsmoothed_motion if self.acquisition.contact is Contact.STICKING else None
         return gut_run_state(
             self.acquisition, settings, experiment.motion, self.evidence.blocks.nodes_s, self.session_start_s, still
         )

@@ -133,19 +133,19 @@ def confounded_with_friction(design: Design, sights: Sequence[RunData]) -> bool:
     Friction has the sign of the motion and is not there at rest. Runs at several speeds, in both directions or with
     rests tell it from what is a function of time or of the force.
     """
-    added = np.concatenate([part.whitening.whole(part.added) for part in design.parts])
+    added = np.concatenate([part.whitening.whiten(part.added) for part in design.parts])
     if not np.any(added):
         return False
     rows = []
     longest = max(float(np.ptp(one.coordinates.position_mm)) for one in sights)
     for sight, part in zip(sights, design.parts, strict=True):
         own = np.hstack((part.columns[:, design.of(ColumnKind.NOMINAL)], _friction_columns(sight, longest)))
-        rows.append(part.whitening.whole(own))
+        rows.append(part.whitening.whiten(own))
     columns = np.concatenate(rows)
     size = np.linalg.norm(columns, axis=0)
     columns = columns[:, size > 0] / size[size > 0]
     nominal = np.concatenate(
-        [part.whitening.whole(part.columns[:, design.of(ColumnKind.NOMINAL)]) for part in design.parts]
+        [part.whitening.whiten(part.columns[:, design.of(ColumnKind.NOMINAL)]) for part in design.parts]
     )
     beside = _residual_chi2(nominal, added)
     return bool(beside > 0 and _residual_chi2(columns, added) < (1 - CONFOUNDED_SHARE) * beside)
@@ -254,7 +254,7 @@ class CapsuleStudy(Study):
             JointProblem.of(selection, nominal, MAX_BLOCK_MM), EffectChain.of(nominal.settings)
         )
         own = tuple(one for one in effects if one.nominal in {"", SIMULATED_NOMINAL})
-        return cls(problem, run_data_of(problem.evidence), own, nominal)
+        return cls(problem, run_data_of(problem.channels), own, nominal)
 
     @cached_property
     def chain(self) -> EffectChain:
@@ -297,7 +297,7 @@ class StageStudy(Study):
     def of(cls, selection: RunSelection, nominal: DriveModel, effects: Sequence[Effect]) -> "StageStudy":
         """Prepare all runs; raises `AnalysisError` where none recorded a motor force."""
         problem = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
-        bare = cls(problem, run_data_of(problem.evidence), ())
+        bare = cls(problem, run_data_of(problem.channels), ())
         return replace(
             bare, effects=effects_that_act(bare, [one for one in effects if one.nominal in {"", nominal.name}])
         )
@@ -350,7 +350,7 @@ class OwnModelStudy(Study):
             Where the model predicts no force of any run, or fails.
         """
         whole = JointProblem.of(selection, nominal, MAX_BLOCK_MM)
-        channels = tuple(dict.fromkeys(one.channel for one in whole.evidence))
+        channels = tuple(dict.fromkeys(one.channel for one in whole.channels))
         forces = _force_channels(selection)
         channel = next((one for one in (*SIGNALS, *channels) if one in channels and one in forces), None)
         if channel is None:
@@ -359,11 +359,11 @@ class OwnModelStudy(Study):
                 "diagnosis explains; name another model with --nominal."
             )
         problem = empirical_priors(
-            problem_of_runs(whole, [at for at, one in enumerate(whole.evidence) if one.channel == channel])
+            problem_of_runs(whole, [at for at, one in enumerate(whole.channels) if one.channel == channel])
         )
         others = tuple(one for one in channels if one != channel)
         untried = sum(isinstance(one, ForceEffect) for one in effects)
-        bare = cls(problem, run_data_of(problem.evidence), (), others, untried)
+        bare = cls(problem, run_data_of(problem.channels), (), others, untried)
         sensor = [one for one in effects if isinstance(one, SensorEffect) and not one.nominal]
         return replace(bare, effects=effects_that_act(bare, sensor))
 

@@ -99,19 +99,19 @@ def _lognormal_interval(median: float, sd: float) -> tuple[float, float]:
 
 
 def _run_residuals(problem: JointProblem, solution: JointSolution, values: FloatArray) -> Iterator[RunResidual]:
-    parts = zip(problem.evidence, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
+    parts = zip(problem.channels, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
     for one, white, slopes, zero_sd in parts:
         prediction = one.predict(values)
         residual = one.blocks.mean - prediction.total
-        whole = white.whole(residual)
-        own, covariance = white.own_of(residual, slopes, solution.covariance)
+        whole = white.whiten(residual)
+        own, covariance = white.posterior_run_effects(residual, slopes, solution.covariance)
         errors = np.sqrt(np.diag(covariance))
         zero = missing("the model has no zero of this channel's own")
         left = residual
         if zero_sd > 0:
             zero = Estimate(float(own[0]) * zero_sd, float(errors[0]) * zero_sd)
             left, own, errors = left - own[0] * zero_sd, own[1:], errors[1:]
-        left = left - (own * problem.sds) @ prediction.varying
+        left = left - (own * problem.variation_sds) @ prediction.varying
         variations = problem.nominal.variations
         varied = {
             variation: Estimate(variation.usual + float(share) * variation.sd, float(error) * variation.sd)

@@ -74,7 +74,7 @@ class ShearRecord:
             shear_strain=experiment.shear_strain,
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
-            pieces=experiment.followed.pieces(),
+            pieces=experiment.unsmoothed_motion.pieces(),
             blocks=average_in_blocks(experiment, "force", turns, jumps=False),
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),

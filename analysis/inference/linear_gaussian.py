@@ -7,7 +7,7 @@ fitted, then linearised again, until nothing moves; so a weaker model cannot buy
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from math import sqrt
 from typing import TypeVar
 
@@ -21,10 +21,35 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import BoolArray, FloatArray
 
+ItemT = TypeVar("ItemT")
+
+STIFFNESS_VARIATION = "stiffness"
+"""Name of the run-to-run variation that multiplies the stiff part of the force."""
+ZERO_WIDENING = 2.0
+"""A zero's standard deviation is at least this times the median distance from 0 that the runs show."""
+MAX_PASSES = 12
+CONVERGED_MOVE = 0.05
+"""A pass that moves no parameter by more than this, in units of its error, is the last."""
+COVARIANCE_UPDATES = 4
+"""Passes that linearise the covariance again; with a model that does not hold it may go on for ever otherwise."""
+NEWTON_RANGE = 3.0
+"""Within this many errors of the minimum, the linearised problem is solved in place of the problem."""
+LINE_SEARCH_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
+"""Fractions of a late step that are tried; stop when none lowers χ². It jumps where a bend of the motion
+reaches the equator within a block, and a minimum at such a jump has no gradient of 0."""
+FIRST_PASS_EVALUATIONS, MAX_EVALUATIONS = 2, 8
+"""Of the optimiser within a pass; the first only has to come near, under a covariance around nominal values."""
+PARAMETER_BOUND = 6.0
+"""Largest distance of a parameter from its nominal value, in prior standard deviations."""
+DERIVATIVE_REUSE_RANGE = 0.05
+"""Derivatives are reused while no parameter moves further: relative to its value, or in prior widths."""
+MISFIT_THRESHOLD = 1.1
+"""χ² per degree of freedom above which the model leaves more than noise."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorScales:
-    """The way from `z`, standard normal beforehand, to values: `nominal + sd z`, or `nominal · exp(sd z)`."""
+    """Maps `z`, standard normal a priori, to parameter values: `nominal + sd z`, or `nominal · exp(sd z)`."""
 
     nominal: FloatArray
     sd: FloatArray
@@ -33,10 +58,10 @@ class PriorScales:
     @classmethod
     def of(cls, parameters: Sequence[Parameter]) -> "PriorScales":
         """Take nominal values and priors."""
-        positive = np.array([one.positive for one in parameters])
-        sd = np.array([one.prior_sd for one in parameters], dtype=np.float64)
-        width = np.where(positive, np.sqrt(np.log1p(sd**2)), sd)
-        return cls(np.array([one.nominal for one in parameters], dtype=np.float64), width, positive)
+        positive = np.array([parameter.positive for parameter in parameters])
+        sd = np.array([parameter.prior_sd for parameter in parameters], dtype=np.float64)
+        nominal = np.array([parameter.nominal for parameter in parameters], dtype=np.float64)
+        return cls(nominal, np.where(positive, np.sqrt(np.log1p(sd**2)), sd), positive)
 
     def values(self, z: FloatArray) -> FloatArray:
         """Return the values at `z`, shape `(P,)`."""
@@ -51,7 +76,7 @@ class PriorScales:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelBlocks:
-    """One channel of one run: `B` blocks, and the model prepared for it."""
+    """One channel of one run: its `B` block means, and the model prepared for it."""
 
     experiment: Experiment
     channel: str
@@ -59,90 +84,31 @@ class ChannelBlocks:
     blocks: BlockMeans
 
     @property
-    def likeness(self) -> Hashable:
-        """What is equal where the same is predicted of the same blocks, whatever was measured in them."""
+    def equivalence_key(self) -> Hashable:
+        """Equal where the model predicts the same for the same blocks, whatever was measured in them."""
         blocks = self.blocks
         layout = (blocks.start_s, blocks.end_s, blocks.samples, blocks.nodes_s)
-        return self.channel, self.predictor.likeness, tuple(one.tobytes() for one in layout)
+        return self.channel, self.predictor.equivalence_key, tuple(array.tobytes() for array in layout)
 
     def predict(self, values: FloatArray) -> Prediction:
         """Predict the means of the blocks."""
-        found = self.predictor.predict(values, self.blocks.nodes_s)
-        return Prediction(self.blocks.of(found.total), self.blocks.of(found.varying))
+        prediction = self.predictor.predict(values, self.blocks.nodes_s)
+        return Prediction(self.blocks.of(prediction.total), self.blocks.of(prediction.varying))
 
     def uncertainty(self, values: FloatArray) -> FloatArray:
         """Return how well they can be predicted, one standard deviation."""
-        found = self.predictor.uncertainty(values, self.blocks.nodes_s)
-        return np.asarray(np.sqrt(self.blocks.of(found**2)))
+        at_nodes = self.predictor.uncertainty(values, self.blocks.nodes_s)
+        return np.asarray(np.sqrt(self.blocks.of(at_nodes**2)))
 
     def sensitivities(self, values: FloatArray, without: Collection[str] = ()) -> FloatArray:
-        """Return their derivatives, shape `(P, B)`; those by the parameters that are left out mean nothing."""
+        """Return their derivatives, shape `(P, B)`; rows of the parameters in `without` are not computed."""
         return self.blocks.of(self.predictor.sensitivities_without(without, values, self.blocks.nodes_s))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Whitening:
-    """What makes a run's residuals independent and of unit variance when the model holds.
-
-    The covariance holds noise, what the measured motion leaves uncertain, and the priors of the run's own zero and
-    factors.
-
-    Attributes
-    ----------
-    noise_root
-        Lower Cholesky factor of the covariance of noise and of what the motion leaves uncertain, `(B, B)`.
-    own
-        Zero and factors as whitened signatures times their prior standard deviations, `(B, 1 + V)` or `(B, V)`.
-    left, shrinkage
-        Directions of `own`, `(B, k)`, and by how much residuals along them shrink.
-    """
-
-    noise_root: FloatArray
-    own: FloatArray
-    left: FloatArray
-    shrinkage: FloatArray
-
-    def of_noise(self, values: FloatArray) -> FloatArray:
-        """Whiten against noise alone, `(B,)` or `(B, m)`."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.noise_root, values, lower=True))
-
-    def whole(self, values: FloatArray) -> FloatArray:
-        """Whiten against everything, `(B,)` or `(B, m)`."""
-        plain = self.of_noise(values)
-        along = self.left.T @ plain
-        scale = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
-        return np.asarray(plain - self.left @ (scale * along))
-
-    def doubting(self, sd: FloatArray) -> "Whitening":
-        """Return what whitens where each block is uncertain by so much more, one standard deviation, shape `(B,)`."""
-        root = _noise_root(self.noise_root @ self.noise_root.T, sd)
-        return _whitening_of(root, self.noise_root @ self.own)
-
-    def own_of(self, residual: FloatArray, slopes: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the run's zero and factors in prior standard deviations, and their covariance.
-
-        Parameters
-        ----------
-        residual
-            Measured minus predicted block means, shape `(B,)`.
-        slopes, covariance
-            Derivatives of the prediction by the parameters, shape `(B, P)`, and the parameters' covariance: what is
-            not known of them is not known of a run's own values either.
-        """
-        precision = np.eye(self.own.shape[1]) + self.own.T @ self.own
-        whitened = self.own.T @ self.of_noise(np.column_stack((residual, slopes)))
-        along = np.asarray(np.linalg.solve(precision, whitened), dtype=np.float64)
-        found, by_parameters = along[:, 0], along[:, 1:]
-        whole = np.linalg.inv(precision) + by_parameters @ covariance @ by_parameters.T
-        return found, np.asarray(whole, dtype=np.float64)
 
 
 def prepare_channels(
     experiments: Sequence[Experiment], nominal: NominalModel, longest_mm: float = np.inf
 ) -> Iterator[ChannelBlocks]:
-    """Prepare every channel of every run that the model predicts, in blocks no longer than so many mm.
+    """Prepare every channel of every run that the model predicts, in blocks no longer than `longest_mm` of travel.
 
     Raises `AnalysisError` as the model's `prepare`.
     """
@@ -152,43 +118,74 @@ def prepare_channels(
             yield ChannelBlocks(experiment, channel, predictor, blocks)
 
 
-def run_whitening(
-    noise: Callable[[], FloatArray],
-    prediction: Prediction,
-    uncertainty: FloatArray,
-    zero_sd: float,
-    sds: FloatArray,
-    near: Whitening | None = None,
-) -> Whitening:
-    """Lay out the covariance of a run around a prediction.
+@dataclass(frozen=True, slots=True, eq=False)
+class Whitening:
+    """Makes a run's residuals independent and of unit variance when the model holds.
 
-    Parameters
+    The covariance holds noise, the uncertainty of the measured motion, and the priors of the run's own effects: its
+    zero and the factors of the model's variations.
+
+    Attributes
     ----------
-    noise
-        Gives the covariance of the noise of the block means, shape `(B, B)`, where it is needed.
-    prediction, uncertainty
-        What the run's blocks should be, and how well that can be said of each, one standard deviation, shape `(B,)`.
-    zero_sd
-        Standard deviation of the run's zero; 0 for a channel that has none.
-    sds
-        Standard deviations of the model's variations, shape `(V,)`.
-    near
-        One with the same noise and uncertainty, whose factor is taken over.
+    noise_root
+        Lower Cholesky factor of the covariance of noise and motion uncertainty, `(B, B)`.
+    run_effects
+        Whitened signatures of zero and factors times their prior standard deviations, `(B, 1 + V)` or `(B, V)`.
+    directions, shrinkage
+        Orthonormal directions of `run_effects`, `(B, k)`, and by how much residuals along them shrink.
     """
-    root = _noise_root(noise(), uncertainty) if near is None else near.noise_root
-    columns = prediction.varying * sds[:, None]
-    if zero_sd > 0:
-        columns = np.vstack((np.full((1, len(root)), zero_sd), columns))
-    return _whitening_of(root, columns.T)
 
+    noise_root: FloatArray
+    run_effects: FloatArray
+    directions: FloatArray
+    shrinkage: FloatArray
 
-def _whitening_of(root: FloatArray, columns: FloatArray) -> Whitening:
-    """Lay out a run's covariance from its factor and from what its zero and factors change, shape `(B, k)`."""
-    from scipy.linalg import solve_triangular
+    @classmethod
+    def of(cls, noise_root: FloatArray, signatures: FloatArray) -> "Whitening":
+        """Whiten with a noise factor and the signatures of the run's effects, shape `(B, k)`."""
+        from scipy.linalg import solve_triangular
 
-    own = np.asarray(solve_triangular(root, columns, lower=True))
-    left, sizes, _ = np.linalg.svd(own, full_matrices=False)
-    return Whitening(root, own, np.asarray(left), 1 - 1 / np.sqrt(1 + sizes**2))
+        run_effects = np.asarray(solve_triangular(noise_root, signatures, lower=True))
+        directions, sizes, _ = np.linalg.svd(run_effects, full_matrices=False)
+        return cls(noise_root, run_effects, np.asarray(directions), 1 - 1 / np.sqrt(1 + sizes**2))
+
+    def whiten_noise(self, values: FloatArray) -> FloatArray:
+        """Whiten against noise alone, `(B,)` or `(B, m)`."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.noise_root, values, lower=True))
+
+    def whiten(self, values: FloatArray) -> FloatArray:
+        """Whiten against the whole covariance, `(B,)` or `(B, m)`."""
+        whitened = self.whiten_noise(values)
+        along = self.directions.T @ whitened
+        shrinkage = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
+        return np.asarray(whitened - self.directions @ (shrinkage * along))
+
+    def with_form_error(self, sd: FloatArray) -> "Whitening":
+        """Add an independent error to each block mean, one standard deviation, shape `(B,)`."""
+        root = _noise_root(self.noise_root @ self.noise_root.T, sd)
+        return Whitening.of(root, self.noise_root @ self.run_effects)
+
+    def posterior_run_effects(
+        self, residual: FloatArray, slopes: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the run's zero and factors in prior standard deviations, and their covariance.
+
+        Parameters
+        ----------
+        residual
+            Measured minus predicted block means, shape `(B,)`.
+        slopes, covariance
+            Derivatives of the prediction by the parameters, shape `(B, P)`, and the parameters' covariance, whose
+            uncertainty is passed on to the run's own values.
+        """
+        precision = np.eye(self.run_effects.shape[1]) + self.run_effects.T @ self.run_effects
+        projected = self.run_effects.T @ self.whiten_noise(np.column_stack((residual, slopes)))
+        solved = np.asarray(np.linalg.solve(precision, projected), dtype=np.float64)
+        by_parameters = solved[:, 1:]
+        total = np.linalg.inv(precision) + by_parameters @ covariance @ by_parameters.T
+        return solved[:, 0], np.asarray(total, dtype=np.float64)
 
 
 def _noise_root(covariance: FloatArray, uncertainty: FloatArray) -> FloatArray:
@@ -198,83 +195,100 @@ def _noise_root(covariance: FloatArray, uncertainty: FloatArray) -> FloatArray:
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True))
 
 
-Found = TypeVar("Found")
-STIFFNESS_VARIATION = "stiffness"
-"""The variation of what is stiffness."""
-ZERO_WIDENING = 2.0
-"""A zero's standard deviation is at least this times the median distance from 0 that is seen."""
+def _effect_signatures(varying: FloatArray, variation_sds: FloatArray, zero_sd: float) -> FloatArray:
+    """Signatures of a run's zero and factors, times their prior standard deviations, shape `(B, k)`."""
+    rows = varying * variation_sds[:, None]
+    if zero_sd > 0:
+        rows = np.vstack((np.full((1, rows.shape[1]), zero_sd), rows))
+    return rows.T
 
 
 @dataclass(frozen=True, eq=False)
 class JointProblem:
-    """Everything that a joint fit is made of, prepared.
+    """All inputs of a joint fit, prepared.
 
-    What is computed of one piece of evidence is the very same object for all that are alike.
+    What is computed of a channel is the very same object for all channels that are equivalent.
     """
 
     nominal: NominalModel
     scales: PriorScales
-    evidence: tuple[ChannelBlocks, ...]
+    channels: tuple[ChannelBlocks, ...]
     noises: tuple[NoiseModel, ...]
     zero_sds: tuple[float, ...]
-    sds: FloatArray
+    variation_sds: FloatArray
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: NominalModel, longest_mm: float = np.inf) -> "JointProblem":
-        """Prepare all runs, in blocks no longer than so many mm of the way.
+        """Prepare all runs, in blocks no longer than `longest_mm` of travel.
 
         Raises `AnalysisError` where the model predicts nothing of any of them.
         """
-        evidence = tuple(prepare_channels(selection.experiments, nominal, longest_mm))
-        if not evidence:
-            kinds = ", ".join(sorted({one.kind for one in selection.experiments}))
-            recorded = ", ".join(sorted({name for one in selection.experiments for name in one.run.trace.channels}))
+        experiments = selection.experiments
+        channels = tuple(prepare_channels(experiments, nominal, longest_mm))
+        if not channels:
+            kinds = ", ".join(sorted({experiment.kind for experiment in experiments}))
+            recorded = ", ".join(sorted({name for experiment in experiments for name in experiment.run.trace.channels}))
             raise AnalysisError(
                 f"the model {nominal.name} predicts nothing of these runs ({kinds}), which recorded {recorded}; name "
                 "another model with --nominal."
             )
-        channels = dict.fromkeys(one.channel for one in evidence)
-        noises = {name: estimate_noise(selection.experiments, name) for name in channels}
-        zeros = {name: _zero_sd(evidence, name, nominal) for name in channels}
+        names = dict.fromkeys(blocks.channel for blocks in channels)
+        noises = {name: estimate_noise(experiments, name) for name in names}
+        zero_sds = {name: _zero_sd(channels, name, nominal) for name in names}
         return cls(
             nominal,
             PriorScales.of(nominal.parameters),
-            evidence,
-            tuple(noises[one.channel] for one in evidence),
-            tuple(zeros[one.channel] for one in evidence),
-            np.array([one.sd for one in nominal.variations], dtype=np.float64),
+            channels,
+            tuple(noises[blocks.channel] for blocks in channels),
+            tuple(zero_sds[blocks.channel] for blocks in channels),
+            np.array([variation.sd for variation in nominal.variations], dtype=np.float64),
         )
 
     @cached_property
-    def alike(self) -> tuple[int, ...]:
-        """For each piece of evidence the first of which the same is predicted, under the same noise."""
+    def representatives(self) -> tuple[int, ...]:
+        """For each channel the first that is equivalent: the same is predicted, under the same noise."""
         first: dict[Hashable, int] = {}
-        pieces = enumerate(zip(self.evidence, self.noises, self.zero_sds, strict=True))
-        return tuple(first.setdefault((one.likeness, noise, zero), number) for number, (one, noise, zero) in pieces)
+        return tuple(
+            first.setdefault((blocks.equivalence_key, noise, zero_sd), number)
+            for number, (blocks, noise, zero_sd) in enumerate(
+                zip(self.channels, self.noises, self.zero_sds, strict=True)
+            )
+        )
 
-    def _once(self, found: Callable[[int], Found]) -> list[Found]:
-        """Return something of each piece of evidence by its number, computed once for those that are alike."""
-        known = {number: found(number) for number in sorted(set(self.alike))}
-        return [known[number] for number in self.alike]
+    def _once(self, compute: Callable[[int], ItemT]) -> list[ItemT]:
+        """Compute something for each channel by its number, once for equivalent ones."""
+        computed = {number: compute(number) for number in sorted(set(self.representatives))}
+        return [computed[number] for number in self.representatives]
 
     def predictions(self, z: FloatArray) -> list[Prediction]:
-        """Return the predicted block means, one for each piece of evidence.
+        """Predict the block means of each channel.
 
         Raises `AnalysisError`, as `uncertainties` and `derivatives` do, where the model gives no finite number.
         """
         values = self.scales.values(z)
-        found = self._once(lambda number: self.evidence[number].predict(values))
-        for one, predicted in zip(self.evidence, found, strict=True):
-            self._require_numbers(one, predicted.total, predicted.varying)
-        return found
+        predictions = self._once(lambda number: self.channels[number].predict(values))
+        self._require_finite([(prediction.total, prediction.varying) for prediction in predictions])
+        return predictions
 
     def uncertainties(self, z: FloatArray) -> list[FloatArray]:
         """Return how well block means can be predicted, one standard deviation."""
         values = self.scales.values(z)
-        found = self._once(lambda number: self.evidence[number].uncertainty(values))
-        for one, uncertainty in zip(self.evidence, found, strict=True):
-            self._require_numbers(one, uncertainty)
-        return found
+        uncertainties = self._once(lambda number: self.channels[number].uncertainty(values))
+        self._require_finite([(uncertainty,) for uncertainty in uncertainties])
+        return uncertainties
+
+    def derivatives(self, z: FloatArray, without: Collection[str] = ()) -> list[FloatArray]:
+        """Return the derivatives of block means by `z`, shape `(B, P)` for each channel.
+
+        Columns of the parameters in `without` are not computed.
+        """
+        values = self.scales.values(z)
+        slopes = self.scales.slopes(values)
+        derivatives = self._once(
+            lambda number: (self.channels[number].sensitivities(values, without) * slopes[:, None]).T
+        )
+        self._require_finite([(derivative,) for derivative in derivatives])
+        return derivatives
 
     def whitenings(
         self,
@@ -282,91 +296,64 @@ class JointProblem:
         uncertainties: Sequence[FloatArray],
         near: Sequence[Whitening] | None = None,
     ) -> tuple[Whitening, ...]:
-        """Lay out every run's covariance around what is predicted.
+        """Linearise every run's covariance around its prediction.
 
-        `near` are those of the same uncertainties around another prediction, where there are any.
+        `near` are the whitenings with the same uncertainties around another prediction, whose noise factors are reused.
         """
 
-        def one(number: int) -> Whitening:
-            noise = partial(_noise_covariance, self.evidence[number], self.noises[number])
-            before = None if near is None else near[number]
-            predicted, uncertainty = predictions[number], uncertainties[number]
-            return run_whitening(noise, predicted, uncertainty, self.zero_sds[number], self.sds, before)
+        def whitening(number: int) -> Whitening:
+            if near is None:
+                blocks = self.channels[number].blocks
+                covariance = self.noises[number].covariance(blocks.start_s, blocks.end_s, blocks.samples)
+                root = _noise_root(covariance, uncertainties[number])
+            else:
+                root = near[number].noise_root
+            varying = predictions[number].varying
+            return Whitening.of(root, _effect_signatures(varying, self.variation_sds, self.zero_sds[number]))
 
-        return tuple(self._once(one))
+        return tuple(self._once(whitening))
 
-    def stiffened(self, number: int, predicted: Prediction, more: FloatArray, near: Whitening) -> Whitening:
-        """Lay out a run's covariance anew where a part of its force that is not predicted is stiffness too.
+    def with_stiffness(self, number: int, predicted: Prediction, stiff: FloatArray, near: Whitening) -> Whitening:
+        """Linearise a run's covariance again where a further, stiff force is added to its prediction.
 
         Parameters
         ----------
-        more
-            That part of its block means, shape `(B,)`.
+        stiff
+            Block means of that force, shape `(B,)`, which the run's stiffness factor multiplies too.
         near
-            Its covariance without.
+            The whitening without it.
         """
-        stiff = np.array([one.name == STIFFNESS_VARIATION for one in self.nominal.variations])
-        varying = predicted.varying + np.outer(stiff, more)
-        stiffer = Prediction(predicted.total, varying)
-        return run_whitening(lambda: near.noise_root, stiffer, more, self.zero_sds[number], self.sds, near)
+        is_stiffness = np.array([variation.name == STIFFNESS_VARIATION for variation in self.nominal.variations])
+        varying = predicted.varying + np.outer(is_stiffness, stiff)
+        return Whitening.of(near.noise_root, _effect_signatures(varying, self.variation_sds, self.zero_sds[number]))
 
-    def derivatives(self, z: FloatArray, without: Collection[str] = ()) -> list[FloatArray]:
-        """Return the derivatives of block means by `z`, shape `(B, P)` for each piece of evidence.
-
-        Those by parameters that are left `without` mean nothing.
-        """
-        values = self.scales.values(z)
-        slopes = self.scales.slopes(values)
-        found = self._once(lambda number: (self.evidence[number].sensitivities(values, without) * slopes[:, None]).T)
-        for one, derivatives in zip(self.evidence, found, strict=True):
-            self._require_numbers(one, derivatives)
-        return found
-
-    def _require_numbers(self, one: ChannelBlocks, *predicted: FloatArray) -> None:
-        if not all(np.isfinite(values).all() for values in predicted):
-            raise AnalysisError(
-                f"the model {self.nominal.name} gives NaN or infinity for {one.channel} of {one.experiment.file} at "
-                "values that the fit came to; give its parameters narrower priors, or mend the model."
-            )
+    def _require_finite(self, arrays: Sequence[tuple[FloatArray, ...]]) -> None:
+        for blocks, of_channel in zip(self.channels, arrays, strict=True):
+            if not all(np.isfinite(values).all() for values in of_channel):
+                raise AnalysisError(
+                    f"the model {self.nominal.name} gives NaN or infinity for {blocks.channel} of "
+                    f"{blocks.experiment.file} at values within the fit's bounds; give its parameters narrower priors, "
+                    "or correct the model."
+                )
 
 
-def _noise_covariance(one: ChannelBlocks, noise: NoiseModel) -> FloatArray:
-    return noise.covariance(one.blocks.start_s, one.blocks.end_s, one.blocks.samples)
-
-
-def _zero_sd(evidence: Sequence[ChannelBlocks], channel: str, nominal: NominalModel) -> float:
-    """Return what the model says of a channel's zero, or more where the first samples of its runs lie further off."""
-    usual = float(nominal.zero_sd.get(channel, 0.0))
-    if usual == 0.0:
+def _zero_sd(channels: Sequence[ChannelBlocks], channel: str, nominal: NominalModel) -> float:
+    """Prior of a channel's zero by the model, widened where the first samples of its runs lie further off."""
+    prior_sd = float(nominal.zero_sd.get(channel, 0.0))
+    if prior_sd == 0.0:
         return 0.0
-    values = np.array([one.nominal for one in nominal.parameters])
-    found = [float(one.blocks.mean[0] - one.predict(values).total[0]) for one in evidence if one.channel == channel]
-    return max(usual, ZERO_WIDENING * float(np.median(np.abs(found))))
-
-
-MAX_PASSES = 12
-CONVERGED_MOVE = 0.05
-"""A pass that moves no parameter by more than this, in units of its error, is the last."""
-COVARIANCE_UPDATES = 4
-"""So many passes lay the covariance out anew; a model that does not hold may go on for ever otherwise."""
-NEWTON_RANGE = 3.0
-"""Less than this of its error from the minimum, the linearised problem is the problem."""
-LINE_SEARCH_FRACTIONS = (1.0, 0.5, 0.25, 0.1)
-"""Shares of a step of which none makes the squares smaller where it is the last: they jump where a bend of the motion
-comes to the equator within a block, and a minimum at such a jump has no slope of 0 to be told by."""
-FIRST_PASS_EVALUATIONS, MAX_EVALUATIONS = 2, 8
-"""Evaluations within a pass."""
-PARAMETER_BOUND = 6.0
-"""How far from what was known beforehand a parameter may go, in standard deviations of the prior."""
-DERIVATIVE_REUSE_RANGE = 0.05
-"""Derivatives are taken anew where a parameter has moved by more than this: its value's share, or prior widths."""
-MISFIT_THRESHOLD = 1.1
-"""Squares per degree of freedom above which the model is taken to leave more than noise."""
+    values = np.array([parameter.nominal for parameter in nominal.parameters])
+    offsets = [
+        float(blocks.blocks.mean[0] - blocks.predict(values).total[0])
+        for blocks in channels
+        if blocks.channel == channel
+    ]
+    return max(prior_sd, ZERO_WIDENING * float(np.median(np.abs(offsets))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointSolution:
-    """Where the fit came to.
+    """The most probable parameters.
 
     Attributes
     ----------
@@ -375,14 +362,14 @@ class JointSolution:
     covariance
         Of `z` given the runs, shape `(P, P)`.
     whitenings, slopes
-        For each piece of evidence: what whitens it, and the derivatives of its block means by `z`, shape `(B, P)`.
+        For each channel: its whitening, and the derivatives of its block means by `z`, shape `(B, P)`.
     misfit
-        By how much the runs' squares exceed what noise explains; the runs were given less weight by as much, so that
-        what is known beforehand keeps its own. 1 where the model holds.
+        χ² per block where it exceeds what noise explains, else 1; the runs' weight was divided by it, so that the
+        priors keep theirs.
     converged
-        Whether the optimiser and the passes did; `why` says why not.
+        Whether optimiser and passes did; `why` says why not.
     steps
-        How often derivatives were taken.
+        Evaluations of the derivatives.
     """
 
     z: FloatArray
@@ -396,7 +383,7 @@ class JointSolution:
 
 
 class _ModelCache:
-    """The model's latest predictions and derivatives, which passes and steps share. Belongs to one `solve_joint`."""
+    """The model's latest predictions and derivatives, shared by passes and steps of one `solve_joint`."""
 
     def __init__(self, problem: JointProblem) -> None:
         self._problem = problem
@@ -414,8 +401,8 @@ class _ModelCache:
         return self._predictions
 
     def residuals(self, z: FloatArray) -> list[FloatArray]:
-        pairs = zip(self._problem.evidence, self.predictions(z), strict=True)
-        return [predicted.total - one.blocks.mean for one, predicted in pairs]
+        pairs = zip(self._problem.channels, self.predictions(z), strict=True)
+        return [prediction.total - blocks.blocks.mean for blocks, prediction in pairs]
 
     def derivatives(self, z: FloatArray) -> list[FloatArray]:
         if self._derivatives_at is None or self._is_far(z, self._derivatives_at):
@@ -428,8 +415,7 @@ class _ModelCache:
             self._uncertainties, self._uncertain_at = self._problem.uncertainties(z), z.copy()
         return self._problem.whitenings(self.predictions(z), self._uncertainties)
 
-    def renew(self, z: FloatArray) -> None:
-        """Take the derivatives right here."""
+    def renew_derivatives(self, z: FloatArray) -> None:
         if self._derivatives_at is None or not np.array_equal(z, self._derivatives_at):
             self._derivatives_at = None
             self.derivatives(z)
@@ -439,100 +425,98 @@ class _ModelCache:
 
 
 def is_at_bound(z: FloatArray) -> BoolArray:
-    """Tell which parameters are as far from what was known beforehand as they may go."""
+    """Which parameters are at the bound of the fit."""
     return np.asarray(np.abs(z) >= PARAMETER_BOUND - 1e-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LeastSquaresPass:
-    """Least squares under one covariance: residuals of the runs and of the priors, and their derivatives by `z`."""
+    """Least squares under one covariance: whitened residuals of runs and priors, and their derivatives by `z`."""
 
-    evaluations: _ModelCache
+    cache: _ModelCache
     whitenings: tuple[Whitening, ...]
     misfit: float
 
     def residuals(self, z: FloatArray) -> FloatArray:
-        return np.concatenate((self._weighted(self.evaluations.residuals(z)), z))
+        return np.concatenate((self._weighted(self.cache.residuals(z)), z))
 
-    def squares(self, z: FloatArray) -> float:
+    def jacobian(self, z: FloatArray) -> FloatArray:
+        return np.concatenate((self._weighted(self.cache.derivatives(z)), np.eye(len(z))))
+
+    def chi2(self, z: FloatArray) -> float:
         residuals = self.residuals(z)
         return float(residuals @ residuals)
 
-    def jacobian(self, z: FloatArray) -> FloatArray:
-        return np.concatenate((self._weighted(self.evaluations.derivatives(z)), np.eye(len(z))))
-
-    def newton(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the step to the minimum of the linearised problem within the bounds, and the covariance there."""
-        slopes = self.jacobian(z)
-        gradient, curvature = slopes.T @ self.residuals(z), slopes.T @ slopes
+    def newton_step(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Step to the minimum of the linearised problem within the bounds, and the covariance there."""
+        jacobian = self.jacobian(z)
+        gradient, curvature = jacobian.T @ self.residuals(z), jacobian.T @ jacobian
         free = ~is_at_bound(z) | (z * gradient > 0)
         step = np.zeros_like(z)
         step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
         return step, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
-    def lower(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
-        """Return the furthest place along a step, of some, where the squares are lower than at `z`."""
-        here = self.squares(z)
+    def line_search(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
+        """Longest fraction of a step that lowers χ²."""
+        chi2 = self.chi2(z)
         places = (np.clip(z + share * step, -PARAMETER_BOUND, PARAMETER_BOUND) for share in LINE_SEARCH_FRACTIONS)
-        return next((place for place in places if self.squares(place) < here), None)
+        return next((place for place in places if self.chi2(place) < chi2), None)
 
-    def _weighted(self, each: Sequence[FloatArray]) -> FloatArray:
-        return _whiten_all(self.whitenings, each) / sqrt(self.misfit)
+    def _weighted(self, by_channel: Sequence[FloatArray]) -> FloatArray:
+        return _whiten_all(self.whitenings, by_channel) / sqrt(self.misfit)
 
 
 def solve_joint(problem: JointProblem) -> JointSolution:
     """Find the most probable parameters."""
     from scipy.optimize import least_squares
 
-    found = _ModelCache(problem)
+    cache = _ModelCache(problem)
     z, misfit, why = np.zeros(len(problem.scales.nominal)), np.inf, ""
-    for turn in range(MAX_PASSES):
-        if turn < COVARIANCE_UPDATES:
-            whitenings = found.whitenings(z)
-            # Far from the truth the runs would outshout the priors and lead astray: they gain weight as they are
-            # explained.
-            before, misfit = misfit, _misfit(_whiten_all(whitenings, found.residuals(z)))
+    for number in range(MAX_PASSES):
+        before = misfit
+        if number < COVARIANCE_UPDATES:
+            whitenings = cache.whitenings(z)
+            # Far from the truth the runs would outweigh the priors and mislead: they gain weight as the misfit falls.
+            misfit = _misfit(_whiten_all(whitenings, cache.residuals(z)))
         else:
-            before = misfit
-            found.renew(z)
-        now = _LeastSquaresPass(found, whitenings, misfit)
-        step, covariance = now.newton(z)
-        moves = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
-        if moves < CONVERGED_MOVE and abs(misfit / before - 1) < CONVERGED_MOVE:
+            cache.renew_derivatives(z)
+        present = _LeastSquaresPass(cache, whitenings, misfit)
+        step, covariance = present.newton_step(z)
+        move = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        if move < CONVERGED_MOVE and abs(misfit / before - 1) < CONVERGED_MOVE:
             z, why = z + step, ""
             break
-        if turn >= COVARIANCE_UPDATES and moves < NEWTON_RANGE:
-            lower = now.lower(z, step)
+        if number >= COVARIANCE_UPDATES and move < NEWTON_RANGE:
+            lower = present.line_search(z, step)
             if lower is None:
                 why = ""
                 break
             step = lower - z
-        why = f"after {turn + 1} passes a parameter still moves by {moves:.2g} of its error"
-        if moves < NEWTON_RANGE:
+        why = f"after {number + 1} passes a parameter still moves by {move:.2g} of its error"
+        if move < NEWTON_RANGE:
             z = np.clip(z + step, -PARAMETER_BOUND, PARAMETER_BOUND)
             continue
-        # The first pass only has to come near: its covariance was laid out around the nominal values.
-        most = MAX_EVALUATIONS if turn else FIRST_PASS_EVALUATIONS
         fit = least_squares(
-            now.residuals,
+            present.residuals,
             z,
-            now.jacobian,
+            present.jacobian,
             bounds=(-PARAMETER_BOUND, PARAMETER_BOUND),
-            max_nfev=most,
+            max_nfev=MAX_EVALUATIONS if number else FIRST_PASS_EVALUATIONS,
             ftol=1e-7,
             xtol=2e-3,
             gtol=1e-6,
         )
         z = fit.x
-    slopes = tuple(found.derivatives(z))
-    return JointSolution(z, covariance, whitenings, slopes, misfit, converged=not why, steps=found.steps, why=why)
+    slopes = tuple(cache.derivatives(z))
+    return JointSolution(z, covariance, whitenings, slopes, misfit, converged=not why, steps=cache.steps, why=why)
 
 
-def _whiten_all(whitenings: Sequence[Whitening], each: Sequence[FloatArray]) -> FloatArray:
-    return np.concatenate([white.whole(values) for white, values in zip(whitenings, each, strict=True)])
+def _whiten_all(whitenings: Sequence[Whitening], by_channel: Sequence[FloatArray]) -> FloatArray:
+    pairs = zip(whitenings, by_channel, strict=True)
+    return np.concatenate([whitening.whiten(values) for whitening, values in pairs])
 
 
 def _misfit(whitened: FloatArray) -> float:
-    """Return the runs' squares per block where these exceed what noise explains, 1 where they do not."""
+    """χ² per block where it exceeds what noise explains, else 1."""
     share = float(whitened @ whitened) / max(len(whitened), 1)
     return share if share > MISFIT_THRESHOLD else 1.0

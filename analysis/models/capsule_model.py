@@ -153,10 +153,10 @@ class StickingPredictor(Predictor):
         return self.experiment.motion.breaks_s
 
     @property
-    def likeness(self) -> Hashable:
+    def equivalence_key(self) -> Hashable:
         """All but which run it is."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
-        return without_run_identity(self.acquisition), self.experiment.followed, bare, self.names
+        return without_run_identity(self.acquisition), self.experiment.unsmoothed_motion, bare, self.names
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict the shear force, all of which is stiffness."""
@@ -172,9 +172,9 @@ class StickingPredictor(Predictor):
         return stack_sensitivities(self.names, rows, len(time_s))
 
     def _force(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        return prepare(self.acquisition, self.settings.model_copy(update=values), self.experiment.followed).force(
-            time_s
-        )
+        return prepare(
+            self.acquisition, self.settings.model_copy(update=values), self.experiment.unsmoothed_motion
+        ).force(time_s)
 
 
 def _element_derivatives(
@@ -236,7 +236,7 @@ class SlidingPredictor(Predictor):
     motion: RecordedMotion
     settings: FrictionModelSettings
     names: tuple[str, ...]
-    obeyed: bool = True
+    follows_command: bool = True
     """Whether the motion is known exactly."""
 
     @property
@@ -249,10 +249,10 @@ class SlidingPredictor(Predictor):
         return np.unique(np.concatenate(found))
 
     @property
-    def likeness(self) -> Hashable:
+    def equivalence_key(self) -> Hashable:
         """All but which run it is."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
-        return without_run_identity(self.acquisition), self.motion, bare, self.names, self.obeyed
+        return without_run_identity(self.acquisition), self.motion, bare, self.names, self.follows_command
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict f_e + f_v + f_c as the force channel shows them."""
@@ -301,11 +301,11 @@ class SlidingPredictor(Predictor):
         """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
         given = dict(zip(self.names, values.tolist(), strict=True))
         last = float(self.motion.breaks_s[-1])
-        timing = COMMAND_TIMING_S if self.obeyed else MOTION_TIMING_S
+        timing = COMMAND_TIMING_S if self.follows_command else MOTION_TIMING_S
         shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-timing, 0.0, timing)])
         before, now, after = np.split(self._friction(given, shifted), 3)
         early_or_late = np.maximum(np.abs(before - now), np.abs(after - now))
-        return early_or_late if self.obeyed else np.hypot(early_or_late, self._creeping(now, time_s))
+        return early_or_late if self.follows_command else np.hypot(early_or_late, self._creeping(now, time_s))
 
     def _creeping(self, friction: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return how much friction may differ where the stage creeps more slowly than its encoder can tell."""
@@ -388,7 +388,7 @@ class CapsuleModel(NominalModel):
         if experiment.contact is Contact.STICKING:
             return {FORCE_CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}
         acquisition, motion = acquisition_of(experiment), experiment.motion
-        return {FORCE_CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, experiment.obeyed)}
+        return {FORCE_CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, experiment.follows_command)}
 
     def settings_of(self, values: Mapping[str, float]) -> FrictionModelSettings:
         """Return the model's settings with identified values in place."""

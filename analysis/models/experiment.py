@@ -187,7 +187,7 @@ class Experiment:
         return position_wander_mm(time_s, position, command if known else None, self.count_mm)
 
     @cached_property
-    def obeyed(self) -> bool:
+    def follows_command(self) -> bool:
         """Whether the stage followed its command to the encoder's count, so that the command is the better record.
 
         A position that wanders at rest may be off as much further, but not for long. One that equals the command was
@@ -214,20 +214,20 @@ class Experiment:
 
         Raises `AnalysisError` where the record cannot be used.
         """
-        if self.obeyed and self.computes_command:
+        if self.follows_command and self.computes_command:
             command = np.asarray(self.run.trace.command, dtype=np.float64)
             return RecordedMotion.exact(self.time_s, command - command[0])
-        if self.obeyed:
+        if self.follows_command:
             return commanded_motion(self.time_s, self.run.trace.command)
         return RecordedMotion.of(*self._seen, self.wander_mm)
 
     @cached_property
-    def followed(self) -> ProfileMotion:
+    def unsmoothed_motion(self) -> ProfileMotion:
         """The measured motion without any smoothing: straight lines, two from sample to sample, while the stage moves.
 
         For what depends on the position and not on the sign of the speed; its velocity is as rough as the encoder.
         """
-        if self.obeyed:
+        if self.follows_command:
             return self.motion.fine
         return measured_motion(self.motion, *self._seen)
 

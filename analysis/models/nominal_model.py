@@ -102,7 +102,7 @@ class Predictor(Protocol):
         ...
 
     @property
-    def likeness(self) -> Hashable:
+    def equivalence_key(self) -> Hashable:
         """What is equal where the same is predicted whatever the values and times; unless said, each is its own.
 
         Of predictors that are alike one is asked for all, as of repeats whose motion is the same bit for bit.
