@@ -41,7 +41,7 @@ def relaxation(
     )
     time = np.arange(profile.samples(rate_hz)) / rate_hz
     motion = ProfileMotion.of(profile)
-    wall = MaxwellBranches.through(1 / times, motion.pieces(), 2.5)
+    wall = MaxwellBranches.integrate(1 / times, motion.pieces(), 2.5)
     parts = np.array_split(time, 1 + time.size // 100_000)
     force = AREA_MM2 * np.concatenate(
         [E3 * shear_strain(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.at(part), 1) for part in parts]

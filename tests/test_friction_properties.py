@@ -177,7 +177,7 @@ def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
     model = FrictionModelSettings.model_validate({"wall": wall, "e2_scale": 1.1, "force_gain": 1.02})
     run = sliding(moves((12.0, 5.0), (-9.0, 20.0), between=0.1))
     time = np.linspace(0.0, run.profile.duration_s, 400)
-    found = prepare(run, model).by_element(time)
+    found = prepare(run, model).log_derivatives(time)
     step = 0.02
     for name, slopes in zip(ELEMENT_SCALES, found, strict=True):
         ahead, behind = (
@@ -195,4 +195,4 @@ def test_all_elements_scaled_alike_scale_what_the_wall_does() -> None:
     prepared = prepare(run, MODEL)
     parts = prepared.components(time)
     weight = prepare(sliding(run.profile, fixture=Fixture.VACUUM), MODEL).components(time).f_c
-    np.testing.assert_allclose(prepared.by_element(time).sum(axis=0), parts.f_e + parts.f_c - weight, atol=0.02)
+    np.testing.assert_allclose(prepared.log_derivatives(time).sum(axis=0), parts.f_e + parts.f_c - weight, atol=0.02)

@@ -162,7 +162,7 @@ def test_a_followed_motion_has_no_two_points_at_one_time(rate: float, strain: fl
 def test_a_computed_position_is_taken_as_it_is(name: str) -> None:
     profile = PROFILES[name]
     time = np.arange(profile.samples(1000.0)) / 1000
-    motion = RecordedMotion.exact(time, profile.position(time))
+    motion = RecordedMotion.computed(time, profile.position(time))
     assert motion.position(time) == pytest.approx(profile.position(time), abs=3e-4)
     truth = prepare(sliding(profile), MODEL).force(time)
     found = prepare(sliding(profile), MODEL, motion).force(time)
@@ -173,7 +173,7 @@ def test_a_computed_position_is_taken_as_it_is(name: str) -> None:
 def test_a_fast_ripple_is_not_smoothed_away() -> None:
     time = np.arange(4000) / 2000
     position = 30.0 * time + 0.05 * np.sin(2 * np.pi * 60.0 * time)
-    motion = RecordedMotion.exact(time, position)
+    motion = RecordedMotion.computed(time, position)
     velocity = motion.velocity(time[1:-1] + 1e-5)
     assert np.ptp(velocity) == pytest.approx(2 * 0.05 * 2 * np.pi * 60.0, rel=0.02)
 
@@ -182,6 +182,6 @@ def test_the_shortest_ways_back_cost_hardly_more_than_none() -> None:
     time = np.arange(3000) / 2000
     ringing = np.clip(10.0 * time, 0.0, 12.0) + 0.1 * np.sin(2 * np.pi * 20.0 * time) * (time > 1.0)
     profile = moves((12.0, 10.0))
-    found = prepare(sliding(profile), MODEL, RecordedMotion.exact(time, ringing)).friction
+    found = prepare(sliding(profile), MODEL, RecordedMotion.computed(time, ringing)).friction
     assert isinstance(found, SlidingForce)
     assert len(found.stretches) < 200

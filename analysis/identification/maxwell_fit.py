@@ -88,15 +88,15 @@ class ShearRecord:
 
     def branches(self, times_s: FloatArray) -> FloatArray:
         """Mean force of Maxwell branches of 1 kPa and these time constants [mN], shape `(B, n)`."""
-        return self.area_mm2 * self.blocks.of(self._prepared(times_s).at(self.blocks.nodes_s))
+        return self.area_mm2 * self.blocks.of(self._prepared(times_s).stress(self.blocks.nodes_s))
 
     def forces_at(self, times_s: FloatArray, moduli: FloatArray, spring: float, time_s: FloatArray) -> FloatArray:
         """Force of spring and branches [mN] at any times of the run."""
-        branches = np.tensordot(moduli, self._prepared(times_s).at(time_s), axes=1)
+        branches = np.tensordot(moduli, self._prepared(times_s).stress(time_s), axes=1)
         return np.asarray(self.area_mm2 * (spring * shear_strain(self.pieces, self.thickness_mm, time_s) + branches))
 
     def _prepared(self, times_s: FloatArray) -> MaxwellBranches:
-        return MaxwellBranches.through(1 / times_s, self.pieces, self.thickness_mm)
+        return MaxwellBranches.integrate(1 / times_s, self.pieces, self.thickness_mm)
 
 
 def _motion_breaks(experiment: Experiment) -> FloatArray:

@@ -275,7 +275,7 @@ class SlidingPredictor(Predictor):
             "mucus_scale": parts.viscous / given["mucus_scale"],
         }
         if self.acquisition.fixture is Fixture.FOAM:
-            by_element = zip(ELEMENT_SCALES, prepared.by_element(time_s), strict=True)
+            by_element = zip(ELEMENT_SCALES, prepared.log_derivatives(time_s), strict=True)
             rows |= {name: by_log / given[name] for name, by_log in by_element}
             if ANGLE_PARAMETER not in names:
                 rows[ANGLE_PARAMETER] = self._by_angle(given, time_s)

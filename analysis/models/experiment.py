@@ -216,7 +216,7 @@ class Experiment:
         """
         if self.follows_command and self.computes_command:
             command = np.asarray(self.run.trace.command, dtype=np.float64)
-            return RecordedMotion.exact(self.time_s, command - command[0])
+            return RecordedMotion.computed(self.time_s, command - command[0])
         if self.follows_command:
             return commanded_motion(self.time_s, self.run.trace.command)
         return RecordedMotion.of(*self._seen, self.wander_mm)

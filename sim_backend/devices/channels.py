@@ -155,7 +155,7 @@ class ResponseWithEffects:
         position = path.position(time)
         if chain.moves_stage:
             position = chain.stage_position(time, position)
-            path = RecordedMotion.exact(time, position)
+            path = RecordedMotion.computed(time, position)
         run = gut_run_state(replace(acquisition, profile=profile), model, path, time, session_start_s)
         load = chain.load(run)
         return cls(

@@ -127,11 +127,11 @@ class HemisphereWall:
         contact_s = np.full(x_mm.shape, -self.history.dwell_s)
         for number, stroke in enumerate(self.history.strokes):
             rows = np.flatnonzero(self._stroke_number == number)
-            z = self.history.wall_at(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
+            z = self.history.wall_point(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
             stroke_contact_s = np.full(z.shape, -self.history.dwell_s)
-            for segment in (*stroke.found, stroke.fresh):
+            for segment in (*stroke.inherited, stroke.fresh):
                 inside = (z >= segment.rear_mm) & (z <= segment.front_mm)
-                stroke_contact_s[inside] = self.history.begin(segment, z[inside])
+                stroke_contact_s[inside] = self.history.contact_time(segment, z[inside])
             contact_s[rows] = stroke_contact_s
         return np.asarray(np.maximum(self._time[:, None] - contact_s, 0.0))
 
@@ -159,7 +159,7 @@ class ShearedWall:
     @cached_property
     def stresses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Stress [kPa] in fast branch, slow branch and spring, shape `(n,)` each."""
-        fast, slow = self.force.branches.at(self._time)
+        fast, slow = self.force.branches.stress(self._time)
         return self.force.moduli[0] * fast, self.force.moduli[1] * slow, self.force.spring * self.strain
 
     @property
@@ -176,8 +176,8 @@ class ShearedWall:
     def branch(self, rate: float) -> FloatArray:
         """Stress over modulus of a further Maxwell branch with this relaxation rate [1/s], shape `(n,)`."""
         branches = self.force.branches
-        further = MaxwellBranches.through(np.array([rate]), branches.pieces, branches.thickness_mm)
-        return np.asarray(further.at(self._time)[0])
+        further = MaxwellBranches.integrate(np.array([rate]), branches.pieces, branches.thickness_mm)
+        return np.asarray(further.stress(self._time)[0])
 
     @property
     def _time(self) -> FloatArray:

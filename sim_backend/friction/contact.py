@@ -55,20 +55,20 @@ class HemisphereContact:
 
     @classmethod
     def of(cls, capsule: Capsule, wall_thickness_mm: float, model: FrictionModelSettings) -> "HemisphereContact":
-        """Build from settings; SettingsError where the wall's parameters do not reach its strain."""
+        """Build from settings; SettingsError where the wall's parameters are not positive at its strain."""
         angle = capsule.contact_angle_deg + model.contact_angle_offset_deg
         if not 0 < angle < 90:
             raise SettingsError(
                 f"contact_angle_deg of capsule {capsule.name!r} plus contact_angle_offset_deg of model {model.name!r} "
-                f"is {angle:g}°, and must lie between 0° and 90°"
+                f"is {angle:g}°; it must lie between 0° and 90°"
             )
         contact = cls(0.5 * capsule.diameter_mm, float(np.radians(angle)), wall_thickness_mm, model)
         strain = np.linspace(0.0, contact.strain_at_equator, 64)
         if not model_wall(model, strain).positive:
             raise SettingsError(
                 f"A contact angle of {angle:g}° (capsule {capsule.name!r}, model {model.name!r}) strains the wall by "
-                f"{contact.strain_at_equator:.0%}, on the way to which wall {model.wall} has parameters that are not "
-                f"positive; {_remedy(model)}"
+                f"{contact.strain_at_equator:.0%}, where parameters of wall {model.wall} are not positive; "
+                + ("correct its wall_polynomials" if model.wall == "polynomial" else "use a smaller angle")
             )
         return contact
 
@@ -94,11 +94,11 @@ class HemisphereContact:
         return float(max(rates[0].max(), rates[1].max()))
 
     def pressure(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
-        """Contact pressure P [kPa] where 0 ≤ x ≤ L, at a contact age (Eqs. 3 and 7)."""
+        """Return the contact pressure P [kPa] for 0 ≤ x ≤ L at a contact age (Eqs. 3 and 7)."""
         return self._hoop_stress_per_radius(x_mm, age_s) * self.wall_thickness_mm
 
     def axial_load(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
-        """Axial force per length [mN/mm], P sin θ · 2 π R, whose integral over x is f_e (Eq. 9)."""
+        """Return the axial force per length [mN/mm], P sin θ · 2 π R, whose integral over x is f_e (Eq. 9)."""
         slope = (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
         return self._hoop_stress_per_radius(x_mm, age_s) * slope
 
@@ -116,14 +116,14 @@ class HemisphereContact:
             slow_rate=float(slow_rate),
         )
 
-    def axial_load_by_element(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
+    def axial_load_log_derivatives(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
         """Return derivatives of the axial load by the logarithms of E1, E2, E3, η1 and η2, along a first axis of 5."""
         wall, per_stress = self._wall_at(x_mm)
         slope = per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
         return stress_log_derivatives(wall, age_s) * slope
 
-    def side_pressure_by_element(self, age_s: FloatArray) -> FloatArray:
-        """Return derivatives of P(L) S by the same, shape `(5, n)`."""
+    def side_pressure_log_derivatives(self, age_s: FloatArray) -> FloatArray:
+        """Return derivatives of P(L) S by the logarithms of the elements, shape `(5, n)`."""
         strain = self.strain_at_equator
         per_stress = strain * self.wall_thickness_mm / self.radius_mm * self.area_mm2
         return stress_log_derivatives(self._parameters(np.asarray(strain)), age_s) * per_stress
@@ -135,7 +135,7 @@ class HemisphereContact:
         return np.asarray(per_stress * stress)
 
     def _wall_at(self, x_mm: FloatArray) -> tuple[WallParameters, FloatArray]:
-        """Return the wall's parameters, and its strain over the local radius."""
+        """Return the wall's parameters, and strain over local radius."""
         local_radius = np.sqrt(self.radius_mm**2 - (self.length_mm - x_mm) ** 2)
         strain = local_radius * (1 / (self.radius_mm * np.cos(self.angle_rad))) - 1
         return self._parameters(strain), np.asarray(strain / local_radius)
@@ -151,7 +151,3 @@ def stress_log_derivatives(wall: WallParameters, age_s: FloatArray) -> FloatArra
     spring = np.broadcast_to(wall.E3, fast.shape)
     by_fast, by_slow = fast * fast_age, slow * slow_age
     return np.stack((fast - by_fast, slow - by_slow, spring, by_fast, by_slow))
-
-
-def _remedy(model: FrictionModelSettings) -> str:
-    return "mend its wall_polynomials" if model.wall == "polynomial" else "use a smaller angle"

@@ -7,7 +7,7 @@ moment reaches the equator of the leading hemisphere. Reversals of some µm, as 
 change which hemisphere leads.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
@@ -22,8 +22,8 @@ from dragrig.sim_backend.friction.recorded_motion import RecordedMotion
 class WallSegment:
     """Wall from `rear_mm` to `front_mm` that one stroke, or the insertion, brought into contact.
 
-    `direction` is that of the stroke, 0 for the insertion; `first` and `last` are the stretches of the
-    motion during which it happened.
+    `direction` is that of the stroke, 0 for the insertion; `first` and `last` are the intervals of the motion in which
+    it happened.
     """
 
     rear_mm: float
@@ -35,26 +35,26 @@ class WallSegment:
 
 @dataclass(frozen=True, slots=True)
 class ContactStroke:
-    """Stretches `first` to `last` of a motion, which go one way or stand still.
+    """Intervals `first` to `last` of a motion, all in one direction or at rest.
 
-    `found` is the contact at its start, from rear to front; `fresh` the wall it adds itself.
+    `inherited` is the contact at its start, from rear to front; `fresh` the wall that it adds.
     """
 
     direction: int
     first: int
     last: int
-    found: tuple[WallSegment, ...]
+    inherited: tuple[WallSegment, ...]
     fresh: WallSegment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactHistory:
-    """A motion with the contact that each of its strokes finds.
+    """A motion with the contact that each of its strokes inherits.
 
     Attributes
     ----------
     motion
-        The motion.
+        Motion of the capsule.
     reach_mm
         Distance ℓ from rear to front contact.
     dwell_s
@@ -70,47 +70,48 @@ class ContactHistory:
 
     @classmethod
     def of(cls, motion: Motion, reach_mm: float, dwell_s: float) -> "ContactHistory":
-        """Follow the motion through its strokes."""
+        """Divide the motion into strokes."""
         return cls(motion, reach_mm, dwell_s, tuple(_contact_strokes(motion, reach_mm)))
 
-    def travelled(self, stroke: ContactStroke, z_mm: FloatArray | float, position_mm: FloatArray | float) -> FloatArray:
-        """Contact coordinate x of wall points z when the capsule is at a position of a stroke."""
+    def contact_coordinate(
+        self, stroke: ContactStroke, z_mm: FloatArray | float, position_mm: FloatArray | float
+    ) -> FloatArray:
+        """Return the contact coordinate x of wall points z at a position of the capsule in a stroke."""
         if stroke.direction > 0:
             return np.asarray(position_mm - np.asarray(z_mm))
         return np.asarray(np.asarray(z_mm) - position_mm + self.reach_mm)
 
-    def wall_at(self, stroke: ContactStroke, x_mm: FloatArray | float, position_mm: FloatArray) -> FloatArray:
-        """Wall point z at a contact coordinate x, the inverse of `travelled`."""
+    def wall_point(self, stroke: ContactStroke, x_mm: FloatArray | float, position_mm: FloatArray) -> FloatArray:
+        """Return the wall point z at a contact coordinate x, the inverse of `contact_coordinate`."""
         if stroke.direction > 0:
             return np.asarray(position_mm - x_mm)
         return np.asarray(position_mm - self.reach_mm + x_mm)
 
-    def begin(self, segment: WallSegment, z_mm: FloatArray) -> FloatArray:
-        """Time at which the wall points z of a segment came into contact."""
+    def contact_time(self, segment: WallSegment, z_mm: FloatArray) -> FloatArray:
+        """Return when the wall points z of a segment came into contact."""
         if segment.direction == 0:
             return np.full_like(z_mm, -self.dwell_s)
         passing = z_mm if segment.direction > 0 else z_mm + self.reach_mm
-        return self.motion.arrival(passing, segment.first, segment.last)
+        return self.motion.arrival_time(passing, segment.first, segment.last)
 
 
 def _contact_strokes(motion: Motion, reach_mm: float) -> Iterator[ContactStroke]:
     position = motion.position(motion.breaks_s)
-    found: tuple[WallSegment, ...] = (WallSegment(float(position[0]) - reach_mm, float(position[0]), 0),)
+    inherited: tuple[WallSegment, ...] = (WallSegment(float(position[0]) - reach_mm, float(position[0]), 0),)
     for direction, first, last in _one_way_spans(motion):
         begin, end = float(position[first]), float(position[last + 1])
         if direction > 0:
             fresh = WallSegment(begin, end, direction, first, last)
-            yield ContactStroke(direction, first, last, found, fresh)
-            contact = (*found, fresh)
+            contact = (*inherited, fresh)
         else:
             fresh = WallSegment(end - reach_mm, begin - reach_mm, direction, first, last)
-            yield ContactStroke(direction, first, last, found, fresh)
-            contact = (fresh, *found)
-        found = tuple(_clip_segments(contact, end - reach_mm, end))
+            contact = (fresh, *inherited)
+        yield ContactStroke(direction, first, last, inherited, fresh)
+        inherited = tuple(_clip_segments(contact, end - reach_mm, end))
 
 
 def _one_way_spans(motion: Motion) -> Iterator[tuple[int, int, int]]:
-    """Direction, first and last stretch; a rest belongs to the stroke before it, the first one to the next."""
+    """Yield direction, first and last interval; a rest belongs to the stroke before it, the first rest to the next."""
     moving = np.flatnonzero(motion.signs)
     turns = [int(b) for a, b in pairwise(moving) if motion.signs[a] != motion.signs[b]]
     edges = [0, *turns, len(motion.signs)]
@@ -127,28 +128,39 @@ def _clip_segments(segments: tuple[WallSegment, ...], rear_mm: float, front_mm: 
 
 
 REVERSAL_SLACK_MM = 0.5
-"""A way back shorter than this does not bring the other hemisphere to the front (a tenth of the contact)."""
+"""A reversal shorter than this does not bring the other hemisphere to the front (a tenth of the contact)."""
 
 
 def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motion:
-    """Return a motion without its ways back shorter than `slack_mm`; the same object where it has none."""
-    turning = motion.signs[motion.signs != 0]
-    if not (turning[1:] != turning[:-1]).any():
+    """Return a motion without its reversals shorter than `slack_mm`; the same object where it has none."""
+    directions = motion.signs[motion.signs != 0]
+    if not (directions[1:] != directions[:-1]).any():
         return motion
     pieces = motion.pieces()
     times = np.append(pieces.start_s, motion.breaks_s[-1])
     position = motion.position(times)
     if _shortest_reversal(position) > slack_mm:
         return motion
-    turns = _turning_points(position, slack_mm)
-    led = _without_short_reversals(position, turns)
-    if np.array_equal(led, position):
+    leading = _without_short_reversals(position, _turning_points(position, slack_mm))
+    if np.array_equal(leading, position):
         return motion
-    return _motion_along(motion, times, position, led)
+    unchanged = (leading[:-1] == position[:-1]) & (leading[1:] == position[1:])
+    velocity = np.diff(leading) / np.diff(times)
+    acceleration = np.where(unchanged, pieces.acceleration_mm_s2, 0.0)
+    return RecordedMotion.from_pieces(
+        ProfileMotion(
+            breaks_s=times,
+            signs=np.sign(velocity).astype(np.int8),
+            uniform=acceleration == 0,
+            start_mm=leading[:-1],
+            velocity_mm_s=np.where(unchanged, pieces.velocity_mm_s, velocity),
+            acceleration_mm_s2=acceleration,
+        )
+    )
 
 
 def _shortest_reversal(position_mm: FloatArray) -> float:
-    """Return the least distance between two turns of a position, its ends included [mm]."""
+    """Return the least distance between two reversals of a position, its ends included [mm]."""
     steps = np.diff(position_mm)
     steps = steps[steps != 0]
     turns = np.flatnonzero(np.sign(steps[1:]) != np.sign(steps[:-1])) + 1
@@ -156,7 +168,7 @@ def _shortest_reversal(position_mm: FloatArray) -> float:
 
 
 def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:
-    """Return where a position turns by more than the slack, as indices, both ends included."""
+    """Return the indices at which a position reverses by more than the slack, both ends included."""
     from scipy.signal import find_peaks
 
     peaks = [find_peaks(side * position_mm, prominence=slack_mm, plateau_size=1)[0] for side in (1.0, -1.0)]
@@ -164,41 +176,25 @@ def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:
 
 
 def _without_short_reversals(position_mm: FloatArray, turns: list[int]) -> FloatArray:
-    led = position_mm.copy()
+    leading = position_mm.copy()
     for begin, end in pairwise(turns):
         part = position_mm[begin : end + 1].copy()
-        part[0] = led[begin]
+        part[0] = leading[begin]
         rises = part[-1] >= part[0] if end - begin > 1 else True
-        led[begin : end + 1] = np.maximum.accumulate(part) if rises else np.minimum.accumulate(part)
-    return led
-
-
-def _motion_along(motion: Motion, times_s: FloatArray, position_mm: FloatArray, led_mm: FloatArray) -> RecordedMotion:
-    pieces = motion.pieces()
-    kept = (led_mm[:-1] == position_mm[:-1]) & (led_mm[1:] == position_mm[1:])
-    velocity = np.diff(led_mm) / np.diff(times_s)
-    acceleration = np.where(kept, pieces.acceleration_mm_s2, 0.0)
-    fine = ProfileMotion(
-        breaks_s=times_s,
-        signs=np.sign(velocity).astype(np.int8),
-        uniform=acceleration == 0,
-        start_mm=led_mm[:-1],
-        velocity_mm_s=np.where(kept, pieces.velocity_mm_s, velocity),
-        acceleration_mm_s2=acceleration,
-    )
-    return RecordedMotion.of_pieces(fine)
+        leading[begin : end + 1] = np.maximum.accumulate(part) if rises else np.minimum.accumulate(part)
+    return leading
 
 
 MIN_INTERVAL_S = 1e-9
-"""Stretches shorter than this are joined to their neighbour."""
+"""Shorter intervals are joined to their neighbour."""
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothInterval:
     """Times from `begin_s` to `end_s` of one stroke.
 
-    `side` is the segment that the wall at the equator belongs to. `steady` says that the forces are
-    constant, `uniform` that the velocity is; `sign` is its direction, 0 at rest.
+    `side` is the segment of the wall at the equator. `steady` says that the forces are constant, `uniform` that the
+    velocity is; `sign` is its direction, 0 at rest.
     """
 
     begin_s: float
@@ -222,7 +218,7 @@ def smooth_intervals(history: ContactHistory, contact_mm: float) -> Iterator[Smo
         # Once a contact length has been travelled at one velocity, every age is x / v.
         settled = np.abs(position - motion.position(motion.breaks_s[index])) >= contact_mm
         steady = uniform & (signs != 0) & settled
-        sides = [_segment_at(stroke, float(z)) for z in history.wall_at(stroke, contact_mm, position)]
+        sides = [_segment_at(stroke, float(z)) for z in history.wall_point(stroke, contact_mm, position)]
         times = pairwise(edges.tolist())
         for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
             sign, constant_velocity, constant_force = (int(flag) for flag in flags)
@@ -230,8 +226,8 @@ def smooth_intervals(history: ContactHistory, contact_mm: float) -> Iterator[Smo
 
 
 def join_intervals(parts: Sequence[SmoothInterval]) -> Iterator[SmoothInterval]:
-    """Join neighbours that differ by nothing but where they are; those where the forces are constant stay apart."""
-    for _, group in groupby(parts, key=_joining_key):
+    """Join neighbours that differ in nothing but their times; those of constant force stay apart."""
+    for _, group in groupby(parts, key=lambda part: (part.stroke.first, part.side, part.sign, part.steady)):
         first, *others = group
         if not others:
             yield first
@@ -241,12 +237,8 @@ def join_intervals(parts: Sequence[SmoothInterval]) -> Iterator[SmoothInterval]:
             yield replace(first, end_s=others[-1].end_s, uniform=False)
 
 
-def _joining_key(one: SmoothInterval) -> Hashable:
-    return one.stroke.first, one.side, one.sign, one.steady
-
-
 def _interval_edges(history: ContactHistory, stroke: ContactStroke, contact_mm: float) -> FloatArray:
-    """Begin of a stroke, every event in it, and its end."""
+    """Return the begin of a stroke, every event in it, and its end."""
     breaks = history.motion.breaks_s[stroke.first : stroke.last + 2]
     edges, end = [float(breaks[0])], float(breaks[-1])
     for time in np.sort(np.concatenate((breaks[1:-1], _equator_times(history, stroke, contact_mm)))).tolist():
@@ -256,23 +248,23 @@ def _interval_edges(history: ContactHistory, stroke: ContactStroke, contact_mm: 
 
 
 def _equator_times(history: ContactHistory, stroke: ContactStroke, contact_mm: float) -> FloatArray:
-    """Return when the ends of what the stroke found, and the bends in how it was passed, reach the equator."""
+    """Return when the ends of segments, and the wall passed at a bend of the motion, reach the equator."""
     motion = history.motion
     points: list[float] = []
-    for segment in (*stroke.found, stroke.fresh):
+    for segment in (*stroke.inherited, stroke.fresh):
         points += (segment.rear_mm, segment.front_mm)
         if segment.direction:
             passed = motion.position(motion.breaks_s[segment.first + 1 : segment.last + 1])
             points += (passed - (0.0 if segment.direction > 0 else history.reach_mm)).tolist()
     begin, end = motion.position(motion.breaks_s[[stroke.first, stroke.last + 1]])
-    # The capsule has the wall point z at its equator when it is at p = z + (p - wall_at(L, p)).
-    passing = np.asarray(points) - history.wall_at(stroke, contact_mm, np.zeros(1))
+    # The wall point z is at the equator of a capsule at p = z + (p - wall_point(L, p)).
+    passing = np.asarray(points) - history.wall_point(stroke, contact_mm, np.zeros(1))
     ahead = stroke.direction * (passing - begin)
     inside = passing[(ahead > 0) & (ahead < stroke.direction * (end - begin))]
-    return motion.arrival(inside, stroke.first, stroke.last)
+    return motion.arrival_time(inside, stroke.first, stroke.last)
 
 
 def _segment_at(stroke: ContactStroke, z_mm: float) -> WallSegment:
     """Return the segment that a wall point belongs to."""
-    segments = (*stroke.found, stroke.fresh)
+    segments = (*stroke.inherited, stroke.fresh)
     return min(segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))

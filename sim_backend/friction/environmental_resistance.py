@@ -37,18 +37,18 @@ class QuadratureRule:
 
 FINE_RULE = QuadratureRule(10, 8)
 COUNTED_RULE = QuadratureRule(4, 5)
-"""For a motion that is known in counts of an encoder, whose many bends divide the panels anyway: a force that ripples
-differs by 0.03 mN, root mean square, from that of the fine rule, where a sensor's noise is 1 mN or more."""
+"""For a motion measured in encoder counts, whose many bends divide the panels anyway: a rippling force differs by
+0.03 mN r.m.s. from that of the fine rule, where a sensor's noise is 1 mN or more."""
 
 
 def quadrature_rule(motion: Motion) -> QuadratureRule:
-    """Return the rule that a motion deserves."""
+    """Return the rule for a motion."""
     return COUNTED_RULE if motion.counted else FINE_RULE
 
 
 @cache
 def gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights of the quadrature on (0, 1)."""
+    """Return nodes and weights of the quadrature on (0, 1)."""
     at, weights = np.polynomial.legendre.leggauss(nodes)
     at, weights = 0.5 * (1 + at), 0.5 * weights
     read_only(at)
@@ -58,7 +58,7 @@ def gauss_legendre(nodes: int) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def chebyshev_nodes(nodes: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes on (0, 1) and the matrix from values there to coefficients of ascending powers."""
+    """Return nodes on (0, 1), and the matrix from values there to coefficients of ascending powers."""
     at = 0.5 * (1 - np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes))
     to_powers = np.asarray(np.linalg.inv(np.vander(at, increasing=True)))
     read_only(at)
@@ -70,7 +70,7 @@ FIRST_TIME_PANEL = 0.3
 """Width of the first panel after an event, in relaxation times of the fastest branch."""
 
 TIME_PANEL_RATIO = 2.0
-"""How much later each panel ends than its predecessor, both counted from the event."""
+"""Ratio of the ends of successive panels, counted from the event."""
 
 
 def time_panel_edges(begin_s: float, end_s: float, fastest_rate: float) -> FloatArray:
@@ -86,25 +86,25 @@ def interpolate_panels(
 ) -> PPoly:
     """Interpolate `evaluate`, from times of shape `(n,)` to values of shape `(…, n)`, between strictly rising edges.
 
-    The nodes lie inside the panels, so that a jump at an edge is never asked about.
+    The nodes lie inside the panels, so that `evaluate` is never called at a jump.
     """
     nodes, to_powers = chebyshev_nodes(nodes_per_panel)
     width = np.diff(edges_s)
     times = edges_s[:-1, None] + width[:, None] * nodes
-    found = evaluate(times.ravel())
-    values = found.reshape(*found.shape[:-1], *times.shape)
+    at_nodes = evaluate(times.ravel())
+    values = at_nodes.reshape(*at_nodes.shape[:-1], *times.shape)
     coefficients = (values @ to_powers.T) / width[:, None] ** np.arange(nodes.size)
     return PPoly(np.moveaxis(coefficients, (-1, -2), (0, 1))[::-1], edges_s)
 
 
 LoadDensity: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
-"""Something per length of the contact, from contact coordinates and ages of one shape; may add axes in front."""
+"""Load per length of the contact from contact coordinates and ages of one shape; may add axes in front."""
 
 FIRST_AGE_PANEL = 0.5
 """Width of the freshest panel, in relaxation times of the fastest branch."""
 
 AGE_PANEL_RATIO = 5.0
-"""How much older each panel's end is than its start."""
+"""Ratio of the ages at end and start of a panel."""
 
 MIN_PANEL_S = 1e-12
 """Panels shorter than this are left out."""
@@ -112,7 +112,7 @@ MIN_PANEL_S = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentalResistance:
-    """f_e at any time of a contact history, exact but for the quadrature."""
+    """f_e at any time of a contact history, exact except for the quadrature."""
 
     contact: HemisphereContact
     history: ContactHistory
@@ -122,24 +122,24 @@ class EnvironmentalResistance:
 
     @classmethod
     def of(cls, contact: HemisphereContact, history: ContactHistory, rule: QuadratureRule) -> "EnvironmentalResistance":
-        """Lay out the panels: geometric in age, as the fast branch relaxes within milliseconds of first contact."""
+        """Set the panels, geometric in contact age."""
         longest = float(history.motion.breaks_s[-1])
         ages = age_panel_edges(contact.fastest_rate, longest)
         return cls(contact, history, ages, *gauss_legendre(rule.ages))
 
-    def at(self, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
-        """f_e [mN] at times of shape `(n,)` within a stroke, of the stroke's sign."""
-        return self._summed(self.contact.axial_load, stroke, time_s)
+    def force(self, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
+        """Return f_e [mN] at times of shape `(n,)` within a stroke, with the stroke's sign."""
+        return self._integrate(self.contact.axial_load, stroke, time_s)
 
-    def by_element(self, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
+    def log_derivatives(self, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
         """Return derivatives of f_e [mN] by the logarithms of E1, E2, E3, η1 and η2, shape `(5, n)`."""
-        return self._summed(self.contact.axial_load_by_element, stroke, time_s)
+        return self._integrate(self.contact.axial_load_log_derivatives, stroke, time_s)
 
-    def _summed(self, load: LoadDensity, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
+    def _integrate(self, load: LoadDensity, stroke: ContactStroke, time_s: FloatArray) -> FloatArray:
         position = self.history.motion.position(time_s)
         parts = [
             (self._inserted if segment.direction == 0 else self._passed)(load, stroke, segment, time_s, position)
-            for segment in (*stroke.found, stroke.fresh)
+            for segment in (*stroke.inherited, stroke.fresh)
         ]
         return np.asarray(stroke.direction * sum(parts[1:], start=parts[0]))
 
@@ -151,8 +151,8 @@ class EnvironmentalResistance:
         time_s: FloatArray,
         position_mm: FloatArray,
     ) -> FloatArray:
-        """Contribution of wall that has been in contact since the insertion: one age for all of it."""
-        ends = [self.history.travelled(stroke, z, position_mm) for z in (segment.rear_mm, segment.front_mm)]
+        """Return the contribution of wall in contact since the insertion, which all has the same age."""
+        ends = [self.history.contact_coordinate(stroke, z, position_mm) for z in (segment.rear_mm, segment.front_mm)]
         low, high = np.sort(np.clip(ends, 0.0, self.contact.length_mm), axis=0)
         rows = np.flatnonzero(high > low)
         width = 0.5 * (high - low)[rows, None]
@@ -172,7 +172,7 @@ class EnvironmentalResistance:
         time_s: FloatArray,
         position_mm: FloatArray,
     ) -> FloatArray:
-        """Contribution of wall that a stroke passed, integrated over the time of passing."""
+        """Return the contribution of wall that a stroke passed, integrated over the time of passing."""
         youngest, oldest = self._age_limits(stroke, segment, time_s, position_mm)
         breaks = self.history.motion.breaks_s[segment.first + 1 : segment.last + 1]
         edges = np.concatenate(
@@ -183,28 +183,28 @@ class EnvironmentalResistance:
         begin = edges[rows, columns]
         width = edges[rows, columns + 1] - begin
         age = begin[:, None] + width[:, None] * self.nodes
-        passed, velocity = self.history.motion.along(time_s[rows, None] - age)
+        passed, velocity = self.history.motion.state_within_interval(time_s[rows, None] - age)
         z = passed if segment.direction > 0 else passed - self.history.reach_mm
-        x = np.clip(self.history.travelled(stroke, z, position_mm[rows, None]), 0.0, self.contact.length_mm)
+        x = np.clip(self.history.contact_coordinate(stroke, z, position_mm[rows, None]), 0.0, self.contact.length_mm)
         return _sum_by_row(((load(x, age) * np.abs(velocity)) @ self.weights) * width, rows, time_s.size)
 
     def _age_limits(
         self, stroke: ContactStroke, segment: WallSegment, time_s: FloatArray, position_mm: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Youngest and oldest age of the part of a segment that the hemisphere covers, equal where there is none."""
-        covered = [self.history.wall_at(stroke, x, position_mm) for x in (0.0, self.contact.length_mm)]
+        """Return the least and greatest age of a segment's part under the hemisphere, equal where there is none."""
+        covered = [self.history.wall_point(stroke, x, position_mm) for x in (0.0, self.contact.length_mm)]
         ends = np.clip(covered, segment.rear_mm, segment.front_mm)
-        ages = time_s - self.history.begin(segment, ends)
+        ages = time_s - self.history.contact_time(segment, ends)
         empty = ends[0] == ends[1]
         youngest, oldest = np.sort(np.maximum(ages, 0.0), axis=0)
         return youngest, np.where(empty, youngest, oldest)
 
 
 def _sum_by_row(values: FloatArray, rows: npt.NDArray[np.intp], size: int) -> FloatArray:
-    """Sum values, shape `(…, r)`, by the row that each belongs to, shape `(…, size)`."""
+    """Sum values, shape `(…, r)`, by row number, shape `(…, size)`."""
     if values.ndim == 1:
         return np.bincount(rows, values, minlength=size).astype(float)
-    return np.stack([_sum_by_row(one, rows, size) for one in values])
+    return np.stack([_sum_by_row(component, rows, size) for component in values])
 
 
 def age_panel_edges(fastest_rate: float, longest_s: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What the friction model needs to know of a motion, and how a motion profile provides it.
+"""The motion as the friction model uses it, and a motion profile in that form.
 
 Units: mm and s. Position 0 is where the run starts, time 0 its first sample.
 """
@@ -13,7 +13,7 @@ from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile
 
 ROUNDING_MM_S = 1e-9
-"""Slower than this is rounding."""
+"""Lower speeds are rounding errors."""
 
 SignArray = npt.NDArray[np.int8]
 
@@ -29,46 +29,46 @@ class Pieces:
 
 
 class Motion(Protocol):
-    """A motion made of `K` smooth stretches, none of which turns round."""
+    """A motion made of `K` smooth intervals without reversals inside."""
 
     def __hash__(self) -> int:
-        """Motions are values, and what was prepared for one is looked up by it."""
+        """Hash the motion as a value: prepared forces are cached by it."""
         ...
 
     @property
     def breaks_s(self) -> FloatArray:
-        """Ends of the stretches, shape `(K + 1,)`, from 0 to the motion's duration."""
+        """Ends of the intervals, shape `(K + 1,)`, from 0 to the motion's duration."""
         ...
 
     @property
     def signs(self) -> SignArray:
-        """Direction of motion in each stretch, shape `(K,)`: 1, −1, or 0 at rest."""
+        """Direction of motion in each interval, shape `(K,)`: 1, −1, or 0 at rest."""
         ...
 
     @property
     def uniform(self) -> BoolArray:
-        """Whether the velocity is constant in each stretch, shape `(K,)`."""
+        """Whether the velocity is constant in each interval, shape `(K,)`."""
         ...
 
     @property
     def counted(self) -> bool:
-        """Whether it is known from the counts of an encoder alone."""
+        """Whether it was measured in encoder counts."""
         ...
 
     def position(self, time_s: FloatArray) -> FloatArray:
-        """Position [mm] at any times within the motion."""
+        """Return the position [mm] at any times within the motion."""
         ...
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
-        """Velocity [mm/s] at any times within the motion."""
+        """Return the velocity [mm/s] at any times within the motion."""
         ...
 
-    def along(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity at times of shape `(n, m)`, each row of which lies within one stretch."""
+    def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
         ...
 
-    def arrival(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
-        """Last time at which the stretches `first` to `last`, which do not turn round, are at a position."""
+    def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
         ...
 
     def pieces(self) -> Pieces:
@@ -78,7 +78,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileMotion:
-    """A motion profile, its pieces divided where they turn round; equal to another of the same pieces."""
+    """A motion profile, its pieces divided at reversals; equal to another of the same pieces."""
 
     breaks_s: FloatArray
     signs: SignArray
@@ -92,20 +92,20 @@ class ProfileMotion:
         return self is other or (isinstance(other, ProfileMotion) and self._bits == other._bits)
 
     def __hash__(self) -> int:
-        """Follow `==`."""
+        """Hash consistently with equality."""
         return hash(self._bits)
 
     @property
     def _bits(self) -> tuple[bytes, ...]:
         state = (self.breaks_s, self.signs, self.uniform, self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
-        return tuple(one.tobytes() for one in state)
+        return tuple(array.tobytes() for array in state)
 
     @classmethod
     def of(cls, profile: MotionProfile) -> "ProfileMotion":
-        """Prepare a profile; an empty one stands still for an instant."""
+        """Prepare a profile; an empty one is at rest for an instant."""
         if not profile.start_s.size:
-            nothing, instant = np.zeros(1), np.array([0.0, TIME_TOLERANCE_S])
-            return cls(instant, nothing.astype(np.int8), nothing == 0, nothing, nothing, nothing)
+            zero, instant = np.zeros(1), np.array([0.0, TIME_TOLERANCE_S])
+            return cls(instant, zero.astype(np.int8), zero == 0, zero, zero, zero)
         turns = _turning_times(profile)
         begin = np.union1d(profile.start_s, turns)
         piece = np.searchsorted(profile.start_s, begin, side="right") - 1
@@ -118,28 +118,28 @@ class ProfileMotion:
 
     @property
     def counted(self) -> bool:
-        """No: a profile is known as it is."""
+        """False: a profile is exact."""
         return False
 
     def position(self, time_s: FloatArray) -> FloatArray:
-        """Position [mm] at any times within the motion."""
+        """Return the position [mm] at any times within the motion."""
         return self._position(*self._locate(time_s))
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
-        """Velocity [mm/s] at any times within the motion."""
+        """Return the velocity [mm/s] at any times within the motion."""
         index, elapsed = self._locate(time_s)
         return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
 
-    def along(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity at times of shape `(n, m)`, each row of which lies within one stretch."""
+    def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
         middle = 0.5 * (time_s[:, :1] + time_s[:, -1:])
         index, _ = self._locate(middle)
         elapsed = time_s - self.breaks_s[index]
         velocity = self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed
         return self._position(index, elapsed), np.asarray(velocity)
 
-    def arrival(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
-        """Last time at which the stretches `first` to `last`, which do not turn round, are at a position."""
+    def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
         sign = float(self.signs[first : last + 1].sum() >= 0) * 2 - 1
         ahead = sign * (position_mm - self.start_mm[first])
         starts = sign * (self.start_mm[first : last + 1] - self.start_mm[first])
@@ -165,7 +165,7 @@ class ProfileMotion:
 
 
 def _turning_times(profile: MotionProfile) -> FloatArray:
-    """Return when pieces turn round; at a piece's very end it is rounding, not a turn."""
+    """Return when pieces reverse; at the very end of a piece it is rounding, not a reversal."""
     end = np.append(profile.start_s[1:], profile.duration_s)
     moving = profile.acceleration_mm_s2 != 0
     after = -profile.velocity_mm_s[moving] / profile.acceleration_mm_s2[moving]

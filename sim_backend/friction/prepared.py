@@ -42,8 +42,8 @@ class StickingForce:
         wall = model_wall(model, strain)
         if not wall.positive:
             raise SettingsError(
-                f"shear_strain {strain:g} of run {acquisition.run_id!r} is beyond where wall {model.wall} of model "
-                f"{model.name!r} has positive parameters; use a smaller strain, Table 1 ends at 2"
+                f"shear_strain {strain:g} of run {acquisition.run_id!r} is beyond the range in which wall {model.wall} "
+                f"of model {model.name!r} has positive parameters; use a smaller strain, Table 1 ends at 2"
             )
         pieces, thickness = motion.pieces(), acquisition.specimen.wall_thickness_mm
         capsule = acquisition.capsule
@@ -54,23 +54,23 @@ class StickingForce:
             sheared_from=acquisition.sheared_from,
             spring=float(wall.E3),
             moduli=np.array([float(wall.E1), float(wall.E2)]),
-            branches=MaxwellBranches.through(np.array([float(rate) for rate in wall.rates]), pieces, thickness),
+            branches=MaxwellBranches.integrate(np.array([float(rate) for rate in wall.rates]), pieces, thickness),
         )
 
     def total(self, time_s: FloatArray) -> FloatArray:
-        """Shear force [mN] at any times [s]; before the motion's start and after its end it stays as there."""
+        """Return the shear force [mN] at any times [s], constant before the motion's start and after its end."""
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
         strain = self.sheared_from + shear_strain(self.branches.pieces, self.branches.thickness_mm, time)
-        fast, slow = self.branches.at(time)
+        fast, slow = self.branches.stress(time)
         return np.asarray((self.spring * strain + self.moduli[0] * fast + self.moduli[1] * slow) * self.area_mm2)
 
 
 NOT_NOMINAL = MappingProxyType({"effects": (), "identified": None, "diagnosed": None})
-"""What of a model has no part in the nominal force, and would make it no key."""
+"""Settings of a model without influence on the nominal force, which would spoil it as a cache key."""
 CACHE_SIZE = 128
-"""What a prediction prepared for each run of a campaign, the effects' scenes of the same parameters ask for again."""
+"""Runs of a campaign whose forces are cached: predictions and effects ask for the same ones in turn."""
 MAX_CACHED_TIMES = 4096
-"""Of so many times at most the parts are kept too: block means ask for these, a simulated run for far more."""
+"""Components are cached for at most so many times: block means need few, a simulated run far more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,31 +88,31 @@ class NoFriction:
 
 @dataclass(frozen=True, slots=True)
 class PreparedForce:
-    """The force of one acquisition as the model has it, without noise, at any sample times.
+    """The modelled force of one acquisition, without noise, at any sample times.
 
-    The value at a time does not depend on what other times are asked for in the same call.
+    The value at a time does not depend on the other times of the call.
     """
 
     friction: SlidingForce | StickingForce | NoFriction
     force_gain: float
 
     def force(self, time_s: FloatArray) -> FloatArray:
-        """Force [mN] that the channel shows, of the shape of `time_s` [s]: the friction times the force gain."""
+        """Return the force [mN] that the channel shows, of the shape of `time_s` [s]: friction times force gain."""
         return self.force_gain * self.friction.total(time_s)
 
     def components(self, time_s: FloatArray) -> Components:
-        """Return the true friction's parts [mN], no gain applied; AnalysisError where the capsule sticks."""
+        """Return the parts of the true friction [mN], without gain; AnalysisError where the capsule sticks."""
         if isinstance(self.friction, StickingForce):
             raise AnalysisError(
-                f"The capsule sticks to the wall in run {self.friction.run_id!r}, so that its force has no parts "
-                "f_e, f_v and f_c; ask for the force"
+                f"The capsule sticks to the wall in run {self.friction.run_id!r}, so its force has no parts f_e, f_v "
+                "and f_c; use the total force"
             )
         if time_s.ndim == 1 and time_s.size <= MAX_CACHED_TIMES:
             return _cached_components(self.friction, time_s.astype(np.float64, copy=False).tobytes())
         return self.friction.components(time_s)
 
-    def by_element(self, time_s: FloatArray) -> FloatArray:
-        """Return derivatives of the force shown by the logarithms of the five elements, shape `(5, n)`.
+    def log_derivatives(self, time_s: FloatArray) -> FloatArray:
+        """Return derivatives of the shown force by the logarithms of the five elements, shape `(5, n)`.
 
         Parameters
         ----------
@@ -125,14 +125,12 @@ class PreparedForce:
             Where the capsule does not slide.
         """
         if not isinstance(self.friction, SlidingForce):
-            raise AnalysisError(
-                "The capsule does not slide, so that its force has no such derivatives; take differences"
-            )
-        return self.force_gain * self.friction.by_element(time_s)
+            raise AnalysisError("The capsule does not slide, so its force has no such derivatives; use differences")
+        return self.force_gain * self.friction.log_derivatives(time_s)
 
 
 def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Motion | None = None) -> PreparedForce:
-    """Prepare the force of an acquisition: all that does not depend on the sample times is computed here.
+    """Prepare the force of an acquisition: compute everything that does not depend on the sample times.
 
     Parameters
     ----------
@@ -146,20 +144,20 @@ def prepare(acquisition: Acquisition, model: FrictionModelSettings, motion: Moti
     Raises
     ------
     SettingsError
-        Where the published wall parameters do not reach the strain of the contact or of the shear.
+        Where the wall parameters are not positive at the strain of the contact or of the shear.
     """
-    # Repeats are one and the same to the force; the run is named only where a capsule sticks, in what is told of it.
-    named = acquisition.contact is Contact.STICKING
-    alike = acquisition if named else replace(acquisition, run_id="", order=0)
-    return _prepared(alike, model.model_copy(update=NOT_NOMINAL), motion)
+    # Repeats share one force, so the key leaves the run's identity out; messages about a sticking capsule name the run.
+    names_run = acquisition.contact is Contact.STICKING
+    key = acquisition if names_run else replace(acquisition, run_id="", order=0)
+    return _prepared(key, model.model_copy(update=NOT_NOMINAL), motion)
 
 
 @lru_cache(maxsize=CACHE_SIZE)
 def _cached_components(friction: SlidingForce | NoFriction, time_s: bytes) -> Components:
-    found = friction.components(np.frombuffer(time_s))
-    for one in (found.f_e, found.f_v, found.f_c):
-        read_only(one)
-    return found
+    components = friction.components(np.frombuffer(time_s))
+    for part in (components.f_e, components.f_v, components.f_c):
+        read_only(part)
+    return components
 
 
 @lru_cache(maxsize=CACHE_SIZE)

@@ -23,26 +23,26 @@ SMOOTHING_ORDER = 2
 """Order of the smoothing polynomial: a ramp of constant acceleration passes unchanged."""
 
 TURN_JITTERS = 5.0
-"""A way back shorter than this many times the jitter is not a turn."""
+"""A reversal shorter than this many times the jitter is ignored."""
 
 
 def smooth_between_rests(
     position_mm: FloatArray, window: int, jitter_mm: float, rest_window: int | None = None
 ) -> tuple[FloatArray, IndexArray]:
-    """Make rests exactly still and each way between turns monotone, smoothed without looking beyond a rest.
+    """Make rests exactly still and the motion between reversals monotone, smoothed separately between rests.
 
     Parameters
     ----------
     window
-        Samples that are smoothed together.
+        Length of the smoothing window [samples].
     jitter_mm
-        How far the position wanders within a window at rest.
+        Peak-to-peak variation of the position within a window at rest.
     rest_window
-        Samples of the shortest rest, as many as the window unless given.
+        Length of the shortest rest [samples]; default: the smoothing window.
 
     Returns
     -------
-    The smoothed position, and the edges of rests and of ways from turn to turn.
+    The smoothed position, and the edges of rests and of the motion between reversals.
     """
     from scipy.signal import savgol_filter
 
@@ -50,7 +50,7 @@ def smooth_between_rests(
     changes = np.flatnonzero(np.diff(still))
     edges = np.unique(np.concatenate(([0], np.where(still[changes], changes, changes + 1), [still.size - 1])))
     smooth = position_mm.copy()
-    turns: list[int] = []
+    reversals: list[int] = []
     for begin, end in pairwise(edges.tolist()):
         if still[(begin + end) // 2]:
             smooth[begin : end + 1] = position_mm[begin : end + 1].mean()
@@ -59,28 +59,28 @@ def smooth_between_rests(
         length = min(window, (inner.stop - inner.start - 1) // 2 * 2 + 1)
         if not still[(begin + end) // 2] and length > SMOOTHING_ORDER:
             smooth[inner] = savgol_filter(position_mm[inner], length, SMOOTHING_ORDER)
-            turns += (begin + _turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
-    edges = np.union1d(edges, np.array(turns, dtype=np.intp))
+            reversals += (begin + _turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
+    edges = np.union1d(edges, np.array(reversals, dtype=np.intp))
     return _monotone_between(smooth, edges), edges
 
 
 def _at_rest(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
-    """Whether each sample lies in some window that spans no more than `span_mm`."""
+    """Return whether each sample lies in some window whose positions span no more than `span_mm`."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     quiet = maximum_filter1d(position_mm, window) - minimum_filter1d(position_mm, window) <= span_mm
     return np.asarray(maximum_filter1d(quiet.astype(np.uint8), window) > 0)
 
 
-def _turning_samples(position_mm: FloatArray, least_mm: float) -> IndexArray:
-    """Peaks and valleys of a way, each at least `least_mm` above or below what is around it."""
+def _turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
+    """Return peaks and valleys of a position with a prominence of at least `min_mm`."""
     from scipy.signal import find_peaks
 
-    return np.concatenate([find_peaks(side * position_mm, prominence=least_mm)[0] for side in (1.0, -1.0)])
+    return np.concatenate([find_peaks(side * position_mm, prominence=min_mm)[0] for side in (1.0, -1.0)])
 
 
 def _monotone_between(position_mm: FloatArray, edges: IndexArray) -> FloatArray:
-    """Make a position rise or fall throughout between edges, where it keeps its value."""
+    """Make a position monotone between edges, at which it keeps its values."""
     monotone = position_mm.copy()
     for begin, end in pairwise(edges.tolist()):
         first, last = position_mm[begin], position_mm[end]
@@ -91,7 +91,7 @@ def _monotone_between(position_mm: FloatArray, edges: IndexArray) -> FloatArray:
 
 
 FINEST_STEP_S = 0.5e-3
-"""Faster records are averaged down to this."""
+"""Records of shorter steps are averaged down to this."""
 
 SMOOTHING_WINDOW_S = 0.03
 """Length of the smoothing window, and of the shortest rest."""
@@ -100,40 +100,38 @@ MIN_SAMPLES = 5
 """Least samples in a record and in a smoothing window."""
 
 ENCODER_JITTER_MM = 0.0015
-"""How far an encoder of 1 µm counts may wander at rest: from one count to the next."""
+"""Variation of an encoder of 1 µm counts at rest: it may toggle between two counts."""
 
 REST_SPEED_MM_S = 0.05
-"""A stage that wanders further than the counts rests only where a window so much longer sees no such speed."""
+"""Where a stage varies by more than the counts, the window of a rest is so long that this speed would exceed that."""
 MAX_REST_WINDOW_S = 0.3
 
 CREEP_MM_S = 1e-4
-"""A computed position that goes slower than this stands still: 0.2 % of the speed that turns Coulomb friction."""
+"""Below this speed a computed position is at rest: 0.2 % of the speed over which Coulomb friction changes sign."""
 
 COMPUTED_TOLERANCE_MM = 1e-6
-"""How near its pieces come to a computed position."""
+"""Greatest deviation of the pieces from a computed position."""
 
 BEND_MM_S = 0.05
 BEND_SHARE = 0.03
-"""A bend is a change of velocity larger than either, the second as a share of the top speed."""
+"""A bend is a change of velocity above both limits, the second relative to the top speed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedMotion:
     """A measured motion: a `Motion` whose times and positions count from the first sample.
 
-    A position comes in counts: its raw differences would be false velocities far above the speed over
-    which Coulomb friction turns its sign. So rests are found first and made exactly still; what lies
-    between them is smoothed on its own and then described by as few pieces of constant acceleration
-    as stay within the jitter of it.
+    Rests are found first and made exactly still; the motion between them is smoothed on its own and then described by
+    as few pieces of constant acceleration as stay within its jitter.
 
     Attributes
     ----------
     breaks_s, signs, uniform
-        As `Motion` says; breaks are the edges of rests, the turns, and where the velocity bends.
+        As in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
     fine
-        All pieces.
+        All pieces of constant acceleration.
     counted
-        Whether it was measured in counts, and not computed.
+        Whether it was measured in counts.
     """
 
     breaks_s: FloatArray
@@ -143,11 +141,11 @@ class RecordedMotion:
     counted: bool = False
 
     def __eq__(self, other: object) -> bool:
-        """Whether both are the same, bit for bit, as those of repeats that obeyed one command are."""
+        """Whether both are the same, bit for bit, as for repeats that followed one command exactly."""
         return self is other or (isinstance(other, RecordedMotion) and self._bits == other._bits)
 
     def __hash__(self) -> int:
-        """Follow `==`."""
+        """Hash consistently with equality."""
         return hash(self._bits)
 
     @property
@@ -165,7 +163,7 @@ class RecordedMotion:
         time_s, position_mm
             The record, shape `(n,)`; times rise, gaps are bridged by straight lines.
         jitter_mm
-            How far the position wanders while the stage rests, from least to largest.
+            Peak-to-peak variation of the position while the stage rests.
 
         Raises
         ------
@@ -185,24 +183,24 @@ class RecordedMotion:
         return cls(breaks, signs, signs == 0, fine, counted=True)
 
     @classmethod
-    def exact(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":
-        """Prepare a position that was computed, so that nothing has to be smoothed.
+    def computed(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":
+        """Prepare a computed position, which needs no smoothing.
 
         Parameters
         ----------
         time_s, position_mm
-            Rising times from 0 on, and where the stage is then, shape `(n,)` with at least two times. Between times it
-            goes straight or nearly so.
+            Rising times from 0 on, and the position then, shape `(n,)` with at least two times; between times the
+            position is nearly linear.
         """
         step = np.diff(position_mm)
         step[np.abs(step) < CREEP_MM_S * np.diff(time_s)] = 0.0
         position = np.append(0.0, np.cumsum(step))
         edges = np.concatenate(([0], np.flatnonzero(np.diff(np.sign(step))) + 1, [step.size]))
-        return cls.of_pieces(_fit_parabolas(time_s, position, edges, COMPUTED_TOLERANCE_MM))
+        return cls.from_pieces(_fit_parabolas(time_s, position, edges, COMPUTED_TOLERANCE_MM))
 
     @classmethod
-    def of_pieces(cls, fine: ProfileMotion) -> "RecordedMotion":
-        """Join pieces between rests and turns where the velocity hardly bends."""
+    def from_pieces(cls, fine: ProfileMotion) -> "RecordedMotion":
+        """Join pieces between rests and reversals where the velocity hardly bends."""
         changes = fine.signs[1:] != fine.signs[:-1]
         breaks = add_bends(fine, fine.breaks_s[np.concatenate(([True], changes, [True]))])
         first = np.searchsorted(fine.breaks_s, breaks[:-1])
@@ -211,21 +209,21 @@ class RecordedMotion:
         return cls(breaks, fine.signs[first], uniform, fine)
 
     def position(self, time_s: FloatArray) -> FloatArray:
-        """Position [mm] at any times within the motion."""
+        """Return the position [mm] at any times within the motion."""
         return self.fine.position(time_s)
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
-        """Velocity [mm/s] at any times within the motion."""
+        """Return the velocity [mm/s] at any times within the motion."""
         return self.fine.velocity(time_s)
 
-    def along(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity at times of shape `(n, m)`."""
+    def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity at times of shape `(n, m)`."""
         return self.fine.position(time_s), self.fine.velocity(time_s)
 
-    def arrival(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
-        """Last time at which the stretches `first` to `last`, which do not turn round, are at a position."""
+    def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
         begin, end = np.searchsorted(self.fine.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
-        return self.fine.arrival(position_mm, begin, end - 1)
+        return self.fine.arrival_time(position_mm, begin, end - 1)
 
     def pieces(self) -> Pieces:
         """Return the motion as pieces of constant acceleration."""
@@ -233,7 +231,7 @@ class RecordedMotion:
 
 
 def check_record(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return a record that a motion can be made of, its times from 0; raises `AnalysisError` for another."""
+    """Return a record as arrays, its times from 0; raises `AnalysisError` for an unusable one."""
     time, position = np.asarray(time_s, dtype=float), np.asarray(position_mm, dtype=float)
     if time.ndim != 1 or time.shape != position.shape or time.size < MIN_SAMPLES:
         raise AnalysisError(f"A recorded motion needs at least {MIN_SAMPLES} times and as many positions")
@@ -245,7 +243,7 @@ def check_record(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[Flo
 
 
 def resample_uniformly(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Average a fast record down, then put it on a uniform grid from 0 to its last time."""
+    """Average a fast record down, then interpolate it on a uniform grid from 0 to its last time."""
     step = float(np.median(np.diff(time_s)))
     block = max(1, min(int(FINEST_STEP_S / step + 1e-6), time_s.size // MIN_SAMPLES))
     whole = time_s.size // block * block
@@ -255,25 +253,25 @@ def resample_uniformly(time_s: FloatArray, position_mm: FloatArray) -> tuple[Flo
 
 
 def _split_spans(edges: IndexArray, worst: Callable[[int, int], int | None]) -> IndexArray:
-    """Divide the spans between edges at what `worst` names, until it names nothing."""
-    done = [int(edges[0])]
-    waiting = [(int(begin), int(end)) for begin, end in pairwise(edges)][::-1]
-    while waiting:
-        begin, end = waiting.pop()
+    """Divide the spans between edges where `worst` returns an index, until it returns None."""
+    divided = [int(edges[0])]
+    pending = [(int(begin), int(end)) for begin, end in pairwise(edges)][::-1]
+    while pending:
+        begin, end = pending.pop()
         at = worst(begin, end)
         if at is None:
-            done.append(end)
+            divided.append(end)
         else:
-            waiting += [(at, end), (begin, at)]
-    return np.array(done, dtype=np.intp)
+            pending += [(at, end), (begin, at)]
+    return np.array(divided, dtype=np.intp)
 
 
 def _curvature(time_s: FloatArray, position_mm: FloatArray) -> float:
-    """Return c of the parabola through both ends that fits best, chord + c (t − t0)(t1 − t), kept monotone."""
+    """Return c of the best-fitting monotone parabola through both ends, chord + c (t − t0)(t1 − t)."""
     bow = (time_s - time_s[0]) * (time_s[-1] - time_s)
     slope = (position_mm[-1] - position_mm[0]) / (time_s[-1] - time_s[0])
-    rest = position_mm - position_mm[0] - slope * (time_s - time_s[0])
-    best = float(bow @ rest) / max(float(bow @ bow), 1e-300)
+    deviation = position_mm - position_mm[0] - slope * (time_s - time_s[0])
+    best = float(bow @ deviation) / max(float(bow @ bow), 1e-300)
     steepest = abs(slope) / float(time_s[-1] - time_s[0])
     return float(np.clip(best, -steepest, steepest))
 
@@ -281,16 +279,16 @@ def _curvature(time_s: FloatArray, position_mm: FloatArray) -> float:
 def _fit_parabolas(
     grid_s: FloatArray, position_mm: FloatArray, edges: IndexArray, tolerance_mm: float
 ) -> ProfileMotion:
-    """Describe a position that is monotone between edges by parabolas that stay within a tolerance."""
+    """Describe a position, monotone between edges, by parabolas within a tolerance."""
 
     def worst(begin: int, end: int) -> int | None:
         time, position = grid_s[begin : end + 1], position_mm[begin : end + 1]
         elapsed, left = time - time[0], time[-1] - time
         slope = (position[-1] - position[0]) / elapsed[-1]
         parabola = position[0] + (slope + _curvature(time, position) * left) * elapsed
-        stray = np.abs(position - parabola)
-        at = int(stray.argmax())
-        return begin + at if stray[at] > tolerance_mm and end - begin >= MIN_SAMPLES else None
+        deviation = np.abs(position - parabola)
+        at = int(deviation.argmax())
+        return begin + at if deviation[at] > tolerance_mm and end - begin >= MIN_SAMPLES else None
 
     knots = _split_spans(edges, worst)
     time, position = grid_s[knots], position_mm[knots]
@@ -308,7 +306,7 @@ def _fit_parabolas(
 
 
 def add_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
-    """Add to the edges those ends of pieces between which the velocity runs nearly straight."""
+    """Add to the edges the ends of pieces at which the velocity bends."""
     time = fine.breaks_s
     ending = fine.velocity_mm_s + fine.acceleration_mm_s2 * np.diff(time)
     after, before = np.append(fine.velocity_mm_s, 0.0), np.concatenate(([0.0], ending))
@@ -319,22 +317,23 @@ def add_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
             return None
         inner = slice(begin + 1, end)
         line = np.interp(time[inner], time[[begin, end]], [after[begin], before[end]])
-        stray = np.maximum(np.abs(after[inner] - line), np.abs(before[inner] - line))
-        at = int(stray.argmax())
-        return begin + 1 + at if stray[at] > tolerance else None
+        deviation = np.maximum(np.abs(after[inner] - line), np.abs(before[inner] - line))
+        at = int(deviation.argmax())
+        return begin + 1 + at if deviation[at] > tolerance else None
 
     return np.asarray(time[_split_spans(np.searchsorted(time, edges_s), worst)])
 
 
 FLOAT32_ROUNDING = 4 * float(np.finfo(np.float32).eps)
-"""Relative rounding of a position that is kept in single precision."""
+"""Relative rounding of a position in single precision."""
 MIN_CHORD_MM_S = 1e-6
+"""Lower velocities of a command are rounding errors."""
 
 
 def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> RecordedMotion:
-    """Return a commanded motion: one piece for each sample while it accelerates, one for each stretch that is uniform.
+    """Return a commanded motion: one piece a sample during acceleration, one for each interval of constant velocity.
 
-    Nothing is smoothed, so that the millisecond in which friction builds up stays where it is.
+    Nothing is smoothed, so that the millisecond in which friction builds up is not shifted.
 
     Parameters
     ----------
@@ -351,53 +350,42 @@ def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> Recor
     chord = np.diff(position) / step
     tolerance = max(MIN_CHORD_MM_S, FLOAT32_ROUNDING * float(np.abs(position).max()) / step)
     chord[np.abs(chord) < tolerance] = 0.0
-    knots = _bends(chord, tolerance)
-    return RecordedMotion.of_pieces(_commanded_pieces(grid, position - position[0], chord, knots, tolerance))
-
-
-def _bends(chord: FloatArray, tolerance: float) -> npt.NDArray[np.intp]:
-    bends = np.abs(np.diff(chord)) > tolerance
-    return np.concatenate(([0], np.flatnonzero(bends) + 1, [chord.size]))
-
-
-def _commanded_pieces(
-    grid_s: FloatArray, position_mm: FloatArray, chord: FloatArray, knots: npt.NDArray[np.intp], tolerance: float
-) -> ProfileMotion:
-    time, place = grid_s[knots], position_mm[knots]
+    knots = np.concatenate(([0], np.flatnonzero(np.abs(np.diff(chord)) > tolerance) + 1, [chord.size]))
+    time, knot_mm = grid[knots], position[knots] - position[0]
     duration = np.diff(time)
-    mean = np.diff(place) / duration
+    mean = np.diff(knot_mm) / duration
     mean[np.abs(mean) < tolerance] = 0.0
-    step = float(grid_s[1])
     change = np.diff(chord) / step
-    before = np.concatenate(([0.0], change))[knots[:-1]]
-    after = np.append(change, 0.0)[knots[1:] - 1]
-    bend = np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
-    bend[np.diff(knots) > 1] = 0.0
-    most = 2 * np.abs(mean) / duration
-    bend = np.clip(bend, -most, most)
-    return ProfileMotion(
-        breaks_s=time,
-        signs=np.sign(mean).astype(np.int8),
-        uniform=bend == 0,
-        start_mm=place[:-1],
-        velocity_mm_s=mean - 0.5 * bend * duration,
-        acceleration_mm_s2=bend,
+    acceleration = _minmod(np.concatenate(([0.0], change))[knots[:-1]], np.append(change, 0.0)[knots[1:] - 1])
+    acceleration[np.diff(knots) > 1] = 0.0
+    # A piece must not reverse.
+    limit = 2 * np.abs(mean) / duration
+    acceleration = np.clip(acceleration, -limit, limit)
+    return RecordedMotion.from_pieces(
+        ProfileMotion(
+            breaks_s=time,
+            signs=np.sign(mean).astype(np.int8),
+            uniform=acceleration == 0,
+            start_mm=knot_mm[:-1],
+            velocity_mm_s=mean - 0.5 * acceleration * duration,
+            acceleration_mm_s2=acceleration,
+        )
     )
 
 
 MAX_KNOTS = 4000
-"""A longer way is averaged down to about as many knots."""
+"""A longer record is averaged down to about this many knots."""
 SAME_TIME_S = 1e-7
-"""Times closer than this are one, computed in two ways."""
+"""Times closer than this are equal, but computed in two ways."""
 
 
 def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
-    """Return a measured motion of constant velocity from point to point, still where it rests.
+    """Return a measured motion of constant velocity between points, exactly at rest where the stage rests.
 
     Parameters
     ----------
     motion
-        The same record, smoothed: it knows the rests.
+        The same record smoothed, whose rests are used.
     time_s, position_mm
         The record, shape `(n,)`: rising times from 0, finite positions.
     """
@@ -426,18 +414,18 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
 
 
 def _with_midpoints(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Put a point between any two samples, off the chord by what constant acceleration makes of it.
-
-    A chord cuts the bends of a ramp short. The acceleration is the smaller one of those at both samples, and none where
-    they differ in sign, so that a corner is not overshot.
-    """
+    """Insert a point between any two samples, on the parabola of their acceleration: a chord would cut ramps short."""
     bend = np.pad(np.diff(position_mm, 2), 1)
-    before, after = bend[:-1], bend[1:]
-    agreed = np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
+    agreed = _minmod(bend[:-1], bend[1:])
     time, position = np.repeat(time_s, 2)[:-1], np.repeat(position_mm, 2)[:-1]
     time[1::2] = 0.5 * (time_s[1:] + time_s[:-1])
     position[1::2] = 0.5 * (position_mm[1:] + position_mm[:-1]) - agreed / 8
     return time, position
+
+
+def _minmod(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the smaller of two accelerations, 0 where they differ in sign, so that no corner is overshot."""
+    return np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
 
 
 def _averaged_down(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

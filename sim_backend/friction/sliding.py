@@ -38,13 +38,13 @@ from dragrig.sim_backend.friction.motion import Motion
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
 THINNING_EXPONENT = 0.7552
-"""How fast it falls with the shear rate."""
+"""Exponent of its decrease with the shear rate."""
 VISCOSITY_PLATEAU = 0.1148
 """Apparent viscosity at high shear rates."""
 
 
 def viscous_force(velocity_mm_s: FloatArray, model: FrictionModelSettings, area_mm2: float) -> FloatArray:
-    """Viscous friction f_v [mN], of the sign and shape of the velocity.
+    """Return the viscous friction f_v [mN], of the sign and shape of the velocity.
 
     `published` reads Eq. 10 as δ v with δ in mN·s/mm; `newtonian` as a shear stress δ (v/d) with δ in
     Pa·s, acting on the contact surface `area_mm2`.
@@ -65,7 +65,7 @@ ELEMENT_SCALES = ("e1_scale", "e2_scale", "e3_scale", "eta1_scale", "eta2_scale"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:
-    """The three parts of the friction [mN], each of the shape of the times asked for."""
+    """The three parts of the friction [mN], each of the shape of the times."""
 
     f_e: FloatArray
     f_v: FloatArray
@@ -73,7 +73,7 @@ class Components:
 
     @property
     def total(self) -> FloatArray:
-        """Their sum (Eq. 1)."""
+        """Total friction (Eq. 1)."""
         return self.f_e + self.f_v + self.f_c
 
 
@@ -81,16 +81,15 @@ class Components:
 class SlidingForce:
     """Friction of a sliding run, prepared for any sample times.
 
-    `resistance` is f_e interpolated on `smooth_intervals` and `side` the radial force of the wall; both are None where
-    the gut is held open, so that it presses on nothing. `spans` are the intervals joined as far as they are evaluated
-    at once. `motion` is what friction takes its velocity from where that is not the history's, which leaves short
-    reversals out.
+    `resistance` is f_e interpolated on `intervals` and `side` the radial force of the wall; both are None where the gut
+    is held open and does not press. `spans` are the intervals joined for joint evaluation. `motion` gives the velocity
+    where it differs from that of the history, which leaves short reversals out.
     """
 
     contact: HemisphereContact
     history: ContactHistory
     weight_mN: float
-    stretches: tuple[SmoothInterval, ...]
+    intervals: tuple[SmoothInterval, ...]
     spans: tuple[SmoothInterval, ...]
     resistance: PPoly | None
     side: SidePressure | None
@@ -107,94 +106,96 @@ class SlidingForce:
         rule: QuadratureRule = FINE_RULE,
         motion: Motion | None = None,
     ) -> "SlidingForce":
-        """Evaluate f_e on its knots."""
+        """Evaluate f_e at the nodes of its panels."""
         parts = tuple(smooth_intervals(history, contact.length_mm))
         environment = EnvironmentalResistance.of(contact, history, rule)
         return cls(
             contact=contact,
             history=history,
             weight_mN=mass_g * GRAVITY_M_S2,
-            stretches=parts,
+            intervals=parts,
             spans=tuple(join_intervals(parts)),
-            resistance=_interpolate_strokes(environment.at, contact.fastest_rate, parts, rule) if pressing else None,
+            resistance=_interpolate_strokes(environment.force, contact.fastest_rate, parts, rule) if pressing else None,
             side=contact.side_pressure() if pressing else None,
             motion=None if motion is history.motion else motion,
             rule=rule,
         )
 
     def total(self, time_s: FloatArray) -> FloatArray:
-        """f_e + f_v + f_c [mN] at any times [s]."""
+        """Return f_e + f_v + f_c [mN] at any times [s]."""
         return self.components(time_s).total
 
     def components(self, time_s: FloatArray) -> Components:
-        """f_e, f_v and f_c at any times [s]; before the motion's start and after its end they stay as there."""
+        """Return f_e, f_v and f_c at any times [s], constant before the motion's start and after its end."""
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.history.motion.breaks_s[-1])
         flat = time.ravel()
         order = None if bool((flat[1:] >= flat[:-1]).all()) else np.argsort(flat, kind="stable")
         rising = flat if order is None else flat[order]
         parts = np.empty((3, flat.size))
-        for stretch, piece in self._divided(rising):
-            self._fill(parts[:, piece], stretch, rising[piece])
+        for interval, piece in self._by_interval(rising):
+            self._write_components(parts[:, piece], interval, rising[piece])
         if order is not None:
-            back = np.empty_like(parts)
-            back[:, order] = parts
-            parts = back
+            unsorted = np.empty_like(parts)
+            unsorted[:, order] = parts
+            parts = unsorted
         f_e, f_v, f_c = parts.reshape(3, *time.shape)
         return Components(f_e, f_v, f_c)
 
-    def by_element(self, time_s: FloatArray) -> FloatArray:
-        """Return the total's derivatives by the logarithms of E1, E2, E3, η1, η2, rising times `(n,)` to `(5, n)`."""
+    def log_derivatives(self, time_s: FloatArray) -> FloatArray:
+        """Return derivatives of the total by the logarithms of E1, E2, E3, η1, η2, rising times `(n,)` to `(5, n)`."""
         slopes = np.zeros((len(ELEMENT_SCALES), time_s.size))
         if self.side is None:
             return slopes
         environment = EnvironmentalResistance.of(self.contact, self.history, self.rule)
-        resistance = _interpolate_strokes(environment.by_element, self.contact.fastest_rate, self.stretches, self.rule)
+        resistance = _interpolate_strokes(
+            environment.log_derivatives, self.contact.fastest_rate, self.intervals, self.rule
+        )
         time = np.clip(time_s, 0.0, self.history.motion.breaks_s[-1])
-        for stretch, piece in self._divided(time):
-            at = np.array([0.5 * (stretch.begin_s + stretch.end_s)]) if stretch.steady else time[piece]
+        for interval, piece in self._by_interval(time):
+            at = np.array([0.5 * (interval.begin_s + interval.end_s)]) if interval.steady else time[piece]
             slopes[:, piece] = resistance(at).T
-            if stretch.sign or self.motion is not None:
-                pressing = self.contact.side_pressure_by_element(self._equator_age(stretch, at))
-                slopes[:, piece] += pressing * self._turned(self._velocity(time[piece]))
+            if interval.sign or self.motion is not None:
+                pressing = self.contact.side_pressure_log_derivatives(self._equator_age(interval, at))
+                slopes[:, piece] += pressing * self._friction_ratio(self._velocity(time[piece]))
         return slopes
 
-    def _divided(self, rising_s: FloatArray) -> Iterator[tuple[SmoothInterval, slice]]:
-        begins = np.searchsorted(rising_s, np.array([one.begin_s for one in self.spans[1:]]), side="left")
+    def _by_interval(self, rising_s: FloatArray) -> Iterator[tuple[SmoothInterval, slice]]:
+        begins = np.searchsorted(rising_s, np.array([span.begin_s for span in self.spans[1:]]), side="left")
         edges = [0, *begins.tolist(), rising_s.size]
-        for stretch, begin, end in zip(self.spans, edges[:-1], edges[1:], strict=True):
+        for interval, begin, end in zip(self.spans, edges[:-1], edges[1:], strict=True):
             if end > begin:
-                yield stretch, slice(begin, end)
+                yield interval, slice(begin, end)
 
-    def _fill(self, parts: FloatArray, stretch: SmoothInterval, time_s: FloatArray) -> None:
-        """Write f_e, f_v and f_c; what is constant in the stretch is evaluated once, in its middle."""
-        middle = np.array([0.5 * (stretch.begin_s + stretch.end_s)])
-        parts[0] = 0.0 if self.resistance is None else self.resistance(middle if stretch.steady else time_s)
-        if stretch.sign == 0 and self.motion is None:
+    def _write_components(self, parts: FloatArray, interval: SmoothInterval, time_s: FloatArray) -> None:
+        """Write f_e, f_v and f_c; constants of the interval are evaluated once, in its middle."""
+        middle = np.array([0.5 * (interval.begin_s + interval.end_s)])
+        parts[0] = 0.0 if self.resistance is None else self.resistance(middle if interval.steady else time_s)
+        if interval.sign == 0 and self.motion is None:
             parts[1:] = 0.0
             return
-        velocity = self._velocity(middle if stretch.uniform and self.motion is None else time_s)
+        velocity = self._velocity(middle if interval.uniform and self.motion is None else time_s)
         parts[1] = viscous_force(velocity, self.contact.model, self.contact.area_mm2)
-        parts[2] = self._normal_force(stretch, middle if stretch.steady else time_s)
-        parts[2] *= self._turned(velocity)
+        parts[2] = self._normal_force(interval, middle if interval.steady else time_s)
+        parts[2] *= self._friction_ratio(velocity)
 
     def _velocity(self, time_s: FloatArray) -> FloatArray:
         return (self.motion or self.history.motion).velocity(time_s)
 
-    def _turned(self, velocity_mm_s: FloatArray) -> FloatArray:
-        """Friction over normal force, with the sign of the velocity (Eq. 12)."""
+    def _friction_ratio(self, velocity_mm_s: FloatArray) -> FloatArray:
+        """Return Coulomb friction over normal force, with the sign of the velocity (Eq. 12)."""
         model = self.contact.model
         return np.asarray(model.friction_coefficient * np.tanh(velocity_mm_s / model.regularisation_mm_s))
 
-    def _normal_force(self, stretch: SmoothInterval, time_s: FloatArray) -> FloatArray:
-        """N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
+    def _normal_force(self, interval: SmoothInterval, time_s: FloatArray) -> FloatArray:
+        """Return N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
         if self.side is None:
             return np.full_like(time_s, self.weight_mN)
-        return self.weight_mN + self.side.force(self._equator_age(stretch, time_s))
+        return self.weight_mN + self.side.force(self._equator_age(interval, time_s))
 
-    def _equator_age(self, stretch: SmoothInterval, time_s: FloatArray) -> FloatArray:
+    def _equator_age(self, interval: SmoothInterval, time_s: FloatArray) -> FloatArray:
         position = self.history.motion.position(time_s)
-        at_equator = self.history.wall_at(stretch.stroke, self.contact.length_mm, position)
-        return np.maximum(time_s - self.history.begin(stretch.side, at_equator), 0.0)
+        at_equator = self.history.wall_point(interval.stroke, self.contact.length_mm, position)
+        return np.maximum(time_s - self.history.contact_time(interval.side, at_equator), 0.0)
 
 
 def _interpolate_strokes(
@@ -203,7 +204,7 @@ def _interpolate_strokes(
     parts: tuple[SmoothInterval, ...],
     rule: QuadratureRule,
 ) -> PPoly:
-    """Interpolate f_e, or what belongs to it, stroke by stroke: one panel where it is steady, graded ones elsewhere."""
+    """Interpolate f_e or its derivatives by strokes: one panel in steady intervals, graded panels elsewhere."""
     pieces: list[PPoly] = []
     for _, group in groupby(parts, key=lambda part: part.stroke.first):
         stroke_parts = list(group)

@@ -4,7 +4,6 @@ Parameter sets are Eq. 14, Table 1, or polynomials of the model. A branch is lin
 for a modulus of 1: multiply by E.
 """
 
-from collections.abc import Iterator
 from dataclasses import astuple, dataclass, fields
 from functools import cache
 from typing import Literal, TypeVar
@@ -18,7 +17,7 @@ from dragrig.rig.arrays import FloatArray, read_only
 from dragrig.sim_backend.friction.motion import Pieces
 
 WallKind = Literal["eq14", "table1"]
-"""Which published parameter set applies."""
+"""Published parameter sets."""
 
 TABLE1_STRAIN = (0.5, 1.0, 1.5, 2.0)
 """Shear strains of Table 1."""
@@ -44,7 +43,7 @@ EQ14 = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallParameters:
-    """Springs E1, E2, E3 [kPa] and dampers η1, η2 [kPa·s], each of the shape of the strain they are for."""
+    """Springs E1, E2, E3 [kPa] and dampers η1, η2 [kPa·s], each of the shape of the strain."""
 
     E1: FloatArray
     E2: FloatArray
@@ -54,8 +53,8 @@ class WallParameters:
 
     @property
     def positive(self) -> bool:
-        """Whether E1, E2, η1 and η2 are all above 0 and E3 is not below, as a wall must have it."""
-        above = min(float(np.min(one)) for one in (self.E1, self.E2, self.eta1, self.eta2))
+        """Whether E1, E2, η1 and η2 are above 0 and E3 is not below 0, as for any physical wall."""
+        above = min(float(np.min(element)) for element in (self.E1, self.E2, self.eta1, self.eta2))
         return above > 0 and float(np.min(self.E3)) >= 0
 
     @property
@@ -77,7 +76,7 @@ class WallParameters:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSetDifference:
-    """One entry of Table 1 beside what Eq. 14 and the quadratic through Table 1 say of it.
+    """One entry of Table 1 beside the values of Eq. 14 and of the quadratic through Table 1.
 
     `parameter` is E1, E2, E3 (kPa), eta1 or eta2 (kPa·s); differences are relative to Table 1.
     """
@@ -97,7 +96,8 @@ def wall_parameters(kind: WallKind, strain: npt.ArrayLike) -> WallParameters:
     `eq14` evaluates Eq. 14; `table1` the least-squares quadratic through the four strains of Table 1.
     """
     eps = np.asarray(strain, dtype=float)
-    return WallParameters(*((a * eps + b) * eps + c for a, b, c in _coefficients(kind)))
+    coefficients = np.array(EQ14) if kind == "eq14" else _table1_coefficients()
+    return WallParameters(*((a * eps + b) * eps + c for a, b, c in coefficients))
 
 
 def model_wall(model: FrictionModelSettings, strain: npt.ArrayLike) -> WallParameters:
@@ -105,7 +105,7 @@ def model_wall(model: FrictionModelSettings, strain: npt.ArrayLike) -> WallParam
     if model.wall != "polynomial":
         return wall_parameters(model.wall, strain).scaled(model)
     if model.wall_polynomials is None:
-        raise SettingsError(f"Model {model.name!r} has wall polynomial but no wall_polynomials; give it some")
+        raise SettingsError(f"Model {model.name!r} has wall = polynomial but no wall_polynomials; add them")
     eps = np.asarray(strain, dtype=float)
     laws = model.wall_polynomials
     rows = (laws.E1, laws.E2, laws.E3, laws.eta1, laws.eta2)
@@ -114,21 +114,17 @@ def model_wall(model: FrictionModelSettings, strain: npt.ArrayLike) -> WallParam
 
 def parameter_set_differences() -> tuple[ParameterSetDifference, ...]:
     """Compare Eq. 14 and the quadratic through Table 1 with each of its 20 entries."""
-    return tuple(_iter_differences())
-
-
-def _iter_differences() -> Iterator[ParameterSetDifference]:
     polynomial = astuple(wall_parameters("eq14", TABLE1_STRAIN))
     quadratic = astuple(wall_parameters("table1", TABLE1_STRAIN))
-    names = [field.name for field in fields(WallParameters)]
+    differences = []
     for column, strain in enumerate(TABLE1_STRAIN):
-        for row, name in enumerate(names):
+        for row, field in enumerate(fields(WallParameters)):
             entry, eq14, fitted = TABLE1[row][column], float(polynomial[row][column]), float(quadratic[row][column])
-            yield ParameterSetDifference(strain, name, entry, eq14, eq14 / entry - 1, fitted, fitted / entry - 1)
-
-
-def _coefficients(kind: WallKind) -> FloatArray:
-    return np.array(EQ14) if kind == "eq14" else _table1_coefficients()
+            relative = eq14 / entry - 1, fitted / entry - 1
+            differences.append(
+                ParameterSetDifference(strain, field.name, entry, eq14, relative[0], fitted, relative[1])
+            )
+    return tuple(differences)
 
 
 @cache
@@ -143,7 +139,7 @@ InexactArray = TypeVar("InexactArray", npt.NDArray[np.float64], npt.NDArray[np.c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaxwellBranches:
-    """Branches of unit modulus through pieces of constant acceleration, without stress at the first of them.
+    """Branches of unit modulus, sheared by pieces of constant acceleration, unstressed at first.
 
     Attributes
     ----------
@@ -154,7 +150,7 @@ class MaxwellBranches:
     thickness_mm
         Thickness of the wall that is sheared.
     begin
-        Stress over modulus of each branch as each piece begins, shape `(B, K)`.
+        Stress over modulus of each branch at the begin of each piece, shape `(B, K)`.
     """
 
     rates: FloatArray
@@ -163,7 +159,7 @@ class MaxwellBranches:
     begin: FloatArray
 
     @classmethod
-    def through(cls, rates: FloatArray, pieces: Pieces, thickness_mm: float) -> "MaxwellBranches":
+    def integrate(cls, rates: FloatArray, pieces: Pieces, thickness_mm: float) -> "MaxwellBranches":
         """Integrate dσ/dt = dε/dt − rate · σ through all pieces."""
         duration = np.diff(pieces.start_s)
         rate = rates[:, None]
@@ -174,26 +170,26 @@ class MaxwellBranches:
         begin[:, 1:] = linear_recursion(np.exp(-rate * duration), driven)
         return cls(rates, pieces, thickness_mm, begin)
 
-    def at(self, time_s: FloatArray) -> FloatArray:
-        """Stress over modulus at times not before the first piece; shape `(B, *time_s.shape)`."""
+    def stress(self, time_s: FloatArray) -> FloatArray:
+        """Return stress over modulus at times not before the first piece; shape `(B, *time_s.shape)`."""
         flat = time_s.ravel()
         index, elapsed = locate_pieces(self.pieces, flat)
         rate = self.rates[:, None]
-        kept = self.begin[:, index] * np.exp(-rate * elapsed)
+        relaxed = self.begin[:, index] * np.exp(-rate * elapsed)
         velocity, acceleration = self.pieces.velocity_mm_s[index], self.pieces.acceleration_mm_s2[index]
-        stress = kept + _driven_stress(rate, elapsed, velocity, acceleration) / self.thickness_mm
+        stress = relaxed + _driven_stress(rate, elapsed, velocity, acceleration) / self.thickness_mm
         return np.asarray(stress.reshape(self.rates.size, *time_s.shape))
 
 
 def shear_strain(pieces: Pieces, thickness_mm: float, time_s: FloatArray) -> FloatArray:
-    """Shear strain since the first piece at times not before it, of the shape of `time_s`."""
+    """Return the shear strain since the first piece at times not before it, of the shape of `time_s`."""
     index, elapsed = locate_pieces(pieces, time_s)
     velocity, acceleration = pieces.velocity_mm_s[index], pieces.acceleration_mm_s2[index]
     return np.asarray((pieces.position_mm[index] + (velocity + 0.5 * acceleration * elapsed) * elapsed) / thickness_mm)
 
 
 def locate_pieces(pieces: Pieces, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
-    """Return which piece each time lies in, and the time since that piece began."""
+    """Return the piece that each time lies in, and the time since that piece began."""
     index = np.maximum(np.searchsorted(pieces.start_s, time_s, side="right") - 1, 0)
     return index, np.asarray(time_s - pieces.start_s[index])
 
@@ -212,6 +208,6 @@ def linear_recursion(factor: InexactArray, addend: InexactArray) -> InexactArray
 def _driven_stress(
     rate: FloatArray, elapsed_s: FloatArray, velocity: FloatArray, acceleration: FloatArray
 ) -> FloatArray:
-    """Stress over modulus, times wall thickness, that an unstressed branch takes up at constant acceleration."""
+    """Return stress over modulus times wall thickness of an initially unstressed branch at constant acceleration."""
     lag = -np.expm1(-rate * elapsed_s) / rate
     return np.asarray(velocity * lag + acceleration * (elapsed_s - lag) / rate)
