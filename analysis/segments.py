@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import FloatArray, IndexArray
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import Attribute, Run, Trace
 
-IndexArray = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 FRESH_WALL_KINDS = frozenset({"drag", "return"})

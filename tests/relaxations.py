@@ -44,7 +44,7 @@ def relaxation(
     wall = MaxwellBranches.integrate(1 / times, motion.pieces(), 2.5)
     parts = np.array_split(time, 1 + time.size // 100_000)
     force = AREA_MM2 * np.concatenate(
-        [E3 * shear_strain(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.at(part), 1) for part in parts]
+        [E3 * shear_strain(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.stress(part), 1) for part in parts]
     )
     random = np.random.default_rng(seed)
     force += zero_mN + 1.5 * random.standard_normal(time.size)

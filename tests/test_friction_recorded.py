@@ -76,10 +76,10 @@ def test_stretches_that_are_evaluated_at_once_give_the_same(name: str) -> None:
     for motion in (RecordedMotion.of(time, position), rippling()[1]):
         force = prepare(sliding(PROFILES[name]), MODEL, motion).friction
         assert isinstance(force, SlidingForce)
-        alone = replace(force, spans=force.stretches)
+        alone = replace(force, spans=force.intervals)
         for one, other in zip(astuple(force.components(time)), astuple(alone.components(time)), strict=True):
             np.testing.assert_array_equal(one, other)
-    assert len(force.spans) < 0.2 * len(force.stretches)
+    assert len(force.spans) < 0.2 * len(force.intervals)
 
 
 def test_a_resting_stage_makes_no_friction() -> None:
@@ -184,4 +184,4 @@ def test_the_shortest_ways_back_cost_hardly_more_than_none() -> None:
     profile = moves((12.0, 10.0))
     found = prepare(sliding(profile), MODEL, RecordedMotion.computed(time, ringing)).friction
     assert isinstance(found, SlidingForce)
-    assert len(found.stretches) < 200
+    assert len(found.intervals) < 200

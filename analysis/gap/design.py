@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from dragrig.analysis.gap.candidates import (
     Candidate,
@@ -26,7 +25,7 @@ from dragrig.analysis.gap.run_data import RunData, smooth_modulations
 from dragrig.analysis.inference.linear_gaussian import JointProblem, Whitening
 from dragrig.analysis.models.capsule_model import ANGLE_PARAMETER
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.devices import Contact
 from dragrig.sim_backend.effects.base import Effect, Location
 from dragrig.sim_backend.effects.chain import EffectChain
@@ -152,7 +151,6 @@ def problem_of_runs(problem: JointProblem, kept: Sequence[int]) -> JointProblem:
     )
 
 
-IndexArray = npt.NDArray[np.intp]
 ANGLE_SECANT_SD = 0.6
 """Half its width, in prior standard deviations of the contact angle."""
 WALL_PLACES = (Location.WALL, Location.SPECIMEN)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import BoolArray, FloatArray, PhaseArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray, PhaseArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 
@@ -167,8 +167,6 @@ CHANNELS = ("force", "position")
 PROTOCOLS = ("drag", "coulomb", "relaxation", "blank")
 PHASE_NAMES = tuple(one.name.lower() for one in Phase)
 POSITION_BINS, SESSION_BINS = 10, 8
-
-IndexArray = npt.NDArray[np.intp]
 
 
 class ComparisonBasis(StrEnum):

@@ -7,7 +7,7 @@ import numpy as np
 
 from dragrig.analysis.computation import single_blas_thread
 from dragrig.analysis.gap.candidates import Candidate
-from dragrig.analysis.gap.design import ColumnKind, Design, IndexArray, Study, linearise
+from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
 from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
@@ -29,7 +29,7 @@ from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import Phase
 from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect
 from dragrig.sim_backend.effects.chain import active_effects

@@ -8,8 +8,8 @@ from math import atan2, hypot
 import numpy as np
 
 from dragrig.analysis.gap.candidates import Candidate, EffectVariant
-from dragrig.analysis.gap.design import ColumnKind, Design, IndexArray, Study, linearise
-from dragrig.rig.arrays import FloatArray
+from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
+from dragrig.rig.arrays import FloatArray, IndexArray
 
 RELATIVE_RIDGE = 1e-10
 """Relative ridge against columns that say the same."""

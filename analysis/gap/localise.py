@@ -16,7 +16,6 @@ from dragrig.analysis.gap.excess import (
     PHASE_NAMES,
     CampaignResiduals,
     ExcessAxis,
-    IndexArray,
     ResidualBlocks,
     Significance,
     band_excess,
@@ -25,7 +24,7 @@ from dragrig.analysis.gap.excess import (
     overall_p,
     permutation_test,
 )
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 

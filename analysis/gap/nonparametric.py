@@ -10,11 +10,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from dragrig.analysis.gap.design import ColumnKind, Design, IndexArray
+from dragrig.analysis.gap.design import ColumnKind, Design
 from dragrig.analysis.gap.features import NonparametricLaw
 from dragrig.analysis.gap.linear_fit import schur_complement
 from dragrig.analysis.gap.run_data import BlockCoordinates, RunData, rms_where_active
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import FloatArray, IndexArray
 from dragrig.rig.devices import Contact
 from dragrig.sim_backend.effects.run_state import SlipHistory
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dragrig.analysis.gap.classifier import Classification
 from dragrig.analysis.gap.diagnosis import AxisLocation, GapLocation, UnexplainedGap, Verdict
-from dragrig.analysis.gap.excess import IndexArray, ResidualBlocks
+from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.localise import ALPHA, FAST_HZ, FREQUENCIES_HZ, best_wavenumber, periodic_shares
 from dragrig.analysis.gap.spectral_lines import SpectralLine
@@ -23,7 +23,7 @@ from dragrig.analysis.gap.unknown_law import (
     phase_span,
     time_since_start,
 )
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 from dragrig.sim_backend.effects.base import catalogue

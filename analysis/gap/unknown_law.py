@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.diagnosis import GapLocation
-from dragrig.analysis.gap.excess import IndexArray, ResidualBlocks
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.analysis.gap.excess import ResidualBlocks
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import Phase
 
 DOMINANT_SHARE, NOTABLE_SHARE, NEGLIGIBLE_SHARE = 0.8, 0.1, 0.05

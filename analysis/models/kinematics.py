@@ -14,8 +14,8 @@ from math import log
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.segments import IndexArray, Mask
-from dragrig.rig.arrays import FloatArray
+from dragrig.analysis.segments import Mask
+from dragrig.rig.arrays import FloatArray, IndexArray
 from dragrig.sim_backend.friction import RecordedMotion
 from dragrig.sim_backend.friction.recorded_motion import ENCODER_JITTER_MM, SMOOTHING_WINDOW_S
 

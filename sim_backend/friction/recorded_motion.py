@@ -14,10 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.sim_backend.friction.motion import Pieces, ProfileMotion, SignArray
-
-IndexArray = npt.NDArray[np.intp]
 
 SMOOTHING_ORDER = 2
 """Order of the smoothing polynomial: a ramp of constant acceleration passes unchanged."""
