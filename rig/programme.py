@@ -11,9 +11,8 @@ from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.protocols import RunProtocol, expand_sweep
+from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
-from dragrig.rig.protocols.run_protocol import MAX_RUNS
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
-from dragrig.rig.protocols.run_protocol import protocol_kinds
+from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import schema
 
 ROOT = Path(__file__).parents[1]
@@ -70,7 +70,7 @@ def test_the_reference_is_that_of_the_code(site: Path) -> None:
     settings = (site / "reference" / "settings.html").read_text("utf-8")
     assert all(f'id="{kind}"' in settings for kind in protocol_kinds())
     assert "<code>[sampling]</code>" in settings
-    assert "Standing still before the motion." in settings
+    assert "Standstill before the motion." in settings
     run_file = (site / "reference" / "run-file.html").read_text("utf-8")
     assert schema.FORMAT in run_file
     assert all(one in run_file for one in ("contact_angle_deg", "SHA-256", "decelerate"))
@@ -103,3 +103,21 @@ def test_the_worked_protocol_runs_as_it_stands(tmp_path: Path) -> None:
     script.write_text(code, "utf-8")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
     assert done.stdout == "staircase 30.0 mm\n", done.stderr
+
+
+def test_the_worked_protocol_is_a_kind_of_run_once_its_file_is_there(tmp_path: Path) -> None:
+    [code] = re.findall(r"```python\n(.*?)```", (DOCS / "new-protocol.md").read_text("utf-8"), re.DOTALL)
+    (tmp_path / "staircase.py").write_text(code.split("\n\nif __name__")[0], "utf-8")
+    plan = tmp_path / "plan.toml"
+    plan.write_text(
+        "name = 'stairs'\n[[steps]]\nkind = 'staircase'\nfirst_mm_s = [2, 5]\nstroke_mm = 5\nwait_s = 0\n", "utf-8"
+    )
+    program = (
+        "import sys, dragrig; from dragrig.rig import protocols; protocols.__path__.append(sys.argv[1])\n"
+        "runs = dragrig.simulate(sys.argv[2], assignments=['rig.sampling.rate_hz=200'])\n"
+        "print([run.info.kind for run in runs], runs[0].info.header.protocol['stroke_mm'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path), str(plan)], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "['staircase', 'return', 'staircase', 'return'] 5.0\n", done.stderr

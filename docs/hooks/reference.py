@@ -47,7 +47,7 @@ def settings() -> str:
     from dragrig.config.plan import Plan, PlanStep
     from dragrig.config.rig import RigSettings
     from dragrig.config.specimen import Capsule, Specimen
-    from dragrig.rig.protocols.run_protocol import protocol_kinds
+    from dragrig.rig.protocols import protocol_kinds
 
     parts = [
         "# Settings",

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Contact
-from dragrig.rig.protocols.run_protocol import StrokeProtocol
+from dragrig.rig.protocols import StrokeProtocol
 
 
 class CoulombProtocol(StrokeProtocol):

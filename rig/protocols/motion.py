@@ -1,6 +1,5 @@
-"""Any other motion: a list of moves, each with its own speed and pause; reversals included."""
+"""Any other motion: a list of strokes, each with its own speed and pause; reversals included."""
 
-from collections.abc import Iterator
 from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
@@ -9,7 +8,7 @@ from dragrig.config.settings import Settings
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase, Piece, stationary_piece, trapezoid
-from dragrig.rig.protocols.run_protocol import RunProtocol
+from dragrig.rig.protocols import RunProtocol
 
 
 class Move(Settings):
@@ -36,18 +35,17 @@ class MotionProtocol(RunProtocol):
     capsule: ClassVar[str] = "drag"
 
     strokes: tuple[Move, ...] = Field(min_length=1, max_length=1000)
-    """Strokes one after the other, each with travel_mm and speed_mm_s; accel_mm_s2 and pause_s where wanted."""
+    """Strokes in order, each with travel_mm and speed_mm_s, optionally accel_mm_s2 and pause_s."""
 
     def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
-        """Trapezoids and pauses one after the other."""
+        """Return trapezoids and pauses in order."""
         del specimen
-        return tuple(self._pieces())
-
-    def _pieces(self) -> Iterator[Piece]:
+        pieces: list[Piece] = []
         for stroke in self.strokes:
-            yield from trapezoid(stroke.travel_mm, stroke.speed_mm_s, stroke.accel_mm_s2)
-            yield stationary_piece(stroke.pause_s, Phase.HOLD)
+            pieces += trapezoid(stroke.travel_mm, stroke.speed_mm_s, stroke.accel_mm_s2)
+            pieces.append(stationary_piece(stroke.pause_s, Phase.HOLD))
+        return tuple(pieces)
 
     def summary(self) -> str:
-        """Kind and number of strokes."""
+        """Return kind and number of strokes."""
         return f"{self.kind} of {len(self.strokes)} strokes"

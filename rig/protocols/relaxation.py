@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Piece, trapezoid
-from dragrig.rig.protocols.run_protocol import RunProtocol
+from dragrig.rig.protocols import RunProtocol
 
 
 class RelaxationProtocol(RunProtocol):
@@ -19,22 +19,22 @@ class RelaxationProtocol(RunProtocol):
     capsule: ClassVar[str] = "rough"
 
     shear_strain: float = Field(gt=0, le=5)
-    """Strain that is held: the ramp's way over the wall's thickness; 1 is 100 %."""
+    """Strain that is held: the ramp's travel over the wall thickness; 1 is 100 %."""
     ramp_speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
-    """Speed of the ramp, where it is long enough to reach it."""
+    """Speed of the ramp, where the ramp is long enough to reach it."""
     ramp_accel_mm_s2: float = Field(default=2000.0, gt=0, le=100_000)
-    """Acceleration of the ramp's ends."""
+    """Acceleration at both ends of the ramp."""
     hold_s: float = Field(default=20.0, ge=0, le=7200)
-    """Standing still after the ramp, while the wall relaxes."""
+    """Standstill after the ramp, while the wall relaxes."""
 
     @model_validator(mode="after")
     def _ramp_is_a_ramp(self) -> Self:
         if self.ramp_speed_mm_s / self.ramp_accel_mm_s2 > 1.0:
-            raise ValueError("ramp_accel_mm_s2 is so low that the ramp's speed takes over a second to reach")
+            raise ValueError("ramp_accel_mm_s2 is so low that the ramp takes over a second to reach its speed")
         return self
 
     def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
-        """One ramp of strain × wall thickness; a triangle where that is too short for the ramp's speed."""
+        """Return one ramp of strain × wall thickness; a triangle where it is too short for the ramp's speed."""
         return trapezoid(self.shear_strain * specimen.wall_thickness_mm, self.ramp_speed_mm_s, self.ramp_accel_mm_s2)
 
     def strain(self) -> float:
@@ -42,5 +42,5 @@ class RelaxationProtocol(RunProtocol):
         return self.shear_strain
 
     def summary(self) -> str:
-        """Kind and strain."""
+        """Return kind and strain."""
         return f"{self.kind} {100 * self.shear_strain:g} %"

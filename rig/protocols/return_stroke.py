@@ -7,11 +7,11 @@ from pydantic import Field
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Piece, trapezoid
-from dragrig.rig.protocols.run_protocol import RunProtocol
+from dragrig.rig.protocols import RunProtocol
 
 
 class ReturnProtocol(RunProtocol):
-    """One stroke back to where the run before began; fixture and contact are that run's."""
+    """One stroke back to the start of the run before; fixture and contact are that run's."""
 
     kind: ClassVar[str] = "return"
     fixture: ClassVar[Fixture] = Fixture.FOAM
@@ -25,6 +25,6 @@ class ReturnProtocol(RunProtocol):
     hold_s: float = Field(default=0.5, ge=0, le=7200)
 
     def moves(self, specimen: Specimen) -> tuple[Piece, ...]:
-        """One trapezoid, or a triangle where the way is short."""
+        """Return one trapezoid, or a triangle where the stroke is short."""
         del specimen
         return trapezoid(self.travel_mm, self.speed_mm_s, self.accel_mm_s2)
