@@ -25,7 +25,7 @@ from dragrig.rig.runfile.model import Channel
 
 
 class TripCause(StrEnum):
-    """What the guard can trip on."""
+    """What trips the guard."""
 
     START_UP = "start-up"
     POSITION = "position"
@@ -48,7 +48,7 @@ class TripCause(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Trip:
-    """A condition that forbids motion: its kind, and a person's words for it, without a full stop."""
+    """A condition that forbids motion: its kind, and a message without a full stop."""
 
     cause: TripCause
     message: str
@@ -56,16 +56,16 @@ class Trip:
 
 @dataclass(frozen=True, slots=True)
 class RawReading:
-    """A stretch of samples that nobody has scaled.
+    """Statistics of unscaled samples.
 
     Attributes
     ----------
     force_V, force_V_sd
         Mean and standard deviation of the force input [V].
     samples
-        How many samples they are of.
+        Number of samples.
     counts_begin, counts_end
-        The encoder's count at the first and the last sample, upwards where the stage goes up.
+        The encoder's count at the first and the last sample, rising where the stage moves up.
     """
 
     force_V: float
@@ -76,7 +76,7 @@ class RawReading:
 
     @classmethod
     def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray) -> "RawReading":
-        """Sum up volts and counts, both of shape `(n,)`."""
+        """Summarise volts and counts, both of shape `(n,)`."""
         return cls(
             force_V=float(np.mean(force_V, dtype=np.float64)),
             force_V_sd=float(np.std(force_V, dtype=np.float64)),
@@ -87,7 +87,7 @@ class RawReading:
 
 
 MAX_BLOCK_S = 0.05
-"""No block spans more than this, so that the guard never sees older data than this."""
+"""Longest block, so that the guard never sees older data than this."""
 
 
 class TravelEnd(StrEnum):
@@ -98,7 +98,7 @@ class TravelEnd(StrEnum):
 
 
 class Contact(StrEnum):
-    """How capsule and gut meet during a run."""
+    """How the capsule touches the gut during a run."""
 
     SLIDING = "sliding"
     STICKING = "sticking"
@@ -107,7 +107,7 @@ class Contact(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
-    """One stretch of synchronous motion and sampling, with what a simulated rig must know of it.
+    """One motion with synchronous sampling, and what a simulated rig must know of it.
 
     Attributes
     ----------
@@ -115,16 +115,14 @@ class Acquisition:
         Identity of the run; a simulated rig draws its noise from the session's seed and `order`.
     profile
         The commanded motion, from standstill, relative to the stage's position when armed.
-    fixture, contact
-        What holds the gut and whether the capsule slides in it, sticks to it or touches nothing.
+    insertion_dwell_s
+        Age of the contact at the first sample.
     shear_strain
         With `Contact.STICKING`: the strain whose wall parameters apply.
     sheared_from
         With `Contact.STICKING`: the strain at the first sample, relaxed for `insertion_dwell_s`.
-    insertion_dwell_s
-        Age of the contact at the first sample.
     recorded
-        Whether it becomes a run file; tares and ways to a start do not.
+        Whether it becomes a run file; tares and moves to a start do not.
     """
 
     run_id: str
@@ -145,9 +143,9 @@ class Acquisition:
 class Block:
     """Consecutive samples of all channels, arrays of shape `(n,)`, read-only.
 
-    `first_index` counts from the run's first sample and includes lost samples, so that a block whose
-    `first_index` is larger than the end of the block before says how many were lost. `fault` is what the sampler
-    itself has seen go wrong: an overrun, a sensor overloaded or cut off.
+    `first_index` counts from the run's first sample and includes lost samples: where it is beyond the end of the block
+    before, the samples between are lost. `fault` is what the sampler itself detected: an overrun, a sensor overloaded
+    or cut off.
     """
 
     first_index: int
@@ -156,12 +154,12 @@ class Block:
 
     @property
     def samples(self) -> int:
-        """How many samples the block holds."""
+        """Number of samples."""
         return len(next(iter(self.channels.values())))
 
     @property
     def end_index(self) -> int:
-        """Index that the first sample of the next block has when nothing is lost."""
+        """Index of the next block's first sample when nothing is lost."""
         return self.first_index + self.samples
 
 
@@ -177,7 +175,7 @@ class StageLimits:
 
 @dataclass(frozen=True, slots=True)
 class StageState:
-    """A look at the stage. `fault` is None when nothing forbids motion."""
+    """State of the stage; `fault` is None when nothing forbids motion."""
 
     position_mm: float
     enabled: bool
@@ -191,15 +189,12 @@ class Clock(Protocol):
 
     def now(self) -> datetime:
         """Time of day, with offset."""
-        ...
 
     def monotonic(self) -> float:
         """Seconds from an arbitrary start; never goes back."""
-        ...
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False at once when `cancel` is set before the time is over."""
-        ...
 
 
 class Stage(Protocol):
@@ -208,49 +203,39 @@ class Stage(Protocol):
     @property
     def limits(self) -> StageLimits:
         """What the stage can do."""
-        ...
 
     def enable(self) -> None:
         """Switch the drive on and hold the position."""
-        ...
 
     def home(self) -> None:
         """Find the origin of absolute positions."""
-        ...
 
     def move(self, profile: MotionProfile) -> None:
         """Begin to follow a profile from the present position; time 0 is the sampler's first sample."""
-        ...
 
     @property
     def start_uncertainty_s(self) -> float:
-        """How far time 0 of the last motion may be off the first sample; 0 where the two are one."""
-        ...
+        """Uncertainty of time 0 of the last motion against the first sample; 0 where they share a clock."""
 
     def stop(self) -> None:
-        """Brake to a standstill now, whatever is under way. Must be safe to call at any time, twice too."""
-        ...
+        """Brake to a standstill at once. Must be safe to call at any time, also twice."""
 
     def override_limit(self, side: TravelEnd) -> None:
-        """Let the next motion begin, away from it, although the limit switch of this side is pressed.
+        """Let the next motion begin although the limit switch of this side is pressed: away from it.
 
-        `fault` does not tell of that switch until the motion is over, of everything else as ever, and a position
-        beyond the soft limit of this side forbids no motion back.
+        Until that motion is over, `fault` ignores this switch alone, and a position beyond the soft limit of this side
+        forbids no motion back.
         """
-        ...
 
     def disable(self) -> None:
         """Switch the drive off."""
-        ...
 
     def state(self) -> StageState:
-        """Where the stage is and how it is."""
-        ...
+        """Return position and state."""
 
     @property
     def fault(self) -> Trip | None:
-        """What drive and switches report, None when nothing; asked at every block, so it must wait for nobody."""
-        ...
+        """What drive and switches report, or None; read at every block, so it must not block."""
 
 
 class Sampler(Protocol):
@@ -259,49 +244,41 @@ class Sampler(Protocol):
     @property
     def sample_rate_hz(self) -> float:
         """Samples per second of every channel."""
-        ...
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What each block holds: `force` and `position`, then further ones."""
-        ...
+        """Channels of each block: `force` and `position`, then others."""
 
     @property
     def force_range_mN(self) -> tuple[float, float]:
-        """Least and greatest force that the sensor and its converter can tell."""
-        ...
+        """Smallest and largest force within the range of sensor and converter."""
 
     def arm(self, acquisition: Acquisition) -> None:
         """Prepare an acquisition of the profile's length."""
-        ...
 
     def start(self) -> None:
         """Take the first sample now."""
-        ...
 
     def read(self, cancel: Signal) -> Block | None:
         """Return the next block, at most `MAX_BLOCK_S` long; None once the profile is over or `cancel` is set.
 
-        After `Stage.stop` a sampler still yields what was sampled until the stage stood still, then None.
+        After `Stage.stop` a sampler still returns what was sampled until the stage stands still, then None.
         Raises `StaleDataError` when no sample arrives in time, another `DeviceError` when the device fails.
         """
-        ...
 
     def stop(self) -> None:
-        """End the acquisition and release what it holds. Must be safe to call at any time, twice too."""
-        ...
+        """End the acquisition and release its resources. Must be safe to call at any time, also twice."""
 
     def measure(self, duration_s: float) -> RawReading:
-        """Sample for a while, moving nothing, and return what converter and counter say, for a calibration.
+        """Sample without motion and return raw volts and counts, for a calibration.
 
         Raises `DeviceError` while an acquisition is armed, and when the device fails.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """What a look at one device found, in a person's words."""
+    """Result of one check of the rig."""
 
     what: str
     fine: bool
@@ -315,76 +292,66 @@ class Backend(Protocol):
     @property
     def name(self) -> str:
         """Name that the run files carry: simulated, hardware, …."""
-        ...
 
     @property
     def stage(self) -> Stage:
         """The axis."""
-        ...
 
     @property
     def sampler(self) -> Sampler:
         """The acquisition."""
-        ...
 
     @property
     def needs_hands(self) -> bool:
-        """Whether a person has to be at the rig: one has to look before the guard is reset, and hands do the rest."""
-        ...
+        """Whether a person must be at the rig, to check it before the guard is reset and to do manual steps."""
 
     @property
     def clock(self) -> Clock:
-        """The time that this rig lives in."""
-        ...
+        """The clock of this rig."""
 
     def description(self) -> Mapping[str, str | float | int | bool]:
-        """Return what run files say of the devices, as attributes of `/entry`: sensor_serial, seed, …."""
-        ...
+        """Return attributes of `/entry` that describe the devices: sensor_serial, seed, …."""
 
     def examine(self) -> Iterator[RigCheck]:
-        """Look at every device in turn without moving anything; what a finding needs before it is connected for it."""
-        ...
+        """Check every device in turn without motion, connecting each when it is due."""
 
     def close(self) -> None:
         """Release every device. Must be safe to call twice."""
-        ...
 
 
 @runtime_checkable
 class SupportsBenchActions(Protocol):
-    """A backend without a bench, which has to be told what hands do there: doubles of the hardware."""
+    """A backend that simulates manual actions at the bench: the doubles of the hardware."""
 
     def hang(self, load_mN: float) -> None:
-        """Take a load to hang on the force sensor, in place of the one before."""
-        ...
+        """Put a load on the force sensor, in place of the one before."""
 
     def push(self, distance_mm: float, within_s: float) -> None:
-        """Take the carriage, switched off, to be pushed by a signed distance during the next measurement."""
-        ...
+        """Push the carriage, switched off, by a signed distance during the next measurement."""
 
 
 @dataclass(frozen=True, slots=True)
 class BackendRequest:
-    """What a backend's factory is given.
+    """Argument of a backend's factory.
 
-    A factory is what an entry point of the group `dragrig.backends` names: a callable that takes one of
-    these and returns a `Backend`, raising `SettingsError` or `DeviceError`.
+    The factory is what an entry point of the group `dragrig.backends` names: a callable that takes a request and
+    returns a `Backend`, raising `SettingsError` or `DeviceError`.
     """
 
     rig: RigSettings
     model: FrictionModelSettings
     real_time: bool = False
-    """Whether a simulated clock runs at the pace of the wall's."""
+    """Whether a simulated clock runs in real time."""
     origin: datetime | None = None
-    """Time of day at which a simulated session begins; now unless given."""
+    """Time of day at which a simulated session begins; None for now."""
     calibrations: Mapping[str, Calibration] = field(default_factory=dict)
-    """The calibration that holds now, by quantity (force, encoder)."""
+    """The valid calibrations, by quantity (force, encoder)."""
     connect: bool = True
-    """Whether the devices are to be connected at once; `Backend.examine` connects those that it looks at."""
+    """Whether to connect the devices at once; `Backend.examine` connects those that it checks."""
     pace: float = 1.0
-    """How many times faster than the wall's clock a double of the hardware lives."""
+    """Pace of a double of the hardware; 1 is real time, 10 ten times faster."""
     first_run_at: datetime | None = None
-    """When the campaign's first run began, in a session that goes on with it."""
+    """When the campaign's first run began, in a resumed session."""
 
 
 def with_utc_offset(origin: datetime | None) -> datetime:
@@ -395,7 +362,7 @@ def with_utc_offset(origin: datetime | None) -> datetime:
 
 
 class WallClock:
-    """A clock at the pace of the wall's, whose time of day may begin elsewhere."""
+    """A clock in real time, whose time of day may begin at another moment."""
 
     def __init__(self, origin: datetime | None = None) -> None:
         self._origin = with_utc_offset(origin)
@@ -415,10 +382,11 @@ class WallClock:
 
 
 STANDSTILL_SPEED_MM_S = 1e-6
+"""Rounding of a profile's end speed."""
 
 
 def stage_limits(settings: StageSettings) -> StageLimits:
-    """Return what the settings allow the stage."""
+    """Return the limits in the settings."""
     return StageLimits(
         lowest_mm=settings.lowest_mm,
         highest_mm=settings.highest_mm,
@@ -428,7 +396,7 @@ def stage_limits(settings: StageSettings) -> StageLimits:
 
 
 def limits_with_override(limits: StageLimits, override: TravelEnd | None, origin_mm: float) -> StageLimits:
-    """Return the limits of a move off an overridden limit switch: it begins outside the soft ones."""
+    """Return the limits of a move off an overridden limit switch, which begins beyond the soft limit."""
     match override:
         case TravelEnd.LOW:
             return replace(limits, lowest_mm=min(limits.lowest_mm, origin_mm))
@@ -439,17 +407,14 @@ def limits_with_override(limits: StageLimits, override: TravelEnd | None, origin
 
 
 def require_within_limits(profile: MotionProfile, origin_mm: float, limits: StageLimits, tolerance_mm: float) -> None:
-    """Refuse a profile from an absolute position that the stage must not follow.
+    """Raise `DeviceError` for a profile that leaves the travel, exceeds a limit or does not end at a standstill.
 
     Parameters
     ----------
+    origin_mm
+        Absolute position where the profile begins.
     tolerance_mm
-        So far beyond its travel counts as at its end: a count or two of an encoder.
-
-    Raises
-    ------
-    DeviceError
-        When it leaves the stage's travel, exceeds its speed or acceleration, or does not end at a standstill.
+        Allowance beyond the ends of travel: a count or two of an encoder.
     """
     extremes = profile.extremes()
     lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm

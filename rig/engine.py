@@ -44,46 +44,39 @@ class Sink(Protocol):
     """Where readings are recorded."""
 
     def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
-        """Take a reading's arrays; raises `RecordingError` once they cannot be kept."""
-        ...
+        """Take a reading's arrays; raises `RecordingError` once they cannot be stored."""
 
     def event(self, event: RunEvent) -> None:
         """Take an event."""
-        ...
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known while the run goes on."""
-        ...
+        """Take attributes of `/entry` that become known during the run."""
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record; return its file."""
-        ...
 
 
 class Store(Protocol):
-    """Opens a record for each run and looks after the finished ones."""
+    """Opens a record for each run and manages the finished ones."""
 
     def open(self, header: RunHeader, expected_samples: int) -> Sink:
         """Begin a record; raises `RecordingError` or `OutputError` when it cannot be."""
-        ...
 
     def mark_bad(self, order: int, reason: str) -> None:
-        """Note that a run of this session is not to be used."""
-        ...
+        """Mark a run of this session as bad."""
 
     def settle(self) -> None:
         """Wait until every finished run is in its final place; raises `RecordingError` when one cannot be put there."""
-        ...
 
 
 _REST = int(Phase.REST)
 _MAX_BRAKING_S = 1.0
-"""How long a stage that stands after a stop is still recorded at most."""
+"""Longest time that is still recorded after the end of braking."""
 
 
 @dataclass(frozen=True, slots=True)
 class AcquisitionOutcome:
-    """How an acquisition ended. `mean_force_mN` is over all samples, before any tare."""
+    """How an acquisition ended; `mean_force_mN` is the mean over all samples, before any tare."""
 
     status: RunStatus
     reason: str
@@ -94,7 +87,7 @@ class AcquisitionOutcome:
 
 
 class RunningAcquisition:
-    """One acquisition under way; owned by the engine's thread."""
+    """One acquisition in progress; owned by the engine's thread."""
 
     def __init__(
         self,
@@ -110,7 +103,7 @@ class RunningAcquisition:
         self._guard, self._acquisition, self._sink, self._view = guard, acquisition, sink, view
         self._rate_hz = self._sampler.sample_rate_hz
         self._stop_accel = rig.stage.stop_accel_mm_s2
-        self._tape = SetpointSampler(acquisition.profile, self._rate_hz, tare_mN)
+        self._setpoints = SetpointSampler(acquisition.profile, self._rate_hz, tare_mN)
         self._checks = RunChecks(
             self._rate_hz,
             self._sampler.force_range_mN,
@@ -125,19 +118,15 @@ class RunningAcquisition:
         self._force_sum = 0.0
         self._phase = -1
         self._uncertainty_s: float | None = None
-        self._ended = False
+        self.ended = False
+        """Whether it was ended before the profile was over."""
         self._status = RunStatus.COMPLETE
         self._reason = ""
-
-    @property
-    def ended(self) -> bool:
-        """Whether it was ended before the profile was over."""
-        return self._ended
 
     def start(self, cancel: Signal) -> bool:
         """Arm the sampler, start the stage, take the first sample; return False when `cancel` is set before.
 
-        A stop that comes after the arming drops the motion; one before it is forgotten, but has set `cancel`.
+        A stop after arming drops the motion; arming forgets one before it, which has set `cancel`.
         """
         self._sampler.arm(self._acquisition)
         if cancel.is_set():
@@ -153,34 +142,34 @@ class RunningAcquisition:
         block = self._sampler.read(cancel)
         if block is None:
             if not cancel.is_set() and self._end_index < self._expected:
-                self._ended_unasked()
+                self._end_early()
             return None
-        reading = self._tape.join(block)
-        look = BlockExtremes.at(block, reading.command)
-        if fault := self._fault() or self._unpermitted(block.fault):
+        reading = self._setpoints.with_setpoint(block)
+        extremes = BlockExtremes.of(block, reading.command)
+        if fault := self._fault() or self._without_override(block.fault):
             trip = self._guard.latch(fault)
         else:
-            trip = self._guard.inspect(block, reading.command, look, self._rate_hz)
+            trip = self._guard.inspect(block, reading.command, extremes, self._rate_hz)
         # The stage brakes from the end of this block, so the command has to as well.
         self._end_index = block.end_index
         self.trip(trip)
-        self._take(block, reading, look)
+        self._take(block, reading, extremes)
         if reading.phase[-1] != _REST:
-            self._tell_uncertainty()
-        return None if self._ended else reading
+            self._annotate_uncertainty()
+        return None if self.ended else reading
 
     def trip(self, trip: Trip | None) -> None:
-        """Stop because of the guard; None, from a guard that was latched already, changes nothing."""
+        """Stop because of a trip; None, from a guard that was latched already, changes nothing."""
         if trip is None:
             return
         if trip.cause is TripCause.CARD_FAULT:
-            # Whoever meets it first, the lines or the samples, it is told as the one failure that it is.
+            # A failed card shows in its lines or in its samples, whichever is read first: one failure, not a trip.
             self.end(RunStatus.FAILED, trip.message)
         else:
             self.end(RunStatus.TRIPPED, f"{trip.cause}: {trip.message}")
 
     def fail(self, error: DragrigError) -> None:
-        """Stop because of an error; one that only follows from the watchdog's stop is told after it."""
+        """Stop because of an error; one that follows from the watchdog's stop is reported after it."""
         fault = self._fault()
         if fault is not None and fault.cause is TripCause.WATCHDOG:
             self.trip(self._guard.latch(Trip(fault.cause, f"{fault.message}; {reason_of(error)}")))
@@ -190,50 +179,50 @@ class RunningAcquisition:
             self.end(RunStatus.FAILED, reason_of(error))
 
     def end(self, status: RunStatus, reason: str, stopped_at_s: float | None = None) -> None:
-        """Stop the stage at once; what the first call says stands.
+        """Stop the stage at once; status and reason of the first call are final.
 
         Parameters
         ----------
         status
-            `Status.COMPLETE` when what was sought is reached, so that the rest is not wanted.
+            `RunStatus.COMPLETE` when the aim is reached and the rest of the profile is not needed.
         stopped_at_s
-            Reading of the clock when the stage was told to stop already; now unless given.
+            Clock time at which the stage was stopped already; None for now.
         """
         now_s = self._clock.monotonic() if stopped_at_s is None else stopped_at_s
         if refusal := attempt(self._stage.stop):
             reason = "; and ".join(part for part in (reason, f"the stage did not take the stop ({refusal})") if part)
             status = RunStatus.FAILED if status is RunStatus.COMPLETE else status
-        if not self._ended:
-            self._ended, self._status, self._reason = True, status, reason
+        if not self.ended:
+            self.ended, self._status, self._reason = True, status, reason
             braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
             stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _MAX_BRAKING_S)
             self._settle_until_s = stopped.duration_s
-            self._tape.replace(stopped)
+            self._setpoints.replace(stopped)
             with suppress(RecordingError):
-                self._note("trip" if status is RunStatus.TRIPPED else "stop", reason or "reached", braking_from)
+                self._note("trip" if status is RunStatus.TRIPPED else "stop", reason or "aim reached", braking_from)
 
     def settle(self) -> None:
-        """Keep what is sampled until the stage stands still."""
-        go_on = Signal()
+        """Record what is sampled until the stage stands still."""
+        never = Signal()
         # The reason of the end is known; a device that fails again adds nothing to it.
         with suppress(Exception):
             while self._end_index < self._settle_until_s * self._rate_hz:
-                block = self._sampler.read(go_on)
+                block = self._sampler.read(never)
                 if block is None:
                     return
-                reading = self._tape.join(block)
+                reading = self._setpoints.with_setpoint(block)
                 with suppress(RecordingError):
-                    self._take(block, reading, BlockExtremes.at(block, reading.command))
+                    self._take(block, reading, BlockExtremes.of(block, reading.command))
 
     def finish(self) -> AcquisitionOutcome:
-        """Stop sampling, close the record, and say how it ended; each step is made whatever becomes of the others."""
+        """Stop sampling, close the record and return the outcome; every step is made even if others fail."""
         failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := attempt(step))]
         if failures and self._status is RunStatus.COMPLETE:
             self._status = RunStatus.FAILED
         report = self._checks.report()
         paths: list[Path] = []
         if (sink := self._sink) is not None:
-            failures.append(attempt(self._tell_uncertainty))
+            failures.append(attempt(self._annotate_uncertainty))
             now, reason = self._clock.now(), self._all_reasons(failures)
             failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
             failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
@@ -245,7 +234,7 @@ class RunningAcquisition:
     def _all_reasons(self, failures: list[str]) -> str:
         return "; ".join(part for part in (self._reason, *failures) if part)
 
-    def _ended_unasked(self) -> None:
+    def _end_early(self) -> None:
         if fault := self._fault():
             self.trip(self._guard.latch(fault))
         else:
@@ -253,46 +242,46 @@ class RunningAcquisition:
 
     def _fault(self) -> Trip | None:
         try:
-            return self._unpermitted(self._stage.fault)
+            return self._without_override(self._stage.fault)
         except DeviceError as error:
             return Trip(TripCause.DRIVE_FAULT, reason_of(error))
 
-    def _unpermitted(self, fault: Trip | None) -> Trip | None:
+    def _without_override(self, fault: Trip | None) -> Trip | None:
         return None if fault is None or self._guard.permits(fault) else fault
 
-    def _tell_uncertainty(self) -> None:
+    def _annotate_uncertainty(self) -> None:
         uncertainty_s = self._stage.start_uncertainty_s
         if self._sink is not None and uncertainty_s != self._uncertainty_s:
             self._uncertainty_s = uncertainty_s
             self._sink.annotate({"command_t0_uncertainty_s": uncertainty_s})
 
-    def _take(self, block: Block, reading: Reading, look: BlockExtremes) -> None:
+    def _take(self, block: Block, reading: Reading, extremes: BlockExtremes) -> None:
         raw = block.channels["force"]
-        self._checks.add(reading, look, raw, commanded=not self._ended)
+        self._checks.add(reading, extremes, raw, commanded=not self.ended)
         self._samples += block.samples
         self._end_index = block.end_index
         self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
         self._mark_phases(reading)
-        if self._view is not None:
-            self._show(reading)
+        self._show(reading)
         if self._sink is not None:
             self._sink.offer(reading.first_index, reading.arrays())
 
     def _show(self, reading: Reading) -> None:
+        if self._view is None:
+            return
         try:
-            if self._view is not None:
-                self._view(reading)
-        except Exception as error:  # noqa: BLE001  # whoever looks must not get in the way of the run
+            self._view(reading)
+        except Exception as error:  # noqa: BLE001  # a failing viewer must not disturb the run
             self._view = None
-            self._note("view", f"nobody watches any more: {error}")
+            self._note("view", f"the viewer failed and gets no more data: {error}")
 
     def _mark_phases(self, reading: Reading) -> None:
         phase = reading.phase
         if phase[0] == self._phase and phase[-1] == self._phase:
             return
         changes = np.flatnonzero(np.diff(phase, prepend=np.uint8(255) if self._phase < 0 else np.uint8(self._phase)))
-        for place in changes:
-            self._note("phase", Phase(int(phase[place])).name.lower(), float(reading.time[place]))
+        for index in changes:
+            self._note("phase", Phase(int(phase[index])).name.lower(), float(reading.time[index]))
         self._phase = int(phase[-1])
 
     def _note(self, kind: str, message: str, time_s: float | None = None) -> None:
@@ -301,23 +290,23 @@ class RunningAcquisition:
 
 
 def attempt(step: Callable[[], object]) -> str:
-    """Make a step of a clean-up; return what went wrong, whatever kind of error a driver raises, empty if nothing."""
+    """Make one step of a clean-up; return its error of whatever class as text, empty if there is none."""
     try:
         step()
     except DragrigError as error:
         return reason_of(error)
-    except Exception as error:  # noqa: BLE001  # the steps after this one have to be made
+    except Exception as error:  # noqa: BLE001  # the following steps must be made
         return f"{type(error).__name__}: {error}"
     return ""
 
 
 def early_end_error(status: RunStatus, reason: str) -> DragrigError:
-    """Return the error that stands for an early end."""
+    """Return the error, with its exit code, for the status of an early end."""
     return {RunStatus.ABORTED: AbortedError, RunStatus.TRIPPED: TrippedError}.get(status, DeviceError)(reason)
 
 
 def require_complete(outcome: AcquisitionOutcome) -> None:
-    """Raise the error that stands for the early end of an acquisition, if it ended early."""
+    """Raise the error of an acquisition that ended early."""
     if outcome.status is not RunStatus.COMPLETE:
         raise early_end_error(outcome.status, outcome.reason)
 
@@ -334,7 +323,7 @@ class EngineState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EngineStatus:
-    """A snapshot that any thread may take."""
+    """Snapshot of the engine, for any thread."""
 
     state: EngineState = EngineState.IDLE
     run_id: str = ""
@@ -362,7 +351,7 @@ class Engine:
 
     @property
     def status(self) -> EngineStatus:
-        """What the engine is doing right now."""
+        """Snapshot of the engine."""
         with self._lock:
             status, reading = self._status, self._latest
         if reading is None:
@@ -377,19 +366,24 @@ class Engine:
 
     @property
     def cancelled(self) -> Signal:
-        """Set once somebody asked for an end; waits between runs listen to it too."""
+        """Set once an abort was requested; waits between runs observe it too."""
         return self._cancel
 
     @property
     def abort_reason(self) -> str:
-        """Why somebody asked for an end; empty when nobody did."""
+        """Reason of the abort; empty when none was requested."""
         return self._abort_reason
 
+    def require_not_aborted(self) -> None:
+        """Raise `AbortedError` once an abort was requested."""
+        if self._cancel.is_set():
+            raise AbortedError(self._abort_reason or "aborted")
+
     def abort(self, reason: str) -> None:
-        """Ask for an end from any thread or signal handler; the first reason stands."""
-        # No lock of ours: a signal handler may interrupt the very thread that holds it, and an Event has one inside, so
-        # that a second signal must not set what the first one is setting. The stage is stopped from here, because the
-        # thread that acquires may be waiting for a disk or a terminal.
+        """Request an abort from any thread or signal handler; the first reason is final."""
+        # No lock here: a signal handler may interrupt the very thread that holds it. An Event has a lock inside, so a
+        # second signal must not set it while the first one does. The stage is stopped here, because the acquiring
+        # thread may be waiting for a disk or a terminal.
         if not self._aborting:
             self._aborting = True
             self._abort_reason, self._aborted_at_s = reason, self._backend.clock.monotonic()
@@ -402,23 +396,22 @@ class Engine:
         sink: Sink | None = None,
         view: Callable[[Reading], None] | None = None,
         tare_mN: float = 0.0,
-        until: Callable[[Reading], bool] | None = None,
+        stop_when: Callable[[Reading], bool] | None = None,
     ) -> AcquisitionOutcome:
-        """Make one acquisition, guarded, recorded in `sink` and shown to `view`.
+        """Make one acquisition, guarded, recorded in `sink` and passed to `view`.
 
         Parameters
         ----------
-        until
-            Asked at every reading that the guard passed; once it says yes, the stage is stopped and the acquisition
-            counts as complete.
+        stop_when
+            Called with every reading that the guard passed; once it returns True, the stage is stopped and the
+            acquisition counts as complete.
 
         Raises
         ------
         TrippedError
-            When the guard is latched: nothing moves then.
+            When the guard is tripped: nothing moves then.
         """
-        if self._guard.trip is not None:
-            raise TrippedError(f"the guard is tripped: {self._guard.trip.message}; clear the cause and reset it.")
+        self._guard.require_armed()
         try:
             self._guard.watch(acquisition.profile.extremes())
             run = RunningAcquisition(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
@@ -431,7 +424,7 @@ class Engine:
         self._latest = None
         self._set(status)
         try:
-            self._drive(run, status, until)
+            self._drive(run, status, stop_when)
         finally:
             self._set(replace(status, state=EngineState.FINISHING))
             try:
@@ -440,17 +433,19 @@ class Engine:
                 self._set(EngineStatus())
         return outcome
 
-    def _drive(self, run: RunningAcquisition, status: EngineStatus, until: Callable[[Reading], bool] | None) -> None:
+    def _drive(
+        self, run: RunningAcquisition, status: EngineStatus, stop_when: Callable[[Reading], bool] | None
+    ) -> None:
         try:
             if run.start(self._cancel):
                 self._set(replace(status, state=EngineState.RUNNING))
                 while (reading := run.step(self._cancel)) is not None:
                     self._latest = reading
-                    if until is not None and until(reading):
+                    if stop_when is not None and stop_when(reading):
                         run.end(RunStatus.COMPLETE, "")
                         return
             if self._cancel.is_set():
-                run.end(RunStatus.ABORTED, self.abort_reason or "aborted", self._aborted_at_s)
+                run.end(RunStatus.ABORTED, self._abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:
             run.fail(error)
         except BaseException as error:

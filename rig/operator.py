@@ -18,15 +18,22 @@ from dragrig.rig.profile import MotionProfile, trapezoid
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
 
+START_TOLERANCE_MM = 0.005
+HOMING_PROMPT = "The stage moves to the end of its travel to find its origin: take the capsule out of its path"
+_MAX_STANDSTILL_WAIT_S = 10.0
+_DRIVE_MAY_BE_ON = "and the drive may still be on: check that it is switched off"
+_POSITIONING_SPEED_MM_S = 20.0
+_POSITIONING_ACCEL_MM_S2 = 200.0
+
 
 class Answer(StrEnum):
-    """What a person can say to a prompt."""
+    """A person's answer to a prompt."""
 
     DONE = "done"
     REDO = "redo"
-    """Make the run before once more; its file is marked bad."""
+    """Repeat the run before; its file is marked bad."""
     SKIP = "skip"
-    """Leave out what this prompt prepares: the runs up to the next prompt of the plan."""
+    """Skip what this prompt prepares: the runs up to the next prompt of the plan."""
     ABORT = "abort"
 
 
@@ -37,9 +44,9 @@ class Prompt:
     Attributes
     ----------
     run
-        The run that it is about, if it is about one.
+        The run that it is about, if any.
     hands
-        Whether somebody has to do something, or look, at the rig: nothing but a person may answer then.
+        Whether a person must do or check something at the rig: no program may answer then.
     """
 
     text: str
@@ -49,64 +56,9 @@ class Prompt:
     hands: bool = True
 
 
-class Operator(Protocol):
-    """The person at the rig."""
-
-    def ask(self, prompt: Prompt) -> Answer:
-        """Put a prompt and wait for the answer."""
-        ...
-
-
-class SessionObserver(Protocol):
-    """Whoever follows a session; called on the session's thread, so it must be quick."""
-
-    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        """Tell that a session starts, which runs it has to make, and whether waits take their time."""
-        ...
-
-    def waits(self, duration_s: float, why: str) -> None:
-        """Tell that nothing moves for a while."""
-        ...
-
-    def run_begins(self, run: PlannedRun, order: int) -> None:
-        """Tell that a run starts."""
-        ...
-
-    def reads(self, reading: Reading) -> None:
-        """Show a block that was just recorded."""
-        ...
-
-    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Tell how a run ended, with its checks."""
-        ...
-
-
-class NullOperator:
-    """An operator without hands, and a watcher who does not look: for dry runs in a program."""
-
-    def ask(self, prompt: Prompt) -> Answer:
-        """Say done where no hands are needed, and abort where they are."""
-        return Answer.ABORT if prompt.hands else Answer.DONE
-
-    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        """Look away."""
-
-    def waits(self, duration_s: float, why: str) -> None:
-        """Look away."""
-
-    def run_begins(self, run: PlannedRun, order: int) -> None:
-        """Look away."""
-
-    def reads(self, reading: Reading) -> None:
-        """Look away."""
-
-    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Look away."""
-
-
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """One run of a session: where its file will be, and how it ended."""
+    """One run of a session: its run file, and how it ended."""
 
     run: PlannedRun
     order: int
@@ -114,45 +66,86 @@ class RunResult:
     path: Path | None
 
 
-START_TOLERANCE_MM = 0.005
-HOMING_PROMPT = "The stage goes to the end of its travel to find its origin: take the capsule out of its way"
-_MAX_STANDSTILL_WAIT_S = 10.0
-"""How long a stage is waited for to stand."""
-_DRIVE_MAY_BE_ON = "and the rig could not be left as usual: see that its drive is switched off"
-_POSITIONING_SPEED_MM_S = 20.0
-_POSITIONING_ACCEL_MM_S2 = 200.0
+class Operator(Protocol):
+    """The person at the rig."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Show a prompt and wait for the answer."""
+
+
+class SessionObserver(Protocol):
+    """Follows a session; called on the session's thread, so it must be quick."""
+
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        """Take the start of a session: the runs to make, and whether it waits in real time."""
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Take the start of a wait without motion."""
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Take the start of a run."""
+
+    def reads(self, reading: Reading) -> None:
+        """Take a block that was just recorded."""
+
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        """Take the end of a run, with its checks."""
+
+
+class NullOperator:
+    """An operator for programs, without hands, and an observer that does nothing."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        """Answer done, or abort where hands are needed."""
+        return Answer.ABORT if prompt.hands else Answer.DONE
+
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        """Do nothing."""
+
+    def waits(self, duration_s: float, why: str) -> None:
+        """Do nothing."""
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        """Do nothing."""
+
+    def reads(self, reading: Reading) -> None:
+        """Do nothing."""
+
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        """Do nothing."""
+
+
+def confirm(operator: Operator, prompt: Prompt) -> None:
+    """Show a prompt; any answer but done raises `AbortedError`."""
+    if operator.ask(prompt) is not Answer.DONE:
+        raise AbortedError("ended at a prompt.")
 
 
 def reset_guard(backend: Backend, guard: Guard, operator: Operator) -> None:
-    """Reset the guard; where hands are needed, once a person has looked at the rig.
+    """Reset the guard; where hands are needed, once a person has checked the rig.
 
     Raises
     ------
     AbortedError
-        When the person says so.
+        When the person aborts.
     TrippedError
-        When a condition still stands.
+        When the cause of a trip is still there.
     """
     if backend.needs_hands:
-        text = "Look at the rig: is its way free, are all hands out, the e-stop in reach? Then the guard is reset"
+        text = "Check the rig: path clear, hands out, e-stop in reach. The guard is then reset"
         confirm(operator, Prompt(text))
     if backend.stage.state().fault is not None:
-        # Switched off, a drive forgets the alarm that was seen to meanwhile; one that still stands comes back.
+        # Switched off, a drive forgets an alarm whose cause was removed meanwhile; any other comes back.
         backend.stage.disable()
     still_tripped = guard.reset(backend.stage.state())
     if still_tripped is not None:
-        raise TrippedError(f"{still_tripped.message}; the guard stays tripped until that is seen to.")
+        raise TrippedError(f"{still_tripped.message}; the guard stays tripped until the cause is removed.")
 
 
 def enable_and_home(backend: Backend, operator: Operator) -> None:
-    """Switch the drive on, and find the origin unless it is known; where hands are needed, a person is asked before.
+    """Switch the drive on, and find the origin unless it is known; where hands are needed, a person confirms first.
 
-    Raises
-    ------
-    AbortedError
-        When the person says so.
-    DeviceError
-        When the drive refuses.
+    Raises `AbortedError` when the person aborts, `DeviceError` when the drive refuses.
     """
     backend.stage.enable()
     if not backend.stage.state().homed:
@@ -161,17 +154,11 @@ def enable_and_home(backend: Backend, operator: Operator) -> None:
         backend.stage.home()
 
 
-def confirm(operator: Operator, prompt: Prompt) -> None:
-    """Put a prompt; anything but done raises `AbortedError`."""
-    if operator.ask(prompt) is not Answer.DONE:
-        raise AbortedError("ended at a prompt.")
-
-
 def park(backend: Backend, ended_for: str = "") -> list[str]:
-    """Stop everything and switch the drive off once the stage stands; return what went wrong.
+    """Stop everything and switch the drive off once the stage stands; return the errors.
 
-    What ended a session, if anything did, mostly keeps it from ending well too. Its own words are the ones that help,
-    so that after it nothing is told but what has to be done by hand.
+    What ended a session early, `ended_for`, mostly makes these steps fail too. Its own message is the one that helps,
+    so after it these errors become the one request that needs a person: to check the drive.
     """
     # Switched off in motion, a stage coasts.
     steps = (backend.stage.stop, backend.sampler.stop, lambda: await_standstill(backend), backend.stage.disable)
@@ -181,13 +168,13 @@ def park(backend: Backend, ended_for: str = "") -> list[str]:
 
 def await_standstill(backend: Backend) -> None:
     """Wait until the stage stands, which may be a moment after its last sample; for 10 s at most."""
-    until = backend.clock.monotonic() + _MAX_STANDSTILL_WAIT_S
-    while backend.stage.state().moving and backend.clock.monotonic() < until:
+    until_s = backend.clock.monotonic() + _MAX_STANDSTILL_WAIT_S
+    while backend.stage.state().moving and backend.clock.monotonic() < until_s:
         backend.clock.sleep(0.01, Signal())
 
 
-def positioning_profile(way_mm: float, limits: StageLimits) -> MotionProfile:
-    """Return the motion that brings the stage elsewhere, quietly."""
+def positioning_profile(travel_mm: float, limits: StageLimits) -> MotionProfile:
+    """Return a gentle motion over a signed travel."""
     speed = min(_POSITIONING_SPEED_MM_S, limits.speed_mm_s)
     accel = min(_POSITIONING_ACCEL_MM_S2, limits.acceleration_mm_s2)
-    return MotionProfile.from_pieces(trapezoid(way_mm, speed, accel))
+    return MotionProfile.from_pieces(trapezoid(travel_mm, speed, accel))

@@ -4,16 +4,16 @@ Every run is checked against the stage's limits with its run-up and run-down; th
 against each other, and the calibrations for their age and their sensor.
 """
 
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from dragrig.config.errors import OutputError, PlanError
+from dragrig.config.errors import PlanError
 from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.devices import MAX_BLOCK_S, RigCheck, StageLimits
 from dragrig.rig.programme import PlannedRun, Programme
+from dragrig.rig.runfile.filesystem import free_bytes
 
 BYTES_PER_SAMPLE = 8 + 4 + 8 + 4 + 1
 """time, force, position, command and phase, before compression."""
@@ -23,7 +23,7 @@ BYTES_PER_FILE = 60_000
 
 @dataclass(frozen=True, slots=True)
 class RunPreview:
-    """What a run would do."""
+    """Extremes and size of a run, before it is made."""
 
     run: PlannedRun
     lowest_mm: float
@@ -36,7 +36,7 @@ class RunPreview:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What a session would do, and everything that forbids it."""
+    """Runs, duration and size of a session, before it is made, and every finding that forbids it."""
 
     previews: tuple[RunPreview, ...]
     duration_s: float
@@ -45,87 +45,80 @@ class Preflight:
     findings: tuple[str, ...]
 
     def require(self) -> None:
-        """Raise `PlanError` with the first finding, and how many more there are."""
+        """Raise `PlanError` with the first finding and the number of others."""
         if self.findings:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
             raise PlanError(self.findings[0] + more + ".")
 
 
 def recording_bytes(samples: int, channels: int) -> int:
-    """Return the size of a recording [bytes] of so many samples, `channels` besides force and position."""
+    """Return the size of a recording [bytes]; `channels` counts those besides force and position."""
     return samples * (BYTES_PER_SAMPLE + BYTES_PER_EXTRA_CHANNEL * channels) + BYTES_PER_FILE
 
 
 def preflight(
-    programme: Programme, rig: RigSettings, limits: StageLimits, folder: Path, source: str, further: int | None = None
+    programme: Programme,
+    rig: RigSettings,
+    limits: StageLimits,
+    folder: Path,
+    source: str,
+    extra_channels: int | None = None,
 ) -> Preflight:
-    """Look at every run of a programme without moving anything.
+    """Check every run of a programme without motion.
 
     Parameters
     ----------
-    further
-        Channels besides force and position; those of the simulated rig unless given.
+    extra_channels
+        Channels besides force and position; None for those of the simulated rig.
     """
-    if further is None:
-        further = 1 if rig.sampling.motor_force else 0
-    previews = tuple(_run_preview(run, rig.sampling.rate_hz, further) for run in programme.runs)
-    free = free_bytes_near(folder)
-    total = sum(one.size_bytes for one in previews)
-    largest = max((one.size_bytes for one in previews), default=0)
-    findings = [f"{source}: {text}" for one in previews for text in _limit_violations(one, limits)]
+    if extra_channels is None:
+        extra_channels = 1 if rig.sampling.motor_force else 0
+    previews: list[RunPreview] = []
+    for run in programme.runs:
+        extremes, samples = run.profile.extremes(), run.profile.samples(rig.sampling.rate_hz)
+        previews.append(
+            RunPreview(
+                run=run,
+                lowest_mm=run.start_mm + extremes.lowest_mm,
+                highest_mm=run.start_mm + extremes.highest_mm,
+                speed_mm_s=extremes.speed_mm_s,
+                accel_mm_s2=extremes.acceleration_mm_s2,
+                samples=samples,
+                size_bytes=recording_bytes(samples, extra_channels),
+            )
+        )
+    findings = [f"{source}: {text}" for preview in previews for text in _limit_violations(preview, limits)]
+    free = free_bytes(folder)
+    total = sum(preview.size_bytes for preview in previews)
+    largest = max((preview.size_bytes for preview in previews), default=0)
     needed = total + largest + round(rig.recording.reserve_mb * 1e6)
     if needed > free:
         findings.append(
             f"{folder}: {free / 1e6:.0f} MB are free where the session needs up to {needed / 1e6:.0f} MB; "
             "make room or name another folder with --out"
         )
-    return Preflight(previews, programme.duration_s, total, free, tuple(findings))
-
-
-def free_bytes_near(folder: Path) -> int:
-    """Return the free space where `folder` is or will be; raises `OutputError` when nothing of its path exists."""
-    for place in (folder.absolute(), *folder.absolute().parents):
-        if place.is_dir():
-            try:
-                return shutil.disk_usage(place).free
-            except OSError as error:
-                raise OutputError(f"{place}: cannot be looked at ({error.strerror}).") from error
-    raise OutputError(f"{folder}: nothing of this path exists; name another folder.")
-
-
-def _run_preview(run: PlannedRun, rate_hz: float, further_channels: int) -> RunPreview:
-    extremes = run.profile.extremes()
-    samples = run.profile.samples(rate_hz)
-    return RunPreview(
-        run=run,
-        lowest_mm=run.start_mm + extremes.lowest_mm,
-        highest_mm=run.start_mm + extremes.highest_mm,
-        speed_mm_s=extremes.speed_mm_s,
-        accel_mm_s2=extremes.acceleration_mm_s2,
-        samples=samples,
-        size_bytes=recording_bytes(samples, further_channels),
-    )
+    return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings))
 
 
 def _limit_violations(preview: RunPreview, limits: StageLimits) -> list[str]:
     run = preview.run
     name = f"run {run.index} ({run.protocol.summary()})"
-    found = []
+    violations = []
     if preview.lowest_mm < limits.lowest_mm - 1e-9 or preview.highest_mm > limits.highest_mm + 1e-9:
-        found.append(
-            f"{name} would go from {preview.lowest_mm:g} to {preview.highest_mm:g} mm, where the stage may go from "
+        violations.append(
+            f"{name} would move from {preview.lowest_mm:g} to {preview.highest_mm:g} mm, outside the stage's travel of "
             f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm; change travel_mm or start_mm"
         )
     if preview.speed_mm_s > limits.speed_mm_s * (1 + 1e-9):
-        found.append(
-            f"{name} would reach {preview.speed_mm_s:g} mm/s, where the stage may do {limits.speed_mm_s:g} mm/s"
+        violations.append(
+            f"{name} would reach {preview.speed_mm_s:g} mm/s, over the stage's limit of {limits.speed_mm_s:g} mm/s"
         )
     if preview.accel_mm_s2 > limits.acceleration_mm_s2 * (1 + 1e-9):
-        found.append(
-            f"{name} would accelerate with {preview.accel_mm_s2:g} mm/s², where the stage may do "
+        violations.append(
+            f"{name} would accelerate with {preview.accel_mm_s2:g} mm/s², over the stage's limit of "
             f"{limits.acceleration_mm_s2:g} mm/s²"
         )
-    return found
+    return violations
 
 
 _SECONDS_PER_DAY = 86_400
@@ -133,11 +126,11 @@ _CALIBRATION_COMMANDS = {"force": "dragrig calibrate force", "encoder": "dragrig
 
 
 def check_limits(rig: RigSettings) -> RigCheck:
-    """Look at the limits of the stage and of the guard: travel, and what a stop from full speed takes of it."""
+    """Check the limits of stage and guard: whether a stop from full speed fits into half of the travel."""
     stage = rig.stage
     travel_mm = stage.highest_mm - stage.lowest_mm
-    seen_mm = stage.max_speed_mm_s * MAX_BLOCK_S
-    stop_mm = seen_mm + stage.max_speed_mm_s**2 / (2 * stage.stop_accel_mm_s2)
+    delay_mm = stage.max_speed_mm_s * MAX_BLOCK_S
+    stop_mm = delay_mm + stage.max_speed_mm_s**2 / (2 * stage.stop_accel_mm_s2)
     detail = (
         f"{stage.lowest_mm:g} to {stage.highest_mm:g} mm, up to {stage.max_speed_mm_s:g} mm/s, from which the guard's "
         f"stop takes {stop_mm:.1f} mm; force up to {rig.guard.force_limit_mN:g} mN"
@@ -148,37 +141,39 @@ def check_limits(rig: RigSettings) -> RigCheck:
 
 
 def check_wiring(rig: RigSettings, calibrations: Mapping[str, Calibration]) -> Iterator[RigCheck]:
-    """Look at whether the real rig's converter and counter reach as far as its limits."""
+    """Check whether the ranges of the real rig's converter and counter cover its limits."""
     force, encoder = rig.hardware.card.force, rig.hardware.card.encoder
     calibrated = calibrations.get("force")
     per_V = calibrated.gain if calibrated is not None else force.per_V
-    reach_mN = abs(per_V) * (min(force.overload_V, force.range_V) - abs(force.zero_V))
+    range_mN = abs(per_V) * (min(force.overload_V, force.range_V) - abs(force.zero_V))
     yield RigCheck(
         "force limit",
-        rig.guard.force_limit_mN <= reach_mN,
-        f"guard.force_limit_mN is {rig.guard.force_limit_mN:g} mN, and the force input tells up to {reach_mN:.0f} mN",
+        rig.guard.force_limit_mN <= range_mN,
+        f"guard.force_limit_mN is {rig.guard.force_limit_mN:g} mN, the force input's range is {range_mN:.0f} mN",
     )
     if encoder.filter_ns:
         # A pulse of A or B lasts two counts.
-        fastest = 2e-3 * rig.encoder.resolution_um / (1e-9 * encoder.filter_ns)
+        max_speed = 2e-3 * rig.encoder.resolution_um / (1e-9 * encoder.filter_ns)
         yield RigCheck(
             "encoder filter",
-            rig.stage.max_speed_mm_s <= fastest,
-            f"the filter of {encoder.filter_ns} ns passes counts up to {fastest:.0f} mm/s, and stage.max_speed_mm_s is "
+            rig.stage.max_speed_mm_s <= max_speed,
+            f"the filter of {encoder.filter_ns} ns passes up to {max_speed:.0f} mm/s, and stage.max_speed_mm_s is "
             f"{rig.stage.max_speed_mm_s:g}",
         )
 
 
 def check_calibration(quantity: str, entry: Calibration | None, rig: RigSettings, now: datetime) -> RigCheck:
-    """Look at the calibration of a quantity that holds now: whether there is one, its age, and its sensor."""
-    what, most_days = f"calibration of {quantity}", rig.hardware.calibration_days
+    """Check the latest calibration of a quantity: whether there is one, its age, and its sensor."""
+    name, max_days = f"calibration of {quantity}", rig.hardware.calibration_days
     if entry is None:
-        return RigCheck(what, False, f"there is none: {_CALIBRATION_COMMANDS[quantity]}")
+        return RigCheck(name, False, f"missing; make it with {_CALIBRATION_COMMANDS[quantity]}")
     age_days = (now - entry.made_at).total_seconds() / _SECONDS_PER_DAY
     detail = f"{entry.id}, {max(age_days, 0):.0f} days old"
-    if age_days > most_days:
-        return RigCheck(what, False, f"{detail}, where {most_days:g} are allowed: {_CALIBRATION_COMMANDS[quantity]}")
+    if age_days > max_days:
+        return RigCheck(
+            name, False, f"{detail}, more than {max_days:g}: repeat it with {_CALIBRATION_COMMANDS[quantity]}"
+        )
     if quantity == "force" and rig.force_sensor.serial and entry.sensor_serial != rig.force_sensor.serial:
-        other = entry.sensor_serial or "a sensor without a serial number"
-        return RigCheck(what, False, f"{detail}, made with {other}, and the rig has {rig.force_sensor.serial}")
-    return RigCheck(what, True, detail)
+        sensor = entry.sensor_serial or "a sensor without a serial number"
+        return RigCheck(name, False, f"{detail}, made with {sensor}, and the rig has {rig.force_sensor.serial}")
+    return RigCheck(name, True, detail)

@@ -16,13 +16,21 @@ from dragrig.rig.profile import MotionProfile, Phase
 from dragrig.rig.runfile.model import Attribute
 
 _CHUNK_SAMPLES = 16_384
+_REST, _HOLD = int(Phase.REST), int(Phase.HOLD)
+_SLIP_DELAY_S = 0.3
+"""Slip is looked for from this time after the ramp on: by then the fast branch has relaxed."""
+_SLIP_BIN_S = 0.1
+_SLIP_STANDARD_ERRORS = 8.0
+"""A drop counts as slip when it exceeds the one before by so many standard errors of a bin …"""
+_MIN_SLIP_FRACTION = 0.02
+"""… and the accuracy of the sensor, plus this fraction of the force."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """A block with its time, command and phase; every array read-only, shape `(n,)`.
 
-    `channels` holds what the block does, with the tare taken off the force.
+    `channels` holds the block's channels, with the tare subtracted from the force.
     """
 
     first_index: int
@@ -43,49 +51,49 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class BlockExtremes:
-    """What guard and checks both need of a block, worked out once."""
+    """Extremes of a block that both guard and checks need: position, raw force, largest following error."""
 
-    lowest_mm: float
-    highest_mm: float
-    least_mN: float
-    greatest_mN: float
-    following_mm: float
+    min_position_mm: float
+    max_position_mm: float
+    min_force_mN: float
+    max_force_mN: float
+    following_error_mm: float
 
     @classmethod
-    def at(cls, block: Block, command: AnyFloatArray) -> "BlockExtremes":
-        """Take the extremes of position and raw force, and the largest distance from the command."""
+    def of(cls, block: Block, command: AnyFloatArray) -> "BlockExtremes":
+        """Return the extremes of a block and its command, of shape `(n,)`."""
         force, position = block.channels["force"], block.channels["position"]
         return cls(
-            lowest_mm=float(np.minimum.reduce(position)),
-            highest_mm=float(np.maximum.reduce(position)),
-            least_mN=float(np.minimum.reduce(force)),
-            greatest_mN=float(np.maximum.reduce(force)),
-            following_mm=float(np.maximum.reduce(np.abs(position - command))),
+            min_position_mm=float(np.minimum.reduce(position)),
+            max_position_mm=float(np.maximum.reduce(position)),
+            min_force_mN=float(np.minimum.reduce(force)),
+            max_force_mN=float(np.maximum.reduce(force)),
+            following_error_mm=float(np.maximum.reduce(np.abs(position - command))),
         )
 
 
 class SetpointSampler:
-    """Time, command and phase of a profile's samples, worked out in long stretches and handed out in slices."""
+    """Time, command and phase of a profile's samples, computed in long chunks and returned in slices."""
 
     def __init__(self, profile: MotionProfile, rate_hz: float, tare_mN: float = 0.0) -> None:
         self._profile = profile
         self._rate_hz = rate_hz
         self._tare_mN = np.float32(tare_mN)
-        self._from = 0
+        self._first_index = 0
         self._time: FloatArray = np.zeros(0)
         self._command: AnyFloatArray = np.zeros(0, np.float32)
         self._phase: PhaseArray = np.zeros(0, np.uint8)
 
     def replace(self, profile: MotionProfile) -> None:
-        """Go on with another profile, as after a stop."""
+        """Continue with another profile, as after a stop."""
         self._profile = profile
         self._time = self._time[:0]
 
-    def join(self, block: Block) -> Reading:
-        """Put a block beside its command."""
-        if not self._from <= block.first_index <= block.end_index <= self._from + len(self._time):
-            self._work_out(block.first_index, block.samples)
-        start = block.first_index - self._from
+    def with_setpoint(self, block: Block) -> Reading:
+        """Return a block with its command."""
+        if not self._first_index <= block.first_index <= block.end_index <= self._first_index + len(self._time):
+            self._compute_chunk(block.first_index, block.samples)
+        start = block.first_index - self._first_index
         stop = start + block.samples
         channels = dict(block.channels)
         if self._tare_mN:
@@ -99,51 +107,42 @@ class SetpointSampler:
             channels=channels,
         )
 
-    def _work_out(self, first: int, samples: int) -> None:
-        self._from = first
-        self._time = np.arange(first, first + max(_CHUNK_SAMPLES, samples)) / self._rate_hz
+    def _compute_chunk(self, first_index: int, samples: int) -> None:
+        self._first_index = first_index
+        self._time = np.arange(first_index, first_index + max(_CHUNK_SAMPLES, samples)) / self._rate_hz
         self._command = self._profile.position(self._time).astype(np.float32)
         self._phase = self._profile.phase_at(self._time)
         for array in (self._time, self._command, self._phase):
             read_only(array)
 
 
-_REST, _HOLD = int(Phase.REST), int(Phase.HOLD)
-_SLIP_DELAY_S = 0.3
-"""Slip is looked for from so long after the ramp: by then the fast branch has relaxed."""
-_SLIP_BIN_S = 0.1
-_SLIP_STANDARD_ERRORS = 8.0
-"""A drop counts as slip when it exceeds the one before by so many standard errors of a bin …"""
-_MIN_SLIP_FRACTION = 0.02
-"""… and the accuracy of the sensor, plus this part of the force."""
-
-
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """What was seen, as attributes for the file, and what a person should be told."""
+    """Results of the checks, as attributes for the file, and warnings for the operator."""
 
     values: Mapping[str, Attribute]
     warnings: tuple[str, ...]
 
 
 class RunChecks:
-    """Gathers what a run's checks need; owned by the engine's thread."""
+    """Accumulates a run's checks; owned by the engine's thread."""
 
     def __init__(
         self, rate_hz: float, force_range_mN: tuple[float, float], accuracy_mN: float, *, sticking: bool
     ) -> None:
-        self._rate_hz = rate_hz
-        self._range = force_range_mN
+        self._force_range_mN = force_range_mN
         self._accuracy_mN = accuracy_mN
         self._rest = _RestStatistics()
         self._clipped = 0
         self._lost = 0
-        self._following_mm = 0.0
-        self._next = 0
+        self._following_error_mm = 0.0
+        self._next_index = 0
         self._slip = _SlipDetector(rate_hz, accuracy_mN) if sticking else None
 
-    def add(self, reading: Reading, look: BlockExtremes, raw_force: AnyFloatArray, *, commanded: bool = True) -> None:
-        """Look at a reading.
+    def add(
+        self, reading: Reading, extremes: BlockExtremes, raw_force: AnyFloatArray, *, commanded: bool = True
+    ) -> None:
+        """Check a reading.
 
         Parameters
         ----------
@@ -152,24 +151,24 @@ class RunChecks:
         commanded
             Whether the stage follows its command; a stage that brakes does not.
         """
-        self._lost += max(reading.first_index - self._next, 0)
-        self._next = reading.end_index
-        lowest, highest = self._range
-        if look.greatest_mN >= highest or look.least_mN <= lowest:
-            self._clipped += int(np.count_nonzero((raw_force >= highest) | (raw_force <= lowest)))
+        self._lost += max(reading.first_index - self._next_index, 0)
+        self._next_index = reading.end_index
+        low_mN, high_mN = self._force_range_mN
+        if extremes.max_force_mN >= high_mN or extremes.min_force_mN <= low_mN:
+            self._clipped += int(np.count_nonzero((raw_force >= high_mN) | (raw_force <= low_mN)))
         if reading.phase[0] == _REST:
             self._rest.add(reading.channels["force"][reading.phase == _REST])
         if commanded:
-            self._following_mm = max(self._following_mm, look.following_mm)
+            self._following_error_mm = max(self._following_error_mm, extremes.following_error_mm)
         if self._slip is not None and reading.phase[-1] == _HOLD:
             self._slip.add(reading)
 
     def report(self) -> CheckReport:
-        """Return what was seen so far."""
+        """Return the results so far."""
         values: dict[str, Attribute] = {
             "lost_samples": self._lost,
             "clipped_samples": self._clipped,
-            "following_error_mm": round(self._following_mm, 6),
+            "following_error_mm": round(self._following_error_mm, 6),
         }
         if self._rest.count:
             values["rest_offset_mN"] = self._rest.mean
@@ -181,7 +180,7 @@ class RunChecks:
             warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
         if self._rest.noise > self._accuracy_mN:
             warnings.append(
-                f"noise at rest is {self._rest.noise:.1f} mN, where the sensor is good to {self._accuracy_mN:g}"
+                f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
             )
         if self._slip is not None:
             values["slip_time_s"] = self._slip.time_s
@@ -191,7 +190,7 @@ class RunChecks:
 
 
 class _RestStatistics:
-    """Running mean, and noise from sample to sample, which a force that still relaxes does not hide."""
+    """Running mean, and noise from sample to sample, which a relaxing force does not hide."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -216,7 +215,7 @@ class _RestStatistics:
 
 
 class _SlipDetector:
-    """Looks for a drop of the held force that is larger than the drop before it.
+    """Detects a drop of the held force that is larger than the drop before it.
 
     A relaxing wall loses force ever more slowly, whatever its time constants; a capsule that slips does not.
     """
@@ -225,34 +224,35 @@ class _SlipDetector:
         self.time_s = -1.0
         self._accuracy_mN = accuracy_mN
         self._rate_hz = rate_hz
-        self._per_bin = max(round(_SLIP_BIN_S * rate_hz), 2)
-        self._begun: float | None = None
-        self._left: list[AnyFloatArray] = []
-        self._gathered = 0
+        self._bin_samples = max(round(_SLIP_BIN_S * rate_hz), 2)
+        self._hold_begins_s: float | None = None
+        self._pending: list[AnyFloatArray] = []
+        self._pending_samples = 0
         self._bins: list[tuple[float, float]] = []
 
     def add(self, reading: Reading) -> None:
         hold = reading.phase == _HOLD
-        if self._begun is None:
-            self._begun = float(reading.time[hold.argmax()])
-        settled = hold & (reading.time >= self._begun + _SLIP_DELAY_S)
+        if self._hold_begins_s is None:
+            self._hold_begins_s = float(reading.time[hold.argmax()])
+        settled = hold & (reading.time >= self._hold_begins_s + _SLIP_DELAY_S)
         if not settled.any():
             return
-        self._left.append(reading.channels["force"][settled])
-        self._gathered += int(settled.sum())
-        if self._gathered >= self._per_bin:
-            self._judge(float(reading.time[-1]))
+        self._pending.append(reading.channels["force"][settled])
+        self._pending_samples += int(settled.sum())
+        if self._pending_samples >= self._bin_samples:
+            self._close_bin(float(reading.time[-1]))
 
-    def _judge(self, time_s: float) -> None:
-        gathered = np.concatenate(self._left)
-        self._left, self._gathered = [], 0
-        self._bins = [*self._bins[-4:], (float(gathered.mean()), float(gathered.std(ddof=1)) / sqrt(len(gathered)))]
+    def _close_bin(self, time_s: float) -> None:
+        force = np.concatenate(self._pending)
+        self._pending, self._pending_samples = [], 0
+        self._bins = [*self._bins[-4:], (float(force.mean()), float(force.std(ddof=1)) / sqrt(len(force)))]
         if len(self._bins) < 5 or self.time_s >= 0:
             return
         means = [mean for mean, _ in self._bins]
         # The median, because the bin that holds the slip looks noisy by itself.
         noise = median(error for _, error in self._bins)
-        # Over two bins each, because a slip may fall into the middle of one.
-        before, now = means[0] - means[2], means[2] - means[4]
-        if now - before > max(_SLIP_STANDARD_ERRORS * noise, self._accuracy_mN) + _MIN_SLIP_FRACTION * abs(means[0]):
-            self.time_s = time_s - 2 * self._per_bin / self._rate_hz
+        # Drops over two bins, because a slip may fall into the middle of one.
+        drop_before, drop = means[0] - means[2], means[2] - means[4]
+        threshold = max(_SLIP_STANDARD_ERRORS * noise, self._accuracy_mN) + _MIN_SLIP_FRACTION * abs(means[0])
+        if drop - drop_before > threshold:
+            self.time_s = time_s - 2 * self._bin_samples / self._rate_hz

@@ -12,9 +12,11 @@ from dragrig.rig.devices import Backend, RawReading, SupportsBenchActions
 from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Prompt
 
+STANDARD_GRAVITY = 9.80665
+"""Weight of a gram [mN]."""
 _MIN_LOADS = 3
 _MAX_RELATIVE_GAIN_ERROR = 0.05
-"""Part of the gain that its standard error may be; beyond, the readings do not follow what was applied."""
+"""Largest standard error of the gain, relative to it; beyond, the readings do not follow what was applied."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,31 +31,28 @@ class CalibrationLine:
     points: int
 
     def at(self, raw: float) -> float:
-        """Return the quantity that a raw value stands for."""
+        """Return the quantity of a raw value."""
         return self.gain * raw + self.zero
 
 
 def fit_force(loads_mN: Sequence[float], volts: Sequence[float]) -> CalibrationLine:
     """Fit force to volts, both of shape `(n,)`.
 
-    Raises
-    ------
-    SettingsError
-        For fewer than three distinct loads, and for volts that do not follow the loads.
+    Raises `SettingsError` for fewer than three distinct loads, and for volts that do not follow the loads.
     """
     require_loads(loads_mN)
     force, reading = np.asarray(loads_mN, float), np.asarray(volts, float)
     if not np.isfinite(reading).all() or np.ptp(reading) == 0:
         raise SettingsError("the readings do not change with the load: is the sensor connected, and the load on it?")
-    (gain, zero), spread = np.polyfit(reading, force, 1, cov=True)
-    gain_error, zero_error = np.sqrt(np.diag(spread))
+    (gain, zero), covariance = np.polyfit(reading, force, 1, cov=True)
+    gain_error, zero_error = np.sqrt(np.diag(covariance))
     if gain_error > _MAX_RELATIVE_GAIN_ERROR * abs(gain):
         raise SettingsError(
             f"the readings do not follow the loads (gain {gain:.4g} ± {gain_error:.2g} mN/V): is each load on the "
             "sensor, and does it hang still?"
         )
-    left = force - (gain * reading + zero)
-    residual = sqrt(float(left @ left) / (len(force) - 2))
+    residuals = force - (gain * reading + zero)
+    residual = sqrt(float(residuals @ residuals) / (len(force) - 2))
     return CalibrationLine(float(gain), float(gain_error), float(zero), float(zero_error), residual, len(force))
 
 
@@ -66,36 +65,29 @@ def require_loads(loads: Sequence[float]) -> None:
 
 
 def fit_encoder(travels_mm: Sequence[float], counts: Sequence[float]) -> CalibrationLine:
-    """Fit travel to counts through the origin, both of shape `(n,)`; one point has no errors and no residual.
+    """Fit travel to counts through the origin, both of shape `(n,)`; a single point has no errors and no residual.
 
-    Raises
-    ------
-    SettingsError
-        For counts that do not follow the travel.
+    Raises `SettingsError` for counts that do not follow the travel.
     """
     travel, counted = np.asarray(travels_mm, float), np.asarray(counts, float)
-    square = float(counted @ counted)
-    if not travel.size or not np.isfinite(travel).all() or square == 0:
-        raise SettingsError("the encoder counted nothing: look at its cable, and at hardware.card.encoder.")
-    gain = float(travel @ counted) / square
-    left = travel - gain * counted
-    residual = sqrt(float(left @ left) / (len(travel) - 1)) if len(travel) > 1 else 0.0
-    gain_error = residual / sqrt(square)
+    sum_of_squares = float(counted @ counted)
+    if not travel.size or not np.isfinite(travel).all() or sum_of_squares == 0:
+        raise SettingsError("the encoder counted nothing: check its cable, and hardware.card.encoder.")
+    gain = float(travel @ counted) / sum_of_squares
+    residuals = travel - gain * counted
+    residual = sqrt(float(residuals @ residuals) / (len(travel) - 1)) if len(travel) > 1 else 0.0
+    gain_error = residual / sqrt(sum_of_squares)
     if gain <= 0 or gain_error > _MAX_RELATIVE_GAIN_ERROR * gain:
         raise SettingsError(
-            f"the counts do not follow the travel ({gain:.4g} ± {gain_error:.2g} mm per count): does the stage go all "
-            "of it, and does the encoder count up where the stage goes up (hardware.card.encoder.reversed)?"
+            f"the counts do not follow the travel ({gain:.4g} ± {gain_error:.2g} mm per count): does the stage "
+            "move all of it, and does the encoder count up where the stage moves up (hardware.card.encoder.reversed)?"
         )
     return CalibrationLine(gain, gain_error, 0.0, 0.0, residual, len(travel))
 
 
-STANDARD_GRAVITY = 9.80665
-"""Weight of a gram [mN]."""
-
-
 @dataclass(frozen=True, slots=True)
 class MeasuredLoad:
-    """A weight on the sensor [g], its load [mN], and the reading."""
+    """A weight on the sensor [g], its load [mN], and the sensor's reading."""
 
     weight_g: float
     load_mN: float
@@ -104,7 +96,7 @@ class MeasuredLoad:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredTravel:
-    """A known travel [mm], and what the encoder counted over it."""
+    """A known travel [mm], and the encoder's counts over it."""
 
     travel_mm: float
     counts: float
@@ -118,26 +110,21 @@ def measure_loads(
     repeats: int,
     duration_s: float,
 ) -> Iterator[MeasuredLoad]:
-    """Have each weight hung on the sensor, up and down in turns, and read it.
+    """Have each weight hung on the sensor, up and down alternately, and read the sensor.
 
-    Raises
-    ------
-    DeviceError
-        When the sensor is overloaded.
-    AbortedError
-        When the person says so.
+    Raises `DeviceError` when the sensor is overloaded, `AbortedError` when the person aborts.
     """
     for repeat in range(repeats):
         for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
-            what = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
-            manual.ask(Prompt(f"{what} and let it hang still", hands=backend.needs_hands))
+            action = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
+            manual.confirm(Prompt(f"{action} and let it hang still", hands=backend.needs_hands))
             if isinstance(backend, SupportsBenchActions):
                 backend.hang(weight_g * STANDARD_GRAVITY)
             reading = backend.sampler.measure(duration_s)
             if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
                 raise DeviceError(
                     f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
-                    "lighter weights, or look at its wires."
+                    "lighter weights, or check its wires."
                 )
             yield MeasuredLoad(weight_g, weight_g * STANDARD_GRAVITY, reading)
 
@@ -150,33 +137,33 @@ def measure_driven_travel(
     measured_mm: Sequence[float],
     repeats: int,
 ) -> Iterator[MeasuredTravel]:
-    """Drive the stage there and back, and tell what the encoder counted over each way whose travel is known.
+    """Drive the stage back and forth, and yield the encoder's counts over each stroke of known travel.
 
     Parameters
     ----------
     count_mm
-        Length of a count as the sampler takes it now.
+        Length of a count in the sampler's present calibration.
     measured_mm
-        Travel of every way there as somebody measured it; where it is empty, the drive's word is taken for both ways.
+        Measured travel of every forward stroke; empty to trust the drive's travel, in both directions.
     """
     manual.make_ready()
     for repeat in range(repeats):
-        there = manual.travel(travel_mm, speed_mm_s) / count_mm
-        yield MeasuredTravel(measured_mm[repeat] if measured_mm else travel_mm, there)
-        back = manual.travel(-travel_mm, speed_mm_s) / count_mm
+        forward = manual.travel(travel_mm, speed_mm_s) / count_mm
+        yield MeasuredTravel(measured_mm[repeat] if measured_mm else travel_mm, forward)
+        backward = manual.travel(-travel_mm, speed_mm_s) / count_mm
         if not measured_mm:
-            yield MeasuredTravel(-travel_mm, back)
+            yield MeasuredTravel(-travel_mm, backward)
 
 
 def measure_pushed_travel(
     backend: Backend, manual: ManualControl, travels_mm: Sequence[float], duration_s: float
 ) -> Iterator[MeasuredTravel]:
-    """Have the stage, switched off, pushed by known travels, and tell what the encoder counted."""
+    """Have the stage, switched off, pushed by known travels, and yield the encoder's counts."""
     backend.stage.disable()
     for travel_mm in travels_mm:
-        way = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
-        text = f"The stage is off. After this answer, push it {way} against a gauge, within {duration_s:g} s"
-        manual.ask(Prompt(text, hands=backend.needs_hands))
+        travel = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
+        text = f"The stage is off. After this answer, push it {travel} against a gauge, within {duration_s:g} s"
+        manual.confirm(Prompt(text, hands=backend.needs_hands))
         if isinstance(backend, SupportsBenchActions):
             backend.push(travel_mm, duration_s)
         reading = backend.sampler.measure(duration_s)

@@ -98,7 +98,7 @@ def test_the_model_is_what_the_simulator_shows(run: dragrig.Run) -> None:
 
 
 def test_what_cannot_be_is_raised_in_words(run: dragrig.Run, tmp_path: Path) -> None:
-    with pytest.raises(PlanError, match="where the stage may go"):
+    with pytest.raises(PlanError, match="outside the stage's travel"):
         dragrig.simulate(DragProtocol(speed_mm_s=10, travel_mm=500))
     with pytest.raises(AnalysisError, match="odd number"):
         dragrig.filter(run, window_samples=10)

@@ -189,7 +189,7 @@ def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytes
 @pytest.mark.parametrize(
     ("words", "code", "sentence"),
     [
-        (["--travel", "0"], 2, "no way to go"),
+        (["--travel", "0"], 2, "a distance other than 0"),
         (["--travel", "40", "--measured", "40"], 2, "each of 3 repeats"),
         (["--travel", "40", "--repeats", "1", "--measured", "-40"], 2, "travel's sign"),
         (["--travel", "200"], 2, "0 to 150 mm"),

@@ -88,7 +88,7 @@ def test_what_is_not_fine_is_marked_and_the_rest_is_looked_at(
 
 @pytest.mark.parametrize(
     ("age_days", "serial", "rig", "word"),
-    [(91.0, "", {}, "90 are allowed"), (1.0, "A1", {"force_sensor": {"serial": "A2"}}, "the rig has A2")],
+    [(91.0, "", {}, "more than 90"), (1.0, "A1", {"force_sensor": {"serial": "A2"}}, "the rig has A2")],
 )
 def test_a_calibration_can_be_too_old_or_anothers(
     lab: Path, age_days: float, serial: str, rig: dict[str, object], word: str
@@ -145,7 +145,7 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
 ) -> None:
     assert run(monkeypatch, *QUICK, "--backend", "handed", "--double", "--yes") == 3
     told = capsys.readouterr().err
-    assert "Look at the rig" in told
+    assert "Check the rig" in told
     assert "hands" in told
     assert read_campaign(lab / "c").runs == ()
 

@@ -29,8 +29,8 @@ def report(
             continue
         channels = {"force": force[start : start + 50], "position": position[start : start + 50]}
         block = Block(start, channels)
-        reading = tape.join(block)
-        checks.add(reading, BlockExtremes.at(block, reading.command), block.channels["force"])
+        reading = tape.with_setpoint(block)
+        checks.add(reading, BlockExtremes.of(block, reading.command), block.channels["force"])
     return checks.report()
 
 

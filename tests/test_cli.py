@@ -168,7 +168,7 @@ def test_check_says_what_a_plan_would_do(run_json: Callable[..., dict[str, list[
 def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[str, list[str]]], tmp_path: Path) -> None:
     found = run_json("check", "drag", "--set", "travel_mm=140", "--json", code=2)
     assert len(found["findings"]) == 2
-    assert all("where the stage may go from 0 to 150 mm" in text for text in found["findings"])
+    assert all("outside the stage's travel of 0 to 150 mm" in text for text in found["findings"])
     assert list(tmp_path.iterdir()) == []
 
 

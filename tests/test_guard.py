@@ -36,7 +36,7 @@ def block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: i
 
 def seen(one: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], BlockExtremes]:
     command = (one.channels["position"] + command_off).astype(np.float32)
-    return command, BlockExtremes.at(one, command)
+    return command, BlockExtremes.of(one, command)
 
 
 def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
@@ -119,7 +119,7 @@ def test_a_plain_lag_does_not_trip_where_the_stage_brakes_or_turns(offset: int) 
         command = profile.position(time).astype(np.float32)
         lagging = profile.position(np.maximum(time - 0.02, 0.0)).astype(np.float32)
         one = Block(first, {"force": np.zeros(end - first, np.float32), "position": lagging})
-        assert guard.inspect(one, command, BlockExtremes.at(one, command), RATE) is None
+        assert guard.inspect(one, command, BlockExtremes.of(one, command), RATE) is None
 
 
 def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
@@ -141,7 +141,7 @@ def driven(
         time = np.arange(first, first + per_block) / RATE
         command = profile.position(time).astype(np.float32)
         one = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
-        if trip := guard.inspect(one, command, BlockExtremes.at(one, command), RATE):
+        if trip := guard.inspect(one, command, BlockExtremes.of(one, command), RATE):
             return trip
     return None
 

@@ -109,6 +109,6 @@ def test_an_error_of_the_session_reaches_the_caller() -> None:
 
 def test_nothing_is_asked_of_a_plan_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
     person = AtThePrompt(Answer.DONE)
-    with pytest.raises(PlanError, match="where the stage may go"):
+    with pytest.raises(PlanError, match="outside the stage's travel"):
         carried_out(person, None, "travel_mm=140")
     assert person.thread is None

@@ -73,8 +73,8 @@ def test_a_jog_says_from_where_to_where_and_goes_there() -> None:
     assert one.manual.jog(-2.0) == pytest.approx(10.5, abs=0.001)
     texts = [prompt.text for prompt in one.person.prompts]
     assert texts == [
-        "The stage goes from 0.000 to 12.500 mm at 5 mm/s",
-        "The stage goes from 12.500 to 10.500 mm at 10 mm/s",
+        "The stage moves from 0.000 to 12.500 mm at 5 mm/s",
+        "The stage moves from 12.500 to 10.500 mm at 10 mm/s",
     ]
     assert not any(prompt.hands for prompt in one.person.prompts)
 
@@ -90,8 +90,8 @@ def test_a_jog_that_is_not_agreed_to_moves_nothing() -> None:
 @pytest.mark.parametrize(
     ("distance", "speed", "word"),
     [
-        (0.0, 5.0, "no way"),
-        (float("nan"), 5.0, "no way"),
+        (0.0, 5.0, "other than 0"),
+        (float("nan"), 5.0, "other than 0"),
         (5.0, 0.0, "speed"),
         (5.0, -1.0, "speed"),
         (-1.0, 5.0, "0 to 150"),
@@ -188,7 +188,7 @@ def test_one_slow_jog_leads_off_a_pressed_switch() -> None:
     ("distance", "speed", "side", "word"),
     [
         (1.0, None, TravelEnd.HIGH, "onto"),
-        (-1.0, 2.1, TravelEnd.HIGH, "up to 2 mm/s"),
+        (-1.0, 2.1, TravelEnd.HIGH, "limit is 2 mm/s"),
         (1.0, None, TravelEnd.LOW, "high end is pressed"),
     ],
 )
@@ -250,11 +250,11 @@ def test_it_backs_off_as_asked_but_not_beyond_where_it_began() -> None:
 def test_a_contact_that_is_not_there_or_lost_in_noise_is_told() -> None:
     one = bench()
     one.manual.reset()
-    with pytest.raises(DeviceError, match=r"no contact within 3 mm: the force changed by .* where 5000 mN"):
+    with pytest.raises(DeviceError, match=r"no contact within 3 mm: the force changed by .* and 5000 mN are needed"):
         one.manual.touch_off(5000.0, 5.0, 3.0)
     noisy = bench(rig=settings(simulated={"noise": {"white_mN": 30.0}}))
     noisy.manual.reset()
-    with pytest.raises(SettingsError, match="lost in the noise"):
+    with pytest.raises(SettingsError, match="within the noise"):
         noisy.manual.touch_off(20.0, 5.0, 3.0)
     assert noisy.at_mm < 0.6
 

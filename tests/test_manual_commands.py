@@ -36,7 +36,7 @@ def test_a_jog_asks_and_tells_where_the_stage_is(
     assert main(["jog", "5", "--speed", "20"]) == 0
     told = capsys.readouterr()
     assert told.out == "5.000 mm\n"
-    assert "The stage goes from 0.000 to 5.000 mm at 20 mm/s." in told.err
+    assert "The stage moves from 0.000 to 5.000 mm at 20 mm/s." in told.err
     assert main(["jog", "2.5", "--yes", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"position_mm": 2.5, "trip": None}
 
@@ -51,7 +51,7 @@ def test_nobody_answering_is_no_consent(lab: Path, command: list[str], capsys: p
     assert main(command) == 3
     told = capsys.readouterr()
     assert told.out == ""
-    assert "The stage goes" in told.err
+    assert "The stage moves" in told.err
     assert "--yes" in told.err
     assert not (lab / "contact.toml").exists()
 
@@ -67,7 +67,7 @@ def test_at_a_real_rig_yes_does_not_look(
     monkeypatch.setattr(sys, "stdin", io.StringIO("d\n" * 4))
     assert main(handed) == 0
     told = capsys.readouterr().err
-    assert told.index("Look at the rig") < told.index("origin")
+    assert told.index("Check the rig") < told.index("origin")
     # The jog itself needs no hands, so --yes answers for it.
     assert "goes from 0.000 to 5.000 mm" not in told
 
@@ -85,7 +85,7 @@ def test_at_a_real_rig_yes_does_not_look(
         (["touch-off", "--back", "-1"], 2, "back_mm"),
         (["touch-off", "--speed", "101"], 2, "100 at most"),
         (["jog", "5", "--speed", "101"], 2, "100 at most"),
-        (["jog", "nan"], 2, "no way to go"),
+        (["jog", "nan"], 2, "a distance other than 0"),
         (["jog", "5", "--set", "speed_mm_s=3"], 2, "only rig"),
         (["jog", "5", "--double"], 2, "has no double"),
     ],
@@ -107,7 +107,7 @@ def test_nobody_is_asked_for_hands_before_nonsense_is_refused(
 ) -> None:
     add_ons.install(tmp_path / "site", monkeypatch)
     assert main([*words, "--backend", "handed"]) == 2
-    assert "Look at the rig" not in capsys.readouterr().err
+    assert "Check the rig" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", [["jog", "5"], ["run", "drag", "--out", "c"]])
@@ -171,7 +171,7 @@ def test_limits_stay_absolute_when_plans_count_from_a_contact(lab: Path, capsys:
         'position_mm = 120.0\nmade_at = "2026-05-04T09:00:00Z"\nforce_mN = 20.0\n', "utf-8"
     )
     assert main(["check", "drag", "--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=0"]) == 2
-    assert "from 120 to 160 mm, where the stage may go from 0 to 150 mm" in capsys.readouterr().err
+    assert "from 120 to 160 mm, outside the stage's travel of 0 to 150 mm" in capsys.readouterr().err
 
 
 def test_without_a_contact_nothing_counts_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,7 +93,7 @@ def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> 
     assert orders == [(0, "complete"), (1, "complete"), (2, "complete")]
     found = read_campaign(tmp_path / "c")
     assert [found.marks[one.path].reason for one in found.runs if one.path in found.marks] == [
-        "made again at the operator's word"
+        "repeated at the operator's request"
     ]
 
 
@@ -233,7 +233,7 @@ def test_how_far_a_first_run_that_is_made_again_has_come_is_told(run: Runner, tm
         (("drag", "--pace", "slow"), "--pace"),
         (("drag", "--out", "taken"), "taken"),
         (("drag", "--out", "taken/below"), "taken"),
-        (("drag", "--set", "travel_mm=140"), "where the stage may go"),
+        (("drag", "--set", "travel_mm=140"), "outside the stage's travel"),
         (("drag", "--set", "rig.recording.reserve_mb=1e9"), "MB are free"),
     ],
 )

@@ -196,7 +196,7 @@ def only_drags(acquisition: object) -> bool:
     ],
 )
 def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> None:
-    one, store = session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, strike=only_drags))
+    one, store = session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, affects=only_drags))
     result = one.run()
     assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith(cause)
@@ -214,7 +214,7 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
 
 
 def test_lost_samples_are_counted_and_never_closed_up() -> None:
-    faults = Faults(lost_samples=LostSamples(1.2, 30), strike=only_drags)
+    faults = Faults(lost_samples=LostSamples(1.2, 30), affects=only_drags)
     result, runs = made(SHORT_DRAG, faults=faults)
     assert result.status is RunStatus.COMPLETE
     assert runs[0].info.checks["lost_samples"] == 30

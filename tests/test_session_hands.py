@@ -59,7 +59,7 @@ def test_a_person_looks_before_the_guard_is_reset_and_before_the_stage_homes() -
     person = Present()
     session, store, _ = at_the_rig(person)
     assert session.run().status is RunStatus.COMPLETE
-    assert [prompt.text.split()[0] for prompt in person.prompts] == ["Look", "The", "fit"]
+    assert [prompt.text.split()[0] for prompt in person.prompts] == ["Check", "The", "fit"]
     assert all(prompt.hands for prompt in person.prompts)
     assert len(store.runs) == 2
 
@@ -125,7 +125,7 @@ def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypat
             backend.clock.sleep(1.0, NEVER)
             monkeypatch.setattr(SimulatedStage, "fault", watchdog)
 
-    monkeypatch.setattr(session._watcher, "reads", hold)
+    monkeypatch.setattr(session._observer, "reads", hold)
     result = session.run()
     assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith("watchdog: nobody looked at the data")
@@ -175,7 +175,7 @@ def test_an_acquisition_ends_in_good_order_once_it_has_what_it_sought() -> None:
     seen: list[Reading] = []
     engine = engine_on(backend)
     outcome = engine.acquire(
-        acquire(stroke(travel_mm=100.0)), view=seen.append, until=lambda reading: reading.end_index >= 1000
+        acquire(stroke(travel_mm=100.0)), view=seen.append, stop_when=lambda reading: reading.end_index >= 1000
     )
     assert (outcome.status, outcome.reason) == (RunStatus.COMPLETE, "")
     assert outcome.samples < 1200
@@ -187,7 +187,7 @@ def test_an_acquisition_ends_in_good_order_once_it_has_what_it_sought() -> None:
 def test_what_is_sought_does_not_outrank_the_guard() -> None:
     backend = open_handed(Faults(force_spike=ForceSpike(0.4, 9000.0)))
     outcome = engine_on(backend).acquire(
-        acquire(stroke(travel_mm=100.0)), until=lambda reading: reading.end_index >= 450
+        acquire(stroke(travel_mm=100.0)), stop_when=lambda reading: reading.end_index >= 450
     )
     assert outcome.status is RunStatus.TRIPPED
 
@@ -200,7 +200,7 @@ def test_an_abort_from_elsewhere_is_one_even_while_something_is_sought() -> None
         if reading.end_index >= 500:
             threading.Thread(target=engine.abort, args=("stop button",)).start()
 
-    outcome = engine.acquire(acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)), view=look, until=lambda _: False)
+    outcome = engine.acquire(acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)), view=look, stop_when=lambda _: False)
     assert (outcome.status, outcome.reason) == (RunStatus.ABORTED, "stop button")
 
 

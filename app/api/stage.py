@@ -290,7 +290,7 @@ def calibrate_encoder(
     folder = _require_lab(setup)
     _require_repeats(repeats, duration_s)
     if not isfinite(travel_mm) or travel_mm == 0:
-        raise SettingsError(f"travel_mm = {travel_mm:g}: is no way to go.")
+        raise SettingsError(f"travel_mm = {travel_mm:g}: must be a distance other than 0.")
     require_speed(speed_mm_s, setup.limits)
     if abs(travel_mm) > setup.limits.highest_mm - setup.limits.lowest_mm:
         raise SettingsError(
