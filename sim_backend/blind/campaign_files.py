@@ -35,16 +35,10 @@ def write_campaign(campaign: BlindCampaign, folder: str | Path, *, runs: str | R
     if runs is not None:
         campaign = parallel_session(campaign, runs)
     Path(folder).mkdir(parents=True, exist_ok=True)
-    for index in range(len(campaign.runs)):
-        _write_run(campaign, Path(folder), index)
-
-
-def _write_run(campaign: BlindCampaign, folder: Path, index: int) -> None:
-    record = recorded_run(campaign, index)
-    run = record.run
-    with h5py.File(folder / f"{run.order:03d}-{run.kind}.h5", "w") as file:
-        _write_metadata(file, campaign, run)
-        _write_trace(file.create_group("entry/trace"), record)
+    for index, run in enumerate(campaign.runs):
+        with h5py.File(Path(folder) / f"{run.order:03d}-{run.kind}.h5", "w") as file:
+            _write_metadata(file, campaign, run)
+            _write_trace(file.create_group("entry/trace"), recorded_run(campaign, index))
 
 
 def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> None:

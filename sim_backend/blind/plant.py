@@ -334,7 +334,12 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
     run = RunConditions(plan, seed, command, motion)
     ageing = prod(effect.stiffness(plan) for effect in effects)
     gut = GutContact(campaign.specimen, variation, errors, effects, ageing)
-    force = campaign.specimen.gain * _gut_force(gut, run)
+    force = np.zeros_like(motion.t)
+    if plan.kind == "relaxation":
+        force = relaxation_force(gut, run)
+    elif plan.kind != "blank":
+        force = sliding_force(gut, run, closed=plan.kind == "drag")
+    force = campaign.specimen.gain * force
     position = motion.p
     for effect in effects:
         position = effect.position(position, force, run)
@@ -348,15 +353,6 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
         position = np.round(position / ENCODER_COUNT_MM) * ENCODER_COUNT_MM
     nominal = command.p if true_time is time else planned_motion(plan, time, errors.blunt_s).p
     return PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
-
-
-def _gut_force(gut: GutContact, run: RunConditions) -> Floats:
-    """Return the force of gut and capsule on the sensor [mN]."""
-    if run.plan.kind == "blank":
-        return np.zeros_like(run.motion.t)
-    if run.plan.kind == "relaxation":
-        return relaxation_force(gut, run)
-    return sliding_force(gut, run, closed=run.plan.kind == "drag")
 
 
 def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], run: RunConditions, ranks: range) -> Floats:

@@ -80,7 +80,12 @@ def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...
     relaxations = [
         RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, 1.0, 20.0, strain) for strain in strains
     ]
-    return _timed(relaxations + [RunPlan(kind, 0, 0.0, speed, 40.0, 400.0, 1.0, 3.0) for kind, speed in moves])
+    strokes = [RunPlan(kind, 0, 0.0, speed, 40.0, 400.0, 1.0, 3.0) for kind, speed in moves]
+    plans, start_s = [], 0.0
+    for order, run in enumerate(relaxations + strokes):
+        plans.append(replace(run, order=order, start_s=round(start_s, 6)))
+        start_s += (run.samples - 1) / RATE_HZ + PAUSE_S
+    return tuple(plans)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +135,6 @@ def _run_plan(order: int, run: Mapping[str, str | float]) -> RunPlan:
         strain=strain,
         dwell_s=float(run["dwell_s"]),
     )
-
-
-def _timed(runs: Sequence[RunPlan]) -> tuple[RunPlan, ...]:
-    timed, start = [], 0.0
-    for order, run in enumerate(runs):
-        timed.append(replace(run, order=order, start_s=round(start, 6)))
-        start += (run.samples - 1) / RATE_HZ + PAUSE_S
-    return tuple(timed)
 
 
 Floats = npt.NDArray[np.float64]

@@ -77,8 +77,10 @@ class HemisphereWall:
 
     def coarse_resistance(self, panels: int) -> FloatArray:
         """Return |f_e| [mN], `(n,)`, by the midpoint rule with `panels` panels each on fresh and on inherited wall."""
-        length = self.contact.length_mm
-        fresh = np.minimum(self._fresh_mm, length)[:, None]
+        length, motion = self.contact.length_mm, self.history.motion
+        begin = motion.position(np.array([float(motion.breaks_s[stroke.first]) for stroke in self.history.strokes]))
+        travelled = np.abs(motion.position(self._time) - begin[self._stroke_number])
+        fresh = np.minimum(travelled, length)[:, None]
         middle = (np.arange(panels) + 0.5) / panels
         x_mm = np.hstack((fresh * middle, fresh + (length - fresh) * middle))
         panel = np.repeat(np.hstack((fresh, length - fresh)) / panels, panels, axis=1)
@@ -86,8 +88,8 @@ class HemisphereWall:
 
     def resistance(self, stress_kPa: FloatArray) -> FloatArray:
         """Return |f_e| [mN] of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
-        weights = self._nodes[1] * self._slope / self._local_radius
-        return np.asarray(stress_kPa @ weights)
+        slope = 2 * np.pi * self.contact.wall_thickness_mm * (self.contact.length_mm - self.x_mm)
+        return np.asarray(stress_kPa @ (self._nodes[1] * slope / self._local_radius))
 
     def side_force(self, stress_kPa: FloatArray) -> FloatArray:
         """Return P(L) S [mN] of a hoop stress at the equator, shape `(n,)` (Eqs. 7 and 13)."""
@@ -100,10 +102,6 @@ class HemisphereWall:
         return np.asarray(np.sqrt(contact.radius_mm**2 - (contact.length_mm - self.x_mm) ** 2))
 
     @cached_property
-    def _slope(self) -> FloatArray:
-        return np.asarray((2 * np.pi * self.contact.wall_thickness_mm) * (self.contact.length_mm - self.x_mm))
-
-    @cached_property
     def _time(self) -> FloatArray:
         return np.clip(self.time_s, 0.0, float(self.history.motion.breaks_s[-1]))
 
@@ -112,13 +110,6 @@ class HemisphereWall:
         """Number of the stroke at each time."""
         ends = [float(self.history.motion.breaks_s[stroke.last + 1]) for stroke in self.history.strokes]
         return np.minimum(np.searchsorted(ends, self._time, side="left"), len(ends) - 1)
-
-    @property
-    def _fresh_mm(self) -> FloatArray:
-        """Distance since the stroke began: this much of the contact is fresh wall."""
-        motion = self.history.motion
-        begin = motion.position(np.array([float(motion.breaks_s[stroke.first]) for stroke in self.history.strokes]))
-        return np.abs(motion.position(self._time) - begin[self._stroke_number])
 
     def _ages(self, x_mm: FloatArray) -> FloatArray:
         """Return contact ages `(n, m)` at contact coordinates `(m,)`, or `(n, m)` where they vary with time."""
@@ -129,7 +120,7 @@ class HemisphereWall:
             rows = np.flatnonzero(self._stroke_number == number)
             z = self.history.wall_point(stroke, x_mm[rows], motion.position(self._time[rows])[:, None])
             stroke_contact_s = np.full(z.shape, -self.history.dwell_s)
-            for segment in (*stroke.inherited, stroke.fresh):
+            for segment in stroke.segments:
                 inside = (z >= segment.rear_mm) & (z <= segment.front_mm)
                 stroke_contact_s[inside] = self.history.contact_time(segment, z[inside])
             contact_s[rows] = stroke_contact_s

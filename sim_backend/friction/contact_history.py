@@ -46,6 +46,15 @@ class ContactStroke:
     inherited: tuple[WallSegment, ...]
     fresh: WallSegment
 
+    @property
+    def segments(self) -> tuple[WallSegment, ...]:
+        """All wall that is in contact during the stroke."""
+        return *self.inherited, self.fresh
+
+    def segment_at(self, z_mm: float) -> WallSegment:
+        """Return the segment of a wall point."""
+        return min(self.segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactHistory:
@@ -107,7 +116,11 @@ def _contact_strokes(motion: Motion, reach_mm: float) -> Iterator[ContactStroke]
             fresh = WallSegment(end - reach_mm, begin - reach_mm, direction, first, last)
             contact = (fresh, *inherited)
         yield ContactStroke(direction, first, last, inherited, fresh)
-        inherited = tuple(_clip_segments(contact, end - reach_mm, end))
+        clipped = (
+            replace(part, rear_mm=max(part.rear_mm, end - reach_mm), front_mm=min(part.front_mm, end))
+            for part in contact
+        )
+        inherited = tuple(part for part in clipped if part.front_mm > part.rear_mm)
 
 
 def _one_way_spans(motion: Motion) -> Iterator[tuple[int, int, int]]:
@@ -118,13 +131,6 @@ def _one_way_spans(motion: Motion) -> Iterator[tuple[int, int, int]]:
     for first, end in pairwise(edges):
         signs = motion.signs[first:end]
         yield (-1 if (signs < 0).any() else 1), first, end - 1
-
-
-def _clip_segments(segments: tuple[WallSegment, ...], rear_mm: float, front_mm: float) -> Iterator[WallSegment]:
-    for segment in segments:
-        rear, front = max(segment.rear_mm, rear_mm), min(segment.front_mm, front_mm)
-        if front > rear:
-            yield replace(segment, rear_mm=rear, front_mm=front)
 
 
 REVERSAL_SLACK_MM = 0.5
@@ -218,7 +224,7 @@ def smooth_intervals(history: ContactHistory, contact_mm: float) -> Iterator[Smo
         # Once a contact length has been travelled at one velocity, every age is x / v.
         settled = np.abs(position - motion.position(motion.breaks_s[index])) >= contact_mm
         steady = uniform & (signs != 0) & settled
-        sides = [_segment_at(stroke, float(z)) for z in history.wall_point(stroke, contact_mm, position)]
+        sides = [stroke.segment_at(float(z)) for z in history.wall_point(stroke, contact_mm, position)]
         times = pairwise(edges.tolist())
         for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
             sign, constant_velocity, constant_force = (int(flag) for flag in flags)
@@ -251,7 +257,7 @@ def _equator_times(history: ContactHistory, stroke: ContactStroke, contact_mm: f
     """Return when the ends of segments, and the wall passed at a bend of the motion, reach the equator."""
     motion = history.motion
     points: list[float] = []
-    for segment in (*stroke.inherited, stroke.fresh):
+    for segment in stroke.segments:
         points += (segment.rear_mm, segment.front_mm)
         if segment.direction:
             passed = motion.position(motion.breaks_s[segment.first + 1 : segment.last + 1])
@@ -262,9 +268,3 @@ def _equator_times(history: ContactHistory, stroke: ContactStroke, contact_mm: f
     ahead = stroke.direction * (passing - begin)
     inside = passing[(ahead > 0) & (ahead < stroke.direction * (end - begin))]
     return motion.arrival_time(inside, stroke.first, stroke.last)
-
-
-def _segment_at(stroke: ContactStroke, z_mm: float) -> WallSegment:
-    """Return the segment that a wall point belongs to."""
-    segments = (*stroke.inherited, stroke.fresh)
-    return min(segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))

@@ -139,7 +139,7 @@ class EnvironmentalResistance:
         position = self.history.motion.position(time_s)
         parts = [
             (self._inserted if segment.direction == 0 else self._passed)(load, stroke, segment, time_s, position)
-            for segment in (*stroke.inherited, stroke.fresh)
+            for segment in stroke.segments
         ]
         return np.asarray(stroke.direction * sum(parts[1:], start=parts[0]))
 

@@ -167,7 +167,7 @@ class SlidingForce:
                 yield interval, slice(begin, end)
 
     def _write_components(self, parts: FloatArray, interval: SmoothInterval, time_s: FloatArray) -> None:
-        """Write f_e, f_v and f_c; constants of the interval are evaluated once, in its middle."""
+        """Write f_e, f_v and f_c (Eqs. 9, 10, 12, 13); constants of the interval are evaluated once, in its middle."""
         middle = np.array([0.5 * (interval.begin_s + interval.end_s)])
         parts[0] = 0.0 if self.resistance is None else self.resistance(middle if interval.steady else time_s)
         if interval.sign == 0 and self.motion is None:
@@ -175,7 +175,9 @@ class SlidingForce:
             return
         velocity = self._velocity(middle if interval.uniform and self.motion is None else time_s)
         parts[1] = viscous_force(velocity, self.contact.model, self.contact.area_mm2)
-        parts[2] = self._normal_force(interval, middle if interval.steady else time_s)
+        parts[2] = self.weight_mN
+        if self.side is not None:
+            parts[2] += self.side.force(self._equator_age(interval, middle if interval.steady else time_s))
         parts[2] *= self._friction_ratio(velocity)
 
     def _velocity(self, time_s: FloatArray) -> FloatArray:
@@ -185,12 +187,6 @@ class SlidingForce:
         """Return Coulomb friction over normal force, with the sign of the velocity (Eq. 12)."""
         model = self.contact.model
         return np.asarray(model.friction_coefficient * np.tanh(velocity_mm_s / model.regularisation_mm_s))
-
-    def _normal_force(self, interval: SmoothInterval, time_s: FloatArray) -> FloatArray:
-        """Return N = m g + P(L) S [mN] (Eq. 13), with the contact age of the wall now at the equator."""
-        if self.side is None:
-            return np.full_like(time_s, self.weight_mN)
-        return self.weight_mN + self.side.force(self._equator_age(interval, time_s))
 
     def _equator_age(self, interval: SmoothInterval, time_s: FloatArray) -> FloatArray:
         position = self.history.motion.position(time_s)
