@@ -39,7 +39,7 @@ class CountingBench:
     def __init__(self, rig: RigSettings) -> None:
         self.rig = rig
         self.clock = _PacedWallClock()
-        self.mishaps = FaultInjector()
+        self.faults = FaultInjector()
         self._began_s: float | None = None
         self._rate_hz = 0.0
 

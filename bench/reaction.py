@@ -52,11 +52,11 @@ def reaction_s(double: DoubleBackend, guard: Guard, condition: Mapping[str, floa
     stops = count_stops(double)
     worker = threading.Thread(target=lambda: Engine(double, RIG, guard).acquire(replace(ACQUISITION)))
     worker.start()
-    while double.world.speed_mm_s() < SPEED_MM_S - 0.1:
+    while double.bench.speed_mm_s() < SPEED_MM_S - 0.1:
         time.sleep(0.001)
     time.sleep(wait_s)
     struck_s = time.perf_counter()
-    double.world.mishaps.strike(**condition)
+    double.bench.faults.inject(**condition)
     while count_stops(double) == stops:
         time.sleep(0.0002)
     took_s = time.perf_counter() - struck_s
@@ -79,7 +79,7 @@ def main() -> None:
         took = []
         for _ in range(rounds):
             double = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()))
-            double.world.place(1.0)
+            double.bench.place(1.0)
             guard = Guard(RIG.guard)
             guard.reset(double.stage.state())
             double.stage.enable()

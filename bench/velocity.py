@@ -57,7 +57,7 @@ def record(backend: DoubleBackend, profile: MotionProfile, stop_s: float = np.in
     while (block := backend.sampler.read(NEVER)) is not None:
         parts.append(block.channels["position"])
         if block.end_index / RATE >= stop_s and np.isnan(stopped_s):
-            stopped_s = backend.clock.monotonic() - backend.world.began_s
+            stopped_s = backend.clock.monotonic() - backend.bench.began_s
             backend.stage.stop()
     backend.sampler.stop()
     return np.concatenate(parts).astype(np.float64), stopped_s
@@ -108,7 +108,7 @@ def main(stops: int) -> None:
         held = []
         for _ in range(100):
             backend.clock.sleep(0.05, NEVER)
-            held.append(1000.0 * backend.world.position_mm())
+            held.append(1000.0 * backend.bench.position_mm())
         print(f"held for 5 s: within {np.ptp(held):.1f} µm")
         begins, ends = [], []
         for direction in [1.0, -1.0] * ((stops + 1) // 2):

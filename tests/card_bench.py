@@ -46,16 +46,16 @@ class CardRig:
     """A sampler, and a stage that follows by itself from the first sample on."""
 
     rig: RigSettings
-    world: Witness
+    bench: Witness
     connection: Connection
     sampler: CardSampler
-    coupling: MotionSamplingSync
+    sync: MotionSamplingSync
     _stages: list[threading.Thread] = field(default_factory=list)
 
     def begin(self, profile: MotionProfile, *, moves: bool = True) -> None:
         self.sampler.arm(acquire(profile))
         if moves:
-            self.coupling.set_moving(True)
+            self.sync.set_moving(True)
             self._stages.append(threading.Thread(target=self._follow, args=(profile,)))
             self._stages[-1].start()
         self.sampler.start()
@@ -75,19 +75,19 @@ class CardRig:
         return got
 
     def stop_stage(self) -> None:
-        self.coupling.set_stopped()
-        self.world.brake(self.rig.stage.stop_accel_mm_s2)
+        self.sync.set_stop_requested()
+        self.bench.brake(self.rig.stage.stop_accel_mm_s2)
 
     def settle(self) -> None:
         for stage in self._stages:
             stage.join()
 
     def _follow(self, profile: MotionProfile) -> None:
-        if self.coupling.await_first_sample(NEVER) is not None:
-            self.world.follow(profile.pieces())
-            while self.world.moving:
-                self.world.clock.sleep(0.005, NEVER)
-        self.coupling.set_moving(False)
+        if self.sync.await_first_sample(NEVER) is not None:
+            self.bench.follow(profile.pieces())
+            while self.bench.moving:
+                self.bench.clock.sleep(0.005, NEVER)
+        self.sync.set_moving(False)
 
 
 @contextmanager
@@ -99,22 +99,22 @@ def card_rig(
     *,
     remote: bool = False,
 ) -> Iterator[CardRig]:
-    world = Witness(rig, FrictionModelSettings(), DoubleClock(pace))
-    made = Card(world) if card is None else card(world)
+    bench = Witness(rig, FrictionModelSettings(), DoubleClock(pace))
+    made = Card(bench) if card is None else card(bench)
     with ExitStack() as stack:
         if remote:
             rig = served(rig, stack.enter_context(CardServer(made)).port)
         else:
             stack.enter_context(c_abi.installed(made))
-        coupling = MotionSamplingSync()
+        sync = MotionSamplingSync()
         connection = Connection(rig.hardware.card)
         stack.callback(connection.close)
-        sampler = CardSampler(connection, rig, calibrations or {}, coupling, world.clock)
-        under_test = CardRig(rig, world, connection, sampler, coupling)
+        sampler = CardSampler(connection, rig, calibrations or {}, sync, bench.clock)
+        under_test = CardRig(rig, bench, connection, sampler, sync)
         try:
             yield under_test
         finally:
-            world.mishaps.repair()
+            bench.faults.clear()
             sampler.stop()
             under_test.settle()
 

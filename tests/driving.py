@@ -16,7 +16,8 @@ from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import Watchdog
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
-from dragrig.rig.hardware.lines import DigitalLines, NoDigitalLines, SwitchStates
+from dragrig.rig.hardware.drive.stage_base import StageDevices
+from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles.drive_double import DriveDouble
@@ -38,48 +39,74 @@ def until(condition: Callable[[], bool], within_s: float = 10.0) -> float:
     return time.monotonic() - began
 
 
-class WorldLines:
+class BenchLines:
     """The lines of the bench, without a card in between."""
 
-    def __init__(self, world: SimulatedBench) -> None:
-        self.world = world
-        self.names = world.rig.hardware.card.lines
+    def __init__(self, bench: SimulatedBench) -> None:
+        self.bench = bench
+        self.names = bench.rig.hardware.card.lines
         self.beats = 0
 
-    def pressed(self) -> SwitchStates:
-        low = {name: not self.world.read_line(getattr(self.names, name)) for name in SwitchStates.__dataclass_fields__}
+    def read_switches(self) -> SwitchStates:
+        low = {name: not self.bench.read_line(getattr(self.names, name)) for name in SwitchStates.__dataclass_fields__}
         return SwitchStates(**low)
 
-    def enable(self, on: bool) -> None:
-        self.world.write_line(self.names.enable, on)
+    def set_enable(self, on: bool) -> None:
+        self.bench.write_line(self.names.enable, on)
 
-    def beat(self) -> None:
+    def toggle_heartbeat(self) -> None:
         self.beats += 1
+
+
+class NoDigitalLines:
+    """A rig whose drive has all switches on its own terminals."""
+
+    def read_switches(self) -> SwitchStates:
+        return SwitchStates()
+
+    def set_enable(self, on: bool) -> None:
+        pass
+
+    def toggle_heartbeat(self) -> None:
+        pass
 
 
 @dataclass
 class Driven:
     """A drive's double and everything on the program's side of the cable."""
 
-    world: SimulatedBench
+    bench: SimulatedBench
     drive: DriveDouble
-    link: DriveLink
     stage: PositionModeStage
-    coupling: MotionSamplingSync
-    deadman: Watchdog
-    lines: DigitalLines
+    devices: StageDevices
     port: DrivePort
+
+    @property
+    def link(self) -> DriveLink:
+        return self.devices.link
+
+    @property
+    def sync(self) -> MotionSamplingSync:
+        return self.devices.sync
+
+    @property
+    def watchdog(self) -> Watchdog:
+        return self.devices.watchdog
+
+    @property
+    def lines(self) -> DigitalLines:
+        return self.devices.lines
 
     def sample(self, profile: MotionProfile) -> None:
         """Move with a first sample, as the engine does."""
-        self.coupling.arm()
+        self.sync.arm()
         self.stage.move(profile)
-        self.world.begin_sampling(RATE)
-        self.coupling.begin(FirstSample(self.world.clock.monotonic(), 0.0))
+        self.bench.begin_sampling(RATE)
+        self.sync.set_first_sample(FirstSample(self.bench.clock.monotonic(), 0.0))
 
     def ready(self) -> "Driven":
         self.stage.enable()
-        self.world.place(0.0)
+        self.bench.place(0.0)
         self.stage.home()
         return self
 
@@ -90,8 +117,8 @@ def linked(
 ) -> Iterator[tuple[DriveDouble, DriveLink]]:
     """A drive's double whose enable line is not wired, and a link to it."""
     rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
-    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
-    with DriveDouble(world, DIALECT) as double, kind(double) as port:
+    bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
+    with DriveDouble(bench, DIALECT) as double, kind(double) as port:
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
         try:
             yield double, link
@@ -109,18 +136,18 @@ def driven(
     # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
     patient = {"homing_speed_mm_s": 50, "reply_s": 0.5, "silence_s": 2.0}
     rig = settings(hardware={"drive": {**patient, **drive}, "card": card, "hang_s": hang_s})
-    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
+    bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
     # The gut's first samples take seconds of imports, in which no thread would answer.
-    world.begin_sampling(RATE)
-    world.end_sampling()
+    bench.begin_sampling(RATE)
+    bench.end_sampling()
     with ExitStack() as stack:
         dialect = find_dialect(rig.hardware.drive.dialect)
-        double = stack.enter_context(DriveDouble(world, dialect))
+        double = stack.enter_context(DriveDouble(bench, dialect))
         port = stack.enter_context(kind(double))
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
         stack.callback(link.close)
-        lines = WorldLines(world) if wired else NoDigitalLines()
-        coupling, deadman = MotionSamplingSync(), Watchdog()
-        stage = PositionModeStage(rig, link, lines, coupling, world.clock, deadman)
+        lines = BenchLines(bench) if wired else NoDigitalLines()
+        devices = StageDevices(rig, link, lines, MotionSamplingSync(), bench.clock, Watchdog())
+        stage = PositionModeStage(devices)
         stack.callback(stage.close)
-        yield Driven(world, double, link, stage, coupling, deadman, lines, port)
+        yield Driven(bench, double, stage, devices, port)

@@ -91,8 +91,8 @@ class AcquisitionMessage(Settings):
 class SetFaults(Settings):
     """Let things go wrong from now on, by the names of `Trouble`'s attributes; others stay."""
 
-    ask: Literal["set mishaps"] = "set mishaps"
-    mishaps: dict[str, JsonValue]
+    ask: Literal["set faults"] = "set faults"
+    faults: dict[str, JsonValue]
 
 
 class PresentAcquisition(Settings):
@@ -161,9 +161,9 @@ class ControlClient:
         self._socket = socket.create_connection((LOOPBACK, port), timeout=_REPLY_TIMEOUT_S)
         self._lines = self._socket.makefile("rb")
 
-    def set_mishaps(self, **mishaps: JsonValue) -> None:
+    def set_faults(self, **faults: JsonValue) -> None:
         """Let things go wrong from now on, or no longer; those that are not named stay as they are."""
-        self._ask(SetFaults(mishaps=mishaps))
+        self._ask(SetFaults(faults=faults))
 
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling meet an acquisition's capsule and gut."""

@@ -51,7 +51,7 @@ class ControlServer:
 
     Parameters
     ----------
-    mishaps
+    faults
         What callers change.
     present, look
         What carries out the request of the same name.
@@ -61,12 +61,12 @@ class ControlServer:
 
     def __init__(
         self,
-        mishaps: FaultInjector,
+        faults: FaultInjector,
         present: Callable[[Acquisition], None],
         look: Callable[[], StageStatus],
         end: Signal,
     ) -> None:
-        self._mishaps = mishaps
+        self._faults = faults
         self._present = present
         self._look = look
         self._end = end
@@ -101,7 +101,7 @@ class ControlServer:
     def _carry_out(self, request: ControlRequest) -> ControlReply:
         match request:
             case SetFaults():
-                inject_faults(self._mishaps, request.mishaps)
+                inject_faults(self._faults, request.faults)
             case PresentAcquisition():
                 self._present(request.acquisition.acquisition())
             case GetStageStatus():
@@ -111,17 +111,17 @@ class ControlServer:
         return ControlReply()
 
 
-def inject_faults(mishaps: FaultInjector, changes: Mapping[str, JsonValue]) -> None:
+def inject_faults(faults: FaultInjector, changes: Mapping[str, JsonValue]) -> None:
     """Change the named attributes of `ActiveFaults`; raises `SettingsError` for a name or value that there is not."""
     names = [field.name for field in fields(ActiveFaults)]
     for name in changes:
         if name not in names:
-            raise SettingsError(f"mishap {name!r}: there is none of this name; {suggestion(name, names)}")
+            raise SettingsError(f"fault {name!r}: there is none of this name; {suggestion(name, names)}")
     try:
-        mishaps.become(_FAULTS_ADAPTER.validate_python({**asdict(mishaps.now), **changes}))
+        faults.replace(_FAULTS_ADAPTER.validate_python({**asdict(faults.active), **changes}))
     except ValidationError as error:
         first = error.errors()[0]
-        raise SettingsError(f"mishap {first['loc'][0]}: {first['msg']}; see Trouble in mishaps.py.") from error
+        raise SettingsError(f"fault {first['loc'][0]}: {first['msg']}; see Trouble in faults.py.") from error
 
 
 class _ControlSocketServer(socketserver.ThreadingTCPServer):
@@ -147,13 +147,13 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
     """Let the doubles live until standard input ends or the control socket says so; raises `DragrigError`."""
     end = Signal()
     wired = rig.hardware
-    world = SimulatedBench(rig, model, DoubleClock(pace))
+    bench = SimulatedBench(rig, model, DoubleClock(pace))
 
     def look() -> StageStatus:
         status = drive.status
         return StageStatus(
-            position_mm=world.position_mm(),
-            speed_mm_s=world.speed_mm_s(),
+            position_mm=bench.position_mm(),
+            speed_mm_s=bench.speed_mm_s(),
             moving=status.moving,
             enabled=status.enabled,
             homed=status.homed,
@@ -161,10 +161,10 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
         )
 
     with ExitStack() as opened:
-        card = opened.enter_context(CardServer(Card(world, world.put_out)))
-        drive = opened.enter_context(make_drive_double(world, find_dialect(wired.drive.dialect), wired.drive.station))
+        card = opened.enter_context(CardServer(Card(bench, bench.put_out)))
+        drive = opened.enter_context(make_drive_double(bench, find_dialect(wired.drive.dialect), wired.drive.station))
         port = opened.enter_context(SocketPort(drive))
-        control = opened.enter_context(ControlServer(world.mishaps, world.present, look, end))
+        control = opened.enter_context(ControlServer(bench.faults, bench.present, look, end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()
         click.echo(DoublePorts(card=card.port, drive=port.address, control=control.port).model_dump_json())
         sys.stdout.flush()

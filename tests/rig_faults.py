@@ -115,11 +115,11 @@ class Bench:
     def look(self) -> StageStatus:
         return self.doubles.control.stage()
 
-    def strike(self, **mishaps: Any) -> None:
-        self.doubles.control.set_mishaps(**mishaps)
+    def inject(self, **faults: Any) -> None:
+        self.doubles.control.set_faults(**faults)
 
     def repair(self) -> None:
-        self.strike(**asdict(ActiveFaults()))
+        self.inject(**asdict(ActiveFaults()))
 
     def until(self, true: Callable[[StageStatus], bool], while_: Callable[[], bool] = lambda: True) -> StageStatus:
         """Look at the stage until something is true of it."""
@@ -180,9 +180,9 @@ class Running:
     def told(self) -> bool:
         raise AssertionError(self.end())
 
-    def strike(self, **mishaps: Any) -> StageStatus:
+    def inject(self, **faults: Any) -> StageStatus:
         look = self.until_under_way()
-        self.bench.strike(**mishaps)
+        self.bench.inject(**faults)
         return look
 
     def end(self) -> Ended:

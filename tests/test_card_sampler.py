@@ -55,9 +55,9 @@ def test_force_and_position_are_the_same_instants(reversed_: bool) -> None:
     profile = stroke(travel_mm=5.0)
     with card_rig(rig) as under_test:
         got = under_test.record(profile)
-        world, index = under_test.world, indices(got)
-        counts = world.at("encoder_counts", index)
-        volts, motor, warm = (world.at(name, index) for name in ("force_V", "motor_force", "temperature"))
+        bench, index = under_test.bench, indices(got)
+        counts = bench.at("encoder_counts", index)
+        volts, motor, warm = (bench.at(name, index) for name in ("force_V", "motor_force", "temperature"))
     assert index.tolist() == list(range(profile.samples(1000.0)))
     assert joined(got, "position")[-1] == pytest.approx(5.0, abs=0.01)
     np.testing.assert_array_equal(joined(got, "position"), counts * (-0.001 if reversed_ else 0.001))
@@ -77,16 +77,16 @@ def test_force_and_position_are_the_same_instants(reversed_: bool) -> None:
 def test_the_stage_hears_when_the_first_sample_was() -> None:
     with card_rig(wired()) as under_test:
         under_test.sampler.arm(acquire(rest(0.1)))
-        assert under_test.coupling.armed
-        assert under_test.coupling.first_sample is None
-        before_s = under_test.world.clock.monotonic()
+        assert under_test.sync.armed
+        assert under_test.sync.first_sample is None
+        before_s = under_test.bench.clock.monotonic()
         under_test.sampler.start()
-        after_s = under_test.world.clock.monotonic()
-        first = under_test.coupling.first_sample
+        after_s = under_test.bench.clock.monotonic()
+        first = under_test.sync.first_sample
         assert first is not None
         assert before_s <= first.at_s - first.uncertainty_s <= first.at_s + first.uncertainty_s <= after_s
         under_test.sampler.stop()
-        assert not under_test.coupling.armed
+        assert not under_test.sync.armed
 
 
 def test_calibrations_stand_before_settings() -> None:
@@ -95,8 +95,8 @@ def test_calibrations_stand_before_settings() -> None:
     with card_rig(rig, made) as under_test:
         assert under_test.sampler.force_range_mN == (-7988.0, 8012.0)
         got = under_test.record(stroke())
-        volts = under_test.world.at("force_V", indices(got))
-        counts = under_test.world.at("encoder_counts", indices(got))
+        volts = under_test.bench.at("force_V", indices(got))
+        counts = under_test.bench.at("encoder_counts", indices(got))
     assert_converted(joined(got, "force"), volts, -800.0, 12.0)
     np.testing.assert_allclose(joined(got, "position"), counts * 0.00101, rtol=1e-12)
 
@@ -104,11 +104,11 @@ def test_calibrations_stand_before_settings() -> None:
 @REACHED
 def test_overrun_is_a_trip_and_a_gap_of_known_length(remote: bool) -> None:
     with card_rig(wired(), remote=remote) as under_test:
-        mishaps = under_test.world.mishaps
-        got = under_test.record(stroke(travel_mm=20.0), lambda _: mishaps.strike(overwritten_samples=90))
+        faults = under_test.bench.faults
+        got = under_test.record(stroke(travel_mm=20.0), lambda _: faults.inject(overwritten_samples=90))
         index = indices(got)
-        counts = under_test.world.at("encoder_counts", index)
-        volts = under_test.world.at("force_V", index)
+        counts = under_test.bench.at("encoder_counts", index)
+        volts = under_test.bench.at("force_V", index)
     gaps = np.flatnonzero(np.diff(index) > 1)
     assert len(gaps) == 1
     gap = int(index[gaps[0] + 1] - index[gaps[0]] - 1)
@@ -126,7 +126,7 @@ def test_what_is_lost_at_the_very_end_is_told_too() -> None:
     with card_rig(wired()) as under_test:
         under_test.begin(rest(0.1), moves=False)
         assert under_test.sampler.read(NEVER) is not None
-        under_test.world.mishaps.strike(overwritten_samples=500)
+        under_test.bench.faults.inject(overwritten_samples=500)
         with pytest.raises(DeviceError, match="lost"):
             list(under_test.blocks())
 
@@ -135,12 +135,12 @@ def test_what_is_lost_at_the_very_end_is_told_too() -> None:
 def test_reads_that_time_out_lose_nothing(remote: bool) -> None:
     profile = stroke(travel_mm=10.0)
     with card_rig(wired(inputs=INPUTS), remote=remote) as under_test:
-        under_test.world.mishaps.strike(short_reads=4)
+        under_test.bench.faults.inject(short_reads=4)
         got = under_test.record(profile)
         index = indices(got)
-        counts = under_test.world.at("encoder_counts", index)
-        volts = under_test.world.at("force_V", index)
-        motor = under_test.world.at("motor_force", index)
+        counts = under_test.bench.at("encoder_counts", index)
+        volts = under_test.bench.at("force_V", index)
+        motor = under_test.bench.at("motor_force", index)
     assert min(block.samples for block in got) < 50
     assert index.tolist() == list(range(profile.samples(1000.0)))
     np.testing.assert_array_equal(joined(got, "position"), counts * 0.001)
@@ -153,13 +153,13 @@ def test_silence_is_stale_data() -> None:
     with card_rig(rig) as under_test:
         under_test.begin(rest(60.0), moves=False)
         assert under_test.sampler.read(NEVER) is not None
-        under_test.world.mishaps.strike(card_stalled=True)
+        under_test.bench.faults.inject(card_stalled=True)
         began_s = time.monotonic()
         with pytest.raises(StaleDataError, match=r"0\.4 s"):
             list(under_test.blocks())
         assert 0.3 < time.monotonic() - began_s < 5.0
         under_test.sampler.stop()
-        under_test.world.mishaps.repair()
+        under_test.bench.faults.clear()
         assert indices(under_test.record(rest(0.1)))[-1] == 99
 
 
@@ -168,7 +168,7 @@ def test_card_unplugged_in_motion_is_told_and_the_next_run_is_possible(trouble: 
     with card_rig(wired()) as under_test:
         under_test.begin(stroke(travel_mm=100.0))
         got = [under_test.sampler.read(NEVER)]
-        under_test.world.mishaps.strike(**trouble)
+        under_test.bench.faults.inject(**trouble)
         with pytest.raises(DeviceError, match=r"card Dev1 .*unplugged.*NI MAX") as told:
             got.extend(under_test.blocks())
         assert "\n" not in str(told.value)
@@ -178,21 +178,21 @@ def test_card_unplugged_in_motion_is_told_and_the_next_run_is_possible(trouble: 
         under_test.stop_stage()
         under_test.sampler.stop()
         assert under_test.sampler.read(NEVER) is None
-        under_test.world.mishaps.repair()
+        under_test.bench.faults.clear()
         under_test.settle()
         assert indices(under_test.record(rest(0.1)))[-1] == 99
 
 
 def test_card_taken_by_another_program_or_absent() -> None:
     with card_rig(wired()) as under_test:
-        under_test.world.mishaps.strike(card_reserved=True)
+        under_test.bench.faults.inject(card_reserved=True)
         with pytest.raises(DeviceError, match="taken by another program"):
             under_test.sampler.arm(acquire(rest(0.1)))
-        under_test.world.mishaps.repair()
-        under_test.world.mishaps.strike(card_absent=True)
+        under_test.bench.faults.clear()
+        under_test.bench.faults.inject(card_absent=True)
         with pytest.raises(DeviceError, match=r"hardware\.card\.device"):
             under_test.sampler.arm(acquire(rest(0.1)))
-        under_test.world.mishaps.repair()
+        under_test.bench.faults.clear()
         assert indices(under_test.record(rest(0.1)))[-1] == 99
 
 
@@ -251,8 +251,8 @@ def test_stop_from_another_thread_ends_a_read_and_the_next_run_begins() -> None:
 class HangingCard(Card):
     """A card whose driver does not return while `hangs` is set."""
 
-    def __init__(self, world: SimulatedBench) -> None:
-        super().__init__(world)
+    def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__(bench)
         self.hangs = False
         self.released = threading.Event()
 
@@ -273,7 +273,7 @@ def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float) -> N
         got.extend(under_test.blocks())
         under_test.sampler.stop()
         under_test.settle()
-        stands_mm = under_test.world.position_mm() - under_test.rig.stage.start_mm
+        stands_mm = under_test.bench.position_mm() - under_test.rig.stage.start_mm
     assert (len(indices(got)) > profile.samples(1000.0)) is (brakes_mm_s2 < 100.0)
     assert joined(got, "position")[-1] == pytest.approx(stands_mm, abs=0.002)
     assert np.ptp(joined(got, "position")[-10:]) == 0.0
@@ -282,29 +282,29 @@ def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float) -> N
 def test_samples_that_a_slow_driver_held_back_reach_to_the_standstill() -> None:
     cards: list[HangingCard] = []
 
-    def hanging(world: SimulatedBench) -> Card:
-        cards.append(HangingCard(world))
+    def hanging(bench: SimulatedBench) -> Card:
+        cards.append(HangingCard(bench))
         return cards[0]
 
     with card_rig(wired(), card=hanging) as under_test:
         under_test.begin(stroke(travel_mm=100.0, speed_mm_s=50.0))
         got = [under_test.sampler.read(NEVER)]
         cards[0].hangs = True
-        under_test.world.clock.sleep(0.3, NEVER)
+        under_test.bench.clock.sleep(0.3, NEVER)
         under_test.stop_stage()
         under_test.settle()
         cards[0].hangs = False
         cards[0].released.set()
         got.extend(under_test.blocks())
         under_test.sampler.stop()
-        stands_mm = under_test.world.position_mm() - under_test.rig.stage.start_mm
+        stands_mm = under_test.bench.position_mm() - under_test.rig.stage.start_mm
     assert joined(got, "position")[-1] == pytest.approx(stands_mm, abs=0.002)
 
 
 def test_stage_stopped_before_the_first_sample_leaves_nothing_to_read() -> None:
     with card_rig(wired()) as under_test:
         under_test.sampler.arm(acquire(stroke()))
-        under_test.coupling.set_stopped()
+        under_test.sync.set_stop_requested()
         under_test.sampler.start()
         assert under_test.sampler.read(NEVER) is None
 
@@ -320,7 +320,7 @@ def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
     trouble: dict[str, float], cause: TripCause, words: str
 ) -> None:
     with card_rig(wired()) as under_test:
-        got = under_test.record(rest(0.4), lambda _: under_test.world.mishaps.strike(**trouble))
+        got = under_test.record(rest(0.4), lambda _: under_test.bench.faults.inject(**trouble))
     faults = [block.fault for block in got]
     assert faults[0] is None
     assert faults[-1] is not None
@@ -332,8 +332,8 @@ def test_sensor_overloaded_or_cut_off_is_a_fault_of_its_block(
 def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> None:
     cards: list[HangingCard] = []
 
-    def hanging(world: SimulatedBench) -> Card:
-        cards.append(HangingCard(world))
+    def hanging(bench: SimulatedBench) -> Card:
+        cards.append(HangingCard(bench))
         return cards[0]
 
     rig = RigSettings.model_validate({"hardware": {"hang_s": 0.1}})
@@ -346,7 +346,7 @@ def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> Non
         with pytest.raises(DeviceError, match=r"has not returned"):
             under_test.sampler.stop()
         under_test.sampler.stop()
-        with pytest.raises(DeviceError, match="still held"):
+        with pytest.raises(DeviceError, match="still reserved"):
             under_test.sampler.arm(acquire(rest(0.1)))
         cards[0].hangs = False
         cards[0].released.set()
@@ -358,9 +358,9 @@ def test_driver_that_does_not_return_hangs_neither_stop_nor_the_program() -> Non
 
 def test_measurement_gives_raw_volts_and_directed_counts() -> None:
     with card_rig(wired(encoder={"reversed": True}, force={"per_V": 500.0, "zero_V": 0.25})) as under_test:
-        under_test.world.follow(stroke(travel_mm=2.0, rest_s=0.1).pieces())
+        under_test.bench.follow(stroke(travel_mm=2.0, rest_s=0.1).pieces())
         reading = under_test.sampler.measure(0.5)
-        volts = under_test.world.at("force_V", np.arange(reading.samples))
+        volts = under_test.bench.at("force_V", np.arange(reading.samples))
     assert reading.samples == 500
     assert reading.force_V == pytest.approx(volts.mean(), abs=1e-4)
     assert reading.force_V_sd == pytest.approx(volts.std(), rel=0.02)
@@ -391,59 +391,59 @@ def test_wiring_that_contradicts_itself_is_refused(card: dict[str, object], comp
 
 def test_switches_are_normally_closed() -> None:
     with card_rig(wired(lines={"heartbeat": "port1/line4"})) as under_test:
-        world = under_test.world
+        bench = under_test.bench
         lines = CardLines(under_test.connection)
-        assert lines.pressed() == SwitchStates()
-        world.mishaps.strike(e_stop_pressed=True)
-        assert lines.pressed() == SwitchStates(e_stop=True)
-        world.mishaps.repair()
-        world.mishaps.strike(limit_low_pressed=True, limit_high_pressed=True)
-        assert lines.pressed() == SwitchStates(limit_low=True, limit_high=True)
-        world.mishaps.repair()
-        lines.enable(True)
-        assert world.read_line("port1/line0")
+        assert lines.read_switches() == SwitchStates()
+        bench.faults.inject(e_stop_pressed=True)
+        assert lines.read_switches() == SwitchStates(e_stop=True)
+        bench.faults.clear()
+        bench.faults.inject(limit_low_pressed=True, limit_high_pressed=True)
+        assert lines.read_switches() == SwitchStates(limit_low=True, limit_high=True)
+        bench.faults.clear()
+        lines.set_enable(True)
+        assert bench.read_line("port1/line0")
         beats = []
         for _ in range(3):
-            lines.beat()
-            beats.append(world.read_line("port1/line4"))
+            lines.toggle_heartbeat()
+            beats.append(bench.read_line("port1/line4"))
         assert beats == [True, False, True]
-        world.mishaps.strike(card_unplugged=True)
+        bench.faults.inject(card_unplugged=True)
         with pytest.raises(DeviceError, match="its switches are read: it was unplugged"):
-            lines.pressed()
-        world.mishaps.repair()
+            lines.read_switches()
+        bench.faults.clear()
         lines.close()
         lines.close()
-        assert not world.read_line("port1/line0")
+        assert not bench.read_line("port1/line0")
         again = CardLines(under_test.connection)
-        assert again.pressed() == SwitchStates()
+        assert again.read_switches() == SwitchStates()
         again.close()
 
 
 def test_lines_that_are_not_wired_are_left_alone() -> None:
     unwired = {"enable": "", "e_stop": "", "limit_low": "", "limit_high": "port1/line3", "heartbeat": ""}
     with card_rig(wired(lines=unwired)) as under_test:
-        under_test.world.mishaps.strike(e_stop_pressed=True, limit_low_pressed=True, limit_high_pressed=True)
+        under_test.bench.faults.inject(e_stop_pressed=True, limit_low_pressed=True, limit_high_pressed=True)
         lines = CardLines(under_test.connection)
-        lines.enable(True)
-        lines.beat()
-        assert lines.pressed() == SwitchStates(limit_high=True)
+        lines.set_enable(True)
+        lines.toggle_heartbeat()
+        assert lines.read_switches() == SwitchStates(limit_high=True)
         lines.close()
 
 
-def test_a_look_without_moving_finds_what_is_wrong() -> None:
+def test_a_check_without_moving_finds_what_is_wrong() -> None:
     rig = wired()
-    with card_rig(rig) as under_test:
+    with card_rig(rig) as under_test, closing(CardLines(under_test.connection)) as lines:
 
         def look() -> dict[str, tuple[bool, str]]:
-            scaling = Scaling.of(rig, {})
-            found = check_card(under_test.connection, rig, under_test.sampler, scaling)
-            return {one.what: (one.fine, one.detail) for one in found}
+            scaling = Scaling.from_settings(rig, {})
+            checks = check_card(under_test.connection, rig, under_test.sampler, scaling, lines)
+            return {check.what: (check.fine, check.detail) for check in checks}
 
         fine = look()
         assert all(ok for ok, _ in fine.values()), fine
         assert "PCI-6229" in fine["card"][1]
         assert "zero" in fine["force sensor"][1]
-        mishaps = under_test.world.mishaps
+        faults = under_test.bench.faults
         for trouble, what, words in (
             ({"sensor_open": True}, "force sensor", "unplugged"),
             ({"force_added_mN": 3000.0}, "force sensor", "hanging"),
@@ -452,11 +452,11 @@ def test_a_look_without_moving_finds_what_is_wrong() -> None:
             ({"card_reserved": True}, "card", "another program"),
             ({"card_stalled": True}, "card", "no sample"),
         ):
-            mishaps.strike(**trouble)
+            faults.inject(**trouble)
             ok, detail = look()[what]
             assert not ok, trouble
             assert words in detail
-            mishaps.repair()
+            faults.clear()
 
 
 @pytest.mark.parametrize("code", [-200361, -200141, -200279])

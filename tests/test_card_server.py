@@ -50,7 +50,7 @@ def port() -> Iterator[int]:
 
 
 def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
-    connection = Connection(CardSettings(server=f"127.0.0.1:{port}"), answers_within_s=0.3)
+    connection = Connection(CardSettings(server=f"127.0.0.1:{port}"), server_timeout_s=0.3)
     failed: list[BaseException] = []
 
     def look() -> None:
@@ -70,8 +70,8 @@ def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
 
 
 def test_output_and_counter_of_a_killed_program_are_taken_back() -> None:
-    world = SimulatedBench(settings(), FrictionModelSettings(), DoubleClock(1.0))
-    with CardServer(Card(world, world.put_out)) as server, ExitStack() as stack:
+    bench = SimulatedBench(settings(), FrictionModelSettings(), DoubleClock(1.0))
+    with CardServer(Card(bench, bench.put_out)) as server, ExitStack() as stack:
         for _ in range(2):
             connection = Connection(CardSettings(server=f"127.0.0.1:{server.port}"))
             stack.callback(connection.close)

@@ -43,7 +43,7 @@ def on_doubles(rig: RigSettings) -> Backend:
     hardware = rig.hardware.model_copy(update={"drive": swift})
     wired = rig.model_copy(update={"hardware": hardware})
     backend = open_double(BackendRequest(wired, FrictionModelSettings()))
-    backend.world.place(1.0)  # near its index pulse, for a short way home
+    backend.bench.place(1.0)  # near its index pulse, for a short way home
     return backend
 
 

@@ -165,6 +165,6 @@ def test_the_pages_dialect_moves_a_stage(tmp_path: Path, monkeypatch: pytest.Mon
     with driven(dialect="line_dialect") as rig:
         assert type(rig.link.dialect).__name__ == "LineDialect"
         rig.ready().stage.move(stroke(travel_mm=2.0))
-        until(lambda: not rig.coupling.moving)
+        until(lambda: not rig.sync.moving)
         assert rig.stage.state().position_mm == pytest.approx(2.0, abs=1e-3)
     del sys.modules["line_dialect"]

@@ -44,10 +44,10 @@ TEMPERATURE = {"name": "temperature", "channel": "ai1", "unit": "degC", "per_V":
 def card_on(pace: float = 10.0) -> Iterator[tuple[SimulatedBench, Card]]:
     # The bench keeps its samples for as long as the card's buffer, so that a test can ask for the truth afterwards.
     rig = settings(RATE, hardware={"card": {"buffer_s": 60.0, "inputs": [TEMPERATURE]}})
-    world = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
-    card = Card(world)
+    bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
+    card = Card(bench)
     with c_abi.installed(card):
-        yield world, card
+        yield bench, card
 
 
 @contextmanager
@@ -102,13 +102,13 @@ def wait_until(met: Callable[[], bool]) -> None:
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_force_and_encoder_are_the_benchs_sample_for_sample(moves: bool) -> None:
-    with card_on() as (world, _), encoder() as ci, inputs("Dev1/ai0:1") as ai:
+    with card_on() as (bench, _), encoder() as ci, inputs("Dev1/ai0:1") as ai:
         ci.start()
         ai.start()
         if moves:
-            world.follow(trapezoid(3.0, 40.0, 2000.0))
+            bench.follow(trapezoid(3.0, 40.0, 2000.0))
         read = [(volts(ai, 50, 2), positions(ci, 50)) for _ in range(10)]
-        truth = world.sample(0, 500)
+        truth = bench.sample(0, 500)
     force, temperature = np.concatenate([one for one, _ in read], axis=1)
     position = np.concatenate([one for _, one in read])
     np.testing.assert_array_equal(force, np.rint(truth["force_V"] / STEP_V) * STEP_V)
@@ -118,14 +118,14 @@ def test_force_and_encoder_are_the_benchs_sample_for_sample(moves: bool) -> None
 
 
 def test_a_counter_started_after_the_inputs_is_behind_by_what_it_missed() -> None:
-    with card_on() as (world, _), encoder() as ci, inputs() as ai:
+    with card_on() as (bench, _), encoder() as ci, inputs() as ai:
         ai.start()
-        world.follow(trapezoid(100.0, 1000.0, 100.0))
-        wait_until(lambda: world.available() > 100)
+        bench.follow(trapezoid(100.0, 1000.0, 100.0))
+        wait_until(lambda: bench.available() > 100)
         ci.start()
         late = positions(ci, 200)
-        world.mishaps.strike(card_stalled=True)
-        truth = world.sample(0, world.available())["encoder_counts"]
+        bench.faults.inject(card_stalled=True)
+        truth = bench.sample(0, bench.available())["encoder_counts"]
         behind = ai.in_stream.total_samp_per_chan_acquired - ci.in_stream.total_samp_per_chan_acquired
     steps = np.rint(np.diff(late) * 1e6)
     found = [at for at in range(len(truth) - 200) if np.array_equal(np.diff(truth[at : at + 200]), steps)]
@@ -146,12 +146,12 @@ def test_a_counter_gets_no_sample_while_no_input_is_sampled() -> None:
 
 
 def test_what_the_counter_latched_can_be_read_after_the_inputs_ended_and_goes_on_with_them() -> None:
-    with card_on() as (world, _), encoder() as ci:
+    with card_on() as (bench, _), encoder() as ci:
         ci.start()
         with inputs() as ai:
             ai.start()
-            world.follow(trapezoid(1.0, 40.0, 2000.0))
-            wait_until(lambda: not world.moving)
+            bench.follow(trapezoid(1.0, 40.0, 2000.0))
+            wait_until(lambda: not bench.moving)
             volts(ai, 100)
             latched = ci.in_stream.total_samp_per_chan_acquired
         first = positions(ci, latched)
@@ -166,14 +166,14 @@ def test_what_the_counter_latched_can_be_read_after_the_inputs_ended_and_goes_on
     ("decoding", "told"), [(EncoderType.X_1, 0.0), (EncoderType.X_2, 2e-6), (EncoderType.X_4, 3e-6)]
 )
 def test_decoding_tells_the_fractions_of_a_period(decoding: EncoderType, told: float) -> None:
-    with card_on() as (world, _), encoder(clocked=False, decoding_type=decoding) as ci:
+    with card_on() as (bench, _), encoder(clocked=False, decoding_type=decoding) as ci:
         ci.start()
-        world.place(world.position_mm() + 0.003)
+        bench.place(bench.position_mm() + 0.003)
         assert ci.read() == pytest.approx(told)
 
 
 def test_wires_decide_what_a_counter_counts() -> None:
-    with card_on() as (world, _), encoder(clocked=False, units=LengthUnits.TICKS, initial_pos=7.0) as ci:
+    with card_on() as (bench, _), encoder(clocked=False, units=LengthUnits.TICKS, initial_pos=7.0) as ci:
         channel = ci.ci_channels[0]
         wired = channel.ci_encoder_a_input_term, channel.ci_encoder_b_input_term
         assert wired == ("/Dev1/PFI8", "/Dev1/PFI10")
@@ -181,7 +181,7 @@ def test_wires_decide_what_a_counter_counts() -> None:
         for terminals in (wired, wired[::-1], ("PFI0", "PFI1")):
             channel.ci_encoder_a_input_term, channel.ci_encoder_b_input_term = terminals
             ci.start()
-            world.place(world.position_mm() + 0.005)
+            bench.place(bench.position_mm() + 0.005)
             told.append(ci.read())
             ci.stop()
         assert told == [12.0, 2.0, 7.0]
@@ -189,47 +189,47 @@ def test_wires_decide_what_a_counter_counts() -> None:
 
 def test_the_index_pulse_sets_the_position() -> None:
     index = {"zidx_enable": True, "zidx_val": 0.1, "initial_pos": 5.0}
-    with card_on() as (world, _), encoder(**index) as ci, inputs() as ai:
-        world.place(-0.5)
+    with card_on() as (bench, _), encoder(**index) as ci, inputs() as ai:
+        bench.place(-0.5)
         ci.start()
         ai.start()
-        world.follow(trapezoid(1.5, 40.0, 2000.0))
+        bench.follow(trapezoid(1.5, 40.0, 2000.0))
         got = np.concatenate([positions(ci, 25) for _ in range(8)])
-        counts = world.sample(0, 200)["encoder_counts"] - 500
+        counts = bench.sample(0, 200)["encoder_counts"] - 500
         volts(ai, 200)
     assert counts[0] < 0 < counts[-1]
     np.testing.assert_allclose(got, np.where(counts < 0, 5.0 + (counts + 500) * 1e-6, 0.1 + counts * 1e-6), atol=1e-9)
 
 
 def test_the_index_pulse_is_not_missed_between_two_looks() -> None:
-    with card_on() as (world, _), encoder(clocked=False, zidx_enable=True) as ci:
-        world.place(-0.5)
+    with card_on() as (bench, _), encoder(clocked=False, zidx_enable=True) as ci:
+        bench.place(-0.5)
         ci.start()
         assert ci.read() == pytest.approx(0.0)
-        world.place(2.0)
+        bench.place(2.0)
         assert ci.read() == pytest.approx(2e-3)
 
 
 def test_digital_lines_are_read_and_set_on_demand() -> None:
-    with card_on() as (world, _), ExitStack() as stack:
+    with card_on() as (bench, _), ExitStack() as stack:
         di, do = (stack.enter_context(nidaqmx.Task()) for _ in range(2))
         di.di_channels.add_di_chan("Dev1/port1/line1:3", line_grouping=LineGrouping.CHAN_PER_LINE)
         do.do_channels.add_do_chan("Dev1/port1/line0")
         assert di.read() == [True, True, True]
-        world.mishaps.strike(e_stop_pressed=True)
+        bench.faults.inject(e_stop_pressed=True)
         assert di.read() == [False, True, True]
         do.write(True)
-        assert (do.read(), world.read_line("port1/line0")) == (True, True)
+        assert (do.read(), bench.read_line("port1/line0")) == (True, True)
         port = stack.enter_context(nidaqmx.Task())
         port.do_channels.add_do_chan("Dev1/port2/line0:3", line_grouping=LineGrouping.CHAN_FOR_ALL_LINES)
         port.write(0b1010)
-        assert [world.read_line(f"port2/line{line}") for line in range(4)] == [False, True, False, True]
+        assert [bench.read_line(f"port2/line{line}") for line in range(4)] == [False, True, False, True]
         assert port.read() == 0b1010
         do.start()
         with nidaqmx.Task() as other:
             other.do_channels.add_do_chan("Dev1/port1/line0")
             assert code_of(lambda: other.write(False)) == -200587
-    assert world.read_line("port1/line0")
+    assert bench.read_line("port1/line0")
 
 
 def test_an_output_holds_its_last_voltage_when_its_task_is_gone() -> None:
@@ -243,7 +243,7 @@ def test_an_output_holds_its_last_voltage_when_its_task_is_gone() -> None:
 
 
 def test_a_waveform_that_runs_dry_stops_and_holds() -> None:
-    with card_on(pace=1.0) as (world, card), nidaqmx.Task() as ao:
+    with card_on(pace=1.0) as (bench, card), nidaqmx.Task() as ao:
         ao.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         ao.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         ao.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
@@ -255,7 +255,7 @@ def test_a_waveform_that_runs_dry_stops_and_holds() -> None:
         assert writer.write_many_sample(ramp[:50]) == 50
         assert ao.out_stream.total_samp_per_chan_generated >= 50
         wait_until(lambda: ao.out_stream.total_samp_per_chan_generated == 550)
-        world.clock.sleep(0.01, NEVER)
+        bench.clock.sleep(0.01, NEVER)
         assert code_of(lambda: writer.write_many_sample(ramp)) == -200290
         assert card.voltage("ao0") == ramp[49]
     assert card.voltage("ao0") == ramp[49]
@@ -275,17 +275,17 @@ def test_a_regenerated_waveform_never_ends_and_a_stop_holds_what_it_was_at() -> 
 
 
 def test_volts_are_clipped_at_the_range() -> None:
-    with card_on() as (world, _), nidaqmx.Task() as ai:
+    with card_on() as (bench, _), nidaqmx.Task() as ai:
         ai.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-4.0, max_val=4.0)
         assert ai.ai_channels[0].ai_rng_high == 5.0
-        world.mishaps.strike(force_added_mN=7000.0)
+        bench.faults.inject(force_added_mN=7000.0)
         assert ai.read() == 5.0 - 5.0 / 2**15
-        world.mishaps.strike(force_added_mN=-7000.0)
+        bench.faults.inject(force_added_mN=-7000.0)
         assert ai.read(3) == [-5.0] * 3
 
 
 def test_the_card_is_found_and_says_what_it_is() -> None:
-    with card_on() as (world, _):
+    with card_on() as (bench, _):
         system = nidaqmx.system.System.local()
         assert system.driver_version.major_version >= 20
         (card,) = system.devices
@@ -295,7 +295,7 @@ def test_the_card_is_found_and_says_what_it_is() -> None:
         assert len(card.ai_physical_chans) == 32
         assert "/Dev1/PFI8" in card.terminals
         assert 10.0 in card.ai_voltage_rngs
-        world.mishaps.strike(card_absent=True)
+        bench.faults.inject(card_absent=True)
         assert list(system.devices) == []
         assert code_of(lambda: card.product_type) == -200220
 
@@ -369,7 +369,7 @@ def test_the_full_rate_of_three_channels_is_taken() -> None:
 
 
 def test_inputs_and_counters_belong_to_one_task_at_a_time() -> None:
-    with card_on() as (world, _), inputs() as ai, inputs("Dev1/ai1") as second, encoder() as ci, encoder() as third:
+    with card_on() as (bench, _), inputs() as ai, inputs("Dev1/ai1") as second, encoder() as ci, encoder() as third:
         ai.control(TaskMode.TASK_RESERVE)
         ci.start()
         assert code_of(second.start) == -50103
@@ -379,34 +379,34 @@ def test_inputs_and_counters_belong_to_one_task_at_a_time() -> None:
         ai.control(TaskMode.TASK_UNRESERVE)
         second.start()
         second.stop()
-        world.mishaps.strike(card_reserved=True)
+        bench.faults.inject(card_reserved=True)
         assert code_of(second.start) == -50103
 
 
 @pytest.mark.parametrize(("trouble", "code"), [("card_unplugged", -201003), ("card_gone", -88705)])
 def test_a_waiting_read_hears_at_once_that_the_card_is_gone(trouble: str, code: int) -> None:
-    with card_on() as (world, _), inputs(samples=100_000) as ai:
+    with card_on() as (bench, _), inputs(samples=100_000) as ai:
         ai.start()
         codes: list[int] = []
         reader = threading.Thread(target=lambda: codes.append(code_of(lambda: volts(ai, 90_000, timeout=60.0))))
         reader.start()
         wait_until(lambda: ai.in_stream.total_samp_per_chan_acquired > 0)
-        world.mishaps.strike(**{trouble: True})
+        bench.faults.inject(**{trouble: True})
         reader.join(10)
         assert codes == [code]
         assert code_of(ai.stop) == code
         with nidaqmx.Task() as other:
             assert code_of(lambda: other.di_channels.add_di_chan("Dev1/port1/line1")) == code
-        world.mishaps.repair()
+        bench.faults.clear()
         ai.start()
         assert volts(ai, 5).shape == (1, 5)
 
 
 def test_a_stop_ends_a_read_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    with card_on() as (world, _), inputs(samples=100_000) as ai:
+    with card_on() as (bench, _), inputs(samples=100_000) as ai:
         asking: set[int | None] = set()
-        available = world.available
-        monkeypatch.setattr(world, "available", lambda: asking.add(threading.get_ident()) or available())
+        available = bench.available
+        monkeypatch.setattr(bench, "available", lambda: asking.add(threading.get_ident()) or available())
         ai.start()
         codes: list[int] = []
         reader = threading.Thread(target=lambda: codes.append(code_of(lambda: volts(ai, 90_000, timeout=60.0))))
@@ -418,45 +418,45 @@ def test_a_stop_ends_a_read_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_timeout_leaves_what_came_at_the_arrays_beginning() -> None:
-    with card_on() as (world, _), inputs("Dev1/ai0:1") as ai:
+    with card_on() as (bench, _), inputs("Dev1/ai0:1") as ai:
         ai.start()
-        wait_until(lambda: world.available() > 40)
-        world.mishaps.strike(card_stalled=True)
+        wait_until(lambda: bench.available() > 40)
+        bench.faults.inject(card_stalled=True)
         there = ai.in_stream.total_samp_per_chan_acquired
         out = np.full((2, there + 60), np.nan)
         with pytest.raises(DaqReadError) as caught:
             AnalogMultiChannelReader(ai.in_stream).read_many_sample(out, there + 60, 0.05)
         assert (caught.value.error_code, caught.value.samps_per_chan_read) == (-200284, there)
-        truth = world.sample(0, there + 10)["force_V"]
+        truth = bench.sample(0, there + 10)["force_V"]
         force, temperature = out.ravel()[: 2 * there].reshape(2, there)
         np.testing.assert_allclose(force, truth[:there], atol=STEP_V)
         np.testing.assert_allclose(temperature, 3.7, atol=STEP_V)
-        world.mishaps.repair()
+        bench.faults.clear()
         np.testing.assert_allclose(volts(ai, 10, 2)[0], truth[there:], atol=STEP_V)
 
 
 def test_a_short_read_happens_as_often_as_told() -> None:
-    with card_on() as (world, _), inputs() as ai:
-        world.mishaps.strike(short_reads=1)
+    with card_on() as (bench, _), inputs() as ai:
+        bench.faults.inject(short_reads=1)
         ai.start()
         with pytest.raises(DaqReadError) as caught:
             volts(ai, 50)
         assert caught.value.samps_per_chan_read == 25
-        np.testing.assert_allclose(volts(ai, 50)[0], world.sample(25, 75)["force_V"], atol=STEP_V)
+        np.testing.assert_allclose(volts(ai, 50)[0], bench.sample(25, 75)["force_V"], atol=STEP_V)
 
 
 def test_what_nobody_read_in_time_is_lost_and_the_rest_found_by_its_index() -> None:
-    with card_on(pace=5.0) as (world, _), inputs(samples=2000) as ai:
+    with card_on(pace=5.0) as (bench, _), inputs(samples=2000) as ai:
         ai.in_stream.input_buf_size = 2000
         ai.in_stream.overwrite = OverwriteMode.OVERWRITE_UNREAD_SAMPLES
         ai.start()
         first = volts(ai, 50)
-        wait_until(lambda: world.available() > 2500)
-        world.mishaps.strike(card_stalled=True)
+        wait_until(lambda: bench.available() > 2500)
+        bench.faults.inject(card_stalled=True)
         assert code_of(lambda: volts(ai, 50)) == -200279
         assert code_of(lambda: volts(ai, 50)) == -200279
         total = ai.in_stream.total_samp_per_chan_acquired
-        truth = world.sample(0, total)["force_V"]
+        truth = bench.sample(0, total)["force_V"]
         ai.in_stream.relative_to, ai.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, total - 400
         found = volts(ai, 100)
         ai.in_stream.relative_to, ai.in_stream.offset = ReadRelativeTo.CURRENT_READ_POSITION, 0
@@ -468,23 +468,23 @@ def test_what_nobody_read_in_time_is_lost_and_the_rest_found_by_its_index() -> N
 
 
 def test_without_leave_to_overwrite_an_overrun_ends_the_acquisition() -> None:
-    with card_on(pace=5.0) as (world, _), inputs(samples=2000) as ai:
+    with card_on(pace=5.0) as (bench, _), inputs(samples=2000) as ai:
         ai.in_stream.input_buf_size = 2000
         ai.start()
-        wait_until(lambda: world.available() > 2500)
+        wait_until(lambda: bench.available() > 2500)
         assert code_of(lambda: volts(ai, 50)) == -200279
         ai.in_stream.relative_to = ReadRelativeTo.MOST_RECENT_SAMPLE
         assert code_of(lambda: volts(ai, 50)) == -200279
 
 
 def test_a_loss_can_be_made_to_happen_in_both_tasks() -> None:
-    with card_on() as (world, _), encoder() as ci, inputs() as ai:
+    with card_on() as (bench, _), encoder() as ci, inputs() as ai:
         for task in (ci, ai):
             task.in_stream.overwrite = OverwriteMode.OVERWRITE_UNREAD_SAMPLES
             task.start()
         volts(ai, 50)
         positions(ci, 50)
-        world.mishaps.strike(overwritten_samples=120)
+        bench.faults.inject(overwritten_samples=120)
         for task, read in ((ai, volts), (ci, positions)):
             assert code_of(lambda read=read, task=task: read(task, 50)) == -200279
             task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 170

@@ -55,13 +55,13 @@ def connected(port: int) -> Iterator[nidaqmx.GrpcSessionOptions]:
 
 
 @pytest.fixture
-def world() -> SimulatedBench:
+def bench() -> SimulatedBench:
     return SimulatedBench(rig(), FrictionModelSettings(), DoubleClock(2.0))
 
 
 @pytest.fixture
-def options(world: SimulatedBench) -> Iterator[nidaqmx.GrpcSessionOptions]:
-    with CardServer(Card(world)) as server, connected(server.port) as options:
+def options(bench: SimulatedBench) -> Iterator[nidaqmx.GrpcSessionOptions]:
+    with CardServer(Card(bench)) as server, connected(server.port) as options:
         yield options
 
 
@@ -82,21 +82,21 @@ def encoder(task: nidaqmx.Task) -> nidaqmx.Task:
 
 
 def test_a_hundred_thousand_samples_of_three_channels_are_the_worlds(
-    world: SimulatedBench, options: nidaqmx.GrpcSessionOptions
+    bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions
 ) -> None:
     block, blocks = 2500, 40
     volts, metres = np.zeros((2, block)), np.zeros(block)
     with nidaqmx.Task(grpc_options=options) as counter, nidaqmx.Task(grpc_options=options) as inputs:
         force, position = AnalogMultiChannelReader(analog(inputs).in_stream), CounterReader(encoder(counter).in_stream)
-        world.present(acquire(stroke()))
+        bench.present(acquire(stroke()))
         counter.start()
         inputs.start()
-        world.follow(trapezoid(30.0, 60.0, 2000.0))
+        bench.follow(trapezoid(30.0, 60.0, 2000.0))
         moved = False
         for first in range(0, block * blocks, block):
             assert force.read_many_sample(volts, block, 10.0) == block
             assert position.read_many_sample_double(metres, block, 10.0) == block
-            true = world.sample(first, first + block)
+            true = bench.sample(first, first + block)
             np.testing.assert_array_equal(volts[0], converted(true["force_V"]))
             np.testing.assert_array_equal(volts[1], converted(true["motor_force"]))
             np.testing.assert_allclose(metres / METRES, true["encoder_counts"], rtol=0, atol=1e-6)
@@ -106,15 +106,15 @@ def test_a_hundred_thousand_samples_of_three_channels_are_the_worlds(
 
 
 def test_a_read_may_outgrow_a_message_of_four_megabytes() -> None:
-    world = SimulatedBench(rig(), FrictionModelSettings(), DoubleClock(20.0))
+    bench = SimulatedBench(rig(), FrictionModelSettings(), DoubleClock(20.0))
     volts = np.zeros((2, 270_000))
-    with CardServer(Card(world)) as server:
-        connection = Connection(world.rig.hardware.card.model_copy(update={"server": f"127.0.0.1:{server.port}"}))
+    with CardServer(Card(bench)) as server:
+        connection = Connection(bench.rig.hardware.card.model_copy(update={"server": f"127.0.0.1:{server.port}"}))
         with connection.task() as task:
             reader = AnalogMultiChannelReader(analog(task, 125_000.0, 300_000).in_stream)
             task.start()
             assert reader.read_many_sample(volts, 270_000, 60.0) == 270_000
-            np.testing.assert_array_equal(volts[0], converted(world.sample(0, 270_000)["force_V"]))
+            np.testing.assert_array_equal(volts[0], converted(bench.sample(0, 270_000)["force_V"]))
         connection.close()
 
 
@@ -124,7 +124,7 @@ def converted(volts: FloatArray) -> FloatArray:
     return np.rint(volts / step_V).clip(-(2**15), 2**15 - 1) * step_V
 
 
-def test_reads_from_an_absolute_index(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_reads_from_an_absolute_index(bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     volts = np.zeros((2, 100))
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
@@ -132,24 +132,24 @@ def test_reads_from_an_absolute_index(world: SimulatedBench, options: nidaqmx.Gr
         task.in_stream.relative_to = ReadRelativeTo.FIRST_SAMPLE
         task.in_stream.offset = 5000
         assert reader.read_many_sample(volts, 100, 10.0) == 100
-        np.testing.assert_array_equal(volts[0], converted(world.sample(5000, 5100)["force_V"]))
+        np.testing.assert_array_equal(volts[0], converted(bench.sample(5000, 5100)["force_V"]))
 
 
-def test_what_came_before_a_timeout_is_kept(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_what_came_before_a_timeout_is_kept(bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     volts = np.zeros((2, 2000))
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
         task.start()
-        world.mishaps.strike(short_reads=1)
+        bench.faults.inject(short_reads=1)
         with pytest.raises(DaqReadError) as short:
             reader.read_many_sample(volts, 2000, 10.0)
         assert short.value.error_code == -200284
         came = short.value.samps_per_chan_read
         assert came == 1000
         second = volts.ravel()[came : 2 * came]  # the driver packs what came, so channels do not begin at rows
-        np.testing.assert_array_equal(second, converted(world.sample(0, came)["motor_force"]))
+        np.testing.assert_array_equal(second, converted(bench.sample(0, came)["motor_force"]))
         assert reader.read_many_sample(volts, 2000, 10.0) == 2000
-        np.testing.assert_array_equal(volts[0], converted(world.sample(came, came + 2000)["force_V"]))
+        np.testing.assert_array_equal(volts[0], converted(bench.sample(came, came + 2000)["force_V"]))
 
 
 @pytest.mark.parametrize(
@@ -157,43 +157,43 @@ def test_what_came_before_a_timeout_is_kept(world: SimulatedBench, options: nida
     [({"card_unplugged": True}, -201003), ({"card_gone": True}, -88705), ({"overwritten_samples": 5000}, -200279)],
 )
 def test_a_read_that_fails_says_which_way(
-    world: SimulatedBench, options: nidaqmx.GrpcSessionOptions, trouble: dict[str, float], code: int
+    bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions, trouble: dict[str, float], code: int
 ) -> None:
     with nidaqmx.Task(grpc_options=options) as task:
         reader = AnalogMultiChannelReader(analog(task).in_stream)
         task.start()
         reader.read_many_sample(np.zeros((2, 100)), 100, 10.0)
-        world.mishaps.strike(**trouble)
+        bench.faults.inject(**trouble)
         with pytest.raises(DaqReadError) as failed:
             reader.read_many_sample(np.zeros((2, 100)), 100, 10.0)
         assert failed.value.error_code == code
-        world.mishaps.repair()
+        bench.faults.clear()
 
 
-def test_a_card_that_is_absent_or_taken_says_so(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
-    world.mishaps.strike(card_reserved=True)
+def test_a_card_that_is_absent_or_taken_says_so(bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
+    bench.faults.inject(card_reserved=True)
     with nidaqmx.Task(grpc_options=options) as task:
         analog(task)
         with pytest.raises(DaqError) as taken:
             task.control(TaskMode.TASK_RESERVE)
     assert taken.value.error_code == -50103
-    world.mishaps.repair()
-    world.mishaps.strike(card_absent=True)
+    bench.faults.clear()
+    bench.faults.inject(card_absent=True)
     with nidaqmx.Task(grpc_options=options) as task, pytest.raises(DaqError) as absent:
         analog(task)
     assert absent.value.error_code == -200220
 
 
-def test_lines_voltage_and_the_cards_own_name(world: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
+def test_lines_voltage_and_the_cards_own_name(bench: SimulatedBench, options: nidaqmx.GrpcSessionOptions) -> None:
     with nidaqmx.Task(grpc_options=options) as task:
         task.di_channels.add_di_chan("Dev1/port1/line1")
         assert task.read() is True
-        world.mishaps.strike(e_stop_pressed=True)
+        bench.faults.inject(e_stop_pressed=True)
         assert task.read() is False
     with nidaqmx.Task(grpc_options=options) as task:
         task.do_channels.add_do_chan("Dev1/port1/line0")
         task.write(True)
-        assert world.read_line("port1/line0")
+        assert bench.read_line("port1/line0")
     with nidaqmx.Task(grpc_options=options) as task:
         task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         task.write(1.5)
@@ -202,8 +202,8 @@ def test_lines_voltage_and_the_cards_own_name(world: SimulatedBench, options: ni
     assert device.serial_num > 0
 
 
-def test_a_task_outlives_a_client_that_died(world: SimulatedBench) -> None:
-    with CardServer(Card(world)) as server:
+def test_a_task_outlives_a_client_that_died(bench: SimulatedBench) -> None:
+    with CardServer(Card(bench)) as server:
         with connected(server.port) as options:
             left = analog(nidaqmx.Task("force", grpc_options=options))
             left.start()
@@ -216,8 +216,8 @@ def test_a_task_outlives_a_client_that_died(world: SimulatedBench) -> None:
                 analog(task).start()
 
 
-def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(world: SimulatedBench) -> None:
-    server = CardServer(Card(world))
+def test_a_dead_server_is_an_error_of_the_library_but_none_of_the_cards(bench: SimulatedBench) -> None:
+    server = CardServer(Card(bench))
     with server, connected(server.port) as options:
         task = analog(nidaqmx.Task(grpc_options=options))
         task.start()
@@ -267,15 +267,15 @@ def test_the_control_socket_sets_looks_and_refuses() -> None:
             nidaqmx.Task(grpc_options=options) as task,
         ):
             task.di_channels.add_di_chan("Dev1/port1/line1")
-            doubles.control.set_mishaps(e_stop_pressed=True)
-            doubles.control.set_mishaps(sensor_open=True)
+            doubles.control.set_faults(e_stop_pressed=True)
+            doubles.control.set_faults(sensor_open=True)
             assert task.read() is False
-            doubles.control.set_mishaps(e_stop_pressed=False)
+            doubles.control.set_faults(e_stop_pressed=False)
             assert task.read() is True
-        with pytest.raises(DeviceError, match=r"mishap 'e_stop'.*e_stop_pressed"):
-            doubles.control.set_mishaps(e_stop=True)
-        with pytest.raises(DeviceError, match="mishap force_added_mN"):
-            doubles.control.set_mishaps(force_added_mN="much")
+        with pytest.raises(DeviceError, match=r"fault 'e_stop'.*e_stop_pressed"):
+            doubles.control.set_faults(e_stop=True)
+        with pytest.raises(DeviceError, match="fault force_added_mN"):
+            doubles.control.set_faults(force_added_mN="much")
         doubles.control.shut_down()
         assert psutil.Process(doubles.process_id).wait(20) in {0, None}
 

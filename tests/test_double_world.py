@@ -15,7 +15,7 @@ RATE = 1000.0
 PROFILE = stroke(travel_mm=20.0, speed_mm_s=40.0, rest_s=0.2, hold_s=0.3)
 
 
-def bench(pace: float = 5.0, **groups: object) -> SimulatedBench:
+def new_bench(pace: float = 5.0, **groups: object) -> SimulatedBench:
     return SimulatedBench(settings(**groups), FrictionModelSettings(), DoubleClock(pace))
 
 
@@ -23,21 +23,21 @@ def moving_part() -> tuple[Piece, ...]:
     return tuple(piece for piece in PROFILE.pieces() if piece.acceleration_mm_s2 or piece.phase == 2)
 
 
-def sampled(world: SimulatedBench, samples: int) -> dict[str, FloatArray]:
-    while world.available() < samples:
+def sampled(bench: SimulatedBench, samples: int) -> dict[str, FloatArray]:
+    while bench.available() < samples:
         threading.Event().wait(0.01)
-    return dict(world.sample(0, samples))
+    return dict(bench.sample(0, samples))
 
 
 def test_a_stroke_gives_what_the_simulated_rig_records_but_for_when_it_began() -> None:
     expected = record(session(), acquire(PROFILE))
-    world = bench()
-    world.present(acquire(PROFILE))
-    world.begin_sampling(RATE)
-    world.clock.sleep(0.2, NEVER)
-    world.follow(moving_part())
+    bench = new_bench()
+    bench.present(acquire(PROFILE))
+    bench.begin_sampling(RATE)
+    bench.clock.sleep(0.2, NEVER)
+    bench.follow(moving_part())
     samples = PROFILE.samples(RATE)
-    got = sampled(world, samples)
+    got = sampled(bench, samples)
     late = int(np.argmax(got["encoder_counts"] > 0)) - int(np.argmax(expected["position"] > 0))
     assert 0 <= late < 0.2 * RATE
     np.testing.assert_allclose(got["force_V"][:200] * 1000, expected["force"][:200], atol=1e-3)
@@ -49,78 +49,78 @@ def test_a_stroke_gives_what_the_simulated_rig_records_but_for_when_it_began() -
 
 
 def test_samples_are_there_once_they_are_taken_and_not_before() -> None:
-    world = bench()
+    bench = new_bench()
     with pytest.raises(ValueError, match="not there"):
-        world.sample(0, 1)
-    world.begin_sampling(RATE)
+        bench.sample(0, 1)
+    bench.begin_sampling(RATE)
     with pytest.raises(ValueError, match="not there"):
-        world.sample(0, world.available() + 100_000)
-    assert len(sampled(world, 50)["force_V"]) == 50
-    world.end_sampling()
-    assert world.available() == 0
+        bench.sample(0, bench.available() + 100_000)
+    assert len(sampled(bench, 50)["force_V"]) == 50
+    bench.end_sampling()
+    assert bench.available() == 0
 
 
 def test_a_read_of_the_same_samples_again_gives_the_same() -> None:
-    world = bench()
-    world.begin_sampling(RATE)
-    whole = sampled(world, 200)
-    again = world.sample(50, 150)
+    bench = new_bench()
+    bench.begin_sampling(RATE)
+    whole = sampled(bench, 200)
+    again = bench.sample(50, 150)
     for name, values in again.items():
         np.testing.assert_array_equal(values, whole[name][50:150])
 
 
 def test_braking_ends_the_motion_where_the_deceleration_says() -> None:
-    world = bench(pace=1.0)
-    world.place(10.0)
-    world.follow(moving_part())
-    world.clock.sleep(0.15, NEVER)
-    speed, position = world.speed_mm_s(), world.position_mm()
-    world.brake(200.0)
-    world.clock.sleep(0.4, NEVER)
-    assert not world.moving
+    bench = new_bench(pace=1.0)
+    bench.place(10.0)
+    bench.follow(moving_part())
+    bench.clock.sleep(0.15, NEVER)
+    speed, position = bench.speed_mm_s(), bench.position_mm()
+    bench.brake(200.0)
+    bench.clock.sleep(0.4, NEVER)
+    assert not bench.moving
     assert speed > 0
-    assert position < world.position_mm() < 30.0
-    assert world.position_mm() == pytest.approx(position + speed**2 / 400.0, abs=2.0)
+    assert position < bench.position_mm() < 30.0
+    assert bench.position_mm() == pytest.approx(position + speed**2 / 400.0, abs=2.0)
 
 
 def test_limit_switches_open_beyond_the_soft_limits_and_wires_read_high_else() -> None:
-    world = bench()
-    lines = world.rig.hardware.card.lines
-    assert [world.read_line(line) for line in (lines.e_stop, lines.limit_low, lines.limit_high)] == [True] * 3
-    world.place(world.rig.stage.lowest_mm - SWITCH_OFFSET_MM)
-    assert not world.read_line(lines.limit_low)
-    world.place(world.rig.stage.highest_mm + SWITCH_OFFSET_MM)
-    assert not world.read_line(lines.limit_high)
-    world.mishaps.strike(e_stop_pressed=True)
-    assert not world.read_line(lines.e_stop)
-    world.write_line(lines.enable, True)
-    assert world.read_line(lines.enable)
+    bench = new_bench()
+    lines = bench.rig.hardware.card.lines
+    assert [bench.read_line(line) for line in (lines.e_stop, lines.limit_low, lines.limit_high)] == [True] * 3
+    bench.place(bench.rig.stage.lowest_mm - SWITCH_OFFSET_MM)
+    assert not bench.read_line(lines.limit_low)
+    bench.place(bench.rig.stage.highest_mm + SWITCH_OFFSET_MM)
+    assert not bench.read_line(lines.limit_high)
+    bench.faults.inject(e_stop_pressed=True)
+    assert not bench.read_line(lines.e_stop)
+    bench.write_line(lines.enable, True)
+    assert bench.read_line(lines.enable)
 
 
 def test_long_waits_are_passed_over_only_while_nothing_happens() -> None:
-    world = bench(pace=1.0)
-    before = world.clock.monotonic()
-    assert world.clock.sleep(3600.0, NEVER)
-    assert world.clock.monotonic() - before >= 3600.0
-    world.begin_sampling(RATE)
+    bench = new_bench(pace=1.0)
+    before = bench.clock.monotonic()
+    assert bench.clock.sleep(3600.0, NEVER)
+    assert bench.clock.monotonic() - before >= 3600.0
+    bench.begin_sampling(RATE)
     cancel = threading.Event()
     timer = threading.Timer(0.05, cancel.set)
     timer.start()
-    assert not world.clock.sleep(3600.0, cancel)
+    assert not bench.clock.sleep(3600.0, cancel)
     timer.join()
 
 
 def test_mishaps_of_sensor_and_encoder_show_in_the_samples() -> None:
-    world = bench()
-    world.begin_sampling(RATE)
-    sampled(world, 50)
-    world.mishaps.strike(force_added_mN=2000.0)
-    first = world.available()
-    while world.available() < first + 50:
+    bench = new_bench()
+    bench.begin_sampling(RATE)
+    sampled(bench, 50)
+    bench.faults.inject(force_added_mN=2000.0)
+    first = bench.available()
+    while bench.available() < first + 50:
         threading.Event().wait(0.01)
-    assert world.sample(first, first + 50)["force_V"].mean() == pytest.approx(2.0, abs=0.05)
-    world.mishaps.strike(sensor_open=True)
-    first = world.available()
-    while world.available() < first + 50:
+    assert bench.sample(first, first + 50)["force_V"].mean() == pytest.approx(2.0, abs=0.05)
+    bench.faults.inject(sensor_open=True)
+    first = bench.available()
+    while bench.available() < first + 50:
         threading.Event().wait(0.01)
-    assert (world.sample(first, first + 50)["force_V"] == 10.0).all()
+    assert (bench.sample(first, first + 50)["force_V"] == 10.0).all()

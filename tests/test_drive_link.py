@@ -33,7 +33,10 @@ def test_what_is_set_is_read_back(kind: type[DrivePort]) -> None:
 
 
 def test_a_refusal_says_why() -> None:
-    with linked() as (_, link), pytest.raises(RefusedError, match=r"refuses 'go to position', for it is switched off"):
+    with (
+        linked() as (_, link),
+        pytest.raises(RefusedError, match=r"refuses 'go to position', because it is switched off"),
+    ):
         link.exchange(GO)
 
 
@@ -42,11 +45,11 @@ def test_a_late_reply_answers_no_later_request(kind: type[DrivePort]) -> None:
     with linked(kind, reply_s=REPLY_S) as (drive, link):
         link.set(Parameter.THRUST_LIMIT_N, 7.0)
         link.set(Parameter.SPEED_MM_S, 9.0)
-        drive.world.mishaps.strike(drive_reply_late_s=1.4 * REPLY_S)
+        drive.bench.faults.inject(drive_reply_late_s=1.4 * REPLY_S)
         for _ in range(2):
             # Answered, if at all, by the reply to the try before.
             link.exchange(Request(Command.READ, Parameter.THRUST_LIMIT_N))
-        drive.world.mishaps.repair()
+        drive.bench.faults.clear()
         for _ in range(300):
             reply = link.exchange(Request(Command.READ, Parameter.SPEED_MM_S))
             assert (reply.parameter, reply.value) == (Parameter.SPEED_MM_S, 9.0)
@@ -55,11 +58,11 @@ def test_a_late_reply_answers_no_later_request(kind: type[DrivePort]) -> None:
 @pytest.mark.parametrize("kind", PORTS)
 def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[DrivePort]) -> None:
     with linked(kind, reply_s=0.05) as (drive, link):
-        drive.world.mishaps.strike(drive_reply_late_s=0.2)
+        drive.bench.faults.inject(drive_reply_late_s=0.2)
         with pytest.raises(NoReplyError):
             link.exchange(POSITION)
-        drive.world.mishaps.repair()
-        drive.world.place(drive.world.position_mm() + 5.0)
+        drive.bench.faults.clear()
+        drive.bench.place(drive.bench.position_mm() + 5.0)
         until(lambda: link._serial.in_waiting > 0)
         time.sleep(0.1)
         assert link.exchange(POSITION).value == pytest.approx(5.0)
@@ -67,10 +70,10 @@ def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[DrivePort]) ->
 
 def test_a_garbled_reply_is_never_believed_and_a_question_is_put_again() -> None:
     with linked(reply_s=0.1) as (drive, link):
-        drive.world.mishaps.strike(drive_garbled=True)
+        drive.bench.faults.inject(drive_garbled=True)
         with pytest.raises(NoReplyError, match=r"checksum.*hardware\.drive\.reply_s"):
             link.exchange(POSITION)
-        repairer = threading.Timer(0.05, drive.world.mishaps.repair)
+        repairer = threading.Timer(0.05, drive.bench.faults.clear)
         repairer.start()
         assert link.exchange(POSITION).value == pytest.approx(0.0)
         repairer.join()
@@ -78,7 +81,7 @@ def test_a_garbled_reply_is_never_believed_and_a_question_is_put_again() -> None
 
 def test_a_move_is_sent_once_and_a_stop_until_it_is_answered() -> None:
     with linked(reply_s=0.15) as (drive, link):
-        drive.world.mishaps.strike(drive_silent=True)
+        drive.bench.faults.inject(drive_silent=True)
         with pytest.raises(NoReplyError, match="nothing came"):
             link.exchange(GO)
         assert list(drive.heard) == [GO]
@@ -86,7 +89,7 @@ def test_a_move_is_sent_once_and_a_stop_until_it_is_answered() -> None:
         until(lambda: drive.heard.count(STOP) == 2)
         with pytest.raises(NoReplyError, match="'stop'"):
             link.exchange(POSITION)
-        drive.world.mishaps.repair()
+        drive.bench.faults.clear()
         before = drive.heard.count(STOP)
         link.exchange(POSITION)
         link.exchange(POSITION)
@@ -111,11 +114,11 @@ def test_a_stop_goes_before_everything_that_waits() -> None:
 
 def test_what_was_planned_before_a_stop_is_dropped() -> None:
     with linked() as (drive, link):
-        planned = link.stops
+        planned = link.stop_count
         link.stop()
         with pytest.raises(CancelledByStopError):
             link.exchange(GO, planned)
-        link.exchange(STATUS, link.stops)
+        link.exchange(STATUS, link.stop_count)
         assert GO not in drive.heard
 
 
@@ -155,7 +158,7 @@ def until_told(link: DriveLink) -> str:
 def test_a_pulled_cable_is_told_in_words_at_once_and_from_then_on(kind: type[DrivePort]) -> None:
     with linked(kind) as (drive, link):
         link.exchange(STATUS)
-        drive.world.mishaps.strike(drive_unplugged=True)
+        drive.bench.faults.inject(drive_unplugged=True)
         # The double hangs up from a thread of its own.
         told = until_told(link)
         assert re.search(r"failed \(.*check the cable.*hardware\.drive\.port", told)

@@ -43,26 +43,26 @@ def test_a_stop_while_limits_are_written_drops_the_motion(command: Command, monk
                 rig.stage.home()
         else:
             rig.stage.move(stroke())
-        until(lambda: not rig.coupling.moving)
+        until(lambda: not rig.sync.moving)
         assert sum(request.command is command for request in rig.drive.heard) == before
 
 
 def test_a_switch_pressed_while_limits_are_written_stops_what_follows(monkeypatch: pytest.MonkeyPatch) -> None:
     with driven(wired=True) as rig:
         rig.ready()
-        rig.world.place(60.0)
+        rig.bench.place(60.0)
         write = rig.link.set_and_verify
 
         def pressed_meanwhile(parameter: Parameter, value: float, key: str) -> None:
             if parameter is Parameter.SILENCE_S:
-                rig.world.mishaps.strike(limit_high_pressed=True)
+                rig.bench.faults.inject(limit_high_pressed=True)
                 assert rig.stage.state().fault is not None
             write(parameter, value, key)
 
         monkeypatch.setattr(rig.link, "set_and_verify", pressed_meanwhile)
         with pytest.raises(DeviceError, match="upper limit switch"):
             rig.stage.home()
-        assert rig.world.position_mm() > 30.0
+        assert rig.bench.position_mm() > 30.0
         assert not rig.drive.status.homed
 
 
@@ -118,9 +118,9 @@ def test_a_look_does_not_touch_a_rig_that_another_program_is_at() -> None:
 def test_an_emergency_stop_between_two_motions_stays_until_the_drive_was_switched_off() -> None:
     with driven(wired=True) as rig:
         rig.ready()
-        rig.world.mishaps.strike(e_stop_pressed=True)
+        rig.bench.faults.inject(e_stop_pressed=True)
         until(lambda: rig.stage.fault is not None)
-        rig.world.mishaps.repair()
+        rig.bench.faults.clear()
         with pytest.raises(DeviceError, match="emergency stop"):
             rig.stage.move(stroke())
         rig.stage.disable()
@@ -130,38 +130,38 @@ def test_an_emergency_stop_between_two_motions_stays_until_the_drive_was_switche
 
 def test_an_emergency_stop_let_go_before_the_drive_is_switched_on_forbids_nothing() -> None:
     with driven(wired=True) as rig:
-        rig.world.mishaps.strike(e_stop_pressed=True)
+        rig.bench.faults.inject(e_stop_pressed=True)
         until(lambda: rig.stage.fault is not None)
-        rig.world.mishaps.repair()
+        rig.bench.faults.clear()
         rig.stage.enable()
 
 
 def test_what_moves_already_is_stopped_before_the_drive_is_kept_fed() -> None:
     with driven(homing_speed_mm_s=5.0) as rig:
         rig.ready()
-        rig.world.follow(trapezoid(140.0, 20.0, 500.0))
+        rig.bench.follow(trapezoid(140.0, 20.0, 500.0))
         rig.drive._halt = Halt.TARGET
-        later = PositionModeStage(rig.world.rig, rig.link, rig.lines, rig.coupling, rig.world.clock, rig.deadman)
+        later = PositionModeStage(rig.devices)
         try:
-            until(lambda: not rig.world.moving)
+            until(lambda: not rig.bench.moving)
             assert rig.drive.status.halt is Halt.STOP
-            assert rig.world.position_mm() < 130.0
+            assert rig.bench.position_mm() < 130.0
         finally:
             later.close()
 
 
 def test_a_drive_that_sets_out_late_is_not_taken_for_one_that_has_arrived() -> None:
     with linked() as (_, link):
-        movement = Movement(link, link.stops)
-        movement.begun()
-        movement.complete()
+        movement = Movement(link, link.stop_count)
+        movement.mark_started()
+        movement.mark_complete()
         now_s = time.monotonic()
         stood = DriveStatus(enabled=True, homed=True, moving=False, halt=Halt.LIMIT_SWITCH)
         arrived, moves = replace(stood, halt=Halt.TARGET), replace(stood, moving=True)
-        assert movement.mishap(stood, now_s) is None
+        assert movement.stop_trip(stood, now_s) is None
         assert not movement.is_over(arrived, now_s)
-        assert movement.mishap(stood, now_s + 1.0) is not None
+        assert movement.stop_trip(stood, now_s + 1.0) is not None
         assert movement.is_over(arrived, now_s + 1.0)
-        assert movement.mishap(moves, now_s) is None
-        assert movement.mishap(stood, now_s) is not None
+        assert movement.stop_trip(moves, now_s) is None
+        assert movement.stop_trip(stood, now_s) is not None
         assert movement.is_over(arrived, now_s)

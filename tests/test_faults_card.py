@@ -28,7 +28,7 @@ from dragrig.rig.runfile.model import RunStatus
 
 def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
-    struck = running.strike(card_unplugged=True)
+    struck = running.inject(card_unplugged=True)
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
@@ -41,7 +41,7 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
 
 
 @pytest.mark.parametrize(
-    ("fault", "mishaps", "then"),
+    ("fault", "faults", "then"),
     [
         ("encoder stuck", {"encoder_stuck": True}, assert_goes_on),
         ("force over range", {"force_added_mN": 9950.0}, assert_goes_on),
@@ -51,10 +51,10 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
     ],
 )
 def test_what_the_samples_show_stops_the_stage(
-    faulty_rig: Bench, fault: str, mishaps: dict[str, float], then: Callable[[Bench, Path], None] | None
+    faulty_rig: Bench, fault: str, faults: dict[str, float], then: Callable[[Bench, Path], None] | None
 ) -> None:
-    running = begin(faulty_rig, assignments=[SOON_STALE] if "card_stalled" in mishaps else [])
-    struck = running.strike(**mishaps)
+    running = begin(faulty_rig, assignments=[SOON_STALE] if "card_stalled" in faults else [])
+    struck = running.inject(**faults)
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
@@ -68,7 +68,7 @@ def test_what_the_samples_show_stops_the_stage(
 
 def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
-    struck = running.strike(overwritten_samples=200)
+    struck = running.inject(overwritten_samples=200)
     ended = running.end()
     run = only_run(ended.folder)
     assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
@@ -84,7 +84,7 @@ def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
 
 def test_a_timeout_with_partial_data_costs_nothing(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
-    running.strike(short_reads=3)
+    running.inject(short_reads=3)
     ended = running.end()
     assert (ended.status, ended.exit_code, ended.told) == (RunStatus.COMPLETE, 0, "")
     run = only_run(ended.folder)

@@ -26,7 +26,7 @@ from dragrig.rig.runfile.model import RunStatus
 
 
 @pytest.mark.parametrize(
-    ("fault", "mishaps", "halt", "assignments", "then"),
+    ("fault", "faults", "halt", "assignments", "then"),
     [
         ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, [SOON_UNANSWERED], assert_goes_on),
         ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, [SOON_UNANSWERED], None),
@@ -39,13 +39,13 @@ from dragrig.rig.runfile.model import RunStatus
 def test_what_the_drive_or_its_cable_does_ends_the_run(
     faulty_rig: Bench,
     fault: str,
-    mishaps: dict[str, Any],
+    faults: dict[str, Any],
     halt: Halt,
     assignments: list[str],
     then: Callable[[Bench, Path], None] | None,
 ) -> None:
     running = begin(faulty_rig, assignments=assignments)
-    struck = running.strike(**mishaps)
+    struck = running.inject(**faults)
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
@@ -59,20 +59,20 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
 
 
 @pytest.mark.parametrize(
-    ("fault", "mishap"), [("clean-up fails, card", "card_unplugged"), ("clean-up fails, serial", "drive_unplugged")]
+    ("row", "fault"), [("clean-up fails, card", "card_unplugged"), ("clean-up fails, serial", "drive_unplugged")]
 )
-def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, fault: str, mishap: str) -> None:
+def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, row: str, fault: str) -> None:
     running = begin(faulty_rig)
 
     def break_it(run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        faulty_rig.strike(**{mishap: True})
+        faulty_rig.inject(**{fault: True})
 
     running.person.run_ends = break_it  # type: ignore[method-assign]
     ended = running.end()
     (info,) = read_campaign(ended.folder).runs
     assert info.status is RunStatus.COMPLETE
     assert (ended.status, ended.exit_code) == (RunStatus.FAILED, 5)
-    assert sentence(fault).fullmatch(ended.told), ended.told
+    assert sentence(row).fullmatch(ended.told), ended.told
     assert not ended.stage.moving
     assert not ended.stage.enabled
     assert_goes_on(faulty_rig, ended.folder)

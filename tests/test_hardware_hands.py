@@ -34,7 +34,7 @@ class Bench:
     """An open double, and a person who does what is asked of hands."""
 
     backend: DoubleBackend
-    mishaps: FaultInjector
+    faults: FaultInjector
     guard: Guard
     engine: Engine
     prompts: list[Prompt]
@@ -49,11 +49,11 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    mishaps = FaultInjector()
-    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), mishaps)
+    faults = FaultInjector()
+    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), faults)
     try:
         guard = Guard(RIG.guard, 0.001)
-        yield Bench(backend, mishaps, guard, Engine(backend, RIG, guard), [])
+        yield Bench(backend, faults, guard, Engine(backend, RIG, guard), [])
     finally:
         backend.close()
 
@@ -63,7 +63,7 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     manual.reset()
     manual.home()
     assert manual.jog(10.0, 20.0) == pytest.approx(10.0, abs=0.01)
-    bench.mishaps.strike(limit_high_pressed=True)
+    bench.faults.inject(limit_high_pressed=True)
     with pytest.raises((TrippedError, DeviceError), match="upper limit switch"):
         manual.jog(5.0)
     with pytest.raises(TrippedError, match="upper limit switch"):
@@ -72,10 +72,10 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     assert manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
     assert manual.trip is not None
     assert manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
-    bench.mishaps.strike(e_stop_pressed=True)
+    bench.faults.inject(e_stop_pressed=True)
     with pytest.raises(TrippedError, match="emergency stop"):
         manual.jog(-1.0, override=TravelEnd.HIGH)
-    bench.mishaps.repair()
+    bench.faults.clear()
     manual.reset()
     manual.jog(-1.0)
     looks = [prompt for prompt in bench.prompts if "Look" in prompt.text or "origin" in prompt.text]

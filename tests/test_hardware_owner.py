@@ -102,5 +102,5 @@ def test_every_user_of_the_machine_comes_to_the_same_folder(monkeypatch: pytest.
 
 def test_a_folder_that_refuses_is_told(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("", "utf-8")
-    with pytest.raises(DeviceError, match="see who may write there"):
+    with pytest.raises(DeviceError, match="check who may write there"):
         RigLock(rig(), tmp_path / "taken")

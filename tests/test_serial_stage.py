@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from driving import ANY_PORT, PORTS, RATE, Driven, WorldLines, driven, until
+from driving import ANY_PORT, PORTS, RATE, BenchLines, Driven, driven, until
 from hypothesis import given
 from hypothesis import strategies as st
 from simulated import NEVER, stroke
@@ -33,11 +33,11 @@ THERE_AND_BACK = MotionProfile.from_pieces(
 
 
 def stands(rig: Driven) -> bool:
-    return not rig.coupling.moving
+    return not rig.sync.moving
 
 
 def is_under_way(rig: Driven) -> bool:
-    return abs(rig.world.speed_mm_s()) > 10.0
+    return abs(rig.bench.speed_mm_s()) > 10.0
 
 
 @pytest.mark.parametrize("kind", PORTS)
@@ -45,10 +45,10 @@ def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[DrivePort
     with driven(kind) as rig:
         rig.ready().sample(THERE_AND_BACK)
         assert rig.stage.state().moving
-        rig.world.clock.sleep(THERE_AND_BACK.duration_s + 0.1, NEVER)
+        rig.bench.clock.sleep(THERE_AND_BACK.duration_s + 0.1, NEVER)
         assert not rig.stage.state().moving
         samples = THERE_AND_BACK.samples(RATE)
-        seen = rig.world.sample(0, samples)["encoder_counts"] / 1000.0
+        seen = rig.bench.sample(0, samples)["encoder_counts"] / 1000.0
         off = np.abs(seen - THERE_AND_BACK.position(np.arange(samples) / RATE)).max()
         assert rig.stage.start_uncertainty_s > 0
         assert off <= 50.0 * (rig.stage.start_uncertainty_s + 1.5 / RATE) + 0.002
@@ -65,8 +65,8 @@ def test_a_stroke_begins_within_milliseconds_of_its_time() -> None:
             rig.sample(stroke(travel_mm=1.0))
             until(lambda: stands(rig))
             uncertain.append(rig.stage.start_uncertainty_s)
-            rig.world.end_sampling()
-            rig.coupling.disarm()
+            rig.bench.end_sampling()
+            rig.sync.disarm()
         assert 0 < min(uncertain) < 0.01
 
 
@@ -74,7 +74,7 @@ def test_limits_are_written_and_read_back_before_a_move() -> None:
     with driven(thrust_limit_N=12.5, silence_s=0.7) as rig:
         rig.ready().stage.move(stroke())
         until(lambda: stands(rig))
-        limits = rig.world.rig.stage
+        limits = rig.bench.rig.stage
         for parameter, value in (
             (Parameter.THRUST_LIMIT_N, 12.5), (Parameter.SILENCE_S, 0.7), (Parameter.LOWEST_MM, limits.lowest_mm),
             (Parameter.HIGHEST_MM, limits.highest_mm), (Parameter.STOP_ACCELERATION_MM_S2, limits.stop_accel_mm_s2),
@@ -104,8 +104,8 @@ def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type
         assert state.enabled
         assert state.fault is None
         assert 0 < state.position_mm < 50.0
-        rig.world.end_sampling()
-        rig.coupling.disarm()
+        rig.bench.end_sampling()
+        rig.sync.disarm()
         rig.stage.move(stroke(travel_mm=1.0))
         until(lambda: stands(rig))
         assert rig.stage.state().position_mm == pytest.approx(state.position_mm + 1.0, abs=1e-3)
@@ -113,7 +113,7 @@ def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type
 
 def test_a_stop_before_the_first_sample_drops_the_motion() -> None:
     with driven() as rig:
-        rig.ready().coupling.arm()
+        rig.ready().sync.arm()
         rig.stage.move(stroke())
         assert rig.stage.state().moving
         rig.stage.stop()
@@ -124,10 +124,10 @@ def test_a_stop_before_the_first_sample_drops_the_motion() -> None:
 def test_homing_goes_to_the_switch_and_back_to_the_index() -> None:
     with driven(pace=5.0) as rig:
         rig.stage.enable()
-        rig.world.place(20.0)
-        rig.world.begin_sampling(RATE)
+        rig.bench.place(20.0)
+        rig.bench.begin_sampling(RATE)
         rig.stage.home()
-        counts = rig.world.sample(0, rig.world.available())["encoder_counts"] / 1000.0 + 20.0
+        counts = rig.bench.sample(0, rig.bench.available())["encoder_counts"] / 1000.0 + 20.0
         assert -4.1 < counts.min() <= -3.0
         assert counts[-1] == pytest.approx(0.0, abs=1e-3)
         state = rig.stage.state()
@@ -154,18 +154,18 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
     with driven(reply_s=0.2, silence_s=0.6) as rig:
         rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
-        rig.world.mishaps.strike(**trouble)
+        rig.bench.faults.inject(**trouble)
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
         assert rig.stage.fault.cause is TripCause.DRIVE_FAULT
         assert "did not answer" in rig.stage.fault.message
         until(lambda: stands(rig))
         assert rig.drive.status.halt is Halt.STOP
-        assert rig.world.position_mm() < 139.0
-        rig.world.mishaps.repair()
+        assert rig.bench.position_mm() < 139.0
+        rig.bench.faults.clear()
         until(lambda: not rig.port._replies)
         assert rig.stage.state().fault is not None
-        rig.coupling.disarm()
+        rig.sync.disarm()
         rig.stage.disable()
         rig.stage.enable()
         rig.stage.move(stroke(travel_mm=1.0))
@@ -178,11 +178,11 @@ def test_a_cable_pulled_in_motion_leaves_the_stop_to_the_drive(kind: type[DriveP
     with driven(kind, silence_s=0.2) as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
-        rig.world.mishaps.strike(drive_unplugged=True)
+        rig.bench.faults.inject(drive_unplugged=True)
         until(lambda: rig.stage.fault is not None)
-        until(lambda: not rig.world.moving)
+        until(lambda: not rig.bench.moving)
         assert rig.drive.status.halt is Halt.SILENCE
-        assert rig.world.position_mm() < 50.0
+        assert rig.bench.position_mm() < 50.0
         until(lambda: stands(rig))
         assert rig.stage.fault is not None
         assert "check the cable" in rig.stage.fault.message
@@ -194,7 +194,7 @@ def test_an_alarm_stays_until_it_is_seen_to_and_the_drive_switched_off_and_on() 
     with driven() as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
-        rig.world.mishaps.strike(drive_alarm="overheating")
+        rig.bench.faults.inject(drive_alarm="overheating")
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
         assert (rig.stage.fault.cause, rig.stage.fault.message) == (
@@ -206,7 +206,7 @@ def test_an_alarm_stays_until_it_is_seen_to_and_the_drive_switched_off_and_on() 
         rig.stage.disable()
         with pytest.raises(DeviceError, match="overheating"):
             rig.stage.enable()
-        rig.world.mishaps.repair()
+        rig.bench.faults.clear()
         with pytest.raises(DeviceError, match="overheating"):
             rig.stage.enable()
         rig.stage.disable()
@@ -221,7 +221,7 @@ def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
         monitor: Monitor = rig.stage._monitor
         monitor.close()
         asked = time.monotonic()
-        until(lambda: not rig.world.moving)
+        until(lambda: not rig.bench.moving)
         assert 0.1 < time.monotonic() - asked < 1.0
         assert rig.drive.status.halt is Halt.SILENCE
         state = rig.stage.state()
@@ -236,13 +236,13 @@ def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -
         assert rig.stage.fault is not None
         assert rig.stage.fault.cause is TripCause.WATCHDOG
         assert "0.2 s" in rig.stage.fault.message
-        until(lambda: not rig.world.moving)
+        until(lambda: not rig.bench.moving)
         assert rig.drive.status.halt is Halt.STOP
-        assert rig.world.position_mm() < 50.0
-        rig.deadman.feed()
+        assert rig.bench.position_mm() < 50.0
+        rig.watchdog.feed()
         until(lambda: stands(rig))
         assert rig.stage.fault is not None
-        rig.coupling.disarm()
+        rig.sync.disarm()
         rig.stage.disable()
         assert rig.stage.state().fault is None
 
@@ -251,11 +251,11 @@ def test_a_program_that_looks_is_left_alone() -> None:
     profile = stroke(travel_mm=30.0, speed_mm_s=30.0)
     with driven(hang_s=0.3) as rig:
         rig.ready().sample(profile)
-        while rig.coupling.moving:
-            rig.deadman.feed()
+        while rig.sync.moving:
+            rig.watchdog.feed()
             time.sleep(0.01)
         assert rig.stage.fault is None
-        assert rig.world.position_mm() == pytest.approx(30.0, abs=1e-3)
+        assert rig.bench.position_mm() == pytest.approx(30.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -270,18 +270,18 @@ def test_a_switch_pressed_in_motion_stops_and_stays_told(
     with driven(wired=wired) as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
-        rig.world.mishaps.strike(**trouble)
+        rig.bench.faults.inject(**trouble)
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
         assert rig.stage.fault.cause is cause
         until(lambda: stands(rig))
         assert rig.drive.status.halt in {halt, Halt.STOP}
-        assert rig.coupling.stopped
-        assert rig.world.position_mm() < 50.0
-        with pytest.raises(DeviceError, match="see to it"):
+        assert rig.sync.stop_requested
+        assert rig.bench.position_mm() < 50.0
+        with pytest.raises(DeviceError, match="remove the cause"):
             rig.stage.move(stroke(travel_mm=-1.0))
-        rig.world.mishaps.repair()
-        rig.coupling.disarm()
+        rig.bench.faults.clear()
+        rig.sync.disarm()
         rig.stage.disable()
         assert rig.stage.state().fault is None
 
@@ -289,7 +289,7 @@ def test_a_switch_pressed_in_motion_stops_and_stays_told(
 def test_an_override_frees_one_side_for_one_slow_move_away() -> None:
     with driven(wired=True, homing_speed_mm_s=10.0) as rig:
         rig.ready()
-        rig.world.place(-3.5)
+        rig.bench.place(-3.5)
         assert rig.stage.state().fault is not None
         with pytest.raises(DeviceError, match="lower limit switch"):
             rig.stage.move(stroke(travel_mm=0.2, speed_mm_s=5.0))
@@ -301,12 +301,12 @@ def test_an_override_frees_one_side_for_one_slow_move_away() -> None:
             rig.stage.move(stroke(travel_mm=5.0, speed_mm_s=20.0))
         rig.stage.move(stroke(travel_mm=0.2, speed_mm_s=5.0))
         until(lambda: stands(rig))
-        assert rig.world.position_mm() == pytest.approx(-3.3, abs=1e-3)
+        assert rig.bench.position_mm() == pytest.approx(-3.3, abs=1e-3)
         fault = rig.stage.state().fault
         assert fault is not None
         assert fault.cause is TripCause.LIMIT_SWITCH_LOW
         rig.stage.override_limit(TravelEnd.LOW)
-        rig.world.mishaps.strike(limit_high_pressed=True)
+        rig.bench.faults.inject(limit_high_pressed=True)
         fault = rig.stage.state().fault
         assert fault is not None
         assert fault.cause is TripCause.LIMIT_SWITCH_HIGH
@@ -316,8 +316,8 @@ def test_the_enable_line_taken_away_brakes_and_is_told() -> None:
     with driven(wired=True) as rig:
         rig.ready().sample(LONG)
         until(lambda: is_under_way(rig))
-        rig.lines.enable(False)
-        until(lambda: not rig.world.moving)
+        rig.lines.set_enable(False)
+        until(lambda: not rig.bench.moving)
         assert rig.drive.status.halt is Halt.DISABLED
         until(lambda: rig.stage.fault is not None)
         assert not rig.stage.state().enabled
@@ -344,14 +344,14 @@ def test_the_drive_refuses_what_a_drive_refuses() -> None:
 
 def test_the_heartbeat_goes_on_while_all_is_well() -> None:
     with driven(wired=True) as rig:
-        assert isinstance(rig.lines, WorldLines)
+        assert isinstance(rig.lines, BenchLines)
         before = rig.lines.beats
         until(lambda: rig.lines.beats >= before + 5)
 
 
 def test_a_drive_that_does_not_answer_is_no_stage() -> None:
     with driven(ANY_PORT, reply_s=0.02) as rig:
-        rig.world.mishaps.strike(drive_silent=True)
+        rig.bench.faults.inject(drive_silent=True)
         with pytest.raises(DeviceError, match="did not answer"):
             rig.stage.state()
 
@@ -400,10 +400,10 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
     with driven(silence_s=2.0) as rig:
         rig.ready().stage.move(stroke(travel_mm=20.0, speed_mm_s=25.0))
         until(lambda: is_under_way(rig))
-        rig.world.mishaps.strike(drive_silent=True)
+        rig.bench.faults.inject(drive_silent=True)
         silent_for_s = 0.3  # longer than a reply may take, asked for once more; shorter than half the silence timeout
         assert not threading.Event().wait(silent_for_s)
-        rig.world.mishaps.repair()
+        rig.bench.faults.clear()
         until(lambda: stands(rig))
         assert rig.stage.fault is None
         assert rig.drive.status.halt is Halt.TARGET
@@ -412,7 +412,7 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
 def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     with driven(pace=20.0, silence_s=0.5) as rig:
         rig.stage.enable()
-        rig.world.place(0.0)
+        rig.bench.place(0.0)
         told = type(rig.drive).status.fget
         assert told is not None
         monkeypatch.setattr(type(rig.drive), "status", property(lambda drive: replace(told(drive), moving=True)))

@@ -74,7 +74,7 @@ def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
 def test_the_force_is_that_of_the_simulated_rig(rig: VoltageRig) -> None:
     acquisition = acquire(stroke(30.0, 40.0, rest_s=0.2, hold_s=0.3))
     expected = record(session(), acquisition)["force"]
-    rig.world.present(acquisition)
+    rig.bench.present(acquisition)
     got = record(rig, acquisition)["force"]
     for part in (slice(0, 190), slice(500, 850)):
         assert got[part].mean() == pytest.approx(expected[part].mean(), abs=3.0)
@@ -87,20 +87,20 @@ def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(rig: 
     seen = []
     for _ in range(20):
         rig.clock.sleep(0.05, NEVER)
-        seen.append(rig.world.position_mm())
+        seen.append(rig.bench.position_mm())
     assert np.ptp(seen) <= 0.005
     assert np.abs(np.array(seen) - 10.0).max() <= 0.01
-    rig.world.place(10.3)
-    until(lambda: abs(rig.world.position_mm() - 10.0) <= STANDS_MM)
+    rig.bench.place(10.3)
+    until(lambda: abs(rig.bench.position_mm() - 10.0) <= STANDS_MM)
     assert rig.stage.fault is None
-    rig.world.place(16.0)
+    rig.bench.place(16.0)
     until(lambda: rig.stage.fault is not None)
     fault = rig.stage.fault
     assert fault is not None
     assert fault.cause is TripCause.FOLLOWING_ERROR
     assert "following_error_mm" in fault.message
     rig.await_standstill()
-    assert rig.world.position_mm() == pytest.approx(16.0, abs=1.5)
+    assert rig.bench.position_mm() == pytest.approx(16.0, abs=1.5)
     with pytest.raises(DeviceError, match="off and on"):
         rig.stage.move(stroke())
 
@@ -108,9 +108,9 @@ def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(rig: 
 def test_an_encoder_that_sticks_in_motion_stops_the_stage(rig: VoltageRig) -> None:
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
-    rig.world.mishaps.strike(encoder_stuck=True)
-    until(lambda: abs(rig.world.speed_mm_s()) < 0.1)
-    assert rig.world.position_mm() < 60.0
+    rig.bench.faults.inject(encoder_stuck=True)
+    until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
+    assert rig.bench.position_mm() < 60.0
     fault = rig.stage.fault
     assert fault is not None
     assert fault.cause is TripCause.FOLLOWING_ERROR
@@ -122,7 +122,7 @@ def test_a_stop_from_another_thread_brakes_within_what_is_written_ahead(rig: Vol
     for block in blocks(rig):
         got.append(block)
         if block.end_index >= 500 and not stopped_s:
-            stopped_s = rig.clock.monotonic() - rig.world.began_s
+            stopped_s = rig.clock.monotonic() - rig.bench.began_s
             stopper = threading.Thread(target=rig.stage.stop)
             stopper.start()
             stopper.join()
@@ -146,15 +146,15 @@ def test_a_motion_whose_first_sample_never_comes_is_dropped(rig: VoltageRig, end
     rig.sampler.start() if ends == "stage.stop" else None
     rig.sampler.stop()
     rig.clock.sleep(2 * LEAD_S, NEVER)
-    assert rig.world.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
+    assert rig.bench.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
     record(rig, acquire(stroke(hold_s=0.3), order=1))
-    assert rig.world.position_mm() == pytest.approx(5.0, abs=STANDS_MM)
+    assert rig.bench.position_mm() == pytest.approx(5.0, abs=STANDS_MM)
 
 
 def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: pytest.MonkeyPatch) -> None:
     begin(rig, acquire(LONG))
     until(lambda: rig.is_under_way)
-    sleep, late = rig.world.clock.sleep, []
+    sleep, late = rig.bench.clock.sleep, []
     late_until_s = rig.clock.monotonic() + 3 * LEAD_S
 
     def oversleep(duration_s: float, cancel: threading.Event) -> bool:
@@ -163,7 +163,7 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
             until(lambda: rig.clock.monotonic() > late_until_s)
         return sleep(duration_s, cancel)
 
-    monkeypatch.setattr(rig.world.clock, "sleep", oversleep)
+    monkeypatch.setattr(rig.bench.clock, "sleep", oversleep)
     ended = sum(block.samples for block in blocks(rig))
     rig.sampler.stop()
     fault = rig.stage.fault
@@ -171,10 +171,10 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     assert fault.cause is TripCause.WATCHDOG
     assert "ahead" in fault.message
     assert ended < LONG.samples(RATE) / 2
-    until(lambda: not rig.world.powered)
-    assert abs(rig.world.speed_mm_s()) < 0.1
+    until(lambda: not rig.bench.powered)
+    assert abs(rig.bench.speed_mm_s()) < 0.1
     rig.stage.disable()
-    until(lambda: rig.world.powered)
+    until(lambda: rig.bench.powered)
     rig.stage.enable()
     at_mm = rig.stage.state().position_mm
     rig.stage.move(stroke())
@@ -185,34 +185,34 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
 def test_a_program_that_hangs_loses_the_drives_power(rig: VoltageRig) -> None:
     begin(rig, acquire(LONG))
     until(lambda: rig.is_under_way)
-    until(lambda: not rig.world.powered)
-    until(lambda: abs(rig.world.speed_mm_s()) < 0.1)
+    until(lambda: not rig.bench.powered)
+    until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
     fault = rig.stage.fault
     assert fault is not None
     assert fault.cause is TripCause.WATCHDOG
     until(lambda: not rig.drive.status.enabled)
-    assert rig.world.position_mm() < 60.0
+    assert rig.bench.position_mm() < 60.0
 
 
 def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(rig: VoltageRig) -> None:
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
     # Pulls the wire of the heartbeat alone: nothing in the program knows.
-    rig.world.write_line = lambda line, high: None  # type: ignore[method-assign]
-    until(lambda: abs(rig.world.speed_mm_s()) < 0.1)
-    assert not rig.world.powered
-    assert rig.world.position_mm() < 100.0
+    rig.bench.write_line = lambda line, high: None  # type: ignore[method-assign]
+    until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
+    assert not rig.bench.powered
+    assert rig.bench.position_mm() < 100.0
 
 
 def test_a_card_that_is_pulled_in_motion_leaves_the_stop_to_the_relay(rig: VoltageRig) -> None:
     begin(rig, acquire(LONG))
     until(lambda: rig.is_under_way)
-    rig.world.mishaps.strike(card_unplugged=True)
+    rig.bench.faults.inject(card_unplugged=True)
     with pytest.raises(DeviceError):
         list(blocks(rig))
-    until(lambda: abs(rig.world.speed_mm_s()) < 0.1)
+    until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
     assert rig.stage.fault is not None
-    assert rig.world.position_mm() < 100.0
+    assert rig.bench.position_mm() < 100.0
 
 
 @pytest.mark.parametrize(
@@ -222,16 +222,16 @@ def test_a_card_that_is_pulled_in_motion_leaves_the_stop_to_the_relay(rig: Volta
 def test_what_stops_the_drive_ends_the_motion(rig: VoltageRig, trouble: dict[str, bool], cause: TripCause) -> None:
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
-    rig.world.mishaps.strike(**trouble)
+    rig.bench.faults.inject(**trouble)
     rig.await_standstill()
     fault = rig.stage.fault
     assert fault is not None
     assert fault.cause is cause
-    assert rig.world.position_mm() < 60.0
+    assert rig.bench.position_mm() < 60.0
 
 
 def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
-    rig.world.mishaps.strike(limit_low_pressed=True)
+    rig.bench.faults.inject(limit_low_pressed=True)
     until(lambda: rig.stage.fault is not None)
     with pytest.raises(DeviceError, match="lower limit switch"):
         rig.stage.move(stroke(1.0, 10.0))
@@ -239,7 +239,7 @@ def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
     with pytest.raises(DeviceError, match="away"):
         rig.stage.move(stroke(-1.0, 10.0))
     rig.stage.move(stroke(5.0, 10.0, 500.0))
-    rig.world.mishaps.repair()
+    rig.bench.faults.clear()
     rig.await_standstill()
     assert rig.stage.state().position_mm == pytest.approx(5.0, abs=STANDS_MM)
     assert rig.stage.fault is None
@@ -247,7 +247,7 @@ def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
 
 @pytest.mark.parametrize("start_mm", [0.5, -SWITCH_OFFSET_MM - 1.0])
 def test_homing_finds_the_index_pulse_from_either_side_of_the_switch(cold: VoltageRig, start_mm: float) -> None:
-    cold.world.place(start_mm)
+    cold.bench.place(start_mm)
     cold.stage.disable()
     cold.stage.override_limit(TravelEnd.LOW)
     cold.stage.enable()
@@ -255,11 +255,11 @@ def test_homing_finds_the_index_pulse_from_either_side_of_the_switch(cold: Volta
     state = cold.stage.state()
     assert state.homed
     assert state.position_mm == pytest.approx(0.0, abs=STANDS_MM)
-    assert cold.world.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
+    assert cold.bench.position_mm() == pytest.approx(0.0, abs=STANDS_MM)
 
 
 def test_homing_that_is_stopped_says_so(cold: VoltageRig) -> None:
-    cold.world.place(100.0)
+    cold.bench.place(100.0)
     cold.stage.enable()
     stopper = threading.Thread(target=lambda: (until(lambda: cold.is_under_way), cold.stage.stop()))
     stopper.start()
@@ -299,20 +299,20 @@ def test_no_error_makes_it_ask_for_more_than_the_stage_may_do(
     errors: list[float], travel_mm: float, speed_mm_s: float, brakes_at: int
 ) -> None:
     velocity, stage = VelocityOutputSettings(), StageSettings()
-    follower = SpeedController(velocity, stage)
-    follower.follow(MotionCommand(stroke(travel_mm, speed_mm_s, 3000.0), 0.0, 0.0))
+    controller = SpeedController(velocity, stage)
+    controller.follow(MotionCommand(stroke(travel_mm, speed_mm_s, 3000.0), 0.0, 0.0))
     parts = []
     for place, error_mm in enumerate(errors):
         if place == brakes_at:
-            follower.brake()
-        parts.append(follower.speeds(20, error_mm))
-    follower.brake()
-    parts.append(follower.speeds(100, errors[-1]))
+            controller.brake()
+        parts.append(controller.speeds(20, error_mm))
+    controller.brake()
+    parts.append(controller.speeds(100, errors[-1]))
     speeds = np.concatenate(parts)
     assert np.abs(speeds).max() <= stage.max_speed_mm_s
     assert np.abs(np.diff(speeds, prepend=0.0)).max() * velocity.rate_hz <= stage.max_accel_mm_s2 * (1 + 1e-9)
     assert speeds[-1] == 0.0
-    assert follower.stands
+    assert controller.at_rest
 
 
 PROGRAM = """

@@ -56,23 +56,23 @@ class StallingClock(DoubleClock):
 class VoltageRig(HardwareBackend):
     """The real rig in velocity mode, and the doubles that it does not know of."""
 
-    def __init__(self, request: BackendRequest, world: SimulatedBench, drive: DriveDouble) -> None:
-        super().__init__(request, world.clock)
-        self.world, self.drive = world, drive
+    def __init__(self, request: BackendRequest, bench: SimulatedBench, drive: DriveDouble) -> None:
+        super().__init__(request, bench.clock)
+        self.bench, self.drive = bench, drive
         self.doubles = ExitStack()
 
     def close(self) -> None:
-        self.world.mishaps.repair()
+        self.bench.faults.clear()
         super().close()
         self.doubles.close()
 
     @property
     def is_under_way(self) -> bool:
-        return abs(self.world.speed_mm_s()) > 10.0
+        return abs(self.bench.speed_mm_s()) > 10.0
 
     @property
     def stands(self) -> bool:
-        return not self.stage.state().moving and abs(self.world.speed_mm_s()) < 0.1
+        return not self.stage.state().moving and abs(self.bench.speed_mm_s()) < 0.1
 
     def await_standstill(self) -> None:
         until(lambda: self.stands)
@@ -96,14 +96,14 @@ def velocity_rig(encoder: dict[str, object] | None = None, heartbeat_s: float = 
 
 
 def open_voltage_rig(rig: RigSettings) -> VoltageRig:
-    world = SimulatedBench(rig, FrictionModelSettings(), StallingClock())
+    bench = SimulatedBench(rig, FrictionModelSettings(), StallingClock())
     with ExitStack() as opened:
-        drive = opened.enter_context(make_drive_double(world, find_dialect(rig.hardware.drive.dialect)))
+        drive = opened.enter_context(make_drive_double(bench, find_dialect(rig.hardware.drive.dialect)))
         port = opened.enter_context(SocketPort(drive))
-        opened.enter_context(installed(Card(world, world.put_out)))
+        opened.enter_context(installed(Card(bench, bench.put_out)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})
         wired = rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": reached})})
-        backend = VoltageRig(BackendRequest(wired, FrictionModelSettings()), world, drive)
+        backend = VoltageRig(BackendRequest(wired, FrictionModelSettings()), bench, drive)
         backend.connect()
         backend.doubles = opened.pop_all()
         return backend

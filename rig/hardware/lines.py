@@ -1,10 +1,8 @@
 """Digital lines beside the drive's serial link: enable, emergency stop, limit switches, heartbeat.
 
-`DigitalLines` is the interface, `CardLines` its implementation on the card, `NoDigitalLines` that of a rig whose
-switches are all wired to the drive. `ConditionalHeartbeat` stops the heartbeat while the program is not well.
+`DigitalLines` is the interface, `CardLines` its implementation on the card.
 """
 
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from threading import RLock
@@ -19,96 +17,49 @@ from nidaqmx.stream_writers import DigitalSingleChannelWriter
 from dragrig.rig.devices import Trip, TripCause
 from dragrig.rig.hardware.card.connection import Connection, driver_errors_wrapped
 
+_CALL_TIMEOUT_S = 0.1
+_SWITCH_TRIPS = {
+    "e_stop": Trip(TripCause.EMERGENCY_STOP, "the emergency stop is pressed or its wire is broken"),
+    "limit_low": Trip(TripCause.LIMIT_SWITCH_LOW, "the stage is on its lower limit switch, or the wire is broken"),
+    "limit_high": Trip(TripCause.LIMIT_SWITCH_HIGH, "the stage is on its upper limit switch, or the wire is broken"),
+}
+"""In order of precedence."""
+
 
 @dataclass(frozen=True, slots=True)
 class SwitchStates:
-    """Which switches are pressed, in the stage's words: a broken wire counts as pressed, an unwired switch does not."""
+    """Which switches are pressed: a broken wire counts as pressed, an unwired switch as released."""
 
     e_stop: bool = False
     limit_low: bool = False
     limit_high: bool = False
 
-    def trip(self, *, but: TripCause | None = None) -> Trip | None:
-        """Return what the switches forbid, the e-stop first; None when nothing, `but` not counted."""
-        for pressed, cause, message in (
-            (self.e_stop, TripCause.EMERGENCY_STOP, "the emergency stop is pressed or its wire is broken"),
-            (
-                self.limit_low,
-                TripCause.LIMIT_SWITCH_LOW,
-                "the stage is on its lower limit switch, or the wire is broken",
-            ),
-            (
-                self.limit_high,
-                TripCause.LIMIT_SWITCH_HIGH,
-                "the stage is on its upper limit switch, or the wire is broken",
-            ),
-        ):
-            if pressed and cause is not but:
-                return Trip(cause, message)
+    def trip(self, *, ignoring: TripCause | None = None) -> Trip | None:
+        """Return the trip of the first pressed switch, the e-stop before all; `ignoring` is passed over."""
+        for switch, trip in _SWITCH_TRIPS.items():
+            if getattr(self, switch) and trip.cause is not ignoring:
+                return trip
         return None
 
 
 class DigitalLines(Protocol):
-    """The lines of one rig. Any thread may call any method; each raises `DeviceError` when the lines do not answer."""
+    """The lines of one rig. Any thread may call any method; each raises `DeviceError` when the card does not answer."""
 
-    def pressed(self) -> SwitchStates:
-        """Read all switches now. Asked at every block, so it has to answer within milliseconds."""
+    def read_switches(self) -> SwitchStates:
+        """Read all switches now. Called at every block, so it has to return within milliseconds."""
         ...
 
-    def enable(self, on: bool) -> None:
+    def set_enable(self, on: bool) -> None:
         """Set the drive's enable line; no effect where it is not wired."""
         ...
 
-    def beat(self) -> None:
-        """Turn the heartbeat line over once; no effect where it is not wired."""
+    def toggle_heartbeat(self) -> None:
+        """Invert the heartbeat line; no effect where it is not wired."""
         ...
 
 
-class NoDigitalLines:
-    """A rig whose drive has all switches on its own terminals."""
-
-    def pressed(self) -> SwitchStates:
-        """Nothing is wired, so nothing is pressed."""
-        return SwitchStates()
-
-    def enable(self, on: bool) -> None:
-        """Nothing is wired."""
-
-    def beat(self) -> None:
-        """Nothing is wired."""
-
-
-class ConditionalHeartbeat:
-    """A rig's lines, whose heartbeat is turned over only while all is well. Implements `DigitalLines`.
-
-    Parameters
-    ----------
-    well
-        Says whether the program may go on having the drive's power; asked at every beat.
-    """
-
-    def __init__(self, lines: DigitalLines, well: Callable[[], bool]) -> None:
-        self._lines, self._well = lines, well
-
-    def pressed(self) -> SwitchStates:
-        """Read all switches now."""
-        return self._lines.pressed()
-
-    def enable(self, on: bool) -> None:
-        """Set the drive's enable line."""
-        self._lines.enable(on)
-
-    def beat(self) -> None:
-        """Turn the heartbeat line over, or leave it so that the relay opens."""
-        if self._well():
-            self._lines.beat()
-
-
-_CALL_TIMEOUT_S = 0.1
-
-
 class CardLines:
-    """Implements `Lines` on the card. All tasks are reserved from the beginning; whoever makes it closes it.
+    """Implements `DigitalLines` on the card. All tasks are reserved in the constructor; the caller closes them.
 
     Raises
     ------
@@ -119,45 +70,39 @@ class CardLines:
     def __init__(self, connection: Connection) -> None:
         self._card = connection.card
         wired = self._card.lines
-        self._switches = tuple(
-            (name, line)
-            for name, line in (
-                ("e_stop", wired.e_stop),
-                ("limit_low", wired.limit_low),
-                ("limit_high", wired.limit_high),
-            )
-            if line
-        )
-        # Re-entrant, for a signal handler that stops the stage may interrupt the thread that holds it.
+        self._switches = [switch for switch in _SWITCH_TRIPS if getattr(wired, switch)]
+        # Re-entrant, because a signal handler that stops the stage may interrupt the thread that holds it.
         self._lock = RLock()
-        self._beat_high = False
+        self._heartbeat_high = False
         with driver_errors_wrapped(self._card, "its digital lines are reserved"), ExitStack() as stack:
-            self._inputs = _switch_reader(connection, stack, [line for _, line in self._switches])
+            switch_lines = [getattr(wired, switch) for switch in self._switches]
+            self._switch_reader = _switch_reader(connection, stack, switch_lines)
             self._enable = _line_writer(connection, stack, wired.enable, "enable")
             self._heartbeat = _line_writer(connection, stack, wired.heartbeat, "heartbeat")
             self._tasks = stack.pop_all()
 
-    def pressed(self) -> SwitchStates:
+    def read_switches(self) -> SwitchStates:
         """Read all switches in one call of the driver."""
-        if self._inputs is None:
+        if self._switch_reader is None:
             return SwitchStates()
         high = np.zeros(len(self._switches), dtype=np.bool_)
         with driver_errors_wrapped(self._card, "its switches are read"):
-            self._inputs.read_one_sample_one_line(high, timeout=_CALL_TIMEOUT_S)
-        return SwitchStates(**{name: not level for (name, _), level in zip(self._switches, high.tolist(), strict=True)})
+            self._switch_reader.read_one_sample_one_line(high, timeout=_CALL_TIMEOUT_S)
+        # Normally closed contacts: a pressed switch and a broken wire read low.
+        return SwitchStates(**{switch: not level for switch, level in zip(self._switches, high.tolist(), strict=True)})
 
-    def enable(self, on: bool) -> None:
+    def set_enable(self, on: bool) -> None:
         """Set the drive's enable line."""
-        self._set(self._enable, on, "the enable line is set")
+        self._write(self._enable, on, "the enable line is set")
 
-    def beat(self) -> None:
-        """Turn the heartbeat line over."""
+    def toggle_heartbeat(self) -> None:
+        """Invert the heartbeat line."""
         with self._lock:
-            self._beat_high = not self._beat_high
-            self._set(self._heartbeat, self._beat_high, "the heartbeat line is turned over")
+            self._heartbeat_high = not self._heartbeat_high
+            self._write(self._heartbeat, self._heartbeat_high, "the heartbeat line is inverted")
 
     def close(self) -> None:
-        """Take the enable away and release the lines; twice is once.
+        """Clear the enable line and release all lines. Safe to call twice.
 
         Raises
         ------
@@ -167,11 +112,11 @@ class CardLines:
         with self._lock:
             tasks, self._tasks = self._tasks, ExitStack()
             enable, self._enable = self._enable, None
-            self._inputs = self._heartbeat = None
+            self._switch_reader = self._heartbeat = None
         with driver_errors_wrapped(self._card, "its digital lines are released"), tasks:
-            self._set(enable, False, "the enable line is taken away")
+            self._write(enable, False, "the enable line is cleared")
 
-    def _set(self, line: DigitalSingleChannelWriter | None, high: bool, doing: str) -> None:
+    def _write(self, line: DigitalSingleChannelWriter | None, high: bool, doing: str) -> None:
         if line is None:
             return
         with driver_errors_wrapped(self._card, doing), self._lock:

@@ -21,26 +21,26 @@ _SHARED_FILE = 0o666
 
 
 class RigLock:
-    """Hold of a program on a rig, from construction to `close`.
+    """The lock of one program on one rig, from construction to `close`.
 
     Parameters
     ----------
     folder
-        Where the locks of this machine are kept; the same for all its users unless given.
+        Folder of this machine's locks; default: one that all its users share.
 
     Raises
     ------
     DeviceError
-        When another program, or this one elsewhere, holds the rig, by its process id; or when no lock can be had.
+        When another program, or this one elsewhere, holds the rig (with its process id), or no lock can be made.
     """
 
     def __init__(self, hardware: HardwareSettings, folder: Path | None = None) -> None:
-        place = (folder or machine_lock_folder()) / f"{lock_name(hardware)}.lock"
+        path = (folder or machine_lock_folder()) / f"{lock_name(hardware)}.lock"
         rig = f"{hardware.card.device} and {hardware.drive.port}"
-        self._lock = FileLock(place, timeout=0, mode=_SHARED_FILE, thread_local=False)
-        self._note = place.with_suffix(".pid")
+        self._lock = FileLock(path, timeout=0, mode=_SHARED_FILE, thread_local=False)
+        self._note = path.with_suffix(".pid")
         try:
-            _make_shared_folder(place.parent)
+            _make_shared_folder(path.parent)
             self._lock.acquire()
         except Timeout:
             raise DeviceError(
@@ -48,7 +48,7 @@ class RigLock:
             ) from None
         except OSError as error:
             raise DeviceError(
-                f"{rig}: the lock {place} cannot be had ({error.strerror}); see who may write there."
+                f"{rig}: the lock {path} cannot be made ({error.strerror}): check who may write there."
             ) from error
         self._sign()
 
@@ -61,14 +61,14 @@ class RigLock:
         self.close()
 
     def close(self) -> None:
-        """Let the rig go. Safe to call twice."""
+        """Release the rig. Safe to call twice."""
         if self._lock.is_locked:
-            with contextlib.suppress(OSError):  # what the next holder writes anew
+            with contextlib.suppress(OSError):  # the next holder writes its own
                 self._note.unlink(missing_ok=True)
             self._lock.release()
 
     def _sign(self) -> None:
-        # The id is for a person only; the lock holds without it.
+        # The process id is information for a person only; the lock holds without it.
         with contextlib.suppress(OSError):
             self._note.write_text(str(os.getpid()), "ascii")
             self._note.chmod(_SHARED_FILE)
@@ -87,8 +87,8 @@ def machine_lock_folder() -> Path:
     """Return the folder that keeps the locks of this machine for all who use it."""
     if sys.platform == "win32":
         return Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
-    # Not whether we may write there but whether everybody may: all users have to come to the same folder.
-    shared = (one for one in _LOCK_FOLDERS if one.is_dir() and one.stat().st_mode & stat.S_IWOTH)
+    # Not whether this user may write there but whether every user may: all have to get the same folder.
+    shared = (path for path in _LOCK_FOLDERS if path.is_dir() and path.stat().st_mode & stat.S_IWOTH)
     return next(shared, Path(tempfile.gettempdir())) / "dragrig"
 
 

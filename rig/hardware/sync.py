@@ -8,6 +8,9 @@ import threading
 from dataclasses import dataclass, replace
 from threading import Event as Signal
 
+_WAKE_S = 0.05
+"""How late a wait may notice that its caller cancelled it: an `Event` cannot wake a `Condition`."""
+
 
 @dataclass(frozen=True, slots=True)
 class FirstSample:
@@ -18,7 +21,7 @@ class FirstSample:
     at_s
         Reading of the rig's monotonic clock.
     uncertainty_s
-        How far the first sample may be off that reading.
+        Half-width of the interval around `at_s` in which the first sample was taken.
     """
 
     at_s: float
@@ -28,71 +31,69 @@ class FirstSample:
 @dataclass(frozen=True, slots=True)
 class _SyncState:
     armed: bool = False
-    first: FirstSample | None = None
+    first_sample: FirstSample | None = None
     moving: bool = False
-    stopped: bool = False
+    stop_requested: bool = False
 
 
 class MotionSamplingSync:
-    """The few facts that stage and sampler share."""
+    """Motion state, set by the stage, and sampling state, set by the sampler."""
 
     def __init__(self) -> None:
-        # Re-entrant, for a signal handler that stops the stage may interrupt the very thread that holds it.
+        # Re-entrant, because a signal handler that stops the stage may interrupt the very thread that holds it.
         self._changed = threading.Condition(threading.RLock())
-        self._facts = _SyncState()
+        self._state = _SyncState()
 
     @property
     def armed(self) -> bool:
-        """Whether the next motion has to wait for a first sample."""
-        return self._facts.armed
+        """Whether the sampler is armed: the next motion has to wait for the first sample."""
+        return self._state.armed
 
     @property
     def first_sample(self) -> FirstSample | None:
-        """The first sample of the acquisition under way; None before it."""
-        return self._facts.first
+        """The first sample of the current acquisition; None before it."""
+        return self._state.first_sample
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way, waits for its first sample, or is braking."""
-        return self._facts.moving
+        """Whether a motion is in progress, waits for its first sample, or is braking."""
+        return self._state.moving
 
     @property
-    def stopped(self) -> bool:
-        """Whether the stage was told to stop since the sampler was armed."""
-        return self._facts.stopped
+    def stop_requested(self) -> bool:
+        """Whether a stop was requested since the sampler was armed."""
+        return self._state.stop_requested
 
     def arm(self) -> None:
-        """Let the next motion wait for the first sample. The sampler's."""
-        with self._changed:
-            self._become(replace(self._facts, armed=True, first=None, stopped=False))
+        """Make the next motion wait for the first sample (called by the sampler)."""
+        self._update(armed=True, first_sample=None, stop_requested=False)
 
-    def begin(self, first: FirstSample) -> None:
-        """Tell when the first sample was. The sampler's."""
-        with self._changed:
-            self._become(replace(self._facts, first=first))
+    def set_first_sample(self, first_sample: FirstSample) -> None:
+        """Set when the first sample was taken (called by the sampler)."""
+        self._update(first_sample=first_sample)
 
     def disarm(self) -> None:
-        """Forget the acquisition; a motion that still waits for its first sample is dropped. The sampler's."""
-        with self._changed:
-            self._become(replace(self._facts, armed=False, first=None))
+        """End the acquisition; a motion that still waits for its first sample is dropped (called by the sampler)."""
+        self._update(armed=False, first_sample=None)
 
     def set_moving(self, moving: bool) -> None:
-        """Tell whether anything moves. The stage's."""
-        with self._changed:
-            self._become(replace(self._facts, moving=moving))
+        """Set whether the stage moves (called by the stage)."""
+        self._update(moving=moving)
 
-    def set_stopped(self) -> None:
-        """Tell that the stage was told to stop. The stage's."""
-        with self._changed:
-            self._become(replace(self._facts, stopped=True))
+    def set_stop_requested(self) -> None:
+        """Record that a stop was requested (called by the stage)."""
+        self._update(stop_requested=True)
 
-    def await_first_sample(self, cancel: Signal, wake_s: float = 0.05) -> FirstSample | None:
-        """Wait for the first sample; None when the acquisition is forgotten, the stage stopped or `cancel` set."""
+    def await_first_sample(self, cancel: Signal) -> FirstSample | None:
+        """Wait for the first sample; None when the sampler is disarmed, a stop is requested or `cancel` is set."""
         with self._changed:
-            while self._facts.armed and self._facts.first is None and not self._facts.stopped and not cancel.is_set():
-                self._changed.wait(wake_s)
-            return None if self._facts.stopped or cancel.is_set() else self._facts.first
+            while self._state.armed and self._state.first_sample is None:
+                if self._state.stop_requested or cancel.is_set():
+                    break
+                self._changed.wait(_WAKE_S)
+            return None if self._state.stop_requested or cancel.is_set() else self._state.first_sample
 
-    def _become(self, facts: _SyncState) -> None:
-        self._facts = facts
-        self._changed.notify_all()
+    def _update(self, **changes: FirstSample | bool | None) -> None:
+        with self._changed:
+            self._state = replace(self._state, **changes)  # type: ignore[arg-type]
+            self._changed.notify_all()

@@ -19,7 +19,7 @@ from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBe
 
 
 class NotifyingSampler:
-    """The real sampler, with the world told what every acquisition meets: the one thing no wire carries."""
+    """The real sampler, with the bench told what every acquisition meets: the one thing no wire carries."""
 
     def __init__(self, sampler: Sampler, tell: Callable[[Acquisition], None]) -> None:
         self._sampler = sampler
@@ -41,7 +41,7 @@ class NotifyingSampler:
         return self._sampler.force_range_mN
 
     def arm(self, acquisition: Acquisition) -> None:
-        """Tell the world, then prepare the acquisition."""
+        """Tell the bench, then prepare the acquisition."""
         self._tell(acquisition)
         self._sampler.arm(acquisition)
 
@@ -69,11 +69,11 @@ class DoubleBackend:
 
     Parameters
     ----------
-    mishaps
+    faults
         What goes wrong; nothing unless given.
     """
 
-    def __init__(self, request: BackendRequest, mishaps: FaultInjector | None = None) -> None:
+    def __init__(self, request: BackendRequest, faults: FaultInjector | None = None) -> None:
         rig = request.rig
         simulated = rig.simulated
         drawn = draw_specimen_model(request.model, simulated.seed) if simulated.variation.specimen else request.model
@@ -84,13 +84,13 @@ class DoubleBackend:
             "specimen_drawn": simulated.variation.specimen,
         }
         clock = DoubleClock(request.pace, request.origin)
-        self.world = SimulatedBench(rig, drawn, clock, mishaps)
+        self.bench = SimulatedBench(rig, drawn, clock, faults)
         """The bench, for whoever wants to look behind the wires."""
         with ExitStack() as stack:
-            self.drive = stack.enter_context(make_drive_double(self.world, find_dialect(rig.hardware.drive.dialect)))
+            self.drive = stack.enter_context(make_drive_double(self.bench, find_dialect(rig.hardware.drive.dialect)))
             """The drive, as its maker sees it."""
             port = stack.enter_context(SocketPort(self.drive))
-            stack.enter_context(installed(Card(self.world, self.world.put_out)))
+            stack.enter_context(installed(Card(self.bench, self.bench.put_out)))
             wired = rig.model_copy(
                 update={
                     "hardware": rig.hardware.model_copy(
@@ -124,7 +124,7 @@ class DoubleBackend:
     @property
     def sampler(self) -> Sampler:
         """The real sampler on the card's double."""
-        return NotifyingSampler(self._real.sampler, self.world.present)
+        return NotifyingSampler(self._real.sampler, self.bench.present)
 
     @property
     def clock(self) -> Clock:
@@ -141,11 +141,11 @@ class DoubleBackend:
 
     def hang(self, load_mN: float) -> None:
         """Hang a load on the force sensor."""
-        self.world.mishaps.strike(force_added_mN=load_mN)
+        self.bench.faults.inject(force_added_mN=load_mN)
 
     def push(self, distance_mm: float, within_s: float) -> None:
         """Push the carriage during the next measurement."""
-        self.world.push(distance_mm, within_s)
+        self.bench.push(distance_mm, within_s)
 
     def close(self) -> None:
         """Let go of everything, the doubles last."""

@@ -40,8 +40,8 @@ class DriveHoming:
         −1 for the lower switch, +1 for the upper one.
     """
 
-    def __init__(self, world: SimulatedBench, towards: float, speed_mm_s: float) -> None:
-        self._world = world
+    def __init__(self, bench: SimulatedBench, towards: float, speed_mm_s: float) -> None:
+        self._bench = bench
         self._speed_mm_s = speed_mm_s
         self._to_switch = math.copysign(1.0, towards)
         self.seeks_switch = True
@@ -54,7 +54,7 @@ class DriveHoming:
 
     def begin(self) -> None:
         """Set out for the switch."""
-        stage = self._world.rig.stage
+        stage = self._bench.rig.stage
         switch_mm = stage.lowest_mm - SWITCH_OFFSET_MM if self._to_switch < 0 else stage.highest_mm + SWITCH_OFFSET_MM
         self._go(switch_mm + self._to_switch * SWITCH_OVERTRAVEL_MM)
 
@@ -63,13 +63,13 @@ class DriveHoming:
         if not self.seeks_switch:
             return False
         self.seeks_switch = False
-        stage = self._world.rig.stage
+        stage = self._bench.rig.stage
         self._go(min(max(INDEX_POSITION_MM, stage.lowest_mm), stage.highest_mm))
         return True
 
     def _go(self, to_mm: float) -> None:
-        travel_mm = to_mm - self._world.position_mm()
-        self._world.follow(trapezoid(travel_mm, self._speed_mm_s, HOMING_ACCELERATION_MM_S2))
+        travel_mm = to_mm - self._bench.position_mm()
+        self._bench.follow(trapezoid(travel_mm, self._speed_mm_s, HOMING_ACCELERATION_MM_S2))
 
 
 FACTORY_PARAMETERS: Mapping[Parameter, float] = {
@@ -93,17 +93,17 @@ _G_MM_S2_PER_N = 1e6  # g mm/s²
 class DriveDouble:
     """A drive with its stage. Any thread may call anything; as a context manager it also watches by itself."""
 
-    def __init__(self, world: SimulatedBench, dialect: Dialect, station: int = 1) -> None:
-        self.world = world
+    def __init__(self, bench: SimulatedBench, dialect: Dialect, station: int = 1) -> None:
+        self.bench = bench
         self.dialect = dialect
         self._station = station
-        self._lines = world.rig.hardware.card.lines
+        self._lines = bench.rig.hardware.card.lines
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="drive double", daemon=True)
         self._heard_s = time.monotonic()
         self._parameters = dict(FACTORY_PARAMETERS)
-        self._zero_mm = world.position_mm()
+        self._zero_mm = bench.position_mm()
         self._enabled = self._homed = False
         self._alarm = 0
         self._halt = Halt.NONE
@@ -152,12 +152,12 @@ class DriveDouble:
     def look(self) -> None:
         """Look at lines, alarm and silence once, and go on with homing."""
         with self._lock:
-            if (text := self.world.mishaps.now.drive_alarm) and not self._alarm:
+            if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
             if self._enabled and not self._line(self._lines.enable):
                 self._end(Halt.DISABLED)
                 self._enabled = False
-            if not self.world.moving:
+            if not self.bench.moving:
                 self._go_on_homing()
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
@@ -175,7 +175,7 @@ class DriveDouble:
         if command is Command.STATUS:
             return Reply(command, status=self.status)
         if command is Command.POSITION:
-            return Reply(command, value=self.world.position_mm() - self._zero_mm)
+            return Reply(command, value=self.bench.position_mm() - self._zero_mm)
         if command is Command.READ and parameter is not None:
             return Reply(command, parameter, self._parameters[parameter])
         self._heard.append(request)
@@ -191,7 +191,7 @@ class DriveDouble:
         if command is Command.ENABLE:
             return self._enable()
         if command is Command.CLEAR_ALARM:
-            self._alarm = self._alarm if self.world.mishaps.now.drive_alarm else 0
+            self._alarm = self._alarm if self.bench.faults.active.drive_alarm else 0
             return None
         self._end(Halt.STOP if command is Command.STOP else Halt.DISABLED)
         self._enabled = self._enabled and command is Command.STOP
@@ -225,7 +225,7 @@ class DriveDouble:
     def _go(self, target_mm: float) -> Refusal | None:
         lowest, highest = self._parameters[Parameter.LOWEST_MM], self._parameters[Parameter.HIGHEST_MM]
         speed, accel = self._parameters[Parameter.SPEED_MM_S], self._parameters[Parameter.ACCELERATION_MM_S2]
-        travel_mm = self._zero_mm + target_mm - self.world.position_mm()
+        travel_mm = self._zero_mm + target_mm - self.bench.position_mm()
         if refused := self._unready():
             return refused
         for refusing, why in (
@@ -237,13 +237,13 @@ class DriveDouble:
             if refusing:
                 return why
         if (
-            self.world.rig.simulated.motor.moving_mass_g * accel
+            self.bench.rig.simulated.motor.moving_mass_g * accel
             > self._parameters[Parameter.THRUST_LIMIT_N] * _G_MM_S2_PER_N
         ):
             self._raise_alarm("overload of the motor")
             return None
         self._halt, self._towards = Halt.TARGET, travel_mm
-        self.world.follow(trapezoid(travel_mm, speed, accel))
+        self.bench.follow(trapezoid(travel_mm, speed, accel))
         return None
 
     def _home(self, towards: float) -> Refusal | None:
@@ -253,7 +253,7 @@ class DriveDouble:
         if speed <= 0:
             return Refusal.BAD_VALUE
         self._homed, self._halt = False, Halt.TARGET
-        self._homing = DriveHoming(self.world, towards, speed)
+        self._homing = DriveHoming(self.bench, towards, speed)
         self._homing.begin()
         return None
 
@@ -264,7 +264,7 @@ class DriveDouble:
 
     def _meet_switch(self) -> None:
         if self._homing is not None and self._homing.seeks_switch:
-            self.world.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
+            self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
         else:
             self._end(Halt.LIMIT_SWITCH)
 
@@ -272,7 +272,7 @@ class DriveDouble:
         if self._moving() and self._halt is Halt.TARGET:
             self._halt = why
             self._homing = None
-            self.world.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
+            self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
 
     def _raise_alarm(self, text: str) -> None:
         codes = [code for code in range(1, 256) if self.dialect.alarm(code) == text]
@@ -281,20 +281,20 @@ class DriveDouble:
         self._enabled = False
 
     def _moving(self) -> bool:
-        return self.world.moving or self._homing is not None
+        return self.bench.moving or self._homing is not None
 
     def _is_blocked(self, direction: float) -> bool:
         switch = self._lines.limit_low if direction < 0 else self._lines.limit_high
         return direction != 0 and not self._line(switch)
 
     def _line(self, line: str) -> bool:
-        return not line or self.world.read_line(line)
+        return not line or self.bench.read_line(line)
 
 
-def make_drive_double(world: SimulatedBench, dialect: Dialect, station: int = 1) -> DriveDouble:
+def make_drive_double(bench: SimulatedBench, dialect: Dialect, station: int = 1) -> DriveDouble:
     """Return the double of the drive in the mode that the rig's settings name."""
-    kind = VelocityDriveDouble if world.rig.hardware.drive.mode == "velocity" else DriveDouble
-    return kind(world, dialect, station)
+    kind = VelocityDriveDouble if bench.rig.hardware.drive.mode == "velocity" else DriveDouble
+    return kind(bench, dialect, station)
 
 
 class VelocityDriveDouble(DriveDouble):
@@ -307,22 +307,22 @@ class VelocityDriveDouble(DriveDouble):
     def look(self) -> None:
         """Look at power, lines, alarm and silence once."""
         with self._lock:
-            if (text := self.world.mishaps.now.drive_alarm) and not self._alarm:
+            if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
             if not self._enabled:
                 return
-            if not (self._line(self._lines.enable) and self.world.powered):
+            if not (self._line(self._lines.enable) and self.bench.powered):
                 self._end(Halt.DISABLED)
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
-            elif self.world.moving and 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._heard_s:
+            elif self.bench.moving and 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._heard_s:
                 self._end(Halt.SILENCE)
 
     def _enable(self) -> Refusal | None:
         refused = super()._enable()
-        if refused is None and not self.world.powered:
+        if refused is None and not self.bench.powered:
             refused, self._enabled = Refusal.DISABLED, False
-        self.world.obey_voltage(self._enabled)
+        self.bench.obey_voltage(self._enabled)
         return refused
 
     def _go(self, target_mm: float) -> Refusal | None:
@@ -336,10 +336,10 @@ class VelocityDriveDouble(DriveDouble):
     def _end(self, why: Halt) -> None:
         if why is Halt.STOP:
             return
-        self._halt = why if self.world.moving else self._halt
+        self._halt = why if self.bench.moving else self._halt
         self._enabled = False
-        self.world.obey_voltage(False)
-        motor = self.world.rig.simulated.motor
+        self.bench.obey_voltage(False)
+        motor = self.bench.rig.simulated.motor
         friction_mm_s2 = 1000.0 * motor.coulomb_mN / motor.moving_mass_g
         brakes = self._parameters[Parameter.STOP_ACCELERATION_MM_S2]
-        self.world.brake(friction_mm_s2 if why is Halt.DISABLED else brakes)
+        self.bench.brake(friction_mm_s2 if why is Halt.DISABLED else brakes)

@@ -1,13 +1,14 @@
 """Faults of the simulated bench and its devices: a value that tests change while everything runs."""
 
+import dataclasses
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class ActiveFaults:
-    """Everything that is wrong at present; by default nothing.
+    """Everything that is wrong at present; default: nothing.
 
     Attributes
     ----------
@@ -16,28 +17,28 @@ class ActiveFaults:
     card_gone
         The driver no longer knows the card: −88705.
     card_absent
-        The card is in no list of devices; its channels are not found: −200220.
+        The driver lists no such card; its channels are not found: −200220.
     card_reserved
         Another program holds the card: starting or reserving a task fails with −50103.
     card_stalled
         Samples are taken, but none reaches the program before this ends; reads time out with what there was.
     overwritten_samples
-        How many samples in all the card's buffer lost before they were read: with every increase, each running task
-        loses that many that it had not read, and its next relative read fails with −200279.
+        Total number of samples that the card's buffer lost before they were read: with every increase, each running
+        task loses that many unread samples, and its next relative read fails with −200279.
     short_reads
-        How many buffered reads in all of each task time out (−200284) with half of what they asked for.
+        Total number of buffered reads of each task that time out (−200284) with half of what they requested.
     drive_alarm
         Text or code of an alarm that the drive raises; empty for none.
     drive_reply_late_s
-        How much later than usual, in the wall's seconds, the drive replies.
+        Delay of the drive's replies, in wall time.
     drive_garbled
         The drive's replies arrive with wrong bytes.
     drive_silent
-        The drive hears, and acts, but says nothing.
+        The drive carries out requests, but does not reply.
     drive_unplugged
         The serial cable was pulled.
     force_added_mN
-        Force on the sensor beside the gut's.
+        Force on the sensor in addition to the specimen's.
     sensor_open
         The force sensor's wire is broken: its amplifier is at the rail.
     encoder_stuck
@@ -67,37 +68,37 @@ class ActiveFaults:
 
 
 class FaultInjector:
-    """The one holder of a `ActiveFaults`, which any thread may swap and look at."""
+    """Holds the active faults; any thread may read or change them."""
 
-    def __init__(self, now: ActiveFaults | None = None) -> None:
+    def __init__(self, active: ActiveFaults | None = None) -> None:
         self._lock = threading.Lock()
-        self._now = now or ActiveFaults()
+        self._active = active or ActiveFaults()
         self._listeners: list[Callable[[], None]] = []
 
     @property
-    def now(self) -> ActiveFaults:
-        """What is wrong at present."""
-        return self._now
+    def active(self) -> ActiveFaults:
+        """The faults that are active at present."""
+        return self._active
 
-    def become(self, now: ActiveFaults) -> None:
-        """Let exactly this be wrong from here on, and tell the listeners."""
+    def replace(self, active: ActiveFaults) -> None:
+        """Make exactly these faults active, and notify the listeners."""
         with self._lock:
-            self._now = now
+            self._active = active
             listeners = tuple(self._listeners)
         for listener in listeners:
             listener()
 
-    def strike(self, **changes: float | str) -> None:
-        """Change the named attributes of `ActiveFaults`, leave the others."""
+    def inject(self, **changes: float | str) -> None:
+        """Change the named attributes of `ActiveFaults`; the others stay."""
         with self._lock:
-            changed = replace(self._now, **changes)  # type: ignore[arg-type]
-        self.become(changed)
+            changed = dataclasses.replace(self._active, **changes)  # type: ignore[arg-type]
+        self.replace(changed)
 
-    def repair(self) -> None:
-        """Let nothing be wrong."""
-        self.become(ActiveFaults())
+    def clear(self) -> None:
+        """End all faults."""
+        self.replace(ActiveFaults())
 
-    def listen(self, listener: Callable[[], None]) -> None:
+    def subscribe(self, listener: Callable[[], None]) -> None:
         """Call `listener` after every change, in the thread that made it."""
         with self._lock:
             self._listeners.append(listener)

@@ -18,7 +18,7 @@ _CHUNK_BYTES = 4096
 class DrivePort(ABC):
     """A cable to a drive's double, served by a thread of its own from entering to leaving the context.
 
-    Its mishaps are the bench's: replies come late, garbled or not at all, or the cable is unplugged.
+    Its faults are the bench's: replies come late, garbled or not at all, or the cable is unplugged.
     """
 
     def __init__(self, drive: DriveDouble) -> None:
@@ -38,7 +38,7 @@ class DrivePort(ABC):
 
     def __enter__(self) -> Self:
         self._selector.register(self._woken, selectors.EVENT_READ, lambda: self._woken.recv(_CHUNK_BYTES))
-        self._drive.world.mishaps.listen(self._wake)
+        self._drive.bench.faults.subscribe(self._wake)
         self._thread.start()
         return self
 
@@ -71,7 +71,7 @@ class DrivePort(ABC):
                 self._answer(reply)
 
     def _answer(self, reply: bytes) -> None:
-        trouble = self._drive.world.mishaps.now
+        trouble = self._drive.bench.faults.active
         if trouble.drive_silent:
             return
         if trouble.drive_garbled:
@@ -96,7 +96,7 @@ class DrivePort(ABC):
             for key, _ in self._selector.select(soon_s):
                 key.data()
             self._send_due()
-            if self._drive.world.mishaps.now.drive_unplugged:
+            if self._drive.bench.faults.active.drive_unplugged:
                 self._hang_up()
             elif not self._ended:
                 self._plug_in()

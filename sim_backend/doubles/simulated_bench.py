@@ -184,10 +184,10 @@ class SimulatedBench:
     """One bench in model time. Any thread may call anything."""
 
     def __init__(
-        self, rig: RigSettings, model: FrictionModelSettings, clock: DoubleClock, mishaps: FaultInjector | None = None
+        self, rig: RigSettings, model: FrictionModelSettings, clock: DoubleClock, faults: FaultInjector | None = None
     ) -> None:
         self.clock = clock
-        self.mishaps = mishaps or FaultInjector()
+        self.faults = faults or FaultInjector()
         """What goes wrong; tests change it at any time."""
         self.rig = rig
         self._model = model
@@ -323,7 +323,7 @@ class SimulatedBench:
         with self._lock:
             lines = self.rig.hardware.card.lines
             position_mm = self.position_mm()
-            trouble = self.mishaps.now
+            trouble = self.faults.active
             levels = {
                 lines.e_stop: not trouble.e_stop_pressed,
                 lines.limit_low: position_mm > self.rig.stage.lowest_mm - SWITCH_OFFSET_MM
@@ -361,7 +361,7 @@ class SimulatedBench:
             return
         since_begin_s = np.arange(first, end) / sampling.rate_hz
         shown = sampling.gut.compute(first, end, self._as_sampled(sampling))
-        trouble = self.mishaps.now
+        trouble = self.faults.active
         card, force = self.rig.hardware.card, shown["force"].astype(np.float64)
         volts = (force + trouble.force_added_mN) / card.force.per_V + card.force.zero_V
         if trouble.sensor_open:

@@ -5,12 +5,11 @@ The status codes are those of NIDAQmx.h, listed in `nidaqmx.error_codes`.
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from socket import gethostname
 from threading import Lock
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import nidaqmx
 import nidaqmx.system
@@ -29,31 +28,28 @@ from dragrig.config.hardware import CardSettings
 if TYPE_CHECKING:
     import grpc
 
-
 SERVER_TIMEOUT_S = 5.0
 """Far longer than any read waits, and than a card takes to be programmed over a network."""
 _UNLIMITED_MESSAGES = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1))
+"""A long read exceeds the 4 MB that gRPC allows a message by default."""
+
+CallT = TypeVar("CallT")
 
 
 class Connection:
-    """One way to one card, shared by every task on it. Any thread may call anything.
+    """The connection to one card, shared by all tasks on it. Any thread may call any method.
 
     Parameters
     ----------
-    answers_within_s
-        How long a call may take at a server before it counts as gone.
+    server_timeout_s
+        How long a call of a gRPC device server may take before the server counts as gone.
     """
 
-    def __init__(self, card: CardSettings, answers_within_s: float = SERVER_TIMEOUT_S) -> None:
-        self._card = card
-        self._answers_within_s = answers_within_s
+    def __init__(self, card: CardSettings, server_timeout_s: float = SERVER_TIMEOUT_S) -> None:
+        self.card = card
+        self._server_timeout_s = server_timeout_s
         self._lock = Lock()
         self._channel: grpc.Channel | None = None
-
-    @property
-    def card(self) -> CardSettings:
-        """The card's wiring."""
-        return self._card
 
     def task(self, role: str = "") -> nidaqmx.Task:
         """Return a new task, which its caller closes; raises what the driver raises.
@@ -61,53 +57,65 @@ class Connection:
         Parameters
         ----------
         role
-            What the task is for, one at a time each. A server keeps the tasks of a program that was killed; by its role
-            the task that this computer left there is found and closed first. One without a role stays there.
+            What the task is for. A server keeps the tasks of a program that was killed; by its role the task that this
+            computer left there is found and closed first. Without a role it is not.
         """
-        if not self._card.server:
+        if not self.card.server:
             return nidaqmx.Task()
-        name = re.sub(r"\W", "_", f"dragrig_{gethostname()}_{self._card.device}_{role}") if role else ""
+        name = re.sub(r"\W", "_", f"dragrig_{gethostname()}_{self.card.device}_{role}") if role else ""
         options = self._options(name)
         if name:
             nidaqmx.Task(name, grpc_options=options).close()
         return nidaqmx.Task(name, grpc_options=options)
 
     def device(self) -> nidaqmx.system.Device:
-        """Return the card as the driver knows it; whether it is there shows when it is asked something."""
-        return nidaqmx.system.Device(self._card.device, grpc_options=self._options())
+        """Return the card's device object; the driver checks whether it exists only when a property is read."""
+        return nidaqmx.system.Device(self.card.device, grpc_options=self._options())
 
     def terminal(self, name: str) -> str:
-        """Return a terminal or channel with the card before it: `Dev1/ai0`."""
-        return f"{self._card.device}/{name}"
+        """Return a terminal or channel with the device name in front: `Dev1/ai0`."""
+        return f"{self.card.device}/{name}"
 
     def close(self) -> None:
-        """Let go of the server; the next task connects again."""
+        """Disconnect from the server; the next task connects again."""
         with self._lock:
             channel, self._channel = self._channel, None
         if channel is not None:
             channel.close()
 
     def _options(self, session: str = "") -> nidaqmx.GrpcSessionOptions | None:
-        if not self._card.server:
+        if not self.card.server:
             return None
-        grpc = _import_grpc()
         with self._lock:
             if self._channel is None:
-                from dragrig.rig.hardware.card.deadline import CallTimeout
-
-                channel = grpc.insecure_channel(self._card.server, options=_UNLIMITED_MESSAGES)
-                self._channel = grpc.intercept_channel(channel, CallTimeout(self._answers_within_s))
+                self._channel = _open_channel(self.card.server, self._server_timeout_s)
             return nidaqmx.GrpcSessionOptions(self._channel, session)
 
 
-def _import_grpc() -> ModuleType:
+def _open_channel(server: str, timeout_s: float) -> "grpc.Channel":
+    """Return a channel on which every call fails that has not returned in time, as if the server were gone."""
     try:
         import grpc
     except ImportError as error:
         raise DeviceError(
-            "hardware.card.server names a computer, and to reach it gRPC is needed: install dragrig[grpc]."
+            "hardware.card.server names a computer, and gRPC is needed to reach it: install dragrig[grpc]."
         ) from error
-    return grpc
+
+    class TimeLimit(grpc.ClientCallDetails):
+        timeout = timeout_s  # grpc leaves the call's other details as they are
+
+    class CallTimeout(grpc.UnaryUnaryClientInterceptor):  # type: ignore[type-arg]  # generic in its stubs only
+        def intercept_unary_unary(
+            self,
+            continuation: Callable[[grpc.ClientCallDetails, object], CallT],
+            client_call_details: grpc.ClientCallDetails,
+            request: object,
+        ) -> CallT:
+            del client_call_details
+            return continuation(TimeLimit(), request)
+
+    channel = grpc.insecure_channel(server, options=_UNLIMITED_MESSAGES)
+    return grpc.intercept_channel(channel, CallTimeout())
 
 
 OVERWRITTEN_CODE = -200279

@@ -67,32 +67,23 @@ class SampleFetcher:
     ----------
     inputs
         How many analog inputs there are.
-    metres_per_count
-        Length that the encoder's task gives a count.
+    count_length_m
+        Length that the encoder's task assigns to a count.
     """
 
     def __init__(
-        self, analog: BufferedInput, encoder: BufferedInput, inputs: int, block_samples: int, metres_per_count: float
+        self, analog: BufferedInput, encoder: BufferedInput, inputs: int, block_samples: int, count_length_m: float
     ) -> None:
         self._analog, self._encoder = analog, encoder
         self._inputs = inputs
-        self._metres_per_count = metres_per_count
+        self._count_length_m = count_length_m
         self._volts = np.empty(inputs * block_samples)
         self._counts = np.empty(block_samples)
-        self._volts_held = 0
-        self._counts_held = 0
-        self._next = 0
-        self._lost = 0
-
-    @property
-    def next_index(self) -> int:
+        self._volts_held = self._counts_held = 0
+        self.next_index = 0
         """Index of the next sample."""
-        return self._next
-
-    @property
-    def lost(self) -> int:
-        """How many samples before `next_index` are lost and not yet told by a `SampleBatch`."""
-        return self._lost
+        self.lost = 0
+        """How many samples before `next_index` are lost and not yet reported by a `SampleBatch`."""
 
     @property
     def acquired(self) -> int:
@@ -102,87 +93,55 @@ class SampleFetcher:
     def fetch(self, samples: int) -> SampleBatch:
         """Return the next samples, at most `samples`, fewer or none when they do not arrive in `READ_TIMEOUT_S`.
 
-        What one task has given and the other has not yet is kept for the next call.
+        Samples that only one of the tasks has delivered so far are held for the next call.
         """
         try:
             if not self._volts_held:
-                self._volts_held = self._analog.read(self._shaped(samples), samples, READ_TIMEOUT_S)
+                self._volts_held = self._analog.read(self._volts_view(samples), samples, READ_TIMEOUT_S)
             missing = self._volts_held - self._counts_held
             if missing:
                 into = self._counts[self._counts_held : self._volts_held]
                 self._counts_held += self._encoder.read(into, missing, READ_TIMEOUT_S)
         except OverwrittenError:
-            self._leap()
-        return self._take()
+            self._skip_to_newest()
+        return self._complete_batch()
 
-    def _take(self) -> SampleBatch:
-        came = self._volts_held if self._counts_held == self._volts_held else 0
-        counts = self._counts[:came]
-        # DAQmx gives lengths; a count is a whole number.
-        counts /= self._metres_per_count
+    def _complete_batch(self) -> SampleBatch:
+        samples = self._volts_held if self._counts_held == self._volts_held else 0
+        counts = self._counts[:samples]
+        # DAQmx returns lengths; a count is a whole number.
+        counts /= self._count_length_m
         np.rint(counts, out=counts)
-        fetched = SampleBatch(self._next, self._lost if came else 0, self._shaped(came), counts)
-        if came:
-            self._next += came
-            self._volts_held = self._counts_held = self._lost = 0
-        return fetched
+        batch = SampleBatch(self.next_index, self.lost if samples else 0, self._volts_view(samples), counts)
+        if samples:
+            self.next_index += samples
+            self._volts_held = self._counts_held = self.lost = 0
+        return batch
 
-    def _leap(self) -> None:
-        """Go on with the newest sample: what is between is lost."""
-        newest = max(self._analog.acquired, self._encoder.acquired, self._next + 1)
-        self._lost += newest - self._next
-        self._next = newest
+    def _skip_to_newest(self) -> None:
+        newest = max(self._analog.acquired, self._encoder.acquired, self.next_index + 1)
+        self.lost += newest - self.next_index
+        self.next_index = newest
         self._volts_held = self._counts_held = 0
-        self._analog.leap_to(newest)
-        self._encoder.leap_to(newest)
+        self._analog.skip_to(newest)
+        self._encoder.skip_to(newest)
 
-    def _shaped(self, samples: int) -> FloatArray:
+    def _volts_view(self, samples: int) -> FloatArray:
         return self._volts[: self._inputs * samples].reshape(self._inputs, samples)
-
-
-def collect_samples(
-    fetcher: SampleFetcher,
-    samples: int,
-    block_samples: int,
-    stale_s: float,
-    card: CardSettings,
-    fed: Callable[[], None],
-) -> tuple[FloatArray, FloatArray]:
-    """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each.
-
-    Raises
-    ------
-    StaleDataError
-        When nothing arrives for longer than `stale_s`, in the wall's time.
-    """
-    volts, counts = np.empty(samples), np.empty(samples)
-    heard_s = time.monotonic()
-    have = 0
-    while have < samples:
-        fed()
-        fetched = fetcher.fetch(min(block_samples, samples - have))
-        if fetched.samples:
-            heard_s = time.monotonic()
-        elif time.monotonic() - heard_s > stale_s:
-            raise no_samples_error(card, stale_s)
-        end = have + fetched.samples
-        volts[have:end], counts[have:end] = fetched.volts[0], fetched.counts
-        have = end
-    return volts, counts
 
 
 _QUEUE_BLOCKS = 256
 """Blocks that wait for the thread that reads; beyond them, samples wait in the card's buffer."""
 _POLL_S = 0.02
 _FROZEN_S = 0.1
-"""A wait of `_POLL_S` that takes so long says that the whole program was frozen meanwhile."""
+"""A wait of `_POLL_S` that takes so long shows that the whole program was frozen meanwhile."""
 _POST_STOP_S = 0.02
-"""How much is sampled after a stop once the stage stands."""
+"""How much is sampled after a stop once the stage is at rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadSettings:
-    """How much to sample, in what blocks, and how long without samples is too long."""
+    """How much to sample, in what blocks, and how long without samples counts as stale."""
 
     samples: int
     block_samples: int
@@ -191,7 +150,7 @@ class ReadSettings:
 
 
 class ReaderThread:
-    """Fetches one acquisition's samples on a thread of its own, which closes the tasks when it ends.
+    """Fetches the samples of one acquisition in a thread, which closes the tasks when it ends.
 
     Parameters
     ----------
@@ -203,65 +162,65 @@ class ReaderThread:
         self,
         fetcher: SampleFetcher,
         scaling: Scaling,
-        stretch: ReadSettings,
-        coupling: MotionSamplingSync,
+        settings: ReadSettings,
+        sync: MotionSamplingSync,
         card: CardSettings,
         close: Callable[[], None],
     ) -> None:
-        self._fetcher, self._scaling, self._stretch, self._coupling = fetcher, scaling, stretch, coupling
+        self._fetcher, self._scaling, self._settings, self._sync = fetcher, scaling, settings, sync
         self._card, self._close = card, close
-        self._ready: Queue[Block | Exception | None] = Queue(_QUEUE_BLOCKS)
-        self._ending = Signal()
+        self._queue: Queue[Block | Exception | None] = Queue(_QUEUE_BLOCKS)
+        self._end_requested = Signal()
         self._closing_error: Exception | None = None
-        self._last: int | None = None
-        self._origin = 0.0
-        self._over = False
+        self._end_index_after_stop: int | None = None
+        self._origin_counts = 0.0
+        self._finished = False
         self._error: Exception | None = None
-        self._heard_s = time.monotonic()
+        self._last_data_s = time.monotonic()
         self._thread = Thread(target=self._run, name="card reader", daemon=True)
         self._thread.start()
 
-    def take(self, cancel: Signal, fed: Callable[[], None]) -> Block | None:
-        """Return the next block; None after the last one, and once `cancel` is set or the reader told to end.
+    def take(self, cancel: Signal, feed_watchdog: Callable[[], None]) -> Block | None:
+        """Return the next block; None after the last one, once `cancel` is set, and after `end`.
 
         Raises
         ------
         StaleDataError
-            When no sample arrived for longer than `Stretch.stale_s`, in the wall's time.
+            When no sample arrived for longer than `ReadSettings.stale_s`, in wall time.
         DeviceError
             What ended the thread; again at every call.
         """
-        while not (cancel.is_set() or self._ending.is_set()):
-            fed()
+        while not (cancel.is_set() or self._end_requested.is_set()):
+            feed_watchdog()
             if self._error is not None:
                 raise self._error
-            if self._over:
+            if self._finished:
                 return None
-            asked_s = time.monotonic()
+            wait_began_s = time.monotonic()
             try:
-                item = self._ready.get(timeout=_POLL_S)
+                item = self._queue.get(timeout=_POLL_S)
             except Empty:
-                if time.monotonic() - asked_s < _FROZEN_S:
+                if time.monotonic() - wait_began_s < _FROZEN_S:
                     self._refuse_stale()
                 else:
                     # The program itself was held up, so that nobody knows yet whether samples are there.
-                    self._heard_s = time.monotonic()
+                    self._last_data_s = time.monotonic()
                 continue
             if isinstance(item, Block):
                 return item
-            self._over, self._error = True, item
+            self._finished, self._error = True, item
         return None
 
-    def end(self, longest_s: float) -> bool:
-        """Have the tasks closed; return False when the driver does not return within `longest_s`.
+    def end(self, timeout_s: float) -> bool:
+        """Have the tasks closed; return False when the driver does not return within `timeout_s`.
 
         Raises
         ------
         DeviceError
             When the tasks could not be closed properly.
         """
-        self._ending.set()
-        self._thread.join(longest_s)
+        self._end_requested.set()
+        self._thread.join(timeout_s)
         if self._closing_error is not None:
             raise self._closing_error
         return not self.alive
@@ -272,86 +231,86 @@ class ReaderThread:
         return self._thread.is_alive()
 
     def _refuse_stale(self) -> None:
-        silent_s = self._stretch.stale_s
-        if time.monotonic() - self._heard_s > silent_s and self._ready.empty():
-            raise no_samples_error(self._card, silent_s)
+        stale_s = self._settings.stale_s
+        if time.monotonic() - self._last_data_s > stale_s and self._queue.empty():
+            raise no_samples_error(self._card, stale_s)
 
     def _run(self) -> None:
         failed = False
         try:
-            while (block := self._next()) is not None:
-                self._hand_over(block)
-            self._hand_over(None)
+            while (block := self._next_block()) is not None:
+                self._put(block)
+            self._put(None)
         except Exception as error:  # noqa: BLE001  # raised again in the thread that reads
             failed = True
-            self._hand_over(self._in_words(error))
+            self._put(self._wrapped(error))
         finally:
             self._close_tasks(failed)
 
     def _close_tasks(self, failed: bool) -> None:
         try:
             self._close()
-        except Exception as error:  # noqa: BLE001  # raised again where the reader is ended
-            # A card that has failed fails here once more, which says nothing new.
-            self._closing_error = None if failed else self._in_words(error)
+        except Exception as error:  # noqa: BLE001  # raised again by `end`
+            # A card that has failed already fails here once more, which is no news.
+            self._closing_error = None if failed else self._wrapped(error)
 
-    def _next(self) -> Block | None:
-        while not self._ending.is_set():
-            wanted = min(self._stretch.block_samples, self._end() - self._fetcher.next_index)
+    def _next_block(self) -> Block | None:
+        while not self._end_requested.is_set():
+            wanted = min(self._settings.block_samples, self._end_index() - self._fetcher.next_index)
             if wanted <= 0:
-                self._refuse_silent_loss()
+                self._refuse_lost_end()
                 return None
-            fetched = self._fetcher.fetch(wanted)
-            if fetched.samples:
-                self._heard_s = time.monotonic()
-                return self._block(fetched)
+            batch = self._fetcher.fetch(wanted)
+            if batch.samples:
+                self._last_data_s = time.monotonic()
+                return self._block(batch)
         return None
 
-    def _end(self) -> int:
-        """Return where sampling ends: with the profile, or once a stage that was told to stop stands."""
-        if self._last is None and self._coupling.stopped:
-            tail = math.ceil(_POST_STOP_S * self._stretch.rate_hz)
-            if self._coupling.moving:
-                return self._fetcher.next_index + self._stretch.block_samples
-            self._last = max(self._fetcher.next_index, self._fetcher.acquired + tail)
-        return self._stretch.samples if self._last is None else self._last
+    def _end_index(self) -> int:
+        """Return where sampling ends: at the profile's end, or once a stage that was stopped is at rest."""
+        if self._end_index_after_stop is None and self._sync.stop_requested:
+            if self._sync.moving:
+                return self._fetcher.next_index + self._settings.block_samples
+            after_stop = math.ceil(_POST_STOP_S * self._settings.rate_hz)
+            self._end_index_after_stop = max(self._fetcher.next_index, self._fetcher.acquired + after_stop)
+        return self._settings.samples if self._end_index_after_stop is None else self._end_index_after_stop
 
-    def _block(self, fetched: SampleBatch) -> Block:
-        if fetched.first_index == 0:
-            self._origin = float(fetched.counts[0])
-        fault = self._overrun(fetched) or self._scaling.fault(fetched.volts[0])
-        return Block(fetched.first_index, self._scaling.scale(fetched.volts, fetched.counts, self._origin), fault)
+    def _block(self, batch: SampleBatch) -> Block:
+        if batch.first_index == 0:
+            self._origin_counts = float(batch.counts[0])
+        fault = self._overrun(batch) or self._scaling.sensor_fault(batch.volts[0])
+        return Block(batch.first_index, self._scaling.scale(batch.volts, batch.counts, self._origin_counts), fault)
 
-    def _overrun(self, fetched: SampleBatch) -> Trip | None:
-        if not fetched.lost:
+    def _overrun(self, batch: SampleBatch) -> Trip | None:
+        if not batch.lost:
             return None
-        at_s = (fetched.first_index - fetched.lost) / self._stretch.rate_hz
+        at_s = (batch.first_index - batch.lost) / self._settings.rate_hz
         return Trip(
             TripCause.OVERRUN,
-            f"{fetched.lost} samples from {at_s:.3f} s on are lost, because this computer did not fetch them in time",
+            f"{batch.lost} samples from {at_s:.3f} s on are lost, because this computer did not fetch them in time",
         )
 
-    def _refuse_silent_loss(self) -> None:
+    def _refuse_lost_end(self) -> None:
         if lost := self._fetcher.lost:
             raise DeviceError(
                 f"the last {lost} samples are lost, because this computer did not fetch them in time: end other "
                 "programs, or lower sampling.rate_hz."
             )
 
-    def _in_words(self, error: Exception) -> Exception:
+    def _wrapped(self, error: Exception) -> Exception:
         return device_error(error, self._card, "it samples") if isinstance(error, driver_errors()) else error
 
-    def _hand_over(self, item: Block | Exception | None) -> None:
-        while not self._ending.is_set():
+    def _put(self, item: Block | Exception | None) -> None:
+        while not self._end_requested.is_set():
             try:
-                self._ready.put(item, timeout=_POLL_S)
+                self._queue.put(item, timeout=_POLL_S)
             except Full:
                 continue
             return
 
 
 MAX_AGGREGATE_RATE_HZ = 250_000
-"""Samples per second that the PCI-6229 converts in all (PCI-6229 specifications)."""
+"""Samples per second that the PCI-6229 converts over all channels (PCI-6229 specifications)."""
 _MAX_FETCH_S = MAX_BLOCK_S - 0.002
 """Leaves the guard its time, so that a condition stops the stage within one longest block."""
 
@@ -367,23 +326,23 @@ class _ArmedAcquisition:
 
 
 class CardSampler:
-    """Samples by the card's own clock; a thread fetches, whoever calls `read` gets blocks.
+    """Samples by the card's own clock; a thread fetches, and the caller of `read` gets blocks.
 
     One thread arms, starts and reads; `stop` may come from any.
 
     Parameters
     ----------
     calibrations
-        The calibrations that hold now, by quantity (force, encoder).
-    coupling, clock
-        What is shared with the stage: who moves, and the time of the first sample.
-    fed
-        Called whenever the program shows that it waits for samples or takes them.
+        The calibrations in force, by quantity (force, encoder).
+    sync, clock
+        Shared with the stage: motion state and time of the first sample, and the rig's clock.
+    feed_watchdog
+        Called whenever the program waits for samples or takes them.
 
     Raises
     ------
     SettingsError
-        When the settings ask for more than the card can convert.
+        When the settings exceed the card's aggregate sample rate.
     """
 
     def __init__(
@@ -391,21 +350,22 @@ class CardSampler:
         connection: Connection,
         rig: RigSettings,
         calibrations: Mapping[str, Calibration],
-        coupling: MotionSamplingSync,
+        sync: MotionSamplingSync,
         clock: Clock,
-        fed: Callable[[], None] = lambda: None,
+        feed_watchdog: Callable[[], None] = lambda: None,
     ) -> None:
         _refuse_excessive_rate(rig)
-        self._connection, self._rig, self._coupling, self._clock, self._fed = connection, rig, coupling, clock, fed
-        self._scaling = Scaling.of(rig, calibrations)
+        self._connection, self._rig, self._sync, self._clock = connection, rig, sync, clock
+        self._feed_watchdog = feed_watchdog
+        self._scaling = Scaling.from_settings(rig, calibrations)
         self._rate_hz = rig.sampling.rate_hz
-        # Half of what counts as stale, so that a healthy card cannot look stale.
+        # At most half of what counts as stale, so that a healthy card cannot look stale.
         block_s = min(rig.sampling.block_s, _MAX_FETCH_S, rig.guard.stale_data_s / 2)
         self._block_samples = max(1, int(block_s * self._rate_hz + 1e-6))
         self._lock = Lock()
-        self._armed: _ArmedAcquisition | None = None
+        self._acquisition: _ArmedAcquisition | None = None
         self._was_armed = False
-        self._hung: ReaderThread | None = None
+        self._hung_reader: ReaderThread | None = None
 
     @property
     def sample_rate_hz(self) -> float:
@@ -428,36 +388,43 @@ class CardSampler:
         Raises
         ------
         DeviceError
-            When the acquisition before was not ended with `stop`, the stage moves, or the card refuses.
+            When the previous acquisition was not ended with `stop`, the stage moves, or the card refuses.
         """
-        if self._armed is not None:
-            raise DeviceError("the sampler is still armed for the acquisition before: stop it first.")
-        if self._coupling.moving:
+        if self._acquisition is not None:
+            raise DeviceError("the sampler is still armed for the previous acquisition: stop it first.")
+        if self._sync.moving:
             raise DeviceError("the sampler cannot be armed while the stage moves: wait or stop it first.")
-        tasks = self._tasks("it is armed")
-        self._armed = _ArmedAcquisition(tasks, acquisition.profile.samples(self._rate_hz))
+        tasks = self._reserved_tasks("it is armed")
+        self._acquisition = _ArmedAcquisition(tasks, acquisition.profile.samples(self._rate_hz))
         self._was_armed = True
-        self._coupling.arm()
+        self._sync.arm()
 
     def start(self) -> None:
-        """Take the first sample now, and tell the stage when that was.
+        """Take the first sample now, and pass its time to the stage.
 
         Raises
         ------
         DeviceError
             When the sampler is not armed, was started already, or the card refuses.
         """
-        armed = self._armed
+        armed = self._acquisition
         if armed is None or armed.started:
             raise DeviceError("the sampler cannot start: arm it once for each acquisition.")
         armed.started = True
-        if self._coupling.stopped:
+        if self._sync.stop_requested:
             return
         with driver_errors_wrapped(self._connection.card, "it starts"):
-            armed.tasks.start(self._begin)
+            armed.tasks.start(self._start_clock)
         with self._lock:
-            if self._armed is armed:
-                armed.reader = self._reader(armed)
+            if self._acquisition is armed:
+                armed.reader = ReaderThread(
+                    self._fetcher(armed.tasks),
+                    self._scaling,
+                    ReadSettings(armed.samples, self._block_samples, self._rate_hz, self._rig.guard.stale_data_s),
+                    self._sync,
+                    self._connection.card,
+                    armed.tasks.close,
+                )
 
     def read(self, cancel: Signal) -> Block | None:
         """Return the next block; None after the last one, after `stop`, and when `cancel` is set.
@@ -469,16 +436,16 @@ class CardSampler:
         StaleDataError
             When nothing arrives for as long as `guard.stale_data_s`.
         """
-        self._fed()
-        armed = self._armed
+        self._feed_watchdog()
+        armed = self._acquisition
         if armed is None and self._was_armed:
             return None
         if armed is None or not armed.started:
             raise DeviceError("the sampler has nothing to read: arm and start it first.")
-        return None if armed.reader is None else armed.reader.take(cancel, self._fed)
+        return None if armed.reader is None else armed.reader.take(cancel, self._feed_watchdog)
 
     def stop(self) -> None:
-        """End the acquisition and release the card. Waits no longer than a hanging driver is worth.
+        """End the acquisition and release the card, waiting for a hung driver only for a limited time.
 
         Raises
         ------
@@ -486,23 +453,23 @@ class CardSampler:
             When the driver does not return, or does not release the card.
         """
         with self._lock:
-            armed, self._armed = self._armed, None
-        self._coupling.disarm()
+            armed, self._acquisition = self._acquisition, None
+        self._sync.disarm()
         if armed is None:
             return
-        card = self._connection.card
+        card, timeout_s = self._connection.card, self._rig.hardware.hang_s + 1.0
         if armed.reader is None:
             with driver_errors_wrapped(card, "it is released"):
                 armed.tasks.close()
-        elif not armed.reader.end(self._patience_s):
-            self._hung = armed.reader
+        elif not armed.reader.end(timeout_s):
+            self._hung_reader = armed.reader
             raise DeviceError(
-                f"the driver of card {card.device} has not returned for {self._patience_s:g} s: the card is held until "
+                f"the driver of card {card.device} has not returned for {timeout_s:g} s: the card stays reserved until "
                 "it does; restart the program, and the computer if that does not help."
             )
 
     def measure(self, duration_s: float) -> RawReading:
-        """Sample for a while, moving nothing, and return what converter and counter say, for a calibration.
+        """Sample for a while without moving, and return the raw voltages and counts, for a calibration.
 
         Raises
         ------
@@ -511,64 +478,60 @@ class CardSampler:
         StaleDataError
             When nothing arrives for as long as `guard.stale_data_s`.
         """
-        if self._armed is not None:
+        if self._acquisition is not None:
             raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")
         with driver_errors_wrapped(self._connection.card, "it measures"):
-            tasks = self._tasks("it measures")
+            tasks = self._reserved_tasks("it measures")
             try:
                 tasks.start(lambda start: start())
-                volts, counts = collect_samples(
-                    self._fetcher(tasks),
-                    max(1, round(duration_s * self._rate_hz)),
-                    self._block_samples,
-                    self._rig.guard.stale_data_s,
-                    self._connection.card,
-                    self._fed,
-                )
+                volts, counts = self._collect(self._fetcher(tasks), max(1, round(duration_s * self._rate_hz)))
             finally:
                 tasks.close()
         return RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts)
 
-    @property
-    def _patience_s(self) -> float:
-        return self._rig.hardware.hang_s + 1.0
+    def _collect(self, fetcher: SampleFetcher, samples: int) -> tuple[FloatArray, FloatArray]:
+        """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each."""
+        volts, counts = np.empty(samples), np.empty(samples)
+        stale_s, last_data_s = self._rig.guard.stale_data_s, time.monotonic()
+        collected = 0
+        while collected < samples:
+            self._feed_watchdog()
+            batch = fetcher.fetch(min(self._block_samples, samples - collected))
+            if batch.samples:
+                last_data_s = time.monotonic()
+            elif time.monotonic() - last_data_s > stale_s:
+                raise no_samples_error(self._connection.card, stale_s)
+            end = collected + batch.samples
+            volts[collected:end], counts[collected:end] = batch.volts[0], batch.counts
+            collected = end
+        return volts, counts
 
-    def _tasks(self, doing: str) -> SampledTasks:
+    def _reserved_tasks(self, doing: str) -> SampledTasks:
         card = self._connection.card
-        if self._hung is not None and self._hung.alive:
+        if self._hung_reader is not None and self._hung_reader.alive:
             raise DeviceError(
-                f"card {card.device} is still held by a driver that does not return: restart the program, and the "
-                "computer if that does not help."
+                f"card {card.device} is still reserved by a driver call that does not return: restart the program, and "
+                "the computer if that does not help."
             )
         with driver_errors_wrapped(card, doing):
             return SampledTasks(self._connection, self._rig)
 
-    def _begin(self, start: Callable[[], None]) -> None:
+    def _start_clock(self, start: Callable[[], None]) -> None:
         before_s = self._clock.monotonic()
         start()
         after_s = self._clock.monotonic()
-        self._coupling.begin(FirstSample((before_s + after_s) / 2, (after_s - before_s) / 2))
+        self._sync.set_first_sample(FirstSample((before_s + after_s) / 2, (after_s - before_s) / 2))
 
     def _fetcher(self, tasks: SampledTasks) -> SampleFetcher:
         inputs = len(self._scaling.channels) - 1
         return SampleFetcher(tasks.analog, tasks.encoder, inputs, self._block_samples, metres_per_count(self._rig))
-
-    def _reader(self, armed: _ArmedAcquisition) -> ReaderThread:
-        return ReaderThread(
-            self._fetcher(armed.tasks),
-            self._scaling,
-            ReadSettings(armed.samples, self._block_samples, self._rate_hz, self._rig.guard.stale_data_s),
-            self._coupling,
-            self._connection.card,
-            armed.tasks.close,
-        )
 
 
 def _refuse_excessive_rate(rig: RigSettings) -> None:
     inputs = 1 + len(rig.hardware.card.inputs)
     if inputs * rig.sampling.rate_hz > MAX_AGGREGATE_RATE_HZ:
         raise SettingsError(
-            f"sampling.rate_hz = {rig.sampling.rate_hz:g} with {inputs} analog inputs is more than the "
-            f"{MAX_AGGREGATE_RATE_HZ:,} samples per second that the card converts in all: set at most "
+            f"sampling.rate_hz = {rig.sampling.rate_hz:g} with {inputs} analog inputs exceeds the "
+            f"{MAX_AGGREGATE_RATE_HZ:,} samples per second that the card converts over all channels: set at most "
             f"{MAX_AGGREGATE_RATE_HZ // inputs:,}, or leave out some of hardware.card.inputs."
         )

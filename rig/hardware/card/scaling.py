@@ -32,8 +32,8 @@ class Scaling:
     inputs: tuple[AnalogInputSettings, ...]
 
     @classmethod
-    def of(cls, rig: RigSettings, calibrations: Mapping[str, Calibration]) -> "Scaling":
-        """Return what the settings and the calibrations that hold now (force, encoder) make of the card's inputs."""
+    def from_settings(cls, rig: RigSettings, calibrations: Mapping[str, Calibration]) -> "Scaling":
+        """Return the scales of the settings, overridden by the calibrations in force (keys force, encoder)."""
         card = rig.hardware.card
         force, encoder = calibrations.get("force"), calibrations.get("encoder")
         mm = rig.encoder.resolution_um / 1000.0 if encoder is None else encoder.gain
@@ -51,12 +51,12 @@ class Scaling:
         return (
             Channel("force", "mN"),
             Channel("position", "mm"),
-            *(Channel(one.name, one.unit) for one in self.inputs),
+            *(Channel(channel.name, channel.unit) for channel in self.inputs),
         )
 
     @property
     def force_range_mN(self) -> tuple[float, float]:
-        """Forces at the two ends of the input's range, as they come out: in single precision."""
+        """Forces at the two ends of the input's range, in the single precision of the recorded force."""
         at_rails = np.array([-self.force.range_V, self.force.range_V]) * self.mN_per_V + self.zero_mN
         low, high = np.sort(at_rails).astype(np.float32)
         return float(low), float(high)
@@ -69,28 +69,25 @@ class Scaling:
         volts
             Shape `(1 + inputs, n)`, force first.
         counts, origin
-            Counts, shape `(n,)`, and the one that is position 0.
+            Counts, shape `(n,)`, and the count of position 0.
         """
         channels: dict[str, AnyFloatArray] = {
             "force": _scale_linearly(volts[0], self.mN_per_V, self.zero_mN),
             "position": (counts - origin) * self.mm_per_count,
         }
-        for one, row in zip(self.inputs, volts[1:], strict=True):
-            channels[one.name] = _scale_linearly(row, one.per_V, -one.per_V * one.zero_V)
+        for channel, row in zip(self.inputs, volts[1:], strict=True):
+            channels[channel.name] = _scale_linearly(row, channel.per_V, -channel.per_V * channel.zero_V)
         for array in channels.values():
             read_only(array)
         return channels
 
-    def fault(self, volts: FloatArray) -> Trip | None:
-        """Return what the force input's voltages, shape `(n,)`, say of the sensor; None when they are fine."""
-        return self.fault_at(max(float(volts.max()), -float(volts.min())))
-
-    def fault_at(self, strongest_V: float) -> Trip | None:
-        """Return what the force input's strongest voltage, to either side, says of sensor and amplifier."""
-        if strongest_V < self.force.overload_V:
+    def sensor_fault(self, volts: FloatArray) -> Trip | None:
+        """Return the overload or wire break that the force input's voltages, shape `(n,)`, show; None when fine."""
+        largest_V = max(float(volts.max()), -float(volts.min()))
+        if largest_V < self.force.overload_V:
             return None
-        where = f"force input {self.force.channel} is at {strongest_V:.2f} V"
-        if strongest_V < self.force.open_V:
+        where = f"force input {self.force.channel} is at {largest_V:.2f} V"
+        if largest_V < self.force.open_V:
             return Trip(TripCause.SENSOR_OVERLOAD, f"{where}: the force sensor is overloaded")
         return Trip(
             TripCause.SENSOR_OPEN, f"{where}, the amplifier's rail: the force sensor is unplugged or a wire is broken"

@@ -28,13 +28,20 @@ from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.hardware import AnalogInputSettings, CardSettings, EncoderInputSettings, ForceInputSettings
+from dragrig.config.hardware import AnalogInputSettings, CardSettings, ForceInputSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
 
+_CALL_TIMEOUT_S = 0.1
+PULSES_PER_PERIOD = 4
+"""Counts of X4 decoding in a period of the encoder's signals.
+
+DAQmx takes the distance of a whole period (`CI.LinEncoder.DistPerPulse`) and divides it by the decoding itself.
+"""
+
 StreamRead = Callable[[FloatArray, int, float], int]
-"""Read so many samples of each channel into an array, waiting at most so many seconds; return how many there are."""
+"""Reads samples of each channel: array, number of samples, longest wait [s]; returns how many arrived."""
 
 
 class OverwrittenError(Exception):
@@ -48,15 +55,15 @@ class BufferedInput:
     ----------
     task
         Configured, with a sample clock.
-    read
-        How a stream reader of this task reads.
+    stream_read
+        The read method of a stream reader of this task.
     """
 
-    def __init__(self, task: nidaqmx.Task, read: StreamRead) -> None:
+    def __init__(self, task: nidaqmx.Task, stream_read: StreamRead) -> None:
         self._task = task
-        self._read = read
-        self._leapt = False
-        # So that samples that nobody fetched in time cost a gap and not the rest of the run.
+        self._stream_read = stream_read
+        self._skipped = False
+        # So that samples that were not fetched in time cost a gap and not the rest of the run.
         task.in_stream.overwrite = OverwriteMode.OVERWRITE_UNREAD_SAMPLES
 
     def commit(self) -> None:
@@ -64,41 +71,41 @@ class BufferedInput:
         self._task.control(TaskMode.TASK_COMMIT)
 
     def start(self) -> None:
-        """Take the first sample at the next edge of the sample clock."""
+        """Start the task: the first sample is taken at the next edge of the sample clock."""
         self._task.start()
 
     @property
     def acquired(self) -> int:
-        """How many samples were taken since the start."""
+        """Number of samples taken since the start."""
         return int(self._task.in_stream.total_samp_per_chan_acquired)
 
     def read(self, into: FloatArray, samples: int, timeout_s: float) -> int:
-        """Read up to `samples` of each channel; return how many came in time.
+        """Read up to `samples` of each channel; return how many arrived in time.
 
-        A short read leaves them together at the beginning of `into`, channel after channel.
+        A short read leaves them contiguous at the beginning of `into`, channel after channel.
 
         Raises
         ------
         OverwrittenError
-            When the next sample is lost: leap over the loss.
+            When the next sample was overwritten: call `skip_to`.
         """
         try:
-            came = self._read(into, samples, timeout_s)
+            arrived = self._stream_read(into, samples, timeout_s)
         except DaqError as error:
             if error.error_code == OVERWRITTEN_CODE:
                 raise OverwrittenError from error
             if error.error_code != READ_TIMEOUT_CODE:
                 raise
-            came = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
-        if self._leapt and came:
+            arrived = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
+        if self._skipped and arrived:
             self._read_from(ReadRelativeTo.CURRENT_READ_POSITION, 0)
-            self._leapt = False
-        return int(came)
+            self._skipped = False
+        return int(arrived)
 
-    def leap_to(self, index: int) -> None:
-        """Go on reading at the sample of this index."""
+    def skip_to(self, index: int) -> None:
+        """Continue reading at the sample of this index."""
         self._read_from(ReadRelativeTo.FIRST_SAMPLE, index)
-        self._leapt = True
+        self._skipped = True
 
     def _read_from(self, point: ReadRelativeTo, offset: int) -> None:
         stream = self._task.in_stream
@@ -106,84 +113,75 @@ class BufferedInput:
         stream.offset = offset
 
 
-PULSES_PER_PERIOD = 4
-"""Counts of X4 decoding in a period of the encoder's signals.
-
-DAQmx takes the distance of a whole period (`CI.LinEncoder.DistPerPulse`) and divides it by the decoding itself.
-"""
-
-
 class SampledTasks:
-    """Analog inputs and encoder, reserved and ready to start; whoever makes it closes it.
+    """Analog inputs and encoder, reserved and ready to start; the caller closes them.
 
     Attributes
     ----------
     analog
         Volts, force first, then the further inputs in the settings' order.
     encoder
-        Position in metres since the counter's start, as counted.
+        Position in metres since the counter's start.
     """
 
     def __init__(self, connection: Connection, rig: RigSettings) -> None:
         with ExitStack() as stack:
-            buffer_samples = round(rig.hardware.card.buffer_s * rig.sampling.rate_hz)
-            clock = rig.sampling.rate_hz, buffer_samples
-            self.encoder = _encoder_input(connection, stack, metres_per_count(rig), clock)
-            self.analog = _analog_input(connection, stack, clock)
+            self.encoder = _encoder_input(connection, stack, rig)
+            self.analog = _analog_input(connection, stack, rig)
             self.analog.commit()
             self.encoder.commit()
             self._tasks = stack.pop_all()
 
-    def start(self, begin: Callable[[Callable[[], None]], None]) -> None:
-        """Start the counter, then let `begin` start the sample clock."""
+    def start(self, start_clock: Callable[[Callable[[], None]], None]) -> None:
+        """Start the counter, then let `start_clock` start the analog inputs, whose clock latches it."""
         self.encoder.start()
-        begin(self.analog.start)
+        start_clock(self.analog.start)
 
     def close(self) -> None:
-        """Stop both tasks and release what they hold; raises what the driver raises, after both are closed."""
+        """Stop both tasks and release their resources; raises what the driver raises, after both are closed."""
         self._tasks.close()
 
 
 def metres_per_count(rig: RigSettings) -> float:
-    """Return the length that DAQmx gives a count."""
+    """Return the length that DAQmx assigns to a count."""
     return rig.encoder.resolution_um * 1e-6
 
 
-def _analog_input(connection: Connection, stack: ExitStack, clock: tuple[float, int]) -> BufferedInput:
+def _analog_input(connection: Connection, stack: ExitStack, rig: RigSettings) -> BufferedInput:
     card = connection.card
     task = stack.enter_context(connection.task("analog inputs"))
-    inputs: tuple[ForceInputSettings | AnalogInputSettings, ...] = (card.force, *card.inputs)
-    for one in inputs:
+    channels: tuple[ForceInputSettings | AnalogInputSettings, ...] = (card.force, *card.inputs)
+    for channel in channels:
         task.ai_channels.add_ai_voltage_chan(
-            connection.terminal(one.channel),
+            connection.terminal(channel.channel),
             terminal_config=TerminalConfiguration.DIFF,
-            min_val=-one.range_V,
-            max_val=one.range_V,
+            min_val=-channel.range_V,
+            max_val=channel.range_V,
         )
-    rate_hz, buffer_samples = clock
-    task.timing.cfg_samp_clk_timing(rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=buffer_samples)
+    _set_sample_clock(task, rig)
     reader = AnalogMultiChannelReader(task.in_stream)
-    # The arrays are this package's own; asking the driver for their shape at every read would be calls for nothing.
+    # The arrays are this package's own; asking the driver for their shape at every read would be wasted calls.
     reader.verify_array_shape = False
     return BufferedInput(task, reader.read_many_sample)
 
 
-def _encoder_input(
-    connection: Connection, stack: ExitStack, metres_a_count: float, clock: tuple[float, int]
-) -> BufferedInput:
-    card = connection.card
+def _encoder_input(connection: Connection, stack: ExitStack, rig: RigSettings) -> BufferedInput:
     task = stack.enter_context(connection.task("encoder"))
-    add_encoder_channel(task, card, metres_a_count)
-    rate_hz, buffer_samples = clock
-    task.timing.cfg_samp_clk_timing(
-        rate_hz,
-        source=f"/{card.device}/ai/SampleClock",
-        sample_mode=AcquisitionType.CONTINUOUS,
-        samps_per_chan=buffer_samples,
-    )
+    add_encoder_channel(task, connection.card, metres_per_count(rig))
+    _set_sample_clock(task, rig, source=f"/{connection.card.device}/ai/SampleClock")
     reader = CounterReader(task.in_stream)
     reader.verify_array_shape = False
     return BufferedInput(task, reader.read_many_sample_double)
+
+
+def _set_sample_clock(task: nidaqmx.Task, rig: RigSettings, source: str = "") -> None:
+    rate_hz = rig.sampling.rate_hz
+    task.timing.cfg_samp_clk_timing(
+        rate_hz,
+        source=source,
+        sample_mode=AcquisitionType.CONTINUOUS,
+        samps_per_chan=round(rig.hardware.card.buffer_s * rate_hz),
+    )
 
 
 def add_encoder_channel(
@@ -195,53 +193,38 @@ def add_encoder_channel(
     start_m: float = 0.0,
     index: bool = False,
 ) -> None:
-    """Let a task follow the encoder: X4, on the settings' terminals, filtered.
+    """Add the encoder to a task: X4 decoding, on the settings' terminals, with digital filters.
 
     Parameters
     ----------
     metres_a_count
         Length of a count.
     counter
-        Another counter than the settings' one for sampling.
+        Default: the settings' counter for sampling.
     start_m
-        What it reads at its start.
+        Position at the task's start.
     index
-        Whether the index pulse sets it to 0.
+        Whether the index pulse sets the position to 0.
     """
-    wired = card.encoder
+    encoder = card.encoder
     channel = task.ci_channels.add_ci_lin_encoder_chan(
-        f"{card.device}/{counter or wired.counter}",
+        f"{card.device}/{counter or encoder.counter}",
         decoding_type=EncoderType.X_4,
         zidx_enable=index,
         units=LengthUnits.METERS,
         dist_per_pulse=PULSES_PER_PERIOD * metres_a_count,
         initial_pos=start_m,
     )
-    channel.ci_encoder_a_input_term = f"/{card.device}/{wired.a}"
-    channel.ci_encoder_b_input_term = f"/{card.device}/{wired.b}"
-    if wired.z:
-        channel.ci_encoder_z_input_term = f"/{card.device}/{wired.z}"
-    _set_digital_filters(channel, wired)
-
-
-def _set_digital_filters(channel: nidaqmx.task.channels.CIChannel, wired: EncoderInputSettings) -> None:
-    if not wired.filter_ns:
-        return
-    shortest_s = wired.filter_ns * 1e-9
-    channel.ci_encoder_a_input_dig_fltr_enable = True
-    channel.ci_encoder_a_input_dig_fltr_min_pulse_width = shortest_s
-    channel.ci_encoder_b_input_dig_fltr_enable = True
-    channel.ci_encoder_b_input_dig_fltr_min_pulse_width = shortest_s
-    if wired.z:
-        channel.ci_encoder_z_input_dig_fltr_enable = True
-        channel.ci_encoder_z_input_dig_fltr_min_pulse_width = shortest_s
-
-
-_CALL_TIMEOUT_S = 0.1
+    for signal, terminal in (("a", encoder.a), ("b", encoder.b), ("z", encoder.z)):
+        if terminal:
+            setattr(channel, f"ci_encoder_{signal}_input_term", f"/{card.device}/{terminal}")
+            if encoder.filter_ns:
+                setattr(channel, f"ci_encoder_{signal}_input_dig_fltr_enable", True)
+                setattr(channel, f"ci_encoder_{signal}_input_dig_fltr_min_pulse_width", encoder.filter_ns * 1e-9)
 
 
 class PositionCounter:
-    """A counter on the encoder that runs from `begin` to `close`, beside the one that is sampled.
+    """A second counter on the encoder, read on demand, that runs from `begin` to `close`.
 
     Parameters
     ----------
@@ -258,8 +241,8 @@ class PositionCounter:
         self._mm_per_metre = 1000.0 if mm_per_count > 0 else -1000.0
         self._task: nidaqmx.Task | None = None
 
-    def begin(self, at_mm: float, *, index: bool = False) -> None:
-        """Count on from a position, which the stage is at now; the index pulse makes it 0 if it is to.
+    def begin(self, position_mm: float, *, index: bool = False) -> None:
+        """Start counting from the stage's present position; with `index`, the index pulse sets the position to 0.
 
         Raises
         ------
@@ -270,7 +253,7 @@ class PositionCounter:
         card = self._connection.card
         with driver_errors_wrapped(card, "the position counter is started"), ExitStack() as stack:
             task = stack.enter_context(self._connection.task("position counter"))
-            start_m = at_mm / self._mm_per_metre
+            start_m = position_mm / self._mm_per_metre
             add_encoder_channel(task, card, self._metres_per_count, self._counter, start_m=start_m, index=index)
             task.start()
             stack.pop_all()
@@ -283,7 +266,7 @@ class PositionCounter:
             return 0.0 if task is None else float(task.read(timeout=_CALL_TIMEOUT_S)) * self._mm_per_metre
 
     def close(self) -> None:
-        """Release the counter; twice is once."""
+        """Release the counter. Safe to call twice."""
         task, self._task = self._task, None
         if task is not None:
             with driver_errors_wrapped(self._connection.card, "the position counter is released"):
@@ -294,17 +277,18 @@ AO_RANGE_V = 10.0
 AI_START_TRIGGER = "ai/StartTrigger"
 """The edge with which the card takes the first sample of force and position."""
 UNDERFLOW_CODES = frozenset({-200290, -200621, -200018, -200016})
-"""Status codes of an output that was due and had not been written."""
+"""Status codes of an output whose next sample was due and had not been written."""
 _AO_TASK_NAME = "velocity output"
 _BUFFER_FACTOR = 4
+"""Buffer of the waveform over what is written ahead, so that a write never waits for space."""
 
 
 class UnderflowError(DeviceError):
-    """A voltage was due that nobody had written."""
+    """The next voltage of a waveform was due and had not been written."""
 
 
 class VoltageOutput:
-    """One output of the card. Belongs to one thread at a time; whoever makes it closes it.
+    """One analog output of the card. Belongs to one thread at a time; the caller ends its waveform.
 
     Parameters
     ----------
@@ -324,37 +308,34 @@ class VoltageOutput:
         self._task: nidaqmx.Task | None = None
         self._writer: AnalogSingleChannelWriter | None = None
         self.written = 0
-        """Voltages of the present waveform that were written."""
+        """Number of voltages of the present waveform that were written."""
 
     @property
     def generated(self) -> int:
-        """Return how many voltages of the present waveform were put out; 0 while it waits for its trigger.
+        """Number of voltages of the present waveform that were put out; 0 while it waits for its trigger.
 
         Raises
         ------
         UnderflowError
-            When it ran dry.
+            When the buffer ran empty.
         DeviceError
             When the card refuses.
         """
         task = self._task
         if task is None:
             return self.written
-        with (
-            driver_errors_wrapped(self._connection.card, "the velocity is put out"),
-            _underflow_wrapped(self._connection.card),
-        ):
+        with self._errors_wrapped("the velocity is put out"):
             return int(task.out_stream.total_samp_per_chan_generated)
 
     def begin(self, volts: FloatArray, trigger: str = "") -> None:
-        """Put out a new waveform from its first voltages on: now, or with the first edge of a terminal of the card.
+        """Start a new waveform with its first voltages: at once, or at the first edge of a terminal of the card.
 
         Parameters
         ----------
         volts
             Contiguous, shape `(n,)`, at least what is to be written ahead.
         trigger
-            Such as ai/StartTrigger; empty for now.
+            Such as ai/StartTrigger; empty for at once.
 
         Raises
         ------
@@ -365,7 +346,7 @@ class VoltageOutput:
         self.written = 0
         with driver_errors_wrapped(card, "the velocity output is prepared"), ExitStack() as stack:
             task = stack.enter_context(self._connection.task(_AO_TASK_NAME))
-            task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-AO_RANGE_V, max_val=AO_RANGE_V)
+            self._add_channel(task)
             task.timing.cfg_samp_clk_timing(
                 self._rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=self._buffer_samples
             )
@@ -381,31 +362,20 @@ class VoltageOutput:
         self._task, self._writer, self.written = task, writer, len(volts)
 
     def write(self, volts: FloatArray) -> None:
-        """Append voltages, a contiguous array of shape `(n,)`.
-
-        Raises
-        ------
-        UnderflowError
-            When it ran dry.
-        DeviceError
-            When the card refuses.
-        """
+        """Append voltages, a contiguous array of shape `(n,)`; raises what `generated` raises."""
         if self._writer is None:
-            raise DeviceError("the velocity output was not begun.")
-        with (
-            driver_errors_wrapped(self._connection.card, "the velocity is written"),
-            _underflow_wrapped(self._connection.card),
-        ):
+            raise DeviceError("the velocity output has no waveform to append to: begin one first.")
+        with self._errors_wrapped("the velocity is written"):
             self._writer.write_many_sample(volts, timeout=_CALL_TIMEOUT_S)
         self.written += len(volts)
 
     def end(self) -> None:
-        """End the waveform where it is; the card holds the voltage that it puts out now. Twice is once."""
+        """End the waveform where it is; the card holds its present voltage. Safe to call twice."""
         task, self._task, self._writer = self._task, None, None
         if task is None:
             return
         with driver_errors_wrapped(self._connection.card, "the velocity output is released"), task, suppress(DaqError):
-            # A waveform that ran dry refuses to stop, and is cleared all the same.
+            # A waveform whose buffer ran empty refuses to stop, and is cleared all the same.
             task.stop()
 
     def zero(self) -> None:
@@ -416,27 +386,31 @@ class VoltageOutput:
         DeviceError
             When the card refuses: then the voltage is unknown.
         """
-        # What is wrong with the waveform is known already, or does not matter: 0 V does.
+        # An error of the waveform is reported elsewhere, or does not matter: 0 V does.
         with suppress(DeviceError):
             self.end()
         with (
             driver_errors_wrapped(self._connection.card, "0 V are put out"),
             self._connection.task(_AO_TASK_NAME) as task,
         ):
-            task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-AO_RANGE_V, max_val=AO_RANGE_V)
+            self._add_channel(task)
             writer = AnalogSingleChannelWriter(task.out_stream, auto_start=True)
             writer.write_many_sample(np.zeros(1), timeout=_CALL_TIMEOUT_S)
 
+    def _add_channel(self, task: nidaqmx.Task) -> None:
+        task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-AO_RANGE_V, max_val=AO_RANGE_V)
 
-@contextmanager
-def _underflow_wrapped(card: CardSettings) -> Iterator[None]:
-    try:
-        yield
-    except DaqError as error:
-        if error.error_code not in UNDERFLOW_CODES:
-            raise
-        raise UnderflowError(
-            f"card {card.device} ran out of velocity to put out, because this computer did not write it in time: end "
-            "other programs, or raise hardware.drive.velocity.ahead or update_s of the rig file "
-            f"(NI-DAQmx {error.error_code})."
-        ) from error
+    @contextmanager
+    def _errors_wrapped(self, doing: str) -> Iterator[None]:
+        card = self._connection.card
+        with driver_errors_wrapped(card, doing):
+            try:
+                yield
+            except DaqError as error:
+                if error.error_code not in UNDERFLOW_CODES:
+                    raise
+                raise UnderflowError(
+                    f"card {card.device} ran out of velocity setpoints, because this computer did not write them in "
+                    "time: end other programs, or raise hardware.drive.velocity.ahead or update_s of the rig file "
+                    f"(NI-DAQmx {error.error_code})."
+                ) from error

@@ -10,14 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError, reason_of
-from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Clock, StageLimits, StageState, TravelEnd, Trip, TripCause
+from dragrig.rig.devices import Clock, StageState, TravelEnd, Trip, TripCause
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Refusal, Request
 from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, RefusedError
-from dragrig.rig.hardware.drive.monitor import Watchdog
-from dragrig.rig.hardware.drive.stage_base import MonitoredStage, Movement, refuse_late_start
-from dragrig.rig.hardware.lines import DigitalLines
+from dragrig.rig.hardware.drive.stage_base import (
+    MonitoredStage,
+    Movement,
+    StageDevices,
+    write_safeguards,
+    write_travel,
+)
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Piece
 
@@ -52,12 +55,12 @@ class Stroke:
 
 
 def split_into_strokes(profile: MotionProfile) -> tuple[Stroke, ...]:
-    """Cut a profile at its standstills.
+    """Split a profile at its standstills.
 
     Raises
     ------
     DeviceError
-        When a stretch between two standstills is no trapezoid with ramps of one acceleration.
+        When the motion between two standstills is no trapezoid with ramps of one acceleration.
     """
     pieces = profile.pieces()
     starts, speeds = profile.start_s.tolist(), profile.velocity_mm_s.tolist()
@@ -65,82 +68,35 @@ def split_into_strokes(profile: MotionProfile) -> tuple[Stroke, ...]:
     ends = [*positions[1:], float(profile.position(profile.duration_s))]
     strokes: list[Stroke] = []
     first: int | None = None
-    for place, piece in enumerate(pieces):
-        stands = abs(speeds[place]) <= _STANDSTILL_MM_S
-        if first is None and stands and piece.acceleration_mm_s2 == 0:
+    for index, piece in enumerate(pieces):
+        at_rest = abs(speeds[index]) <= _STANDSTILL_MM_S
+        if first is None and at_rest and piece.acceleration_mm_s2 == 0:
             continue
-        first = place if first is None else first
-        after = speeds[place + 1] if place + 1 < len(speeds) else float(profile.velocity(profile.duration_s))
-        if abs(after) > _STANDSTILL_MM_S:
+        first = index if first is None else first
+        end_speed = speeds[index + 1] if index + 1 < len(speeds) else float(profile.velocity(profile.duration_s))
+        if abs(end_speed) > _STANDSTILL_MM_S:
             continue
-        speed = _trapezoid_speed(pieces[first : place + 1])
+        speed = _trapezoid_speed(pieces[first : index + 1])
         if speed is None:
             raise DeviceError(
                 f"the drive cannot follow the motion from {starts[first]:g} s on: in position mode it makes strokes of "
                 "one acceleration and one speed between standstills (hardware.drive.mode of the rig file)."
             )
-        duration = starts[place] + piece.duration_s - starts[first]
-        accel = abs(pieces[first].acceleration_mm_s2)
-        strokes.append(Stroke(starts[first], duration, ends[place], speed, accel))
+        duration = starts[index] + piece.duration_s - starts[first]
+        acceleration = abs(pieces[first].acceleration_mm_s2)
+        strokes.append(Stroke(starts[first], duration, ends[index], speed, acceleration))
         first = None
     return tuple(strokes)
 
 
 def _trapezoid_speed(pieces: Sequence[Piece]) -> float | None:
+    """Return the greatest speed of a trapezoid or triangle; None for another shape."""
     if len(pieces) not in {2, 3}:
         return None
-    up, down = pieces[0], pieces[-1]
-    steady = pieces[1:-1]
-    same = abs(up.acceleration_mm_s2 + down.acceleration_mm_s2) <= _ACCELERATION_TOLERANCE * abs(up.acceleration_mm_s2)
-    if not same or any(piece.acceleration_mm_s2 != 0 for piece in steady):
+    up, *steady, down = (piece.acceleration_mm_s2 for piece in pieces)
+    if abs(up + down) > _ACCELERATION_TOLERANCE * abs(up) or any(steady):
         return None
-    return abs(up.acceleration_mm_s2) * up.duration_s
-
-
-def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
-    """Write thrust limit, silence timeout and the deceleration of a stop, and read each back.
-
-    Raises
-    ------
-    DeviceError
-        When the drive holds another value than the one that was written, refuses, or does not answer.
-    """
-    drive = settings.hardware.drive
-    for parameter, value, key in (
-        (Parameter.THRUST_LIMIT_N, drive.thrust_limit_N, "hardware.drive.thrust_limit_N"),
-        (Parameter.SILENCE_S, drive.silence_s, "hardware.drive.silence_s"),
-        (Parameter.STOP_ACCELERATION_MM_S2, settings.stage.stop_accel_mm_s2, "stage.stop_accel_mm_s2"),
-    ):
-        link.set_and_verify(parameter, value, key)
-
-
-def write_travel(link: DriveLink, limits: StageLimits) -> None:
-    """Write the soft limits and read them back; raises as `write_safeguards`."""
-    link.set_and_verify(Parameter.LOWEST_MM, limits.lowest_mm, "stage.lowest_mm")
-    link.set_and_verify(Parameter.HIGHEST_MM, limits.highest_mm, "stage.highest_mm")
-
-
-def write_motion(link: DriveLink, settings: RigSettings, limits: StageLimits, first: Stroke, clock: Clock) -> float:
-    """Write what a motion must keep to and its first stroke's speed, read it back, and return the link's round trip.
-
-    The round trip is in the rig's time. Raises as `write_safeguards`.
-    """
-    began_s, wall_s = clock.monotonic(), time.perf_counter()
-    write_safeguards(link, settings)
-    write_travel(link, limits)
-    for parameter, value, key in (
-        (Parameter.SPEED_MM_S, first.speed_mm_s, "the motion's speed"),
-        (Parameter.ACCELERATION_MM_S2, first.acceleration_mm_s2, "the motion's acceleration"),
-    ):
-        link.set_and_verify(parameter, value, key)
-    pace = (clock.monotonic() - began_s) / (time.perf_counter() - wall_s)
-    return link.round_trip_s * pace
-
-
-def write_homing(link: DriveLink, settings: RigSettings) -> None:
-    """Write what homing needs and read it back; raises as `write_safeguards`."""
-    speed = settings.hardware.drive.homing_speed_mm_s
-    link.set_and_verify(Parameter.HOMING_SPEED_MM_S, speed, "hardware.drive.homing_speed_mm_s")
+    return abs(up) * pieces[0].duration_s
 
 
 _RESERVED_ROUND_TRIPS = 3
@@ -148,17 +104,17 @@ _STROKE_END_TIMEOUT_S = 0.5
 
 
 class StrokeMovement(Movement):
-    """Strokes from one absolute position.
+    """Strokes from an absolute position, each sent at its time by a thread of its own.
 
     Parameters
     ----------
-    as_of
-        As of `Movement`.
+    planned_at
+        As in `Movement`.
     round_trip_s
         Time between a request and its reply, in the rig's time: a request takes half of it to the drive.
-    failed
-        Called from the motion's thread with what the drive did not take.
-    over
+    on_failure
+        Called from the thread with what the drive did not accept.
+    on_all_sent
         Called once no stroke is left to be sent.
     """
 
@@ -167,46 +123,41 @@ class StrokeMovement(Movement):
         strokes: Sequence[Stroke],
         origin_mm: float,
         link: DriveLink,
-        as_of: int,
-        coupling: MotionSamplingSync,
+        planned_at: int,
+        sync: MotionSamplingSync,
         clock: Clock,
         round_trip_s: float,
-        failed: Callable[[DeviceError], None],
-        over: Callable[["StrokeMovement"], None],
+        on_failure: Callable[[DeviceError], None],
+        on_all_sent: Callable[["StrokeMovement"], None],
     ) -> None:
-        super().__init__(link, as_of)
+        super().__init__(link, planned_at)
         self._strokes, self._origin_mm = strokes, origin_mm
-        self._coupling, self._clock = coupling, clock
+        self._sync, self._clock = sync, clock
         self._round_trip_s = round_trip_s
-        self._failed, self._over = failed, over
+        self._on_failure, self._on_all_sent = on_failure, on_all_sent
         self._cancel = threading.Event()
-        self._uncertainty_s = 0.0
-        self._first_uncertainty_s = 0.0
-        self._sent = 0
-        self._tried = False
-        self._set: tuple[float, float] | None = None
+        self._sending_uncertainty_s = self._first_sample_uncertainty_s = 0.0
+        self._accepted = 0
+        self.was_sent = False
+        """Whether the drive may have received a stroke."""
+        # The speed and acceleration that the drive holds: those of the first stroke are written before the start.
+        self._written = strokes[0].speed_mm_s, strokes[0].acceleration_mm_s2
 
     @property
     def start_uncertainty_s(self) -> float:
-        """How far any stroke's start may be off its time, as measured, in the rig's time."""
-        return self._first_uncertainty_s + self._uncertainty_s
-
-    @property
-    def has_tried(self) -> bool:
-        """Whether the drive may have heard of it."""
-        return self._tried
+        """Measured uncertainty of any stroke's start against its time, in the rig's time."""
+        return self._first_sample_uncertainty_s + self._sending_uncertainty_s
 
     @property
     def direction(self) -> float:
-        """Which way the latest stroke goes; 0 before the first."""
-        if not self._sent:
+        """Sign of the latest stroke; 0 before the first."""
+        if not self._accepted:
             return 0.0
-        before_mm = self._strokes[self._sent - 2].end_mm if self._sent > 1 else 0.0
-        return 1.0 if self._strokes[self._sent - 1].end_mm > before_mm else -1.0
+        start_mm = self._strokes[self._accepted - 2].end_mm if self._accepted > 1 else 0.0
+        return 1.0 if self._strokes[self._accepted - 1].end_mm > start_mm else -1.0
 
-    def set_out(self, parameters: tuple[float, float]) -> None:
-        """Start the thread. `parameters` are the speed and acceleration that the drive holds already."""
-        self._set = parameters
+    def start(self) -> None:
+        """Start the thread."""
         threading.Thread(target=self._send_all, name="drive motion", daemon=True).start()
 
     def cancel(self) -> None:
@@ -220,67 +171,67 @@ class StrokeMovement(Movement):
                 for stroke in self._strokes:
                     self._send(stroke, began_s)
         except CancelledByStopError:
-            # Nothing is to be sent any more, and whoever stopped knows why.
+            # Nothing is to be sent any more, and the caller of the stop knows why.
             return
         except DeviceError as error:
-            self._failed(error)
+            self._on_failure(error)
         finally:
-            self.complete()
-            self._over(self)
+            self.mark_complete()
+            self._on_all_sent(self)
 
     def _await_start(self) -> float | None:
-        if not self._coupling.armed:
+        if not self._sync.armed:
             return self._clock.monotonic()
-        first = self._coupling.await_first_sample(self._cancel)
+        first = self._sync.await_first_sample(self._cancel)
         if first is None:
             return None
-        self._first_uncertainty_s = first.uncertainty_s
+        self._first_sample_uncertainty_s = first.uncertainty_s
         return first.at_s
 
     def _send(self, stroke: Stroke, began_s: float) -> None:
         due_s = began_s + stroke.start_s
-        if self._set != (stroke.speed_mm_s, stroke.acceleration_mm_s2):
-            self._prepare(stroke)
-        # Close to the start the line is kept free, or the monitor's question would delay it by a round trip.
+        if self._written != (stroke.speed_mm_s, stroke.acceleration_mm_s2):
+            self._write_parameters(stroke)
+        # Close to the start the link is reserved, or the monitor's request would delay the stroke by a round trip.
         self._sleep_until(due_s - _RESERVED_ROUND_TRIPS * self._round_trip_s)
         with self._link.reserved():
             self._sleep_until(due_s - self._round_trip_s / 2)
-            self._tried = True
+            self.was_sent = True
             sent_s = self._clock.monotonic()
             self._go(stroke)
             replied_s = self._clock.monotonic()
-        if not self._coupling.armed and not self._sent:
+        if not self._sync.armed and not self._accepted:
             due_s = (sent_s + replied_s) / 2
-        off_s = abs((sent_s + replied_s) / 2 - due_s) + (replied_s - sent_s) / 2
-        self._uncertainty_s = max(self._uncertainty_s, off_s)
-        self._sent += 1
-        self.begun()
-        if self._sent == len(self._strokes):
-            self.complete()
+        error_s = abs((sent_s + replied_s) / 2 - due_s) + (replied_s - sent_s) / 2
+        self._sending_uncertainty_s = max(self._sending_uncertainty_s, error_s)
+        self._accepted += 1
+        self.mark_started()
+        if self._accepted == len(self._strokes):
+            self.mark_complete()
         self._sleep_until(began_s + stroke.ends_s)
 
-    def _prepare(self, stroke: Stroke) -> None:
-        # Not while it moves: some drives apply a new speed to the stroke under way.
+    def _write_parameters(self, stroke: Stroke) -> None:
+        # Not while it moves: some drives apply a new speed to the stroke in progress.
         self._await_standstill()
         self._link.set(Parameter.SPEED_MM_S, stroke.speed_mm_s)
         self._link.set(Parameter.ACCELERATION_MM_S2, stroke.acceleration_mm_s2)
-        self._set = (stroke.speed_mm_s, stroke.acceleration_mm_s2)
+        self._written = stroke.speed_mm_s, stroke.acceleration_mm_s2
 
     def _go(self, stroke: Stroke) -> None:
         request = Request(Command.GO, value=self._origin_mm + stroke.end_mm)
         try:
-            self._link.exchange(request, self._as_of)
+            self._link.exchange(request, self.planned_at)
         except RefusedError as error:
-            # Refused is not done, so that it may be sent again once the stroke before has ended.
-            if error.refusal is not Refusal.MOVING or not self._sent:
+            # A refused request had no effect, so that it may be sent again once the previous stroke has ended.
+            if error.refusal is not Refusal.MOVING or not self._accepted:
                 raise
             self._await_standstill()
-            self._link.exchange(request, self._as_of)
+            self._link.exchange(request, self.planned_at)
 
     def _await_standstill(self) -> None:
         until_s = time.monotonic() + _STROKE_END_TIMEOUT_S
         while time.monotonic() < until_s:
-            status = self._link.exchange(Request(Command.STATUS), self._as_of).status
+            status = self._link.exchange(Request(Command.STATUS), self.planned_at).status
             if status is not None and not status.moving:
                 return
 
@@ -293,17 +244,11 @@ _HOMING_POLL_S = 0.1
 _SILENCE_MARGIN_S = 0.1
 _STANDSTILL_TIMEOUT_S = 1.0
 _HOMING_OVERTRAVEL_MM = 50.0
+"""How much longer than between the soft limits the way to a limit switch may be."""
 
 
 class PositionModeStage(MonitoredStage):
-    """One axis in position mode. It watches drive and switches from its making until `close`.
-
-    Parameters
-    ----------
-    clock
-        The rig's time, in which motions are.
-    deadman
-        Fed by whoever reads the samples.
+    """One axis in position mode. It monitors drive and switches from its construction until `close`.
 
     Raises
     ------
@@ -311,40 +256,32 @@ class PositionModeStage(MonitoredStage):
         When the drive does not answer.
     """
 
-    def __init__(
-        self,
-        settings: RigSettings,
-        link: DriveLink,
-        lines: DigitalLines,
-        coupling: MotionSamplingSync,
-        clock: Clock,
-        deadman: Watchdog,
-    ) -> None:
+    def __init__(self, devices: StageDevices) -> None:
+        settings = devices.settings
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
-        unheard_s = settings.hardware.drive.silence_s + braking_s + _SILENCE_MARGIN_S
-        super().__init__(settings, link, lines, coupling, clock, deadman, unheard_s)
+        super().__init__(devices, settings.hardware.drive.silence_s + braking_s + _SILENCE_MARGIN_S)
         self._strokes: StrokeMovement | None = None
-        link.on_stop(self._heed_stop)
-        if self._axis.status.moving:
-            self._stop_what_moves()
+        self._link.on_stop(self._heed_stop)
+        if self._tracker.status.moving:
+            self._stop_leftover_motion()
         self._monitor.start()
 
     @property
     def start_uncertainty_s(self) -> float:
-        """How far any stroke of the last motion may have begun off its time, as measured on the link."""
+        """Uncertainty of the start of any stroke of the last motion, as measured on the link."""
         return 0.0 if self._strokes is None else self._strokes.start_uncertainty_s
 
     def state(self) -> StageState:
-        """Ask drive and switches now.
+        """Poll drive and switches now.
 
         Raises
         ------
         DeviceError
             When the drive does not answer.
         """
-        fault = self._monitor.look()
-        position_mm, status = self._axis.position_mm(), self._axis.status
-        return StageState(position_mm, status.enabled, status.homed, self._coupling.moving, fault)
+        fault = self._monitor.poll()
+        position_mm, status = self._tracker.position_mm(), self._tracker.status
+        return StageState(position_mm, status.enabled, status.homed, self._sync.moving, fault)
 
     def enable(self) -> None:
         """Switch the drive on.
@@ -352,13 +289,11 @@ class PositionModeStage(MonitoredStage):
         Raises
         ------
         DeviceError
-            When something forbids motion: see to it, then `disable`; or when the drive refuses or does not answer.
+            When something forbids motion: remove the cause, then `disable`; or when the drive refuses or is silent.
         """
         with self._commands:
-            self._ready.refuse_fault()
-            self._power.on()
-            self._switched(on=True)
-            self._monitor.look()
+            self._refuse_fault()
+            self._power_on()
 
     def home(self) -> None:
         """Let the drive find its index pulse, which becomes 0; returns when it stands there.
@@ -368,29 +303,29 @@ class PositionModeStage(MonitoredStage):
         DeviceError
             When the drive is off, moving, has a fault, refuses, or was stopped before it had found the pulse.
         """
-        as_of = self._link.stops
+        planned_at = self._link.stop_count
         with self._commands:
-            towards = TravelEnd(self._drive.homing_direction)
-            self._refuse_unready(enabled=self._axis.status.enabled, but=LIMIT_SWITCH_CAUSES[towards])
+            side = TravelEnd(self._drive.homing_direction)
+            switch = LIMIT_SWITCH_CAUSES[side]
+            self._refuse_not_ready(enabled=self._tracker.status.enabled, ignoring=switch)
             write_safeguards(self._link, self._settings)
-            write_homing(self._link, self._settings)
-            movement = Movement(self._link, as_of)
-            self._monitor.tolerate(LIMIT_SWITCH_CAUSES[towards])
-            self._axis.begin(movement)
+            speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"
+            self._link.set_and_verify(Parameter.HOMING_SPEED_MM_S, speed_mm_s, key)
+            movement = Movement(self._link, planned_at)
+            self._monitor.tolerate(switch)
+            self._tracker.begin(movement)
             try:
-                self._link.exchange(
-                    Request(Command.HOME, value=-1.0 if towards is TravelEnd.LOW else 1.0), movement.as_of
-                )
+                self._link.exchange(Request(Command.HOME, value=-1.0 if side is TravelEnd.LOW else 1.0), planned_at)
             except DeviceError:
                 self._link.stop()
                 raise
             finally:
                 # Whether or not it answered, it may move from here on.
-                movement.begun()
-                movement.complete()
+                movement.mark_started()
+                movement.mark_complete()
                 self._await_homed()
-            self._ready.refuse_fault()
-            if movement.is_stopped or not self._axis.status.homed:
+            self._refuse_fault()
+            if movement.is_stopped or not self._tracker.status.homed:
                 raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
 
     def move(self, profile: MotionProfile) -> None:
@@ -400,80 +335,91 @@ class PositionModeStage(MonitoredStage):
         ------
         DeviceError
             When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
-            too long past; when the profile leaves the stage's limits, does not end at a standstill, or is none that the
-            drive can follow; and when the drive does not keep a limit that was written to it.
+            too long past; when the profile leaves the stage's limits, does not end at a standstill, or cannot be made
+            of strokes; and when the drive does not hold a limit that was written to it.
         """
-        as_of = self._link.stops
+        planned_at = self._link.stop_count
         with self._commands:
-            self._refuse_unready(enabled=self._axis.status.enabled)
-            if not self._axis.status.homed:
-                raise DeviceError("the stage does not know where it is: home it before it moves.")
+            self._refuse_not_ready(enabled=self._tracker.status.enabled)
+            if not self._tracker.status.homed:
+                raise DeviceError("the stage does not know its position: home it before it moves.")
             if profile.duration_s <= 0:
                 return
-            origin_mm = self._axis.position_mm()
-            limits = self._allowed(profile, origin_mm)
+            origin_mm = self._tracker.position_mm()
+            limits = self._checked_limits(profile, origin_mm)
             strokes = split_into_strokes(profile)
             if not strokes:
                 return
-            round_trip_s = write_motion(self._link, self._settings, limits, strokes[0], self._clock)
-            refuse_late_start(strokes[0].start_s, self._coupling, self._clock)
+            began_s, wall_s = self._clock.monotonic(), time.perf_counter()
+            write_safeguards(self._link, self._settings)
+            write_travel(self._link, limits)
+            self._link.set_and_verify(Parameter.SPEED_MM_S, strokes[0].speed_mm_s, "the motion's speed")
+            acceleration = strokes[0].acceleration_mm_s2
+            self._link.set_and_verify(Parameter.ACCELERATION_MM_S2, acceleration, "the motion's acceleration")
+            pace = (self._clock.monotonic() - began_s) / (time.perf_counter() - wall_s)
+            self._refuse_late_start(strokes[0].start_s)
             self._strokes = StrokeMovement(
-                strokes, origin_mm, self._link, as_of, self._coupling, self._clock, round_trip_s, self._failed,
+                strokes,
+                origin_mm,
+                self._link,
+                planned_at,
+                self._sync,
+                self._clock,
+                self._link.round_trip_s * pace,
+                lambda error: self._monitor.latch(Trip(TripCause.DRIVE_FAULT, reason_of(error))),
                 self._all_sent,
-            )  # fmt: skip
-            self._deadman.feed()
-            self._axis.begin(self._strokes)
-            self._strokes.set_out((strokes[0].speed_mm_s, strokes[0].acceleration_mm_s2))
+            )
+            self._watchdog.feed()
+            self._tracker.begin(self._strokes)
+            self._strokes.start()
 
     def stop(self) -> None:
-        """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread.
+        """Brake to a standstill now; an acquisition in progress ends there. Safe at any time, from any thread.
 
-        Returns at once; the drive hears it at the latest after the reply that the link awaits.
+        Returns at once; the drive receives it at the latest after the reply in progress on the link.
         """
-        self._coupling.set_stopped()
+        self._sync.set_stop_requested()
         self._link.stop()
 
     def _come_to_rest(self) -> None:
-        self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
+        self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
 
     def close(self) -> None:
-        """Stop, and let go of the drive. Twice is once."""
+        """Stop, and disconnect from the drive. Safe to call twice."""
         self._link.stop()
         self._monitor.close()
         self._link.close()
 
-    def _stop_what_moves(self) -> None:
-        # Left by a program that was killed; asking the drive how it is keeps its silence timeout from ending it.
-        movement = Movement(self._link, self._link.stops)
-        movement.complete()
-        self._axis.begin(movement)
+    def _stop_leftover_motion(self) -> None:
+        # Left by a program that was killed; polling keeps the drive's silence timeout from ending it.
+        movement = Movement(self._link, self._link.stop_count)
+        movement.mark_complete()
+        self._tracker.begin(movement)
         self._link.stop()
 
     def _heed_stop(self) -> None:
-        self._axis.cancel()
-        self._monitor.hurry()
+        self._tracker.cancel()
+        self._monitor.poll_fast()
 
     def _all_sent(self, strokes: StrokeMovement) -> None:
-        if strokes.has_tried:
-            self._monitor.hurry()
+        if strokes.was_sent:
+            self._monitor.poll_fast()
         else:
-            self._axis.forget()
-
-    def _failed(self, error: DeviceError) -> None:
-        self._monitor.latch(Trip(TripCause.DRIVE_FAULT, reason_of(error)))
+            self._tracker.drop_movement()
 
     def _await_homed(self) -> None:
         travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _HOMING_OVERTRAVEL_MM
+        # Onto the switch and back.
         until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
-        while not self._ready.await_standstill(_HOMING_POLL_S):
+        while not self._await_standstill(_HOMING_POLL_S):
             if self._clock.monotonic() > until_s:
                 self._give_up_homing()
                 return
 
     def _give_up_homing(self) -> None:
         self._link.stop()
-        if not self._ready.await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S):
+        if not self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S):
             raise DeviceError(
-                "the drive says that it still moves, although homing has taken its time and it was told to stop: take "
-                "its power away by hand, and look at the rig."
+                "the drive reports that it still moves, although homing has timed out and a stop was sent: switch its "
+                "power off by hand, and inspect the rig."
             )

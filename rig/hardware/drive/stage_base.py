@@ -7,6 +7,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import RigSettings
@@ -23,15 +24,20 @@ from dragrig.rig.devices import (
     stage_limits,
 )
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
-from dragrig.rig.hardware.dialects.base import Command, Halt, Refusal, Request, Status
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
 from dragrig.rig.hardware.drive.monitor import Monitor, Watchdog, poll_interval_s
 from dragrig.rig.hardware.lines import DigitalLines
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
 
+POSITION_TOLERANCE_MM = 2e-3
+"""A stage that stands a count or two beyond its limit is not refused."""
 _START_GRACE_S = 0.1
-"""So long a drive that has taken a command may go on saying that it stands, and why it stood before."""
+"""For so long after a command the drive may go on reporting standstill, and why it stopped before."""
+_ENABLE_TIMEOUT_S = 0.5
+_ENABLE_RETRY_S = 0.01
+_STANDSTILL_POLL_S = 0.01
 _TRIP_CAUSES = {Halt.SILENCE: TripCause.WATCHDOG, Halt.EMERGENCY_STOP: TripCause.EMERGENCY_STOP}
 
 
@@ -42,77 +48,72 @@ class Movement:
 
     Parameters
     ----------
-    as_of
-        What `link.stops` was when it was planned: a stop since then, even one before it was made, drops it.
+    planned_at
+        `link.stop_count` when it was planned: a stop requested since drops it.
     """
 
-    def __init__(self, link: DriveLink, as_of: int) -> None:
+    def __init__(self, link: DriveLink, planned_at: int) -> None:
         self._link = link
-        self._as_of = as_of
-        self._began_s: float | None = None
+        self.planned_at = planned_at
+        self._started_s: float | None = None
         self._complete_s: float | None = None
         self._seen_moving = False
 
     @property
-    def as_of(self) -> int:
-        """Mark of the latest stop that was asked for before this was planned."""
-        return self._as_of
-
-    @property
     def is_stopped(self) -> bool:
-        """Whether a stop was asked for since it was planned."""
-        return self._link.stops != self._as_of
+        """Whether a stop was requested since it was planned."""
+        return self._link.stop_count != self.planned_at
 
     @property
     def direction(self) -> float:
-        """Which way it goes at present: below or above 0, or 0 when that is not known."""
+        """Sign of the present velocity; 0 when it is not known."""
         return 0.0
 
-    def begun(self) -> None:
-        """Say that the drive has taken the command; only what it says from here on counts."""
-        self._began_s, self._seen_moving = time.monotonic(), False
+    def mark_started(self) -> None:
+        """Record that the drive has accepted the command; only what it reports from here on counts."""
+        self._started_s, self._seen_moving = time.monotonic(), False
 
-    def complete(self) -> None:
-        """Say that no further command follows; what the drive said before does not end it. Twice is once."""
+    def mark_complete(self) -> None:
+        """Record that no further command follows; earlier status reports do not end it. Safe to call twice."""
         if self._complete_s is None:
             self._complete_s = time.monotonic()
 
     def cancel(self) -> None:
         """Send nothing more."""
 
-    def is_over(self, status: Status, asked_s: float) -> bool:
-        """Whether a status, asked for at a time, says that nothing moves any more and nothing will."""
-        if self._complete_s is None or asked_s < self._complete_s or status.moving:
+    def is_over(self, status: Status, requested_s: float) -> bool:
+        """Whether a status, requested at a time, shows that nothing moves any more and nothing will."""
+        if self._complete_s is None or requested_s < self._complete_s or status.moving:
             return False
-        return self._began_s is None or self._has_set_out(asked_s)
+        return self._started_s is None or self._has_set_out(requested_s)
 
-    def mishap(self, status: Status, asked_s: float) -> Trip | None:
-        """Return why the drive ended it by itself; None while it did not."""
-        self._seen_moving |= status.moving and self._began_s is not None and asked_s >= self._began_s
-        fine = {Halt.TARGET, Halt.UNKNOWN, Halt.NONE} | ({Halt.STOP} if self.is_stopped else set())
-        if status.moving or status.halt in fine or not self._has_set_out(asked_s):
+    def stop_trip(self, status: Status, requested_s: float) -> Trip | None:
+        """Return why the drive stopped by itself; None when it did not."""
+        self._seen_moving |= status.moving and self._started_s is not None and requested_s >= self._started_s
+        regular = {Halt.TARGET, Halt.UNKNOWN, Halt.NONE} | ({Halt.STOP} if self.is_stopped else set())
+        if status.moving or status.halt in regular or not self._has_set_out(requested_s):
             return None
         cause = _TRIP_CAUSES.get(status.halt, TripCause.DRIVE_FAULT)
         if status.halt is Halt.LIMIT_SWITCH and self.direction:
             cause = TripCause.LIMIT_SWITCH_LOW if self.direction < 0 else TripCause.LIMIT_SWITCH_HIGH
         return Trip(cause, f"the drive stopped by itself, because {status.halt}")
 
-    def _has_set_out(self, asked_s: float) -> bool:
-        if self._began_s is None or asked_s < self._began_s:
+    def _has_set_out(self, requested_s: float) -> bool:
+        if self._started_s is None or requested_s < self._started_s:
             return False
-        return self._seen_moving or self.is_stopped or asked_s >= self._began_s + _START_GRACE_S
+        return self._seen_moving or self.is_stopped or requested_s >= self._started_s + _START_GRACE_S
 
 
 class DriveTracker:
-    """The drive's state as last heard, and the movement under way. Any thread may call anything.
+    """The drive's last reported status, and the movement in progress. Any thread may call any method.
 
     Parameters
     ----------
-    patience_s
-        For so long a drive that does not answer counts as it was last heard: a busy computer is no fault.
-    unheard_s
-        After so long without an answer the drive has stopped by itself, of the wall's clock.
-    over
+    reply_grace_s
+        For so long a drive that does not answer counts as last reported: a busy computer is no fault.
+    self_stop_s
+        After so long without an answer, in wall time, the drive has stopped by itself.
+    on_over
         Called when a movement is over.
 
     Raises
@@ -124,86 +125,82 @@ class DriveTracker:
     def __init__(
         self,
         link: DriveLink,
-        coupling: MotionSamplingSync,
-        patience_s: float,
-        unheard_s: float,
-        over: Callable[[], None],
+        sync: MotionSamplingSync,
+        reply_grace_s: float,
+        self_stop_s: float,
+        on_over: Callable[[], None],
     ) -> None:
-        self._link, self._coupling, self._over = link, coupling, over
-        self._patience_s, self._unheard_s = patience_s, unheard_s
+        self._link, self._sync, self._on_over = link, sync, on_over
+        self._reply_grace_s, self._self_stop_s = reply_grace_s, self_stop_s
         self._lock = threading.RLock()
         self._movement: Movement | None = None
-        self._mishap: Trip | None = None
-        self._heard_s = time.monotonic()
-        self._status = self._ask()
-        # Left on by a program that was killed, it goes off with its enable line, which is no fault of its own.
+        self._stop_trip: Trip | None = None
+        self._answered_s = time.monotonic()
+        self.status = self._request_status()
+        """The status that the drive reported last."""
+        # A drive left on by a program that was killed goes off with its enable line, which is no fault of its own.
         self._switched_on = False
 
-    @property
-    def status(self) -> Status:
-        """What the drive said last."""
-        return self._status
-
     def begin(self, movement: Movement) -> None:
-        """Follow a movement from here on."""
+        """Track a movement from here on."""
         with self._lock:
             self._movement = movement
-            self._heard_s = time.monotonic()
-            self._coupling.set_moving(True)
+            self._answered_s = time.monotonic()
+            self._sync.set_moving(True)
 
     def cancel(self) -> None:
-        """Let the movement under way send nothing more."""
+        """Have the movement in progress send nothing more."""
         movement = self._movement
         if movement is not None:
             movement.cancel()
 
-    def forget(self) -> None:
-        """End the movement, which the drive never took."""
+    def drop_movement(self) -> None:
+        """End the movement, of which the drive never got a command."""
         with self._lock:
-            self._end()
+            self._end_movement()
 
-    def switched(self, on: bool) -> None:
-        """Say whether the drive is meant to be on; switching it off forgets what went wrong."""
+    def set_switched_on(self, on: bool) -> None:
+        """Set whether the drive is meant to be on; switching it off clears why it stopped."""
         with self._lock:
             self._switched_on = on
-            self._mishap = self._mishap if on else None
+            self._stop_trip = self._stop_trip if on else None
 
-    def forget_mishap(self, cause: TripCause) -> None:
-        """Forget that the drive ended a movement for this cause."""
+    def clear_stop_cause(self, cause: TripCause) -> None:
+        """Clear that the drive stopped by itself for this cause."""
         with self._lock:
-            if self._mishap is not None and self._mishap.cause is cause:
-                self._mishap = None
+            if self._stop_trip is not None and self._stop_trip.cause is cause:
+                self._stop_trip = None
 
     def poll(self) -> Trip | None:
-        """Ask the drive how it is and return what forbids motion.
+        """Request the drive's status and return what forbids motion.
 
         Raises
         ------
         DeviceError
-            When it has not answered for `patience_s`, or its port fails. A drive unheard for `unheard_s` counts as
-            standing.
+            When it has not answered for `reply_grace_s`, or its port fails. After `self_stop_s` without an answer it
+            counts as standing.
         """
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         try:
-            status = self._ask()
+            status = self._request_status()
         except DeviceError as error:
             with self._lock:
-                unheard_s = time.monotonic() - self._heard_s
-                if unheard_s > self._unheard_s:
-                    self._end()
-                if isinstance(error, NoReplyError) and unheard_s < self._patience_s:
-                    return self._judge(self._status)
+                unanswered_s = time.monotonic() - self._answered_s
+                if unanswered_s > self._self_stop_s:
+                    self._end_movement()
+                if isinstance(error, NoReplyError) and unanswered_s < self._reply_grace_s:
+                    return self._trip(self.status)
             raise
         with self._lock:
-            self._heard_s, self._status = asked_s, status
+            self._answered_s, self.status = requested_s, status
             if self._movement is not None:
-                self._mishap = self._mishap or self._movement.mishap(status, asked_s)
-                if self._movement.is_over(status, asked_s):
-                    self._end()
-            return self._judge(status)
+                self._stop_trip = self._stop_trip or self._movement.stop_trip(status, requested_s)
+                if self._movement.is_over(status, requested_s):
+                    self._end_movement()
+            return self._trip(status)
 
     def position_mm(self) -> float:
-        """Ask where it is; raises `DeviceError` when it does not answer."""
+        """Request the position; raises `DeviceError` when the drive does not answer."""
         value = self._link.exchange(Request(Command.POSITION)).value
         if value is None:
             raise DeviceError(
@@ -211,7 +208,7 @@ class DriveTracker:
             )
         return value
 
-    def _ask(self) -> Status:
+    def _request_status(self) -> Status:
         status = self._link.exchange(Request(Command.STATUS)).status
         if status is None:
             raise DeviceError(
@@ -219,143 +216,72 @@ class DriveTracker:
             )
         return status
 
-    def _judge(self, status: Status) -> Trip | None:
+    def _trip(self, status: Status) -> Trip | None:
         if status.alarm:
             return Trip(TripCause.DRIVE_FAULT, f"the drive reports {self._link.dialect.alarm(status.alarm)}")
-        if self._mishap is not None:
-            return self._mishap
+        if self._stop_trip is not None:
+            return self._stop_trip
         if self._switched_on and not status.enabled:
             return Trip(TripCause.DRIVE_FAULT, "the drive switched itself off")
         return None
 
-    def _end(self) -> None:
+    def _end_movement(self) -> None:
         if self._movement is not None:
             self._movement = None
-            self._over()
-            self._coupling.set_moving(False)
+            self._on_over()
+            self._sync.set_moving(False)
 
 
-_ENABLE_TIMEOUT_S = 0.5
-_ENABLE_RETRY_S = 0.01
-
-
-class DrivePower:
-    """The drive's power stage. Every method raises `DeviceError` when drive or line refuse or do not answer."""
-
-    def __init__(self, link: DriveLink, lines: DigitalLines) -> None:
-        self._link, self._lines = link, lines
-
-    def on(self) -> None:
-        """Set the enable line and switch the drive on."""
-        self._lines.enable(True)
-        until_s = time.monotonic() + _ENABLE_TIMEOUT_S
-        while not self._is_on(last=time.monotonic() > until_s):
-            time.sleep(_ENABLE_RETRY_S)
-
-    def off(self) -> None:
-        """Switch the drive off, clear its alarm, and take the enable line away, even from a drive that is silent."""
-        try:
-            self._link.exchange(Request(Command.DISABLE))
-            self._link.exchange(Request(Command.CLEAR_ALARM))
-        finally:
-            self._lines.enable(False)
-
-    def _is_on(self, *, last: bool) -> bool:
-        try:
-            self._link.exchange(Request(Command.ENABLE))
-        except RefusedError as error:
-            # A drive takes a while to see its enable line.
-            if last or error.refusal is not Refusal.DISABLED:
-                raise
-            return False
-        return True
-
-
-_STANDSTILL_POLL_S = 0.01
-
-
-class MotionInterlock:
-    """Looks at drive and switches before every answer."""
-
-    def __init__(self, monitor: Monitor, coupling: MotionSamplingSync) -> None:
-        self._monitor, self._coupling = monitor, coupling
-
-    def refuse_fault(self, but: TripCause | None = None) -> None:
-        """Raise `DeviceError` when anything but one cause forbids motion."""
-        fault = self._monitor.look()
-        if fault is not None and fault.cause is not but:
-            raise DeviceError(f"{fault.message}: see to it, then switch the drive off and on.")
-
-    def refuse_moving(self) -> None:
-        """Raise `DeviceError` while something moves."""
-        if self._coupling.moving:
-            raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
-
-    def await_standstill(self, longest_s: float) -> bool:
-        """Wait until nothing moves, for so long of the wall's time at most; return whether it stands."""
-        until_s = time.monotonic() + longest_s
-        while self._coupling.moving:
-            if time.monotonic() > until_s:
-                return False
-            self._monitor.look()
-            if self._coupling.moving:
-                time.sleep(_STANDSTILL_POLL_S)
-        return True
-
-
-POSITION_TOLERANCE_MM = 2e-3
-"""A stage that stands a count or two off its limit is not beyond it."""
-
-
-def refuse_towards_switch(profile: MotionProfile, side: TravelEnd, most_mm_s: float) -> None:
-    """Refuse whatever goes towards an overridden limit switch, or leaves it fast.
+def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
+    """Write thrust limit, silence timeout and the deceleration of a stop to the drive, and read each back.
 
     Raises
     ------
     DeviceError
-        When the profile goes further that way, or exceeds `most_mm_s`.
+        When the drive holds another value than the one that was written, refuses, or does not answer.
     """
-    extremes = profile.extremes()
-    further_mm = -extremes.lowest_mm if side is TravelEnd.LOW else extremes.highest_mm
-    if not further_mm <= POSITION_TOLERANCE_MM:
-        raise DeviceError(f"the {side} limit switch is overridden for a move away from it only: turn the travel round.")
-    if not extremes.speed_mm_s <= most_mm_s * (1 + 1e-9):
-        raise DeviceError(
-            f"off an overridden limit switch the stage moves at {most_mm_s:g} mm/s at most, not at "
-            f"{extremes.speed_mm_s:g} (hardware.drive.homing_speed_mm_s of the rig file)."
-        )
+    drive = settings.hardware.drive
+    for parameter, value, key in (
+        (Parameter.THRUST_LIMIT_N, drive.thrust_limit_N, "hardware.drive.thrust_limit_N"),
+        (Parameter.SILENCE_S, drive.silence_s, "hardware.drive.silence_s"),
+        (Parameter.STOP_ACCELERATION_MM_S2, settings.stage.stop_accel_mm_s2, "stage.stop_accel_mm_s2"),
+    ):
+        link.set_and_verify(parameter, value, key)
 
 
-def refuse_late_start(start_s: float, coupling: MotionSamplingSync, clock: Clock) -> None:
-    """Refuse a motion that should have begun more than a block ago, `start_s` after the first sample.
-
-    Raises
-    ------
-    DeviceError
-        When its start is too long past.
-    """
-    first = coupling.first_sample
-    if first is not None and clock.monotonic() > first.at_s + start_s + MAX_BLOCK_S:
-        raise DeviceError("the stage was told to move too long after the first sample: start it before.")
+def write_travel(link: DriveLink, limits: StageLimits) -> None:
+    """Write the soft limits to the drive and read them back; raises as `write_safeguards`."""
+    link.set_and_verify(Parameter.LOWEST_MM, limits.lowest_mm, "stage.lowest_mm")
+    link.set_and_verify(Parameter.HIGHEST_MM, limits.highest_mm, "stage.highest_mm")
 
 
-def first_motion_s(profile: MotionProfile) -> float:
-    """Return when a profile's first motion begins; its end when it has none."""
-    moving = profile.start_s[profile.acceleration_mm_s2 != 0]
-    return float(moving[0]) if moving.size else profile.duration_s
+@dataclass(frozen=True, slots=True)
+class StageDevices:
+    """What a stage works with.
 
-
-class MonitoredStage(ABC):
-    """A stage whose drive and switches are watched from `_watch` until `close`.
-
-    Parameters
+    Attributes
     ----------
     clock
         The rig's time, in which motions are.
-    deadman
-        Fed by whoever reads the samples.
-    unheard_s
-        After so long without an answer the drive has stopped by itself, of the wall's clock.
+    watchdog
+        Fed by the sampler.
+    """
+
+    settings: RigSettings
+    link: DriveLink
+    lines: DigitalLines
+    sync: MotionSamplingSync
+    clock: Clock
+    watchdog: Watchdog
+
+
+class MonitoredStage(ABC):
+    """A stage whose drive and switches are monitored from the monitor's start until `close`.
+
+    Parameters
+    ----------
+    self_stop_s
+        After so long without an answer, in wall time, the drive has stopped by itself.
 
     Raises
     ------
@@ -363,28 +289,26 @@ class MonitoredStage(ABC):
         When the drive does not answer.
     """
 
-    def __init__(
-        self,
-        settings: RigSettings,
-        link: DriveLink,
-        lines: DigitalLines,
-        coupling: MotionSamplingSync,
-        clock: Clock,
-        deadman: Watchdog,
-        unheard_s: float,
-    ) -> None:
-        self._settings, self._drive = settings, settings.hardware.drive
+    def __init__(self, devices: StageDevices, self_stop_s: float) -> None:
+        settings = devices.settings
+        self._settings, self._drive, self._clock = settings, settings.hardware.drive, devices.clock
+        self._link, self._lines, self._sync = devices.link, devices.lines, devices.sync
+        self._watchdog = devices.watchdog
         self._limits = stage_limits(settings.stage)
-        self._link, self._coupling, self._clock = link, coupling, clock
-        self._deadman = deadman
         # One command at a time; a stop waits for none.
         self._commands = threading.RLock()
         self._override: TravelEnd | None = None
-        self._axis = DriveTracker(link, coupling, self._drive.silence_s / 2, unheard_s, self._let_go)
+        self._tracker = DriveTracker(self._link, self._sync, self._drive.silence_s / 2, self_stop_s, self._end_override)
         self._monitor = Monitor(
-            self._axis.poll, self.stop, lines, coupling, deadman, settings.hardware.hang_s, poll_interval_s(settings)
+            self._tracker.poll,
+            self.stop,
+            self._lines,
+            self._sync,
+            self._watchdog,
+            settings.hardware.hang_s,
+            poll_interval_s(settings),
+            self._may_beat,
         )
-        self._ready, self._power = MotionInterlock(self._monitor, coupling), DrivePower(link, lines)
 
     @property
     def limits(self) -> StageLimits:
@@ -393,17 +317,17 @@ class MonitoredStage(ABC):
 
     @property
     def fault(self) -> Trip | None:
-        """What drive and switches reported when the monitor last looked; what was latched stays until `disable`."""
+        """What drive and switches reported at the last poll; what was latched stays until `disable`."""
         return self._monitor.fault
 
     @property
     @abstractmethod
     def start_uncertainty_s(self) -> float:
-        """How far time 0 of the last motion may be off the first sample."""
+        """Uncertainty of the last motion's time 0 against the first sample."""
 
     @abstractmethod
     def state(self) -> StageState:
-        """Ask drive and switches now."""
+        """Poll drive and switches now."""
 
     @abstractmethod
     def enable(self) -> None:
@@ -423,30 +347,30 @@ class MonitoredStage(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop, and let go of the drive. Twice is once."""
+        """Stop, and disconnect from the drive. Safe to call twice."""
 
     @abstractmethod
     def _come_to_rest(self) -> None:
-        """Wait until the stage stands after a stop, or long enough, and hold it no longer."""
+        """Wait for standstill after a stop, for a limited time, and hold the stage no longer."""
 
     def disable(self) -> None:
-        """Stop, switch the drive off and clear its alarm and whatever was latched.
+        """Stop, switch the drive off, and clear its alarm and whatever was latched.
 
         Raises
         ------
         DeviceError
-            When the drive does not answer; its enable line is taken away all the same.
+            When the drive does not answer; its enable line is cleared all the same.
         """
         self.stop()
         with self._commands:
             try:
                 self._come_to_rest()
-                self._switched(on=False)
-                self._power.off()
+                self._set_switched_on(on=False)
+                self._power_off()
             finally:
-                self._let_go()
+                self._end_override()
                 self._monitor.clear()
-                self._monitor.look()
+                self._monitor.poll()
 
     def override_limit(self, side: TravelEnd) -> None:
         """Let a pressed limit switch forbid nothing until the next move has ended, which must lead slowly away from it.
@@ -457,30 +381,99 @@ class MonitoredStage(ABC):
             While the stage moves.
         """
         with self._commands:
-            self._ready.refuse_moving()
+            self._refuse_moving()
             self._override = side
             self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
-            self._axis.forget_mishap(LIMIT_SWITCH_CAUSES[side])
-            self._monitor.look()
+            self._tracker.clear_stop_cause(LIMIT_SWITCH_CAUSES[side])
+            self._monitor.poll()
 
-    def _switched(self, on: bool) -> None:
-        self._axis.switched(on)
-        self._monitor.switched(on)
+    def _may_beat(self) -> bool:
+        """Whether the heartbeat relay may keep the drive's power on."""
+        return True
 
-    def _let_go(self) -> None:
+    def _power_on(self) -> None:
+        """Set the enable line and switch the drive on; raises `DeviceError`."""
+        self._lines.set_enable(True)
+        until_s = time.monotonic() + _ENABLE_TIMEOUT_S
+        while True:
+            try:
+                self._link.exchange(Request(Command.ENABLE))
+            except RefusedError as error:
+                # A drive takes a while to see its enable line.
+                if error.refusal is not Refusal.DISABLED or time.monotonic() > until_s:
+                    raise
+                time.sleep(_ENABLE_RETRY_S)
+            else:
+                break
+        self._set_switched_on(on=True)
+        self._monitor.poll()
+
+    def _power_off(self) -> None:
+        """Switch the drive off, clear its alarm, and clear the enable line even when the drive does not answer."""
+        try:
+            self._link.exchange(Request(Command.DISABLE))
+            self._link.exchange(Request(Command.CLEAR_ALARM))
+        finally:
+            self._lines.set_enable(False)
+
+    def _set_switched_on(self, on: bool) -> None:
+        self._tracker.set_switched_on(on)
+        self._monitor.set_drive_on(on)
+
+    def _end_override(self) -> None:
         self._override = None
         self._monitor.tolerate(None)
 
-    def _allowed(self, profile: MotionProfile, origin_mm: float) -> StageLimits:
+    def _checked_limits(self, profile: MotionProfile, origin_mm: float) -> StageLimits:
         """Return the limits of a profile from a position, with an override; raises `DeviceError` beyond them."""
         limits = limits_with_override(self._limits, self._override, origin_mm)
         if self._override is not None:
-            refuse_towards_switch(profile, self._override, self._drive.homing_speed_mm_s)
+            self._refuse_towards_switch(profile, self._override)
         require_within_limits(profile, origin_mm, limits, POSITION_TOLERANCE_MM)
         return limits
 
-    def _refuse_unready(self, *, enabled: bool, but: TripCause | None = None) -> None:
-        self._ready.refuse_fault(but)
+    def _refuse_towards_switch(self, profile: MotionProfile, side: TravelEnd) -> None:
+        """Refuse whatever goes towards an overridden limit switch, or leaves it fast."""
+        extremes, max_mm_s = profile.extremes(), self._drive.homing_speed_mm_s
+        further_mm = -extremes.lowest_mm if side is TravelEnd.LOW else extremes.highest_mm
+        if not further_mm <= POSITION_TOLERANCE_MM:
+            raise DeviceError(
+                f"the {side} limit switch is overridden for a move away from it only: reverse the travel."
+            )
+        if not extremes.speed_mm_s <= max_mm_s * (1 + 1e-9):
+            raise DeviceError(
+                f"off an overridden limit switch the stage moves at {max_mm_s:g} mm/s at most, not at "
+                f"{extremes.speed_mm_s:g} (hardware.drive.homing_speed_mm_s of the rig file)."
+            )
+
+    def _refuse_late_start(self, start_s: float) -> None:
+        """Refuse a motion that was to begin `start_s` after the first sample, more than a block ago."""
+        first = self._sync.first_sample
+        if first is not None and self._clock.monotonic() > first.at_s + start_s + MAX_BLOCK_S:
+            raise DeviceError("the move was requested too long after the first sample: start it before.")
+
+    def _refuse_fault(self, ignoring: TripCause | None = None) -> None:
+        fault = self._monitor.poll()
+        if fault is not None and fault.cause is not ignoring:
+            raise DeviceError(f"{fault.message}: remove the cause, then switch the drive off and on.")
+
+    def _refuse_moving(self) -> None:
+        if self._sync.moving:
+            raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
+
+    def _refuse_not_ready(self, *, enabled: bool, ignoring: TripCause | None = None) -> None:
+        self._refuse_fault(ignoring)
         if not enabled:
             raise DeviceError("the drive is off: enable the stage first.")
-        self._ready.refuse_moving()
+        self._refuse_moving()
+
+    def _await_standstill(self, timeout_s: float) -> bool:
+        """Wait until nothing moves, at most `timeout_s` of wall time; return whether the stage stands."""
+        until_s = time.monotonic() + timeout_s
+        while self._sync.moving:
+            if time.monotonic() > until_s:
+                return False
+            self._monitor.poll()
+            if self._sync.moving:
+                time.sleep(_STANDSTILL_POLL_S)
+        return True

@@ -18,7 +18,6 @@ from dragrig.config.rig import GuardSettings, RigSettings, StageSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Clock, Trip, TripCause
 from dragrig.rig.hardware.card.tasks import AI_START_TRIGGER, AO_RANGE_V, PositionCounter, UnderflowError, VoltageOutput
-from dragrig.rig.hardware.drive.stage_base import first_motion_s
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 
@@ -32,146 +31,134 @@ class MotionCommand:
     Attributes
     ----------
     profile, origin_mm
-        The motion and the absolute position that it starts from; beyond its end, to stay there.
+        The motion and the absolute position that it starts from; after its end, to stay there.
     first
-        Sample of the output at which the profile is at 0; may have a fraction.
+        Sample of the output at which the profile is at time 0; may have a fraction.
     closed
         Whether the measured position corrects the speed.
     """
 
     profile: MotionProfile
     origin_mm: float
-    first: float
+    first: float = 0.0
     closed: bool = True
 
     @property
     def end_mm(self) -> float:
-        """The absolute position that it comes to."""
+        """The absolute position at its end."""
         return self.origin_mm + float(self.profile.position(self.profile.duration_s))
 
     @classmethod
     def hold(cls, position_mm: float) -> "MotionCommand":
         """Return the command to stay at a position."""
-        return cls(_ZERO_MOTION, position_mm, 0.0)
-
-    def beginning(self, first: float) -> "MotionCommand":
-        """Return the same command from another sample on."""
-        return replace(self, first=first)
+        return cls(_ZERO_MOTION, position_mm)
 
     @classmethod
     def rest(cls) -> "MotionCommand":
-        """Return the command to have no speed, wherever that is."""
-        return cls(_ZERO_MOTION, 0.0, 0.0, closed=False)
+        """Return the command to have no speed, at whatever position."""
+        return cls(_ZERO_MOTION, 0.0, closed=False)
 
 
 class SpeedController:
-    """Speeds for a drive, sample after sample. Belongs to one thread at a time.
+    """Speed setpoints, sample after sample: computation only, no device. Belongs to one thread at a time.
 
-    Each speed is the profile's, taken `lag_s` early, plus `gain_per_s` times the distance between command and
-    position; neither it nor its change exceeds what the stage may do. A stop takes it to 0 at the stop's deceleration.
+    Each speed is the profile's, taken `lag_s` early, plus `gain_per_s` times the following error; neither it nor its
+    change exceeds the stage's limits. A stop takes it to 0 at the stop's deceleration.
     """
 
     def __init__(self, velocity: VelocityOutputSettings, stage: StageSettings) -> None:
         self._velocity = velocity
         self._stage = stage
-        self._command = MotionCommand.rest()
-        self._braking = False
-        self.told = 0
-        """Samples for which speeds were given."""
+        self.command = MotionCommand.rest()
+        """What the stage is to do at present."""
+        self.braking = False
+        """Whether it brakes or has braked to a standstill since `brake`."""
+        self._computed = 0
         self._speed_mm_s = 0.0
 
     @property
-    def command(self) -> MotionCommand:
-        """What the stage is to do at present."""
-        return self._command
-
-    @property
-    def braking(self) -> bool:
-        """Whether it comes to a standstill, or has, since it was told to."""
-        return self._braking
-
-    @property
-    def stands(self) -> bool:
+    def at_rest(self) -> bool:
         """Whether the latest speed is 0."""
         return self._speed_mm_s == 0.0
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Count samples from 0 again, at speed 0."""
-        self.told, self._speed_mm_s, self._braking = 0, 0.0, False
+        self._computed, self._speed_mm_s, self.braking = 0, 0.0, False
 
     def follow(self, command: MotionCommand) -> None:
-        """Do something else from the next sample on."""
-        self._command, self._braking = command, False
+        """Carry out another command from the next sample on."""
+        self.command, self.braking = command, False
 
     def brake(self) -> None:
-        """Come to a standstill from the next sample on, whatever the position says, and have no speed then."""
-        self._command, self._braking = MotionCommand.rest(), True
+        """Come to a standstill from the next sample on, whatever the position is, and stay at speed 0."""
+        self.command, self.braking = MotionCommand.rest(), True
 
-    def error_mm(self, sample: float, position_mm: float) -> float:
-        """Return how far the stage is behind its command while an output's sample is put out."""
-        if not self._command.closed:
+    def following_error_mm(self, sample: float, position_mm: float) -> float:
+        """Return how far the stage is behind its command while a sample is put out."""
+        if not self.command.closed:
             return 0.0
-        at_s = (sample - self._command.first) / self._velocity.rate_hz
-        return float(self._command.origin_mm + self._command.profile.position(at_s) - position_mm)
+        return float(self.command.origin_mm + self.command.profile.position(self._time_s(sample)) - position_mm)
 
-    def off_command(self, sample: float, position_mm: float, error_mm: float, guard: GuardSettings) -> Trip | None:
-        """Return the trip for a stage that is further off its command than the guard allows; None when it is not."""
-        at_s = (sample - self._command.first) / self._velocity.rate_hz
-        speed_mm_s = abs(float(self._command.profile.velocity(at_s)))
-        most_mm = guard.following_error_mm + guard.following_error_per_speed_s * speed_mm_s
-        if abs(error_mm) <= most_mm:
+    def following_error_trip(
+        self, sample: float, position_mm: float, error_mm: float, guard: GuardSettings
+    ) -> Trip | None:
+        """Return the trip of a following error beyond the guard's limit; None within it."""
+        speed_mm_s = abs(float(self.command.profile.velocity(self._time_s(sample))))
+        limit_mm = guard.following_error_mm + guard.following_error_per_speed_s * speed_mm_s
+        if abs(error_mm) <= limit_mm:
             return None
         return Trip(
             TripCause.FOLLOWING_ERROR,
-            f"the stage is {abs(error_mm):.2f} mm off its command at {position_mm:.2f} mm, where {most_mm:.2f} mm are "
-            "allowed (guard.following_error_mm): something holds it, the encoder does not count, or "
+            f"the stage is {abs(error_mm):.2f} mm off its command at {position_mm:.2f} mm, where {limit_mm:.2f} mm are "
+            "allowed (guard.following_error_mm): it is blocked, the encoder does not count, or "
             "hardware.drive.velocity does not fit the drive",
         )
 
     def is_over(self, sample: float) -> bool:
         """Whether the command's motion has ended at a sample."""
-        if self._braking:
-            return self.stands
-        at_s = (sample - self._command.first) / self._velocity.rate_hz
-        return at_s >= self._command.profile.motion_ends_s
+        return self.at_rest if self.braking else self._time_s(sample) >= self.command.profile.motion_ends_s
 
     def speeds(self, samples: int, error_mm: float) -> FloatArray:
         """Return the next speeds [mm/s], shape `(samples,)`."""
-        if self._braking:
+        if self.braking:
             wanted = np.zeros(samples)
-            most = self._stage.stop_accel_mm_s2
+            max_accel_mm_s2 = self._stage.stop_accel_mm_s2
         else:
-            middles_s = (self.told + np.arange(samples) + 0.5 - self._command.first) / self._velocity.rate_hz
-            wanted = self._command.profile.velocity(middles_s + self._velocity.lag_s)
+            middle_s = self._time_s(self._computed) + (np.arange(samples) + 0.5) / self._velocity.rate_hz
+            wanted = self.command.profile.velocity(middle_s + self._velocity.lag_s)
             wanted = wanted + self._velocity.gain_per_s * error_mm
-            most = self._stage.max_accel_mm_s2
-        self.told += samples
-        return self._limited(wanted, most / self._velocity.rate_hz)
-
-    def _limited(self, wanted: FloatArray, step: float) -> FloatArray:
-        fastest = self._stage.max_speed_mm_s
-        speed, speeds = self._speed_mm_s, np.empty_like(wanted)
-        for place, target in enumerate(np.clip(wanted, -fastest, fastest).tolist()):
-            speed += min(max(target - speed, -step), step)
-            speeds[place] = speed
+            max_accel_mm_s2 = self._stage.max_accel_mm_s2
+        self._computed += samples
+        max_speed, max_step = self._stage.max_speed_mm_s, max_accel_mm_s2 / self._velocity.rate_hz
+        speed, speeds = self._speed_mm_s, np.empty(samples)
+        for index, target in enumerate(np.clip(wanted, -max_speed, max_speed).tolist()):
+            speed += min(max(target - speed, -max_step), max_step)
+            speeds[index] = speed
         self._speed_mm_s = speed
         return speeds
+
+    def _time_s(self, sample: float) -> float:
+        """Return the profile's time of a sample."""
+        return (sample - self.command.first) / self._velocity.rate_hz
 
 
 _CHECKS_PER_UPDATE = 4
 
 
 class AOStreamer:
-    """A follower and the output that it speaks through. Belongs to one thread at a time."""
+    """Keeps the velocity output a little ahead of what is put out: speeds from a controller, as voltages.
+
+    Belongs to one thread at a time.
+    """
 
     def __init__(
-        self, output: VoltageOutput, follower: SpeedController, velocity: VelocityOutputSettings, clock: Clock
+        self, output: VoltageOutput, controller: SpeedController, velocity: VelocityOutputSettings, clock: Clock
     ) -> None:
-        self._output, self._follower, self._clock = output, follower, clock
+        self._output, self._controller, self._clock = output, controller, clock
         self._velocity = velocity
         self._ahead = velocity.ahead * velocity.update_samples
         self.error_mm = 0.0
-        """How far the stage is behind its command, as seen last."""
+        """The latest following error."""
 
     @property
     def written(self) -> int:
@@ -180,24 +167,24 @@ class AOStreamer:
 
     @property
     def generated(self) -> int:
-        """Samples of the present waveform that were put out; raises what the output does."""
+        """Samples of the present waveform that were put out; raises what `VoltageOutput.generated` raises."""
         return self._output.generated
 
     def begin(self, command: MotionCommand, trigger: str = "") -> None:
-        """End the waveform where it is, at 0 V, and begin one that does `command`; see `VoltageOutput.begin`."""
+        """End the waveform where it is, at 0 V, and begin one for `command`; see `VoltageOutput.begin`."""
         self._output.end()
-        self._follower.begin()
-        self._follower.follow(command)
+        self._controller.reset()
+        self._controller.follow(command)
         self.error_mm = 0.0
         self._output.begin(self._volts(self._ahead), trigger)
 
     def fill(self, generated: int) -> float:
-        """Write what is due, and return how long nothing will be.
+        """Write what is due, and return for how long nothing will be due [s].
 
         Raises
         ------
         UnderflowError
-            When it ran dry.
+            When the output's buffer ran empty.
         DeviceError
             When the card refuses.
         """
@@ -209,8 +196,8 @@ class AOStreamer:
 
     def drain(self) -> None:
         """Brake, and end the waveform at 0 V."""
-        self._follower.brake()
-        while not self._follower.stands:
+        self._controller.brake()
+        while not self._controller.at_rest:
             self._wait(self.fill(self._output.generated))
         zero_from = self._output.written
         try:
@@ -218,7 +205,7 @@ class AOStreamer:
             while (left := zero_from + 1 - self._output.generated) > 0:
                 self._wait(left / self._velocity.rate_hz)
         except UnderflowError:
-            # It ran dry at 0 V, where it was to end.
+            # The buffer ran empty at 0 V, where the waveform was to end.
             return
         finally:
             self._output.end()
@@ -228,7 +215,7 @@ class AOStreamer:
         self._output.zero()
 
     def _volts(self, samples: int) -> FloatArray:
-        speeds = self._follower.speeds(samples, self.error_mm)
+        speeds = self._controller.speeds(samples, self.error_mm)
         return np.ascontiguousarray(np.clip(speeds / self._velocity.per_V, -AO_RANGE_V, AO_RANGE_V))
 
     def _wait(self, duration_s: float) -> None:
@@ -236,57 +223,57 @@ class AOStreamer:
 
 
 STANDSTILL_TIMEOUT_S = 0.5
-"""So long a stage may take to stand after its voltage is 0."""
+"""How long the stage may take to stand after its voltage is 0."""
 _STILL_COUNTS = 1.5
 
 
 class StandstillDetector:
-    """Two looks, a while apart, that see the same position.
+    """Standstill by the encoder: two readings, some time apart, of the same position.
 
     Parameters
     ----------
     count_mm
         Length of a count.
-    apart, longest
-        How far two looks are apart, and how long it may take to stand: both in samples of the output.
+    velocity
+        The output, whose update time is the time between two readings.
     """
 
-    def __init__(self, count_mm: float, apart: int, longest: int) -> None:
+    def __init__(self, count_mm: float, velocity: VelocityOutputSettings) -> None:
         self._still_mm = _STILL_COUNTS * count_mm
-        self._apart, self._longest = apart, longest
-        self._since = self._seen = 0
+        self._velocity = velocity
+        self._since = self._read_at = 0
         self._before_mm: float | None = None
 
-    def forget(self) -> None:
-        """Begin anew."""
+    def reset(self) -> None:
+        """Start again."""
         self._before_mm = None
 
-    def is_seen(self, generated: int, zero_from: int, position_mm: float) -> bool:
-        """Look at the position while `generated` samples were put out; those from `zero_from` on are 0.
+    def is_standing(self, generated: int, zero_from: int, position_mm: float) -> bool:
+        """Whether the stage stands, by its position when `generated` samples were put out, those from `zero_from` 0.
 
         Raises
         ------
         DeviceError
-            When it does not stand after all the time that it may take.
+            When it does not stand after `STANDSTILL_TIMEOUT_S`.
         """
         if self._before_mm is None:
-            self._since = self._seen = zero_from
+            self._since = self._read_at = zero_from
             self._before_mm = position_mm
-        if generated < self._seen + self._apart:
+        if generated < self._read_at + self._velocity.update_samples:
             return False
         if abs(position_mm - self._before_mm) <= self._still_mm:
             return True
-        if generated - self._since > self._longest:
-            raise DeviceError("the stage did not stop at 0 V, so that the drive was switched off: look at the drive.")
-        self._seen, self._before_mm = generated, position_mm
+        if generated - self._since > round(STANDSTILL_TIMEOUT_S * self._velocity.rate_hz):
+            raise DeviceError("the stage did not stop at 0 V, so the drive was switched off: inspect the drive.")
+        self._read_at, self._before_mm = generated, position_mm
         return False
 
-    def is_awaited(self, counter: PositionCounter, clock: Clock, apart_s: float) -> bool:
-        """Look at a counter until it stands or had all the time for it; raises `DeviceError` when it cannot be read."""
+    def wait(self, counter: PositionCounter, clock: Clock) -> bool:
+        """Return True once the stage stands, False after `STANDSTILL_TIMEOUT_S`; raises `DeviceError`."""
         until_s = clock.monotonic() + STANDSTILL_TIMEOUT_S
         before_mm = counter.read()
         while clock.monotonic() < until_s:
-            clock.sleep(apart_s, threading.Event())
+            clock.sleep(self._velocity.update_s, threading.Event())
             now_mm = counter.read()
             if abs(now_mm - before_mm) <= self._still_mm:
                 return True
@@ -294,78 +281,81 @@ class StandstillDetector:
         return False
 
 
+def first_motion_s(profile: MotionProfile) -> float:
+    """Return when a profile's first motion begins; its end when it has none."""
+    moving = profile.start_s[profile.acceleration_mm_s2 != 0]
+    return float(moving[0]) if moving.size else profile.duration_s
+
+
 _OBSERVATION_ATTEMPTS = 3
 
 
 class VelocityLoop:
-    """Output, counter and what they follow. Any thread may call anything; `brake` waits for nobody.
+    """Output, counter and the command that they follow. Any thread may call any method; `brake` never blocks.
 
     Parameters
     ----------
-    failed
-        Called with what ended the loop or forbids motion, from whatever thread found out.
-    cut
+    on_fault
+        Called with what ended the loop or forbids motion, from whatever thread noticed it.
+    cut_power
         Called when the stage cannot be braked by its voltage: takes the drive's power, and must not raise.
-    over
+    on_rest
         Called whenever a motion has ended.
     """
 
     def __init__(
         self,
-        feeder: AOStreamer,
-        follower: SpeedController,
+        streamer: AOStreamer,
+        controller: SpeedController,
         counter: PositionCounter,
         settings: RigSettings,
-        coupling: MotionSamplingSync,
+        sync: MotionSamplingSync,
         clock: Clock,
-        failed: Callable[[Trip], None],
-        cut: Callable[[], None],
-        over: Callable[[], None],
+        on_fault: Callable[[Trip], None],
+        cut_power: Callable[[], None],
+        on_rest: Callable[[], None],
     ) -> None:
-        self._feeder, self._follower, self._counter = feeder, follower, counter
-        self._coupling, self._clock, self._failed, self._cut, self._over = coupling, clock, failed, cut, over
+        self._streamer, self._controller, self._counter = streamer, controller, counter
+        self._sync, self._clock = sync, clock
+        self._on_fault, self._cut_power, self._on_rest = on_fault, cut_power, on_rest
         self._velocity, self._guard = settings.hardware.drive.velocity, settings.guard
-        self._standing = StandstillDetector(
-            settings.encoder.resolution_um / 1000.0,
-            self._velocity.update_samples,
-            round(STANDSTILL_TIMEOUT_S * self._velocity.rate_hz),
-        )
-        # Re-entrant, for whoever begins a motion also looks where it is.
+        self._standstill = StandstillDetector(settings.encoder.resolution_um / 1000.0, self._velocity)
+        # Re-entrant, because the start of a motion also observes the position.
         self._busy = threading.RLock()
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         # A counter may be used by a signal handler that interrupts its own user; an Event may not.
         self._counting = itertools.count(1)
-        self._stops = self._heeded = 0
+        self._stop_count = self._handled_stops = 0
         self.start_uncertainty_s = 0.0
-        """How far time 0 of the last motion may be off the first sample."""
+        """Uncertainty of the last motion's time 0 against the first sample."""
 
     @property
     def running(self) -> bool:
-        """Whether it holds the stage."""
+        """Whether it controls the stage."""
         return self._thread is not None and self._thread.is_alive()
 
     @property
-    def stops(self) -> int:
-        """Which stop was asked for last: a mark for `follow`."""
-        return self._stops
+    def stop_count(self) -> int:
+        """Number of stops requested so far: `follow` drops what was planned at a lower count."""
+        return self._stop_count
 
     def start(self) -> None:
         """Hold the stage where it is; raises `DeviceError` when the card refuses."""
         with self._busy:
             self._ended.clear()
-            self._heeded = self._stops
-            self._feeder.begin(MotionCommand.hold(self._counter.read()))
+            self._handled_stops = self._stop_count
+            self._streamer.begin(MotionCommand.hold(self._counter.read()))
         self._thread = threading.Thread(target=self._run, name="velocity loop", daemon=True)
         self._thread.start()
 
-    def follow(self, profile: MotionProfile, origin_mm: float, as_of: int, *, closed: bool = True) -> None:
-        """Follow a profile from now on; with an armed sampler return at once, for the card begins it with the sampling.
+    def follow(self, profile: MotionProfile, origin_mm: float, planned_at: int, *, closed: bool = True) -> None:
+        """Follow a profile from now on; with an armed sampler return at once, as the card starts it with the sampling.
 
         Parameters
         ----------
-        as_of
-            What `stops` was when this was planned: a stop since then ends it at once.
+        planned_at
+            `stop_count` when this was planned: a stop requested since ends it at once.
         closed
             Whether the encoder corrects it.
 
@@ -377,37 +367,37 @@ class VelocityLoop:
         with self._busy:
             if not self.running:
                 raise DeviceError("the velocity loop has ended: switch the drive off and on.")
-            self._heeded = as_of
-            first = self._begin(MotionCommand(profile, origin_mm, 0.0, closed))
-            self._coupling.set_moving(True)
-        while not self._coupling.armed and self._coupling.moving and self._feeder.generated <= first:
+            self._handled_stops = planned_at
+            first = self._begin(MotionCommand(profile, origin_mm, closed=closed))
+            self._sync.set_moving(True)
+        while not self._sync.armed and self._sync.moving and self._streamer.generated <= first:
             self._clock.sleep(1.0 / self._velocity.rate_hz, self._ended)
 
     def brake(self) -> int:
-        """Come to a standstill; begins once what is written is put out. Return the mark that `stops` is now.
+        """Come to a standstill, beginning once what is written is put out; return the new `stop_count`.
 
         Safe in any thread and in signal handlers.
         """
-        self._stops = next(self._counting)
-        return self._stops
+        self._stop_count = next(self._counting)
+        return self._stop_count
 
-    def look(self) -> float:
-        """Return the position now, and tell the sampler when nothing moves any more; raises `DeviceError`."""
+    def position_mm(self) -> float:
+        """Return the position now, and update whether the stage moves; raises `DeviceError`."""
         with self._busy:
             if not self.running:
                 return self._counter.read()
             generated, position_mm = self._observe()
-            self._settle(generated, position_mm)
+            self._update_motion(generated, position_mm)
             return position_mm
 
-    def held_mm(self) -> float:
-        """Return the position that a stage at rest is held at; raises `DeviceError` when that cannot be read."""
+    def hold_position_mm(self) -> float:
+        """Return the commanded position of a stage at rest; raises `DeviceError` when it cannot be read."""
         with self._busy:
-            command = self._follower.command
+            command = self._controller.command
             return command.end_mm if self.running and command.closed else self._counter.read()
 
-    def recount(self, at_mm: float, *, index: bool) -> None:
-        """Let the counter count on from a position and hold that; `index` lets the index pulse make it 0.
+    def reset_counter(self, position_mm: float, *, index: bool) -> None:
+        """Restart the counter at a position and hold that; with `index`, the index pulse sets it to 0.
 
         Raises
         ------
@@ -415,108 +405,112 @@ class VelocityLoop:
             When the card refuses.
         """
         with self._busy:
-            self._counter.begin(at_mm, index=index)
-            self._follower.follow(MotionCommand.rest() if index else MotionCommand.hold(at_mm))
+            self._counter.begin(position_mm, index=index)
+            self._controller.follow(MotionCommand.rest() if index else MotionCommand.hold(position_mm))
 
     def end(self) -> None:
-        """Brake, bring the voltage to 0, end the thread. Twice is once."""
+        """Brake, bring the voltage to 0, end the thread. Safe to call twice."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join()
 
     def _begin(self, command: MotionCommand) -> float:
-        rate_hz, sample = self._velocity.rate_hz, self._coupling.first_sample
-        if self._coupling.armed and sample is None:
-            self._feeder.drain()
-            self._feeder.begin(command, AI_START_TRIGGER)
+        """Start a command; return the sample of the output that is its time 0."""
+        rate_hz, sample = self._velocity.rate_hz, self._sync.first_sample
+        if self._sync.armed and sample is None:
+            self._streamer.drain()
+            self._streamer.begin(command, AI_START_TRIGGER)
             self.start_uncertainty_s = 1.0 / rate_hz
             return 0.0
-        first, self.start_uncertainty_s = float(self._feeder.written), 0.0
+        first, self.start_uncertainty_s = float(self._streamer.written), 0.0
         if sample is not None:
-            due = self._feeder.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
+            due = self._streamer.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
             first = max(due, first - first_motion_s(command.profile) * rate_hz)
             self.start_uncertainty_s = sample.uncertainty_s + (first - due + 1.0) / rate_hz
-        self._follower.follow(command.beginning(first))
+        self._controller.follow(replace(command, first=first))
         return first
 
     def _run(self) -> None:
         try:
             while not self._ended.is_set():
                 with self._busy:
-                    wait_s = self._turn()
+                    wait_s = self._cycle()
                 self._clock.sleep(wait_s, self._ended)
             with self._busy:
-                self._feeder.drain()
-                self._rest()
+                self._streamer.drain()
+                self._come_to_rest()
         except UnderflowError as error:
-            self._give_up(Trip(TripCause.WATCHDOG, reason_of(error)))
+            self._fail(Trip(TripCause.WATCHDOG, reason_of(error)))
         except DeviceError as error:
-            self._give_up(Trip(TripCause.DRIVE_FAULT, reason_of(error)))
+            self._fail(Trip(TripCause.DRIVE_FAULT, reason_of(error)))
         except Exception as error:
-            self._give_up(Trip(TripCause.WATCHDOG, f"the velocity loop failed ({type(error).__name__}: {error})"))
+            self._fail(Trip(TripCause.WATCHDOG, f"the velocity loop failed ({type(error).__name__}: {error})"))
             raise
 
-    def _turn(self) -> float:
+    def _cycle(self) -> float:
         generated, position_mm = self._observe()
-        is_stopped, self._heeded = self._stops != self._heeded, self._stops
-        if self._coupling.moving:
-            if generated == 0 and (is_stopped or not self._coupling.armed):
-                self._feeder.begin(MotionCommand.hold(position_mm))
-                self._rest()
-            elif is_stopped and not self._follower.braking:
-                self._follower.brake()
-                self._standing.forget()
-        # A stage whose voltage ran dry has left its command too, and filling says why.
-        if generated < self._feeder.written:
-            self._refuse_to_run_away(generated, position_mm)
-        wait_s = self._feeder.fill(generated)
-        self._settle(generated, position_mm)
+        stop_requested, self._handled_stops = self._stop_count != self._handled_stops, self._stop_count
+        if self._sync.moving:
+            if generated == 0 and (stop_requested or not self._sync.armed):
+                self._streamer.begin(MotionCommand.hold(position_mm))
+                self._come_to_rest()
+            elif stop_requested and not self._controller.braking:
+                self._controller.brake()
+                self._standstill.reset()
+        # After an underflow the stage has left its command too, but then filling reports the cause.
+        if generated < self._streamer.written:
+            self._check_following_error(generated, position_mm)
+        wait_s = self._streamer.fill(generated)
+        self._update_motion(generated, position_mm)
         return wait_s
 
     def _observe(self) -> tuple[int, float]:
-        """Return how much was put out and the position at that time; keep the distance from the command."""
-        longest = max(1, self._velocity.update_samples // 4)
+        """Return how much was put out and the position at that time; update the following error."""
+        max_span = max(1, self._velocity.update_samples // 4)
         for _ in range(_OBSERVATION_ATTEMPTS):
-            before = self._feeder.generated
+            before = self._streamer.generated
             position_mm = self._counter.read()
-            after = self._feeder.generated
-            if after - before <= longest:
+            after = self._streamer.generated
+            if after - before <= max_span:
                 # Sample `n - 1` is put out while `n` were.
                 middle = (before + after - 1) / 2
-                self._feeder.error_mm = self._follower.error_mm(middle, position_mm) if before else 0.0
+                error_mm = self._controller.following_error_mm(middle, position_mm) if before else 0.0
+                self._streamer.error_mm = error_mm
                 break
         return after, position_mm
 
-    def _refuse_to_run_away(self, generated: int, position_mm: float) -> None:
-        if trip := self._follower.off_command(generated, position_mm, self._feeder.error_mm, self._guard):
-            self._feeder.error_mm = 0.0
-            self._follower.brake()
-            self._standing.forget()
-            self._coupling.set_moving(True)
-            self._failed(trip)
+    def _check_following_error(self, generated: int, position_mm: float) -> None:
+        error_mm = self._streamer.error_mm
+        if trip := self._controller.following_error_trip(generated, position_mm, error_mm, self._guard):
+            self._streamer.error_mm = 0.0
+            self._controller.brake()
+            self._standstill.reset()
+            self._sync.set_moving(True)
+            self._on_fault(trip)
 
-    def _settle(self, generated: int, position_mm: float) -> None:
-        if not self._coupling.moving or generated == 0:
+    def _update_motion(self, generated: int, position_mm: float) -> None:
+        if not self._sync.moving or generated == 0:
             return
-        if not self._follower.braking:
-            if self._follower.is_over(generated):
-                self._rest()
+        if not self._controller.braking:
+            if self._controller.is_over(generated):
+                self._come_to_rest()
             return
-        if self._follower.stands and self._standing.is_seen(generated, self._feeder.written, position_mm):
-            self._follower.follow(MotionCommand.hold(position_mm))
-            self._rest()
+        written = self._streamer.written
+        if self._controller.at_rest and self._standstill.is_standing(generated, written, position_mm):
+            self._controller.follow(MotionCommand.hold(position_mm))
+            self._come_to_rest()
 
-    def _rest(self) -> None:
-        self._coupling.set_moving(False)
-        self._over()
+    def _come_to_rest(self) -> None:
+        self._sync.set_moving(False)
+        self._on_rest()
 
-    def _give_up(self, trip: Trip) -> None:
-        self._failed(trip)
+    def _fail(self, trip: Trip) -> None:
+        self._on_fault(trip)
         try:
-            self._feeder.zero()
-            stands = self._standing.is_awaited(self._counter, self._clock, self._velocity.update_s)
+            self._streamer.zero()
+            stands = self._standstill.wait(self._counter, self._clock)
         except DeviceError:
             stands = False
         if not stands:
-            self._cut()
-        self._rest()
+            self._cut_power()
+        self._come_to_rest()

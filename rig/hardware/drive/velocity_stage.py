@@ -1,6 +1,8 @@
 """The stage in velocity mode: the drive takes its speed as a voltage, and the position loop is closed here.
 
-Homing creeps onto a limit switch and off it again until the counter has seen the index pulse.
+The serial link carries no motion: it switches the drive on and off, requests its status, and sets its thrust limit,
+soft limits and silence timeout. Homing is done by the program, since a drive in velocity mode takes no position
+commands: it creeps onto a limit switch and off it again until the counter has seen the index pulse.
 """
 
 import threading
@@ -14,18 +16,16 @@ from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import AO_RANGE_V, PositionCounter, VoltageOutput
-from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.monitor import Watchdog
-from dragrig.rig.hardware.drive.position_mode import write_safeguards, write_travel
-from dragrig.rig.hardware.drive.stage_base import MonitoredStage, first_motion_s, refuse_late_start
-from dragrig.rig.hardware.drive.velocity_loop import AOStreamer, SpeedController, VelocityLoop
-from dragrig.rig.hardware.lines import ConditionalHeartbeat, DigitalLines
+from dragrig.rig.hardware.drive.stage_base import MonitoredStage, StageDevices, write_safeguards, write_travel
+from dragrig.rig.hardware.drive.velocity_loop import AOStreamer, SpeedController, VelocityLoop, first_motion_s
+from dragrig.rig.hardware.lines import DigitalLines
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, trapezoid
 
 _UNREFERENCED_MM = 10_000.0
-"""What the counter reads before the index pulse: no stage is so long."""
+"""Position of the counter before the index pulse: longer than any stage."""
 _HOMING_OVERTRAVEL_MM = 50.0
+"""How much longer than between the soft limits the way to a limit switch may be."""
 _HOMING_ACCELERATION_MM_S2 = 500.0
 _POLL_S = 0.005
 _ARRIVAL_COUNTS = 3
@@ -33,23 +33,22 @@ _ARRIVAL_TIMEOUT_S = 1.0
 
 
 class IndexSearch:
-    """Finds the index pulse by means of the velocity loop. Whoever calls it holds the stage's commands."""
+    """Homing by the velocity loop. The caller holds the stage's command lock."""
 
     def __init__(
-        self, loop: VelocityLoop, lines: DigitalLines, settings: RigSettings, coupling: MotionSamplingSync, clock: Clock
+        self, loop: VelocityLoop, lines: DigitalLines, settings: RigSettings, sync: MotionSamplingSync, clock: Clock
     ) -> None:
-        self._loop, self._lines, self._coupling, self._clock = loop, lines, coupling, clock
-        self._stage, self._drive = settings.stage, settings.hardware.drive
-        self._wired = settings.hardware.card
-        self._arrived_mm = _ARRIVAL_COUNTS * settings.encoder.resolution_um / 1000.0
+        self._loop, self._lines, self._sync, self._clock = loop, lines, sync, clock
+        self._stage, self._drive, self._card = settings.stage, settings.hardware.drive, settings.hardware.card
+        self._arrival_mm = _ARRIVAL_COUNTS * settings.encoder.resolution_um / 1000.0
 
-    def seek(self, mark: int) -> None:
+    def run(self, planned_at: int) -> None:
         """Find the index pulse, make it 0, and go to it or to the soft limit next to it.
 
         Parameters
         ----------
-        mark
-            What the loop's `stops` was when this was planned: a stop since then ends it at once.
+        planned_at
+            The loop's `stop_count` when this was planned: a stop requested since ends it at once.
 
         Raises
         ------
@@ -60,54 +59,63 @@ class IndexSearch:
         """
         side = TravelEnd(self._drive.homing_direction)
         self._refuse_unwired(side)
-        towards = -1.0 if side is TravelEnd.LOW else 1.0
+        direction = -1.0 if side is TravelEnd.LOW else 1.0
         if not self._is_pressed(side):
-            mark = self._creep(towards, lambda: self._is_pressed(side), f"the {side} limit switch", mark)
-        self._loop.recount(_UNREFERENCED_MM, index=True)
-        mark = self._creep(-towards, lambda: abs(self._loop.look()) < _UNREFERENCED_MM / 2, "the index pulse", mark)
-        position_mm = self._loop.look()
-        self._loop.recount(position_mm, index=False)
+            switch = f"the {side} limit switch"
+            planned_at = self._creep(direction, lambda: self._is_pressed(side), switch, planned_at)
+        self._loop.reset_counter(_UNREFERENCED_MM, index=True)
+        planned_at = self._creep(-direction, self._is_referenced, "the index pulse", planned_at)
+        position_mm = self._loop.position_mm()
+        self._loop.reset_counter(position_mm, index=False)
         target_mm = min(max(0.0, self._stage.lowest_mm), self._stage.highest_mm)
-        self._loop.follow(self._way(target_mm - position_mm), position_mm, mark)
-        while self._coupling.moving:
-            self._loop.look()
-            self._clock.sleep(_POLL_S, threading.Event())
-        # A drive with a little offset never quite gets there, and need not: the counter knows where it is.
+        self._loop.follow(self._travel(target_mm - position_mm), position_mm, planned_at)
+        self._poll_while(lambda: self._sync.moving)
+        # A drive with a small offset never quite gets there, and need not: the counter knows where it is.
         until_s = self._clock.monotonic() + _ARRIVAL_TIMEOUT_S
-        while abs(self._loop.look() - target_mm) > self._arrived_mm and self._clock.monotonic() < until_s:
-            self._clock.sleep(_POLL_S, threading.Event())
-        if self._loop.stops != mark:
+        self._poll_while(
+            lambda: abs(self._loop.position_mm() - target_mm) > self._arrival_mm and self._clock.monotonic() < until_s
+        )
+        if self._loop.stop_count != planned_at:
             raise DeviceError("homing was stopped: home again.")
 
-    def _creep(self, direction: float, found: Callable[[], bool], what: str, mark: int) -> int:
+    def _creep(self, direction: float, is_there: Callable[[], bool], target: str, planned_at: int) -> int:
+        """Move slowly until `is_there`, then brake; return the loop's new `stop_count`."""
         travel_mm = self._stage.highest_mm - self._stage.lowest_mm + _HOMING_OVERTRAVEL_MM
-        self._loop.follow(self._way(direction * travel_mm), self._loop.look(), mark, closed=False)
-        is_found = False
-        while self._coupling.moving:
-            if not is_found and found():
-                is_found = True
-                stopped = self._loop.brake()
-                if stopped != mark + 1:
+        self._loop.follow(self._travel(direction * travel_mm), self._loop.position_mm(), planned_at, closed=False)
+        reached = False
+        while self._sync.moving:
+            if not reached and is_there():
+                reached = True
+                stop_count = self._loop.brake()
+                if stop_count != planned_at + 1:
                     break
-                mark = stopped
-            self._loop.look()
+                planned_at = stop_count
+            self._loop.position_mm()
             self._clock.sleep(_POLL_S, threading.Event())
-        if not is_found or self._loop.stops != mark:
-            raise DeviceError(f"homing ended before {what} was found: see what stopped the stage, then home again.")
-        return mark
+        if not reached or self._loop.stop_count != planned_at:
+            raise DeviceError(f"homing ended before {target} was found: see what stopped the stage, then home again.")
+        return planned_at
 
-    def _way(self, travel_mm: float) -> MotionProfile:
+    def _poll_while(self, condition: Callable[[], bool]) -> None:
+        while condition():
+            self._loop.position_mm()
+            self._clock.sleep(_POLL_S, threading.Event())
+
+    def _travel(self, travel_mm: float) -> MotionProfile:
         acceleration = min(_HOMING_ACCELERATION_MM_S2, self._stage.max_accel_mm_s2)
         return MotionProfile.from_pieces(trapezoid(travel_mm, self._drive.homing_speed_mm_s, acceleration))
 
     def _is_pressed(self, side: TravelEnd) -> bool:
-        pressed = self._lines.pressed()
-        return pressed.limit_low if side is TravelEnd.LOW else pressed.limit_high
+        switches = self._lines.read_switches()
+        return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
+
+    def _is_referenced(self) -> bool:
+        return abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2
 
     def _refuse_unwired(self, side: TravelEnd) -> None:
-        lines = self._wired.lines
-        wired = lines.limit_low if side is TravelEnd.LOW else lines.limit_high
-        if not (wired and self._wired.encoder.z):
+        lines = self._card.lines
+        switch = lines.limit_low if side is TravelEnd.LOW else lines.limit_high
+        if not (switch and self._card.encoder.z):
             raise SettingsError(
                 f"homing in velocity mode needs the {side} limit switch and the index pulse: name them in "
                 f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
@@ -119,24 +127,17 @@ _MAX_HOLD_ERROR_MM = 0.02
 
 
 class VelocityModeStage(MonitoredStage):
-    """One axis in velocity mode. It watches drive and switches from its making until `close`.
+    """One axis in velocity mode. It monitors drive and switches from its construction until `close`.
 
-    It follows any profile within the stage's limits. The voltage begins with the card's own trigger of the first
-    sample, and a loop on the encoder's second counter holds the stage until it is switched off. The serial link carries
-    no motion: it switches the drive on and off, asks how it is, and sets its thrust limit, soft limits and silence.
-    Homing is the program's, since a drive in velocity mode takes no position commands: slowly onto the limit switch and
-    off it again until the counter has seen the index pulse, which becomes 0.
+    It follows any profile within the stage's limits. The voltage starts with the card's own trigger of the first
+    sample, and a loop on the encoder's second counter holds the stage until it is switched off.
 
     Parameters
     ----------
-    clock
-        The rig's time, in which motions are.
-    deadman
-        Fed by whoever reads the samples.
     connection
         The card whose output and counter are used.
     calibrations
-        The calibrations that hold now, by quantity; that of the encoder is used.
+        The calibrations in force, by quantity; the encoder's is used.
 
     Raises
     ------
@@ -144,52 +145,50 @@ class VelocityModeStage(MonitoredStage):
         When drive or card do not answer.
     """
 
-    def __init__(
-        self,
-        settings: RigSettings,
-        link: DriveLink,
-        lines: DigitalLines,
-        coupling: MotionSamplingSync,
-        clock: Clock,
-        deadman: Watchdog,
-        connection: Connection,
-        calibrations: Mapping[str, Calibration],
-    ) -> None:
+    def __init__(self, devices: StageDevices, connection: Connection, calibrations: Mapping[str, Calibration]) -> None:
+        settings = devices.settings
         velocity = settings.hardware.drive.velocity
-        heart = ConditionalHeartbeat(lines, self._is_well)
-        super().__init__(settings, link, heart, coupling, clock, deadman, settings.hardware.drive.silence_s)
-        fastest_mm_s = min(settings.stage.max_speed_mm_s, AO_RANGE_V * velocity.per_V)
-        self._limits = replace(self._limits, speed_mm_s=fastest_mm_s)
+        super().__init__(devices, settings.hardware.drive.silence_s)
+        max_speed_mm_s = min(settings.stage.max_speed_mm_s, AO_RANGE_V * velocity.per_V)
+        self._limits = replace(self._limits, speed_mm_s=max_speed_mm_s)
         self._homed = self._homing = False
-        self._counter = PositionCounter(connection, velocity.counter, Scaling.of(settings, calibrations).mm_per_count)
+        mm_per_count = Scaling.from_settings(settings, calibrations).mm_per_count
+        self._counter = PositionCounter(connection, velocity.counter, mm_per_count)
         self._output = VoltageOutput(
             connection, velocity.channel, velocity.rate_hz, velocity.ahead * velocity.update_samples
         )
-        follower = SpeedController(velocity, settings.stage)
-        feeder = AOStreamer(self._output, follower, velocity, clock)
+        controller = SpeedController(velocity, settings.stage)
         self._loop = VelocityLoop(
-            feeder, follower, self._counter, settings, coupling, clock, self._monitor.latch, self._cut, self._let_go
+            AOStreamer(self._output, controller, velocity, self._clock),
+            controller,
+            self._counter,
+            settings,
+            self._sync,
+            self._clock,
+            self._monitor.latch,
+            self._cut_power,
+            self._end_override,
         )
-        self._seeker = IndexSearch(self._loop, lines, settings, coupling, clock)
+        self._index_search = IndexSearch(self._loop, self._lines, settings, self._sync, self._clock)
         self._counter.begin(0.0)
         self._monitor.start()
 
     @property
     def start_uncertainty_s(self) -> float:
-        """One sample of the voltage where the card's trigger began the last motion; else what the clocks leave open."""
+        """One sample of the voltage where the card's trigger began the last motion; else that of the clocks."""
         return self._loop.start_uncertainty_s
 
     def state(self) -> StageState:
-        """Ask drive, switches and encoder now.
+        """Poll drive, switches and encoder now.
 
         Raises
         ------
         DeviceError
             When the card does not answer.
         """
-        fault = self._monitor.look()
-        position_mm = self._loop.look()
-        return StageState(position_mm, self._is_enabled, self._homed, self._coupling.moving, fault)
+        fault = self._monitor.poll()
+        position_mm = self._loop.position_mm()
+        return StageState(position_mm, self._is_enabled, self._homed, self._sync.moving, fault)
 
     def enable(self) -> None:
         """Switch the drive on at 0 V and hold the position.
@@ -197,16 +196,14 @@ class VelocityModeStage(MonitoredStage):
         Raises
         ------
         DeviceError
-            When something forbids motion: see to it, then `disable`; or when drive or card refuse or do not answer.
+            When something forbids motion: remove the cause, then `disable`; or when drive or card refuse or are silent.
         """
         with self._commands:
-            self._ready.refuse_fault()
+            self._refuse_fault()
             if self._is_enabled:
                 return
             self._output.zero()
-            self._power.on()
-            self._switched(on=True)
-            self._monitor.look()
+            self._power_on()
             self._loop.start()
 
     def home(self) -> None:
@@ -215,28 +212,28 @@ class VelocityModeStage(MonitoredStage):
         Raises
         ------
         DeviceError
-            When the drive is off, moving, has a fault, or stands before the pulse was found.
+            When the drive is off, moving, has a fault, or stops before the pulse was found.
         SettingsError
             When limit switch or index pulse are not wired.
         """
-        mark = self._loop.stops
+        planned_at = self._loop.stop_count
         with self._commands:
-            cause = LIMIT_SWITCH_CAUSES[TravelEnd(self._drive.homing_direction)]
-            self._refuse_unready(enabled=self._is_enabled, but=cause)
+            switch = LIMIT_SWITCH_CAUSES[TravelEnd(self._drive.homing_direction)]
+            self._refuse_not_ready(enabled=self._is_enabled, ignoring=switch)
             write_safeguards(self._link, self._settings)
             self._homed, self._homing = False, True
-            self._monitor.tolerate(cause)
+            self._monitor.tolerate(switch)
             try:
-                self._seeker.seek(mark)
+                self._index_search.run(planned_at)
             except DeviceError:
-                # What stopped the stage says more than that it stopped.
-                self._ready.refuse_fault(cause)
+                # The fault that stopped the stage explains more than that it stopped.
+                self._refuse_fault(switch)
                 raise
             finally:
                 self._homing = False
-                self._let_go()
+                self._end_override()
                 self._loop.brake()
-            self._ready.refuse_fault()
+            self._refuse_fault()
             self._homed = True
 
     def move(self, profile: MotionProfile) -> None:
@@ -247,38 +244,38 @@ class VelocityModeStage(MonitoredStage):
         DeviceError
             When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
             too long past; when the profile leaves the stage's limits or does not end at a standstill; and when the
-            drive does not keep a limit that was written to it.
+            drive does not hold a limit that was written to it.
         """
-        mark = self._loop.stops
+        planned_at = self._loop.stop_count
         with self._commands:
-            self._loop.look()
-            self._refuse_unready(enabled=self._is_enabled)
+            self._loop.position_mm()
+            self._refuse_not_ready(enabled=self._is_enabled)
             if not self._homed:
-                raise DeviceError("the stage does not know where it is: home it before it moves.")
+                raise DeviceError("the stage does not know its position: home it before it moves.")
             if profile.duration_s <= 0:
                 return
             origin_mm = self._origin_mm()
-            limits = self._allowed(profile, origin_mm)
+            limits = self._checked_limits(profile, origin_mm)
             write_safeguards(self._link, self._settings)
-            write_travel(self._link, self._as_the_drive_counts(limits, origin_mm))
-            refuse_late_start(first_motion_s(profile), self._coupling, self._clock)
-            self._deadman.feed()
-            self._loop.follow(profile, origin_mm, mark)
+            write_travel(self._link, self._in_drive_positions(limits, origin_mm))
+            self._refuse_late_start(first_motion_s(profile))
+            self._watchdog.feed()
+            self._loop.follow(profile, origin_mm, planned_at)
 
     def stop(self) -> None:
-        """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread.
+        """Brake to a standstill now; an acquisition in progress ends there. Safe at any time, from any thread.
 
         Returns at once; the voltage goes down as soon as what is written is put out.
         """
-        self._coupling.set_stopped()
+        self._sync.set_stop_requested()
         self._loop.brake()
 
     def _come_to_rest(self) -> None:
-        self._ready.await_standstill(_STANDSTILL_TIMEOUT_S)
+        self._await_standstill(_STANDSTILL_TIMEOUT_S)
         self._loop.end()
 
     def close(self) -> None:
-        """Stop, and let go of drive and card. Twice is once."""
+        """Stop, and disconnect from drive and card. Safe to call twice."""
         self._loop.brake()
         self._loop.end()
         self._monitor.close()
@@ -287,31 +284,32 @@ class VelocityModeStage(MonitoredStage):
 
     @property
     def _is_enabled(self) -> bool:
-        return self._axis.status.enabled and self._loop.running
+        return self._tracker.status.enabled and self._loop.running
 
     def _origin_mm(self) -> float:
-        # Where it is held, not where it is found: what the loop leaves open must not add up, nor count as a limit.
-        held_mm = self._loop.held_mm()
-        inside_mm = min(max(held_mm, self._limits.lowest_mm), self._limits.highest_mm)
-        return inside_mm if abs(inside_mm - held_mm) <= _MAX_HOLD_ERROR_MM else held_mm
+        # The commanded position, not the measured one: the loop's residual error must not add up, nor count as a limit.
+        hold_mm = self._loop.hold_position_mm()
+        inside_mm = min(max(hold_mm, self._limits.lowest_mm), self._limits.highest_mm)
+        return inside_mm if abs(inside_mm - hold_mm) <= _MAX_HOLD_ERROR_MM else hold_mm
 
-    def _as_the_drive_counts(self, limits: StageLimits, origin_mm: float) -> StageLimits:
+    def _in_drive_positions(self, limits: StageLimits, origin_mm: float) -> StageLimits:
         # The drive was not homed, so that its positions have another zero.
-        shift_mm = self._axis.position_mm() - origin_mm
+        shift_mm = self._tracker.position_mm() - origin_mm
         return replace(limits, lowest_mm=limits.lowest_mm + shift_mm, highest_mm=limits.highest_mm + shift_mm)
 
-    def _is_well(self) -> bool:
+    def _may_beat(self) -> bool:
+        # The heartbeat relay takes the drive's power when the program is not well.
         fault = self._monitor.fault
         return fault is None or fault.cause is not TripCause.WATCHDOG
 
-    def _cut(self) -> None:
+    def _cut_power(self) -> None:
         try:
-            self._power.off()
+            self._power_off()
         except DeviceError:
-            # Neither drive nor card answer: the heartbeat, which stands still with the card, takes the power.
+            # Neither drive nor card answer: the heartbeat, which stops with the card, takes the power.
             return
 
-    def _let_go(self) -> None:
-        # Homing goes on from the switch that it is tolerated to be on.
+    def _end_override(self) -> None:
+        # Homing starts from the switch that is tolerated meanwhile.
         if not self._homing:
-            super()._let_go()
+            super()._end_override()

@@ -46,7 +46,7 @@ _M_SERIES_CATEGORY, _PCI_BUS = 14643, 12582
 
 def driver_attributes(engine: TaskEngine) -> dict[int, AttributeValue]:
     """Return the driver's version and what it knows."""
-    trouble = engine.bench.mishaps.now
+    trouble = engine.bench.faults.active
     missing = trouble.card_absent or trouble.card_gone or trouble.card_unplugged
     return {
         **dict(

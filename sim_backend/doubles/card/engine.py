@@ -88,8 +88,8 @@ class TaskEngine:
         self.hear = listener
         self._handles = 0
         self._holders: dict[str, CardTask] = {}
-        self._lost = bench.mishaps.now.overwritten_samples
-        bench.mishaps.listen(self._struck)
+        self._lost = bench.faults.active.overwritten_samples
+        bench.faults.subscribe(self._struck)
 
     @property
     def now_s(self) -> float:
@@ -129,7 +129,7 @@ class TaskEngine:
 
     def touch(self, trouble: ActiveFaults | None = None) -> None:
         """Raise what keeps the card from answering."""
-        trouble = trouble or self.bench.mishaps.now
+        trouble = trouble or self.bench.faults.active
         where = f"\n\nDevice: {self.wiring.device}"
         if trouble.card_gone:
             raise CardError(StatusCode.DEVICE_GONE, f"The specified device is not present or is not active.{where}")
@@ -143,7 +143,7 @@ class TaskEngine:
     def find(self) -> None:
         """Raise when the driver knows no such device."""
         self.touch()
-        if self.bench.mishaps.now.card_absent:
+        if self.bench.faults.active.card_absent:
             raise CardError(
                 StatusCode.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {self.wiring.device}"
             )
@@ -163,7 +163,7 @@ class TaskEngine:
         self.verify(task)
         for resource in _required_resources(task):
             holder = self._holders.get(resource, task)
-            if holder is not task or self.bench.mishaps.now.card_reserved:
+            if holder is not task or self.bench.faults.active.card_reserved:
                 line = task.kind is ChannelKind.DIGITAL_OUTPUT
                 raise CardError(
                     StatusCode.LINES_RESERVED if line else StatusCode.RESOURCE_RESERVED,
@@ -271,12 +271,12 @@ class TaskEngine:
         limit = None if task.timing is None else task.timing.limit
         pace = self.bench.clock.pace
         stream = InputBuffer(source, task.buffer_size, limit, pace, self.changed, self.still_runs(task))
-        stream.stall(self.bench.mishaps.now.card_stalled)
+        stream.stall(self.bench.faults.active.card_stalled)
         return stream
 
     def _struck(self) -> None:
         with self.changed:
-            trouble = self.bench.mishaps.now
+            trouble = self.bench.faults.active
             lost, self._lost = trouble.overwritten_samples - self._lost, trouble.overwritten_samples
             for task in self.tasks.values():
                 if task.stream is not None:

@@ -45,7 +45,7 @@ class Bench(Protocol):
         ...
 
     @property
-    def mishaps(self) -> FaultInjector:
+    def faults(self) -> FaultInjector:
         """What goes wrong."""
         ...
 
@@ -438,7 +438,7 @@ class EncoderCounter:
 
     def now(self) -> float:
         """Return the present position."""
-        count = self._last if self._bench.mishaps.now.encoder_stuck else count_now(self._bench)
+        count = self._last if self._bench.faults.active.encoder_stuck else count_now(self._bench)
         self._pass_over(count)
         return float(self._scaled(np.array([count]), 0 if self._indexed else 1)[0])
 

@@ -92,7 +92,7 @@ class ReadCalls:
         wanted = self._all(task, stream, out.size // channels) if samples == _ALL_AVAILABLE else samples
         if wanted * channels > out.size:
             raise _too_small(out.size)
-        span = stream.wait(wanted, timeout_s, task.position, self._engine.bench.mishaps.now.short_reads)
+        span = stream.wait(wanted, timeout_s, task.position, self._engine.bench.faults.active.short_reads)
         if span.end > span.first:
             _fill_array(stream.source.fetch(span.first, span.end), fill, out)
         if started and stream.done and stream.position >= stream.total():
