@@ -16,7 +16,15 @@ from tempfile import mkdtemp
 import numpy as np
 
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, BlindCampaign, draw_campaign, true_answer, write_campaign
+from dragrig.sim_backend.blind import (
+    CATALOGUE,
+    OUTSIDE,
+    BlindCampaign,
+    draw_campaign,
+    effect_group,
+    true_answer,
+    write_campaign,
+)
 
 EXAM_MIX, LEARNING_MIX = "exam", "learning"
 EXAM_SHARES = {
@@ -115,14 +123,10 @@ def _draw_effects(
         return (next(foreign),), (1.0,)
     if kind == "pair":
         first, second = next(singles), next(singles)
-        while _effect_place(first) == _effect_place(second):
+        while effect_group(first) == effect_group(second):
             second = next(singles)
         return (first, second), (1.0, 1.0 if random.random() < 0.5 else 1 / 3)
     return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind, 1.0),)
-
-
-def _effect_place(name: str) -> str:
-    return CATALOGUE[name][0].__module__
 
 
 UNFINISHED_SUFFIX = ".begun"

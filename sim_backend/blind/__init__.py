@@ -11,7 +11,7 @@ from dragrig.sim_backend.blind.blind_campaign import (
     without_effects,
 )
 from dragrig.sim_backend.blind.campaign_files import write_campaign
-from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
+from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE, effect_group
 from dragrig.sim_backend.blind.plant import EffectSignature, effect_signatures
 from dragrig.sim_backend.blind.programme import RunList
 
@@ -22,6 +22,7 @@ __all__ = [
     "EffectSignature",
     "RunList",
     "draw_campaign",
+    "effect_group",
     "effect_signatures",
     "parallel_session",
     "true_answer",
