@@ -25,39 +25,165 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
+TaskT = TypeVar("TaskT")
+MAX_ATTEMPTS = 3
+"""A task is given up once it has taken this many processes with it."""
+MAX_SUBMITTED = 64
+"""Tasks submitted at a time; a cluster holds the arguments of every task that is submitted."""
+CLUSTER_TIMEOUT_S = 10
+
+
+def map_tasks(
+    function: Callable[[TaskT], R],
+    tasks: Sequence[TaskT],
+    workers: int | None,
+    scheduler: str | None,
+    progress: Progress,
+) -> tuple[R, ...]:
+    """Apply a function to tasks on an executor of their own; return the results in the order of the tasks."""
+    with open_executor(workers, scheduler, tasks=len(tasks)) as executor:
+        return tuple(parallel_map_with_progress(executor, function, tasks, progress))
+
+
+def parallel_map_with_progress(
+    executor: Executor, function: Callable[[TaskT], R], tasks: Sequence[TaskT], progress: Progress
+) -> list[R]:
+    """Do the same as `parallel_map`, and report how many tasks of how many are done."""
+    done = count(1)
+    progress(0, len(tasks))
+    return parallel_map(executor, function, tasks, lambda _task, _result: progress(next(done), len(tasks)))
+
+
+def parallel_map(
+    executor: Executor,
+    function: Callable[[TaskT], R],
+    tasks: Iterable[TaskT],
+    finished: Callable[[TaskT, R], None] | None = None,
+) -> list[R]:
+    """Apply a function to tasks in parallel; return the results in the order of the tasks.
+
+    Every task runs with a single BLAS thread, so that results are identical bit for bit for any number of workers.
+
+    Parameters
+    ----------
+    finished
+        Called in this process with each task and its result as soon as it is there, in order of completion.
+
+    Raises
+    ------
+    WorkerError
+        When a task ends several processes.
+    Exception
+        What the first failing task raises; tasks not yet started are dropped.
+    """
+    waiting = deque(enumerate(tasks))
+    running: dict[Future[R], tuple[int, TaskT]] = {}
+    results: dict[int, R] = {}
+    while waiting or running:
+        while waiting and len(running) < MAX_SUBMITTED:
+            number, task = waiting.popleft()
+            running[executor.submit(_call_single_threaded, function, task)] = number, task
+            if any(future.done() for future in running):
+                break
+        # No future is kept: a cluster repeats what its workers lose for as long as a future refers to it.
+        done = wait(running, return_when=FIRST_COMPLETED).done
+        for future in sorted(done, key=lambda future: running[future][0]):
+            number, task = running.pop(future)
+            results[number] = future.result()
+            if finished is not None:
+                finished(task, results[number])
+    return [results[number] for number in range(len(results))]
+
+
+def _call_single_threaded(function: Callable[[TaskT], R], task: TaskT) -> R:
+    from dragrig.analysis.computation import single_blas_thread
+
+    with single_blas_thread():
+        return function(task)
+
+
+@contextmanager
+def open_executor(
+    workers: int | None = None, scheduler: str | None = None, *, tasks: int | None = None, own_process: bool = False
+) -> Iterator[Executor]:
+    """Yield an executor; when the block ends with an error, tasks not yet started are dropped.
+
+    Parameters
+    ----------
+    workers
+        Processes on this machine (default: as many as there are cores). A single worker is this process.
+    scheduler
+        Address of a Dask cluster's scheduler to use in their place.
+    tasks
+        Number of tasks; more processes are not started.
+    own_process
+        Whether even a single worker is a separate process.
+
+    Raises
+    ------
+    SettingsError
+        When both are named, `workers` is below 1, or the cluster cannot be used.
+    """
+    processes = worker_count(workers, scheduler)
+    if scheduler is not None:
+        with dask_executor(scheduler) as cluster:
+            yield cluster
+        return
+    processes = processes if tasks is None else max(min(processes, tasks), 1)
+    local: Executor = ProcessExecutor(processes) if processes > 1 or own_process else SerialExecutor()
+    try:
+        yield local
+    except BaseException:
+        local.shutdown(wait=True, cancel_futures=True)
+        raise
+    local.shutdown(wait=True)
+
+
+def worker_count(workers: int | None, scheduler: str | None) -> int:
+    """Return the number of processes; raises `SettingsError` below 1, or where a cluster is named too."""
+    if workers is not None and scheduler is not None:
+        raise SettingsError("--workers and --scheduler: are for processes here and for a cluster elsewhere; give one.")
+    if workers is None:
+        return available_cores()
+    if workers < 1:
+        raise SettingsError(f"--workers {workers}: at least one worker is needed.")
+    return workers
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class SerialExecutor(Executor):
-    """An executor that does each piece when it is handed in."""
+    """Runs each task in this process when it is submitted."""
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Do a piece; return it done."""
+        """Run a task; return its completed future."""
         future: Future[R] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except Exception as error:  # noqa: BLE001  # a future carries whatever its piece raised
+        except Exception as error:  # noqa: BLE001  # a future carries whatever its task raised
             future.set_exception(error)
         return future
-
-
-MAX_ATTEMPTS = 3
-"""So many processes a piece may take with it before it is given up."""
 
 
 @dataclass(slots=True, eq=False)
 class _Task:
     future: Future[Any]
     call: Callable[[], object]
-    lives: int = MAX_ATTEMPTS
-    begun: bool = False
+    attempts_left: int = MAX_ATTEMPTS
+    started: bool = False
 
 
 class ProcessExecutor(Executor):
-    """An executor of processes, each with a pool of its own.
+    """Worker processes, any of which may be killed without a task being lost or done twice.
 
     A pool whose process dies is broken for good, with all that it holds. Each process here has its own pool, which
-    holds one piece at a time, so that a death costs one attempt at one piece: it is begun again in a fresh process.
-    Processes are started when there is work for them, by `spawn` on every system.
+    holds one task at a time, so that a death costs one attempt at one task, which is then started again in a fresh
+    process. Processes start when there is work for them, by `spawn` on every system.
     """
 
     def __init__(self, workers: int) -> None:
@@ -70,90 +196,77 @@ class ProcessExecutor(Executor):
         self._abandoned = False
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Hand in a piece, which must pickle.
-
-        The future raises `WorkerError` where the piece takes three processes with it.
-        """
+        """Submit a task, which must pickle; its future raises `WorkerError` after three dead processes."""
         future: Future[R] = Future()
         with self._changed:
             if self._closed:
                 raise RuntimeError("cannot schedule new futures after shutdown")
             self._waiting.append(_Task(future, partial(fn, *args, **kwargs)))
-        self._deal()
+        self._start_waiting()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for the work that was handed in, `wait` or not, and end the processes.
-
-        What has not begun may be cancelled in place of being waited for.
-        """
+        """Wait for submitted tasks, whatever `wait` is, and end the processes; tasks not started may be cancelled."""
         del wait
         with self._changed:
             self._closed = True
             dropped = []
             if cancel_futures:
                 self._abandoned = True
-                dropped = [one for one in self._waiting if not one.begun]
+                dropped = [task for task in self._waiting if not task.started]
                 self._waiting.clear()
-        for one in dropped:
-            one.future.cancel()
+        for task in dropped:
+            task.future.cancel()
         with self._changed:
             self._changed.wait_for(lambda: len(self._idle) == self._workers and not self._waiting)
-        for lane in (*self._idle, *self._dead):
-            lane.shutdown()
+        for worker in (*self._idle, *self._dead):
+            worker.shutdown()
 
-    def _deal(self) -> None:
-        """Give waiting pieces to idle processes."""
+    def _start_waiting(self) -> None:
+        """Hand waiting tasks to idle processes."""
         with self._changed:
             while self._idle and self._waiting:
-                piece = self._waiting.popleft()
-                if not piece.begun and not piece.future.set_running_or_notify_cancel():
+                task = self._waiting.popleft()
+                if not task.started and not task.future.set_running_or_notify_cancel():
                     continue
-                piece.begun = True
-                lane = self._idle.pop()
+                task.started = True
+                worker = self._idle.pop()
                 try:
-                    inner = lane.submit(piece.call)
-                except BrokenProcessPool:  # its process died while it had nothing to do
-                    self._dead.append(lane)
-                    lane = _new_worker()
-                    inner = lane.submit(piece.call)
-                inner.add_done_callback(partial(self._ended, piece, lane))
+                    inner = worker.submit(task.call)
+                except BrokenProcessPool:  # its process died while it was idle
+                    self._dead.append(worker)
+                    worker = _new_worker()
+                    inner = worker.submit(task.call)
+                inner.add_done_callback(partial(self._ended, task, worker))
 
-    def _ended(self, piece: _Task, lane: ProcessPoolExecutor, inner: Future[object]) -> None:
+    def _ended(self, task: _Task, worker: ProcessPoolExecutor, inner: Future[object]) -> None:
         error = inner.exception()
         died = isinstance(error, BrokenProcessPool)
         with self._changed:
             if died:
-                # From Python 3.12 on a broken pool calls this with its lock held: shutting it down here, or letting go
-                # of it, would wait for that lock for ever.
-                self._dead.append(lane)
-                lane = _new_worker()
-                piece.lives -= 1
-            again = died and piece.lives > 0 and not self._abandoned
-            if again:
-                self._waiting.appendleft(piece)
-        if not again:
-            _set_outcome(piece, inner, error, died=died)
-        with self._changed:
-            self._idle.append(lane)
-        self._deal()
-        with self._changed:
-            self._changed.notify_all()
-
-
-def _set_outcome(piece: _Task, inner: Future[object], error: BaseException | None, *, died: bool) -> None:
-    if died:
-        piece.future.set_exception(
-            WorkerError(
-                f"a process ended {MAX_ATTEMPTS - piece.lives} times while it worked on the same piece: see that there "
-                "is memory for it, take fewer workers, and in a script of your own call this below "
+                # From Python 3.12 on a broken pool calls this with its lock held: shutting it down here, or dropping
+                # the last reference to it, would wait for that lock for ever.
+                self._dead.append(worker)
+                worker = _new_worker()
+                task.attempts_left -= 1
+            retry = died and task.attempts_left > 0 and not self._abandoned
+            if retry:
+                self._waiting.appendleft(task)
+        if died and not retry:
+            error = WorkerError(
+                f"a process ended {MAX_ATTEMPTS - task.attempts_left} times while it worked on the same task: check "
+                "that there is memory for it, take fewer workers, and in a script of your own call this below "
                 "`if __name__ == '__main__':`."
             )
-        )
-    elif error is not None:
-        piece.future.set_exception(error)
-    else:
-        piece.future.set_result(inner.result())
+        if error is None:
+            task.future.set_result(inner.result())
+        elif not retry:
+            task.future.set_exception(error)
+        with self._changed:
+            self._idle.append(worker)
+        self._start_waiting()
+        with self._changed:
+            self._changed.notify_all()
 
 
 def _new_worker() -> ProcessPoolExecutor:
@@ -161,7 +274,7 @@ def _new_worker() -> ProcessPoolExecutor:
 
 
 def _init_worker() -> None:
-    """Let a process end at once when it is interrupted, or when whoever started it is no more."""
+    """Let the process end at once when it is interrupted, or when its parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     threading.Thread(target=_exit_with_parent, daemon=True).start()
 
@@ -173,21 +286,18 @@ def _exit_with_parent() -> None:
         _exit(1)
 
 
-CLUSTER_TIMEOUT_S = 10
-
-
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
     """Yield the executor of the cluster whose scheduler is at an address, such as `tcp://127.0.0.1:8786`.
 
-    The scheduler gives the pieces of a worker that dies to others.
+    The scheduler hands the tasks of a worker that dies to other workers.
 
     Raises
     ------
     SettingsError
-        When Dask is not installed, nobody answers there, or its workers have no dragrig of this version.
+        When Dask is not installed, no scheduler answers, or its workers have no dragrig of this version.
     WorkerError
-        When a piece takes several workers with it, or the cluster goes away.
+        When a task ends several workers, or the cluster goes away.
     """
     try:
         from distributed import Client, KilledWorker
@@ -210,12 +320,12 @@ def dask_executor(address: str) -> Iterator[Executor]:
         except KilledWorker as error:
             raise WorkerError(
                 f"--scheduler {address}: {error.allowed_failures + 1} workers ended while they worked on the same "
-                "piece; see that there is memory for it."
+                "task; check that there is memory for it."
             ) from error
         except CancelledError as error:
             raise WorkerError(
-                f"--scheduler {address}: the cluster went away; what is done is kept, so give the command again "
-                "once it is back."
+                f"--scheduler {address}: the cluster went away; what is done is saved, so repeat the command once it "
+                "is back."
             ) from error
 
 
@@ -231,136 +341,10 @@ def _require_same_version(client: "Client", address: str) -> None:
         raise SettingsError(
             f"--scheduler {address}: it has no workers; start some with `dask worker {address} --nthreads 1`."
         ) from error
-    here, versions = dragrig_version(), client.run(dragrig_version, on_error="return")
-    other = {where: one for where, one in versions.items() if one != here}
-    if other:
-        where, one = next(iter(other.items()))
-        told = f"has dragrig {one}" if isinstance(one, str) else f"cannot load dragrig ({one})"
-        raise SettingsError(
-            f"--scheduler {address}: the worker at {where} {told}, and here is {here}; install the same there."
-        )
-
-
-def available_cores() -> int:
-    """Return how many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@contextmanager
-def open_executor(
-    workers: int | None = None, scheduler: str | None = None, *, most: int | None = None, apart: bool = False
-) -> Iterator[Executor]:
-    """Yield what pieces of work are handed to; when it is left by an error, what has not begun is dropped.
-
-    Parameters
-    ----------
-    workers
-        Processes of this machine; as many as there are cores unless given. One is this process.
-    scheduler
-        Address of a Dask cluster's scheduler, which does the work in their place.
-    most
-        So many pieces there are; more processes would have nothing to do.
-    apart
-        Whether even one worker is to be a process of its own.
-
-    Raises
-    ------
-    SettingsError
-        When both are given, there is to be less than one worker, or the cluster cannot be used.
-    """
-    processes = worker_count(workers, scheduler)
-    if scheduler is not None:
-        with dask_executor(scheduler) as found:
-            yield found
-        return
-    processes = processes if most is None else max(min(processes, most), 1)
-    here: Executor = ProcessExecutor(processes) if processes > 1 or apart else SerialExecutor()
-    try:
-        yield here
-    except BaseException:
-        here.shutdown(wait=True, cancel_futures=True)
-        raise
-    here.shutdown(wait=True)
-
-
-def worker_count(workers: int | None, scheduler: str | None) -> int:
-    """Return how many processes are meant; raises `SettingsError` for none, or for a cluster beside them."""
-    if workers is not None and scheduler is not None:
-        raise SettingsError("--workers and --scheduler: are for processes here and for a cluster elsewhere; give one.")
-    if workers is None:
-        return available_cores()
-    if workers < 1:
-        raise SettingsError(f"--workers {workers}: it takes one worker at least.")
-    return workers
-
-
-TaskT = TypeVar("TaskT")
-MAX_SUBMITTED = 64
-"""So many pieces are handed in at a time; the others wait here, where they cost nothing."""
-
-
-def parallel_map(
-    executor: Executor,
-    function: Callable[[TaskT], R],
-    pieces: Iterable[TaskT],
-    finished: Callable[[TaskT, R], None] | None = None,
-) -> list[R]:
-    """Do pieces of work side by side; return their results in the order of the pieces.
-
-    Linear algebra has one thread in every piece, so that results are the same bit for bit however many workers there
-    are and wherever they are.
-
-    Parameters
-    ----------
-    finished
-        Called here with each piece and its result as soon as it is there, in whatever order they end.
-
-    Raises
-    ------
-    WorkerError
-        When a piece takes several processes with it.
-    Exception
-        Whatever the first piece that fails raises; pieces that have not begun are left.
-    """
-    waiting = deque(enumerate(pieces))
-    running: dict[Future[R], tuple[int, TaskT]] = {}
-    results: dict[int, R] = {}
-    while waiting or running:
-        while waiting and len(running) < MAX_SUBMITTED:
-            number, piece = waiting.popleft()
-            running[executor.submit(call_single_threaded, function, piece)] = number, piece
-            if any(one.done() for one in running):
-                break
-        for number, piece, result in _wait_for_any(running):
-            results[number] = result
-            if finished is not None:
-                finished(piece, result)
-    return [results[number] for number in range(len(results))]
-
-
-def parallel_map_with_progress(
-    executor: Executor, function: Callable[[TaskT], R], pieces: Sequence[TaskT], progress: Progress
-) -> list[R]:
-    """Do the same, and tell how many pieces are done of how many."""
-    done = count(1)
-    progress(0, len(pieces))
-    return parallel_map(executor, function, pieces, lambda _piece, _result: progress(next(done), len(pieces)))
-
-
-def _wait_for_any(running: dict[Future[R], tuple[int, TaskT]]) -> list[tuple[int, TaskT, R]]:
-    """Wait for some to end and take them out.
-
-    No future is kept: a cluster does again what its workers lose as long as anybody holds on to it.
-    """
-    done = wait(running, return_when=FIRST_COMPLETED).done
-    return [(*running.pop(one), one.result()) for one in sorted(done, key=lambda one: running[one][0])]
-
-
-def call_single_threaded(function: Callable[[TaskT], R], piece: TaskT) -> R:
-    """Do a piece with one thread for linear algebra."""
-    from dragrig.analysis.computation import single_blas_thread
-
-    with single_blas_thread():
-        return function(piece)
+    local, versions = dragrig_version(), client.run(dragrig_version, on_error="return")
+    for worker, version in versions.items():
+        if version != local:
+            problem = f"has dragrig {version}" if isinstance(version, str) else f"cannot load dragrig ({version})"
+            raise SettingsError(
+                f"--scheduler {address}: the worker at {worker} {problem}, and here is {local}; install the same there."
+            )

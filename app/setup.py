@@ -268,6 +268,11 @@ def load_settings(
     return parse(model, data, source), settings_folder(source)
 
 
+def friction_model(given: str | Path | FrictionModelSettings) -> FrictionModelSettings:
+    """Return a friction model by name or file, or the model itself; raises `SettingsError`."""
+    return load_settings(FrictionModelSettings, "model", given)[0]
+
+
 def choose_settings(
     model: type[SettingsT], kind: str, given: str | Path | SettingsT | None, before: SettingsT | None
 ) -> SettingsT:

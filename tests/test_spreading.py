@@ -65,7 +65,7 @@ def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: 
 
 
 def test_a_process_killed_while_it_waits_is_replaced() -> None:
-    with open_executor(1, apart=True) as one:
+    with open_executor(1, own_process=True) as one:
         [(pid, _)] = parallel_map(one, loaded, ["dragrig"])
         assert pid != os.getpid()
         os.kill(pid, signal.SIGKILL)
@@ -86,13 +86,13 @@ def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypat
             where.append(threading.current_thread())
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", Noted)
-    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, apart=True) as one:
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as one:
         parallel_map(one, deadly, [1])
     assert set(where) == {threading.main_thread()}
 
 
 def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
-    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, apart=True) as one:
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as one:
         parallel_map(one, deadly, [1])
 
 
@@ -112,7 +112,7 @@ def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
 
 
 def test_workers_are_the_cores_unless_told() -> None:
-    with open_executor(most=1) as one:
+    with open_executor(tasks=1) as one:
         assert isinstance(one, SerialExecutor)
     assert available_cores() >= 1
     with pytest.raises(SettingsError, match="one worker at least"), open_executor(0):

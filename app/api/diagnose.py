@@ -14,10 +14,11 @@ from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import DragrigError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import absolute_if_file, find_settings, suggestion, to_toml
-from dragrig.parallel import open_executor, parallel_map, parallel_map_with_progress
+from dragrig.config.settings import absolute_if_file, suggestion, to_toml
+from dragrig.parallel import map_tasks, open_executor, parallel_map
 from dragrig.present.files import write_text
 from dragrig.rig.runfile.model import Run
+from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap.diagnose import DiagnosisOptions
@@ -35,7 +36,72 @@ class DiagnosedCampaign:
     @property
     def run_ids(self) -> Mapping[str, str]:
         """Ids of the runs by the names of their files."""
-        return {one.file: one.run.info.header.run_id for one in self.selection.experiments}
+        return {experiment.file: experiment.run.info.header.run_id for experiment in self.selection.experiments}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnosedFolder:
+    """The diagnosis of one of many campaigns.
+
+    Attributes
+    ----------
+    source
+        Its folder.
+    result
+        None where the campaign could not be diagnosed.
+    run_ids
+        Ids of its runs by the names of their files.
+    why_not
+        Why there is no diagnosis, a sentence; empty where there is one.
+    """
+
+    source: str
+    result: Diagnosis | None
+    run_ids: Mapping[str, str]
+    why_not: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisRequest:
+    """What a campaign is diagnosed against; the arguments of `dragrig.diagnose`."""
+
+    nominal: str | Path | NominalModel = "capsule"
+    without: tuple[str, ...] = ()
+    tolerance_mN: float | None = None
+    specimen: str | None = None
+    calibration: str | Path | None = None
+
+    def diagnose(self, campaign: str | Path | Iterable[Run], progress: Progress = no_progress) -> DiagnosedCampaign:
+        """Diagnose one campaign; raises as `dragrig.diagnose`."""
+        from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
+
+        options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
+        named = isinstance(campaign, str | Path)
+        selection = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, self.specimen)
+        result = diagnose_selection(selection, model, options, progress)
+        return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
+
+    def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
+        """Diagnose one campaign on a Dask cluster; raises `SettingsError` and `WorkerError` too."""
+        with open_executor(scheduler=scheduler) as executor:
+            return parallel_map(executor, self.with_absolute_paths().diagnose, [campaign.absolute()])[0]
+
+    def diagnose_folder(self, campaign: tuple[str, Path]) -> DiagnosedFolder:
+        """Diagnose one of many campaigns, its name and its folder; an error becomes part of the result."""
+        name, folder = campaign
+        try:
+            diagnosed = self.diagnose(folder)
+        except DragrigError as error:
+            return DiagnosedFolder(name, None, {}, str(error).replace(str(folder), name))
+        return DiagnosedFolder(name, diagnosed.result, dict(diagnosed.run_ids))
+
+    def with_absolute_paths(self) -> Self:
+        """Return the same for processes with other working folders."""
+        nominal = absolute_if_file(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
+        return replace(
+            self, nominal=nominal, calibration=None if self.calibration is None else Path(self.calibration).absolute()
+        )
 
 
 def diagnose(
@@ -48,74 +114,96 @@ def diagnose(
     calibration: str | Path | None = None,
     progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Say where a campaign differs from the nominal model, which effect that is, and how far it closes the gap.
+    """Diagnose where a campaign differs from the nominal model, what causes it, and how far that closes the gap.
 
     Parameters
     ----------
     campaign
-        A campaign's folder, or runs in memory. It need not be complete: `cannot_answer` says what these runs leave
+        A campaign's folder, or runs in memory. It need not be complete: `cannot_answer` lists what these runs leave
         open.
     nominal
-        What is expected: `capsule` (the friction model), `drive` (the stage alone), a friction model as TOML, a Python
-        file with a model of one's own, or a model.
+        The expected behaviour: `capsule` (the friction model), `drive` (the stage alone), a friction model as TOML, a
+        Python file with a model of your own, or a model.
     without
-        Effects of the catalogue that are not to be considered.
+        Effects of the catalogue to leave out.
     tolerance_mN
-        Root mean square below which a gap does not matter; the engine's own unless given.
+        Root mean square below which a gap does not matter (default: that of `DiagnosisOptions`).
     specimen
-        Name or id, where the campaign holds several; the one with the most runs unless given.
+        Name or id, where the campaign holds several (default: the one with the most runs).
     calibration
-        What `dragrig gap calibrate --save` wrote; the shipped calibration unless given.
+        File written by `dragrig gap calibrate --save` (default: the shipped calibration).
 
     Raises
     ------
     AnalysisError
-        When there is no usable run, or the model says nothing of these runs.
+        When there is no usable run, or the model predicts nothing for these runs.
     RunFileError, SettingsError
-        When folder or model cannot be read, or an option is none.
+        When folder or model cannot be read, or an option is not valid.
 
     Examples
     --------
     >>> import dragrig
-    >>> found = dragrig.diagnose("runs/first")  # doctest: +SKIP
-    >>> found.verdict, found.effects, found.ranking[0].probability  # doctest: +SKIP
-    >>> dragrig.simulate("drag", model=found.model)  # doctest: +SKIP
+    >>> diagnosis = dragrig.diagnose("runs/first")  # doctest: +SKIP
+    >>> diagnosis.verdict, diagnosis.effects, diagnosis.ranking[0].probability  # doctest: +SKIP
+    >>> dragrig.simulate("drag", model=diagnosis.model)  # doctest: +SKIP
     """
-    return diagnose_campaign(
-        campaign,
-        nominal=nominal,
-        without=without,
-        tolerance_mN=tolerance_mN,
-        specimen=specimen,
-        calibration=calibration,
-        progress=progress,
-    ).result
+    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration)
+    return request.diagnose(campaign, progress).result
 
 
-def diagnose_campaign(
-    campaign: str | Path | Iterable[Run],
+def diagnose_many(
+    campaigns: Sequence[str | Path],
     *,
-    nominal: str | Path | NominalModel = "capsule",
+    nominal: str | Path = "capsule",
     without: Sequence[str] = (),
     tolerance_mN: float | None = None,
     specimen: str | None = None,
     calibration: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress = no_progress,
-) -> DiagnosedCampaign:
-    """Do the same, and keep the runs that the diagnosis was made of."""
-    from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
+) -> tuple[DiagnosedFolder, ...]:
+    """Diagnose campaigns in parallel, each as `dragrig.diagnose` does; one that fails does not stop the others.
 
-    options = diagnosis_options(without, tolerance_mN, calibration)
-    model = find_model(str(nominal)) if isinstance(nominal, str | Path) else nominal
-    source = str(campaign) if isinstance(campaign, str | Path) else "these runs"
-    selection = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
-    return DiagnosedCampaign(diagnose_selection(selection, model, options, progress), selection, source)
+    Parameters
+    ----------
+    campaigns
+        Their folders. The workers of a cluster must see the same folders.
+    nominal, without, tolerance_mN, specimen, calibration
+        As in `dragrig.diagnose`, for all.
+    workers
+        Number of processes (default: as many as there are cores).
+    scheduler
+        Address of a Dask cluster to use in their place.
+
+    Returns
+    -------
+    tuple of DiagnosedFolder
+        In the order of the campaigns, the same for any number of workers.
+
+    Raises
+    ------
+    SettingsError
+        When an option is not valid, or the cluster cannot be used.
+    WorkerError
+        When processes end before the work is done.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> folders = dragrig.diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
+    >>> [folder.result.verdict for folder in folders if folder.result]  # doctest: +SKIP
+    """
+    diagnosis_options(without, tolerance_mN, calibration)
+    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration).with_absolute_paths()
+    tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
+    return map_tasks(request.diagnose_folder, tasks, workers, scheduler, progress)
 
 
 def gap_evaluate(
     model: str | Path | FrictionModelSettings, campaign: str | Path | Iterable[Run], *, specimen: str | None = None
 ) -> GapReduction:
-    """Say how far an amended model closes the gap on fresh runs of the same specimen.
+    """Evaluate how far an amended model closes the gap on fresh runs of the same specimen.
 
     Parameters
     ----------
@@ -133,16 +221,14 @@ def gap_evaluate(
     """
     from dragrig.analysis.gap.gap_reduction import evaluate
 
-    given = (
-        model if isinstance(model, FrictionModelSettings) else find_settings(FrictionModelSettings, "model", str(model))
-    )
-    return evaluate(choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen), given)
+    runs = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
+    return evaluate(runs, friction_model(model))
 
 
 def diagnosis_options(
     without: Sequence[str], tolerance_mN: float | None, calibration: str | Path | None = None
 ) -> "DiagnosisOptions":
-    """Check what was asked for; raises `SettingsError` for an effect, a tolerance or a calibration that cannot be."""
+    """Return checked options; raises `SettingsError` for an unknown effect, a bad tolerance or calibration file."""
     from dragrig.analysis.gap.diagnose import DiagnosisOptions
     from dragrig.sim_backend.effects.base import catalogue
 
@@ -178,11 +264,9 @@ def save_amended_model(diagnosis: Diagnosis, path: Path, *, overwrite: bool = Fa
     Raises
     ------
     OutputError
-        When the file is there already, or the folder refuses.
+        When the file exists, or the folder cannot be written.
     """
-    if diagnosis.model is None:
-        return None
-    return write_text(to_toml(diagnosis.model), path, overwrite=overwrite)
+    return None if diagnosis.model is None else write_text(to_toml(diagnosis.model), path, overwrite=overwrite)
 
 
 def save_gap_report(
@@ -191,128 +275,5 @@ def save_gap_report(
     """Write the report, one HTML file with its pictures inside; raises as `save_amended_model`."""
     from dragrig.present.diagnosis import diagnosis_page
 
-    return write_text(
-        diagnosis_page(diagnosis, source, None if model is None else str(model)), path, overwrite=overwrite
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DiagnosedFolder:
-    """What was found about one of many campaigns.
-
-    Attributes
-    ----------
-    source
-        Its folder.
-    result
-        The diagnosis; None where there could be none.
-    run_ids
-        Ids of its runs by the names of their files.
-    why_not
-        Why there is no diagnosis, a sentence; empty where there is one.
-    """
-
-    source: str
-    result: Diagnosis | None
-    run_ids: Mapping[str, str]
-    why_not: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class DiagnosisRequest:
-    """What is asked of every campaign, as `dragrig.diagnose` takes it."""
-
-    nominal: str = "capsule"
-    without: tuple[str, ...] = ()
-    tolerance_mN: float | None = None
-    specimen: str | None = None
-    calibration: str | None = None
-
-    def diagnosed(self, campaign: Path, progress: Progress = no_progress) -> DiagnosedCampaign:
-        """Diagnose one campaign; raises as `dragrig.diagnose`."""
-        return diagnose_campaign(
-            campaign,
-            nominal=self.nominal,
-            without=self.without,
-            tolerance_mN=self.tolerance_mN,
-            specimen=self.specimen,
-            calibration=self.calibration,
-            progress=progress,
-        )
-
-    def diagnosed_there(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
-        """Do the same on a Dask cluster; raises `SettingsError` and `WorkerError` beside."""
-        with open_executor(scheduler=scheduler) as some:
-            return parallel_map(some, self.from_anywhere().diagnosed, [campaign.absolute()])[0]
-
-    def from_anywhere(self) -> Self:
-        """Return the same for processes with other working folders."""
-        learnt = self.calibration
-        return replace(
-            self,
-            nominal=absolute_if_file(self.nominal),
-            calibration=None if learnt is None else str(Path(learnt).absolute()),
-        )
-
-    def diagnosed_or_told(self, campaign: Path) -> DiagnosedFolder:
-        """Diagnose one of many campaigns; what is wrong with it becomes a part of the answer."""
-        try:
-            found = self.diagnosed(campaign)
-        except DragrigError as error:
-            return DiagnosedFolder(str(campaign), None, {}, str(error))
-        return DiagnosedFolder(str(campaign), found.result, dict(found.run_ids))
-
-
-def diagnose_many(
-    campaigns: Sequence[str | Path],
-    *,
-    nominal: str | Path = "capsule",
-    without: Sequence[str] = (),
-    tolerance_mN: float | None = None,
-    specimen: str | None = None,
-    calibration: str | Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    progress: Progress = no_progress,
-) -> tuple[DiagnosedFolder, ...]:
-    """Diagnose many campaigns, each as `dragrig.diagnose` does it; one that cannot be is told, the others go on.
-
-    Parameters
-    ----------
-    campaigns
-        Their folders. On a cluster its workers must see the same ones.
-    nominal, without, tolerance_mN, specimen, calibration
-        As in `dragrig.diagnose`, for all.
-    workers
-        Processes that share the campaigns; as many as there are cores unless given.
-    scheduler
-        Address of a Dask cluster that does the work in their place.
-
-    Returns
-    -------
-    tuple of DiagnosedFolder
-        In the order of the campaigns, the same for any number of workers.
-
-    Raises
-    ------
-    SettingsError
-        When an option is none, or the cluster cannot be used.
-    WorkerError
-        When processes end before the work is done.
-
-    Examples
-    --------
-    >>> import dragrig
-    >>> found = dragrig.diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
-    >>> [one.result.verdict for one in found if one.result]  # doctest: +SKIP
-    """
-    diagnosis_options(without, tolerance_mN, calibration)
-    learnt = None if calibration is None else str(calibration)
-    asked = DiagnosisRequest(str(nominal), tuple(without), tolerance_mN, specimen, learnt).from_anywhere()
-    folders = [Path(one).absolute() for one in campaigns]
-    with open_executor(workers, scheduler, most=len(folders)) as some:
-        found = parallel_map_with_progress(some, asked.diagnosed_or_told, folders, progress)
-    return tuple(
-        DiagnosedFolder(str(given), one.result, one.run_ids, one.why_not.replace(one.source, str(given)))
-        for given, one in zip(campaigns, found, strict=True)
-    )
+    page = diagnosis_page(diagnosis, source, None if model is None else str(model))
+    return write_text(page, path, overwrite=overwrite)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -20,12 +21,14 @@ from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.catalogue import find_model
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
-from dragrig.config.errors import AnalysisError, DragrigError, OutputError, SettingsError
+from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import absolute_if_file, find_settings, to_toml
-from dragrig.parallel import open_executor, parallel_map_with_progress
+from dragrig.config.settings import absolute_if_file, to_toml
+from dragrig.parallel import map_tasks
+from dragrig.present.files import unused_path, write_text
 from dragrig.present.identification import identified_model_origin
 from dragrig.rig.runfile.model import Run
+from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,19 +40,7 @@ WallChoice = Literal["scaled", "fitted"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedCampaign:
-    """What was identified, and from which runs.
-
-    Attributes
-    ----------
-    result
-        All numbers, with uncertainty or the reason why there is none.
-    selection
-        The runs that were used.
-    nominal
-        The model that was fitted.
-    source
-        The campaign.
-    """
+    """The numbers identified, the runs that were used, the model that was fitted, and the campaign."""
 
     result: Identification
     selection: RunSelection
@@ -60,27 +51,27 @@ class IdentifiedCampaign:
     def parameters(self) -> "pd.DataFrame":
         """The joint fit, a row for each parameter: value, standard_error, low, high, prior_low, prior_high, learnt.
 
-        A parameter that is not `determined_values` has no more than what was known before.
+        A parameter that is not `determined` keeps its prior.
         """
         import pandas as pd
 
-        joint = _require_joint_fit(self.result)
+        parameters = _require_joint_fit(self.result).parameters
         rows = [
             {
-                "unit": one.unit,
-                "value": one.value,
-                "standard_error": one.standard_error,
-                "low": one.interval[0],
-                "high": one.interval[1],
-                "prior_low": one.prior[0],
-                "prior_high": one.prior[1],
-                "learnt": one.learnt,
-                "determined": one.determined,
-                "meaning": one.meaning,
+                "unit": parameter.unit,
+                "value": parameter.value,
+                "standard_error": parameter.standard_error,
+                "low": parameter.interval[0],
+                "high": parameter.interval[1],
+                "prior_low": parameter.prior[0],
+                "prior_high": parameter.prior[1],
+                "learnt": parameter.learnt,
+                "determined": parameter.determined,
+                "meaning": parameter.meaning,
             }
-            for one in joint.parameters
+            for parameter in parameters
         ]
-        return pd.DataFrame(rows, index=[one.name for one in joint.parameters])
+        return pd.DataFrame(rows, index=[parameter.name for parameter in parameters])
 
     @property
     def why_no_model(self) -> str | None:
@@ -98,13 +89,13 @@ class IdentifiedCampaign:
         """
         if not isinstance(self.nominal, CapsuleModel):
             raise AnalysisError(f"{self.source}: {self.nominal.name} is no friction model; only capsule is one.")
-        joint = _require_model(self.result, self.source)
+        joint = self._require_model()
         settings = identified_settings(self.nominal, joint)
-        told = {
+        changes = {
             "name": f"{settings.name}-{self.result.specimen}",
             "identified": identified_model_origin(self.result, joint, self.source),
         }
-        return settings.model_copy(update=told)
+        return settings.model_copy(update=changes)
 
     def toml(self) -> str:
         """Return the file that the simulator loads (a user's own model: its values); raises `AnalysisError`."""
@@ -112,9 +103,13 @@ class IdentifiedCampaign:
 
         if isinstance(self.nominal, CapsuleModel):
             return to_toml(self.model)
-        joint = _require_model(self.result, self.source)
-        known = {one.name: one.nominal for one in self.nominal.parameters} | determined_values(joint)
-        return tomli_w.dumps(self.nominal.document(known))
+        values = {parameter.name: parameter.nominal for parameter in self.nominal.parameters}
+        return tomli_w.dumps(self.nominal.document(values | determined_values(self._require_model())))
+
+    def _require_model(self) -> JointFit:
+        if (reason := self.why_no_model) is not None:
+            raise AnalysisError(f"{self.source}: {reason}.")
+        return _require_joint_fit(self.result)
 
 
 def identify(
@@ -133,8 +128,8 @@ def identify(
     campaign
         A campaign's folder, or runs in memory.
     nominal
-        What is fitted: `capsule` (the paper's friction model), `drive` (the stage alone, from its motor force), a
-        Python file with a model of one's own, a friction model as TOML, or a model.
+        The model to fit: `capsule` (the paper's friction model), `drive` (the stage alone, from its motor force), a
+        Python file with a model of your own, a friction model as TOML, or a model.
     model
         With `capsule`: the friction model that the specimen's scales count from.
     wall
@@ -146,32 +141,30 @@ def identify(
     Raises
     ------
     AnalysisError
-        When there is no usable run, specimens are mixed, or the model says nothing of these runs.
+        When there is no usable run, specimens are mixed, or the model predicts nothing for these runs.
     RunFileError, SettingsError
         When folder or model cannot be read.
 
     Examples
     --------
     >>> import dragrig
-    >>> found = dragrig.identify("runs/first")  # doctest: +SKIP
-    >>> found.parameters.loc["friction_coefficient"]  # doctest: +SKIP
-    >>> dragrig.simulate("paper", model=found.model)  # doctest: +SKIP
+    >>> identified = dragrig.identify("runs/first")  # doctest: +SKIP
+    >>> identified.parameters.loc["friction_coefficient"]  # doctest: +SKIP
+    >>> dragrig.simulate("paper", model=identified.model)  # doctest: +SKIP
     """
-    chosen = (
-        select_runs(Path(campaign), specimen)
-        if isinstance(campaign, str | Path)
-        else select_loaded_runs(campaign, specimen)
-    )
-    source = str(campaign) if isinstance(campaign, str | Path) else "these runs"
+    if isinstance(campaign, str | Path):
+        source, selection = str(campaign), select_runs(Path(campaign), specimen)
+    else:
+        source, selection = "these runs", select_loaded_runs(campaign, specimen)
     fitted = _nominal_model(nominal, model)
     if wall == "fitted":
         if not isinstance(fitted, CapsuleModel):
             raise SettingsError(f"--wall fitted: the model {fitted.name} has no wall; leave it out.")
-        fitted = CapsuleModel(with_identified_wall(fitted.settings, identify_relaxation(chosen)))
-    return IdentifiedCampaign(identify_selection(chosen, fitted, progress), chosen, fitted, source)
+        fitted = CapsuleModel(with_identified_wall(fitted.settings, identify_relaxation(selection)))
+    return IdentifiedCampaign(identify_selection(selection, fitted, progress), selection, fitted, source)
 
 
-def save_identified_model(found: IdentifiedCampaign, path: Path, *, overwrite: bool = False) -> Path:
+def save_identified_model(identified: IdentifiedCampaign, path: Path, *, overwrite: bool = False) -> Path:
     """Write the file that the simulator loads.
 
     Raises
@@ -179,61 +172,50 @@ def save_identified_model(found: IdentifiedCampaign, path: Path, *, overwrite: b
     AnalysisError
         When the fit did not converge.
     OutputError
-        When the file is there already, or the folder refuses.
+        When the file exists, or the folder cannot be written.
     """
-    text = found.toml()
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: is there already; name another file, or say --overwrite.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, "utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
-    return path
+    return write_text(identified.toml(), path, overwrite=overwrite, make_folder=True)
 
 
-def save_identification_pictures(found: IdentifiedCampaign, folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Draw what was identified, each part that there is; yields each picture as it is written."""
+def save_identification_pictures(
+    identified: IdentifiedCampaign, folder: Path, *, overwrite: bool = False
+) -> Iterator[Path]:
+    """Draw every part that was identified; yields each picture as it is written."""
     from dragrig.present.figure_files import save_figure_in
     from dragrig.present.identification_figures import coulomb_figure, joint_fit_figure, relaxation_fit_figure
 
-    result, runs = found.result, {one.file: one.run for one in found.selection.experiments}
+    result, selection = identified.result, identified.selection
     if result.joint is not None:
         yield save_figure_in(folder, "joint-fit.png", joint_fit_figure(result.joint), overwrite)
     if result.relaxation is not None and result.relaxation.fits:
-        figure = relaxation_fit_figure(result.relaxation, found.selection)
+        figure = relaxation_fit_figure(result.relaxation, selection)
         yield save_figure_in(folder, "relaxation.png", figure, overwrite)
     if result.coulomb is not None and result.coulomb.runs:
         first = result.coulomb.runs[0]
+        runs = {experiment.file: experiment.run for experiment in selection.experiments}
         yield save_figure_in(folder, "coulomb.png", coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
-        yield save_figure_in(folder, "drag.png", _drag_figure(found), overwrite)
+        yield save_figure_in(folder, "drag.png", _drag_figure(identified), overwrite)
 
 
-def _drag_figure(found: IdentifiedCampaign) -> "Figure":
+def _drag_figure(identified: IdentifiedCampaign) -> "Figure":
     from dragrig.present.identification_figures import drag_figure
 
-    drag, first = found.result.drag, found.selection.of_kind("drag")[0]
-    if drag is None or not isinstance(found.nominal, CapsuleModel) or found.result.joint is None:
-        raise AnalysisError(f"{found.source}: has no drag to draw.")
-    model = identified_settings(found.nominal, found.result.joint)
+    drag, first = identified.result.drag, identified.selection.of_kind("drag")[0]
+    if drag is None or not isinstance(identified.nominal, CapsuleModel) or identified.result.joint is None:
+        raise AnalysisError(f"{identified.source}: has no drag to draw.")
+    model = identified_settings(identified.nominal, identified.result.joint)
     return drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:
     if not isinstance(nominal, str | Path):
         return nominal
-    found = find_model(str(nominal))
-    if not isinstance(found, CapsuleModel):
-        return found
-    settings = found.settings
-    if Path(nominal).suffix != ".toml":
-        settings = (
-            model
-            if isinstance(model, FrictionModelSettings)
-            else find_settings(FrictionModelSettings, "model", str(model))
-        )
-    # The fit knows no effects, so that what it finds must not be simulated with them.
+    fitted = find_model(str(nominal))
+    if not isinstance(fitted, CapsuleModel):
+        return fitted
+    settings = fitted.settings if Path(nominal).suffix == ".toml" else friction_model(model)
+    # The fit knows no effects, so its result must not be simulated with them.
     return CapsuleModel(settings.model_copy(update={"effects": ()}))
 
 
@@ -243,25 +225,18 @@ def _require_joint_fit(result: Identification) -> JointFit:
     return result.joint
 
 
-def _require_model(result: Identification, source: str) -> JointFit:
-    joint = _require_joint_fit(result)
-    if (reason := why_no_model(joint)) is not None:
-        raise AnalysisError(f"{source}: {reason}.")
-    return joint
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedFolder:
-    """What was identified from one of many campaigns.
+    """The identification of one of many campaigns.
 
     Attributes
     ----------
     source
         Its folder.
     result
-        All numbers; None where there could be none.
+        None where nothing could be identified.
     files
-        What was written.
+        The files written.
     why_not
         Why there is no result, or no model, a sentence; empty where there is one.
     """
@@ -291,22 +266,22 @@ def identify_many(
     scheduler: str | None = None,
     progress: Progress = no_progress,
 ) -> tuple[IdentifiedFolder, ...]:
-    """Identify many campaigns, each as `dragrig.identify` does it; one that cannot be is told, the others go on.
+    """Identify campaigns in parallel, each as `dragrig.identify` does; one that fails does not stop the others.
 
     Parameters
     ----------
     campaigns
-        Their folders. On a cluster its workers must see the same ones.
+        Their folders. The workers of a cluster must see the same folders.
     nominal, model, wall, specimen
         As in `dragrig.identify`, for all.
     write
         Whether model and pictures are written, into a folder `identified` beside each campaign's runs.
     out
-        Folder in whose place: each campaign has one in it, of its own name.
+        Folder to use in their place; each campaign gets a folder of its own name in it.
     workers
-        Processes that share the campaigns; as many as there are cores unless given.
+        Number of processes (default: as many as there are cores).
     scheduler
-        Address of a Dask cluster that does the work in their place.
+        Address of a Dask cluster to use in their place.
 
     Returns
     -------
@@ -320,52 +295,12 @@ def identify_many(
     WorkerError
         When processes end before the work is done.
     """
-    folders = [Path(one).absolute() for one in campaigns]
-    places = _output_folders(folders, out) if write else [None] * len(folders)
-    asked = _IdentificationRequest(
-        absolute_if_file(str(nominal)), absolute_if_file(str(model)), wall, specimen, overwrite
-    )
-    with open_executor(workers, scheduler, most=len(folders)) as some:
-        found = parallel_map_with_progress(some, asked.identified, list(zip(folders, places, strict=True)), progress)
-    return tuple(
-        IdentifiedFolder(str(given), one.result, one.files, one.why_not.replace(one.source, str(given)))
-        for given, one in zip(campaigns, found, strict=True)
-    )
-
-
-def identified_folder(campaign: Path) -> Path:
-    """Return a new folder for what was identified; measured data often lie where nothing may be added."""
-    first = campaign / "identified" if os.access(campaign, os.W_OK) else Path(f"{campaign.resolve().name}-identified")
-    folder, number = first, 1
-    while folder.exists():
-        number += 1
-        folder = first.with_name(f"{first.name}-{number}")
-    return folder
-
-
-def write_identified_files(
-    found: IdentifiedCampaign, folder: Path, *, with_model: bool, overwrite: bool
-) -> tuple[Path, ...]:
-    """Write model and pictures into a folder; raises `OutputError`."""
-    written = []
-    if with_model:
-        name = "model.toml" if found.nominal.name == "capsule" else f"{found.nominal.name}.toml"
-        written.append(save_identified_model(found, folder / name, overwrite=overwrite))
-    return (*written, *save_identification_pictures(found, folder, overwrite=overwrite))
-
-
-def _output_folders(folders: Sequence[Path], out: Path | None) -> list[Path | None]:
-    """Return where the files of each campaign go: never two into one folder."""
-    places: list[Path | None] = []
-    for one in folders:
-        first = identified_folder(one) if out is None else out.absolute() / one.name
-        taken = [place for place in places if place is not None]
-        place, number = first, 1
-        while place in taken:
-            number += 1
-            place = first.with_name(f"{first.name}-{number}")
-        places.append(place)
-    return places
+    folders = [Path(campaign).absolute() for campaign in campaigns]
+    outputs = _output_folders(folders, out) if write else [None] * len(folders)
+    nominal_name, model_name = absolute_if_file(str(nominal)), absolute_if_file(str(model))
+    request = _IdentificationRequest(nominal_name, model_name, wall, specimen, overwrite)
+    tasks = list(zip(map(str, campaigns), folders, outputs, strict=True))
+    return map_tasks(request.identify_folder, tasks, workers, scheduler, progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,14 +311,44 @@ class _IdentificationRequest:
     specimen: str | None
     overwrite: bool
 
-    def identified(self, piece: tuple[Path, Path | None]) -> IdentifiedFolder:
-        campaign, place = piece
+    def identify_folder(self, campaign: tuple[str, Path, Path | None]) -> IdentifiedFolder:
+        """Identify one of many campaigns (name, folder, output folder); an error becomes part of the result."""
+        name, folder, output = campaign
         try:
-            found = identify(campaign, nominal=self.nominal, model=self.model, wall=self.wall, specimen=self.specimen)
+            identified = identify(
+                folder, nominal=self.nominal, model=self.model, wall=self.wall, specimen=self.specimen
+            )
             files: tuple[Path, ...] = ()
-            if place is not None:
-                with_model = found.why_no_model is None
-                files = write_identified_files(found, place, with_model=with_model, overwrite=self.overwrite)
-            return IdentifiedFolder(str(campaign), found.result, files, found.why_no_model or "")
+            why_not = identified.why_no_model or ""
+            if output is not None:
+                files = write_identified_files(identified, output, with_model=not why_not, overwrite=self.overwrite)
         except DragrigError as error:
-            return IdentifiedFolder(str(campaign), None, (), str(error))
+            return IdentifiedFolder(name, None, (), str(error).replace(str(folder), name))
+        return IdentifiedFolder(name, identified.result, files, why_not.replace(str(folder), name))
+
+
+def identified_folder(campaign: Path) -> Path:
+    """Return a new folder for results: in the campaign, or in the working folder where the campaign is read-only."""
+    in_campaign = os.access(campaign, os.W_OK)
+    return unused_path(campaign / "identified" if in_campaign else Path(f"{campaign.resolve().name}-identified"))
+
+
+def write_identified_files(
+    identified: IdentifiedCampaign, folder: Path, *, with_model: bool, overwrite: bool
+) -> tuple[Path, ...]:
+    """Write model and pictures into a folder; raises `OutputError`."""
+    written = []
+    if with_model:
+        name = "model.toml" if identified.nominal.name == "capsule" else f"{identified.nominal.name}.toml"
+        written.append(save_identified_model(identified, folder / name, overwrite=overwrite))
+    return (*written, *save_identification_pictures(identified, folder, overwrite=overwrite))
+
+
+def _output_folders(campaigns: Sequence[Path], out: Path | None) -> list[Path | None]:
+    """Return a separate output folder for each campaign."""
+    folders: list[Path | None] = []
+    for campaign in campaigns:
+        first = identified_folder(campaign) if out is None else out.absolute() / campaign.name
+        numbered = (first.with_name(f"{first.name}-{number}") for number in count(2))
+        folders.append(next(folder for folder in chain([first], numbered) if folder not in folders))
+    return folders

@@ -12,7 +12,6 @@ from dragrig.analysis.gap.diagnosis import NextExperiment
 from dragrig.analysis.gap.isolability import Isolability
 from dragrig.analysis.gap.run_selection import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.api.diagnose import diagnosis_options
 from dragrig.api.measure import simulate
@@ -21,23 +20,25 @@ from dragrig.config.settings import suggestion, to_toml
 from dragrig.present.files import write_text
 from dragrig.setup import PlanLike, SetupChoices, resolve
 
+DEFAULT_MINUTES, MAX_RUNS = 20.0, 30
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunsToIsolate:
-    """Runs to be looked at: those of a campaign, or those that a plan would make.
+    """The runs of a campaign, or those that a plan would make.
 
     Attributes
     ----------
     nominal
-        What is expected of them.
+        The model that is expected.
     planned
-        Whether they are yet to be made.
+        Whether the runs are yet to be made.
     duration_s
         Rig time, of a plan.
     """
 
     selection: RunSelection
-    nominal: NominalModel
+    nominal: CapsuleModel
     source: str
     planned: bool
     duration_s: float | None
@@ -50,15 +51,15 @@ def isolability(
     progress: Progress = no_progress,
     **choices: Unpack[SetupChoices],
 ) -> Isolability:
-    """Say which effects a plan, before any run, or a campaign can tell apart, and how small a one it would show.
+    """Determine which effects a plan (before any run) or a campaign can tell apart, and its detection limits.
 
     Parameters
     ----------
     plan_or_campaign
-        A campaign's folder; or a plan by name or file, a `Plan`, or a protocol, whose runs are then made on the
-        simulated rig without any effect.
+        A campaign's folder; or a plan by name or file, a `Plan`, or a protocol, whose runs are then simulated without
+        any effect.
     without
-        Effects of the catalogue that are not to be considered.
+        Effects of the catalogue to leave out.
     choices
         As of `check`: rig, specimen, model, capsule, assignments; of a campaign, `specimen` names one of several and
         `model` is the friction model.
@@ -73,8 +74,8 @@ def isolability(
     Examples
     --------
     >>> import dragrig
-    >>> found = dragrig.isolability("paper")  # doctest: +SKIP
-    >>> found.pair("stribeck", "adhesion").sin2  # doctest: +SKIP
+    >>> result = dragrig.isolability("paper")  # doctest: +SKIP
+    >>> result.pair("stribeck", "adhesion").sin2  # doctest: +SKIP
     """
     from dragrig.analysis.gap.isolability import isolate
 
@@ -92,22 +93,17 @@ def isolability(
 
 
 def runs_to_isolate(plan_or_campaign: PlanLike, **choices: Unpack[SetupChoices]) -> RunsToIsolate:
-    """Return the runs of a campaign, or make those of a plan on the simulated rig; raises as `isolability`."""
+    """Return the runs of a campaign, or simulate those of a plan; raises as `isolability`."""
+    choices["backend"] = "simulated"
     if isinstance(plan_or_campaign, str | Path) and Path(plan_or_campaign).is_dir():
         specimen = choices.get("specimen")
         selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
         model = resolve("drag", model=choices.get("model"), backend="simulated").model
         return RunsToIsolate(selection, CapsuleModel(model), str(plan_or_campaign), planned=False, duration_s=None)
-    choices["backend"] = "simulated"
     setup = resolve(plan_or_campaign, **choices)
-    made = simulate(plan_or_campaign, **choices)
-    name = setup.plan.name
-    return RunsToIsolate(
-        choose_runs(made), CapsuleModel(setup.model), name, planned=True, duration_s=setup.programme().duration_s
-    )
-
-
-DEFAULT_MINUTES, MAX_RUNS = 20.0, 30
+    selection = choose_runs(simulate(plan_or_campaign, **choices))
+    duration_s = setup.programme().duration_s
+    return RunsToIsolate(selection, CapsuleModel(setup.model), setup.plan.name, planned=True, duration_s=duration_s)
 
 
 def next_experiment(
@@ -123,12 +119,12 @@ def next_experiment(
     Parameters
     ----------
     plan_or_campaign
-        A campaign's folder, which is diagnosed first; or a plan, whose runs are taken as made and whose closest effects
-        are to be told apart.
+        A campaign's folder, which is diagnosed first; or a plan, whose runs are taken as made and whose most similar
+        effects are to be separated.
     between
-        Two effects to be told apart, at their usual sizes, in place of the leading ones.
+        Two effects to separate, at their default sizes, in place of the leading hypotheses.
     minutes
-        Rig time that the runs may take, rests and ways back included.
+        Rig time available, rests and return strokes included.
     choices
         As of `check`; the rig's limits are kept.
 
@@ -146,52 +142,44 @@ def next_experiment(
     Examples
     --------
     >>> import dragrig
-    >>> found = dragrig.next_experiment("runs/first")  # doctest: +SKIP
-    >>> found.why, found.runs[0].settings  # doctest: +SKIP
+    >>> experiment = dragrig.next_experiment("runs/first")  # doctest: +SKIP
+    >>> experiment.why, experiment.runs[0].settings  # doctest: +SKIP
     """
     from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
     from dragrig.analysis.gap.next_run_force import recommend_for_pair
-    from dragrig.analysis.gap.run_selection import choose_runs
 
     if not (isfinite(minutes) and minutes > 0):
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
     if between is not None:
         _require_two_effects(between)
-    campaign = isinstance(plan_or_campaign, str | Path) and Path(plan_or_campaign).is_dir()
-    choices["backend"] = "simulated"
-    budget = ExperimentBudget(minutes, MAX_RUNS, limits=_stage_range(**choices))
-    if campaign and between is None and isinstance(plan_or_campaign, str | Path):
-        specimen = choices.get("specimen")
-        selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
-        model = CapsuleModel(resolve("drag", model=choices.get("model"), backend="simulated").model)
-        return diagnose(selection, model, DiagnosisOptions(next_runs=budget), progress).next_experiment
+    budget = ExperimentBudget(minutes, MAX_RUNS, limits=_stage_range(choices.get("rig")))
     runs = runs_to_isolate(plan_or_campaign, **choices)
-    if not isinstance(runs.nominal, CapsuleModel):
-        return None
+    if between is None and not runs.planned:
+        return diagnose(runs.selection, runs.nominal, DiagnosisOptions(next_runs=budget), progress).next_experiment
     return recommend_for_pair(runs.selection, runs.nominal, between, budget)
 
 
-def save_next_plan(found: NextExperiment, path: Path, *, overwrite: bool = False) -> Path:
-    """Write the runs as a plan file; raises `OutputError` when the file is there already, or the folder refuses."""
+def save_next_plan(experiment: NextExperiment, path: Path, *, overwrite: bool = False) -> Path:
+    """Write the runs as a plan file; raises `OutputError` when the file exists or cannot be written."""
     from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 
-    return write_text(to_toml(plan_of_next_runs(found)), path, overwrite=overwrite)
+    return write_text(to_toml(plan_of_next_runs(experiment)), path, overwrite=overwrite)
 
 
-def _stage_range(**choices: Unpack[SetupChoices]) -> RigLimits:
-    setup = resolve("drag", rig=choices.get("rig"), backend="simulated")
+def _stage_range(rig: str | Path | None) -> RigLimits:
+    setup = resolve("drag", rig=rig, backend="simulated")
     stage = setup.limits
     return RigLimits(stage.highest_mm - setup.rig.stage.start_mm, stage.speed_mm_s, stage.acceleration_mm_s2)
 
 
 def _require_two_effects(between: tuple[str, str]) -> None:
-    from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue
+    from dragrig.sim_backend.effects.base import catalogue
 
-    known = [one.id for one in catalogue().values() if isinstance(one, ForceEffect | SensorEffect)]
+    known = [effect.id for effect in catalogue().values() if effect.has_force_signature]
     for name in between:
-        if name not in known or name == "mains_hum":
+        if name not in known:
             raise SettingsError(
-                f"--between {name}: is no effect of the force that runs tell; {suggestion(name, known)}"
+                f"--between {name}: is no effect on the force that runs can show; {suggestion(name, known)}"
             )
     if between[0] == between[1]:
         raise SettingsError(f"--between {between[0]} {between[1]}: name two effects that differ.")

@@ -6,35 +6,35 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dragrig.analysis.gap.features import Calibration
 from dragrig.cli import options
-from dragrig.cli.console import ProgressMeter, display_path, is_quiet, print_json, print_result
+from dragrig.cli.console import ProgressMeter, display_path, print_json, print_result
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from dragrig.analysis.gap.features import Calibration
     from dragrig.scoring import Rate
 
 
 @click.command("blind")
-@click.option("--cases", metavar="N", type=int, default=100, show_default=True, help="How many campaigns.")
-@click.option("--seed", metavar="S", type=int, default=1, show_default=True, help="What they are drawn from.")
+@click.option("--cases", metavar="N", type=int, default=100, show_default=True, help="Number of campaigns.")
+@click.option("--seed", metavar="S", type=int, default=1, show_default=True, help="Seed of the campaigns.")
 @click.option(
     "--mix",
     "kind",
     type=click.Choice(["exam", "learning"]),
     default="exam",
     show_default=True,
-    help="Which campaigns: as rigs have them, or with more of what is hard, to learn from.",
+    help="Mix of campaigns: as rigs have them, or with more hard cases, to learn from.",
 )
-@options.out("Folder in which all is kept, so that a second call goes on; a temporary one unless given.")
+@options.out("Folder of the exam, which a second call continues (default: a temporary one).")
 @options.workers("campaigns")
 @click.option("--without-true", is_flag=True, help="Diagnose single effects again with the true one withheld.")
 @click.option(
     "--report",
     metavar="FILE.html",
     type=click.Path(path_type=Path),
-    help="Where to write the report, one HTML file with its pictures.",
+    help="Write the report to this file.",
 )
 @options.overwrite
 @options.as_json
@@ -51,12 +51,12 @@ def blind_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Examine the diagnosis on campaigns whose hidden effect it cannot know, and say how often it was right.
+    """Examine how often the diagnosis is right, on simulated campaigns whose hidden effect it cannot know.
 
-    A plant of its own, which shares no formula with the catalogue, makes the campaigns. The hash of the answers is
-    written first; each campaign is diagnosed by a process that is given its folder alone; then the answers are opened
-    and the verdicts scored, with Wilson intervals. Two exams with one seed are the same. The exit code is 0 however
-    often it was right, and 2 where campaigns could not be diagnosed.
+    A separate plant, which shares no equation with the catalogue, simulates the campaigns. The hash of the answers is
+    written first; each campaign is diagnosed by a process that gets its folder alone; then the answers are opened and
+    the verdicts scored, with Wilson intervals. Two exams with the same seed are identical. The exit code is 0 whatever
+    the score, and 2 where campaigns could not be diagnosed.
     """
     from dragrig.config.errors import AnalysisError
     from dragrig.exam.blind_exam import gap_blind, save_exam_report
@@ -66,7 +66,7 @@ def blind_command(
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
-    with ProgressMeter(f"examining {cases} campaigns", 1.0, quiet=is_quiet()) as meter:
+    with ProgressMeter(f"examining {cases} campaigns") as meter:
         exam = gap_blind(
             cases,
             seed,
@@ -82,9 +82,9 @@ def blind_command(
     else:
         print_parts(exam_parts(exam.score, exam.cases, exam.seed, exam.answers_sha256))
     if report is not None:
-        written = save_exam_report(exam, report, overwrite=overwrite)
+        save_exam_report(exam, report, overwrite=overwrite)
         if not as_json:
-            print_result(f"report  {display_path(written)}")
+            print_result(f"report  {display_path(report)}")
     if exam.failed:
         name, reason = next(iter(exam.failed.items()))
         raise AnalysisError(f"{len(exam.failed)} of {cases} campaigns were not diagnosed; of {name}: {reason}.")
@@ -100,14 +100,14 @@ FOLDER = click.Path(path_type=Path)
     "--folds",
     metavar="K",
     type=click.IntRange(min=2),
-    help="Judge each of so many parts of the campaigns by what the others teach, and say how often that is right.",
+    help="Cross-validate with this number of folds, and print the rates.",
 )
 @options.as_json
 @options.overwrite
 def gap_calibrate_command(
     exams: tuple[Path, ...], save: Path | None, folds: int | None, as_json: bool, overwrite: bool
 ) -> None:
-    """Learn when a gap is seen, and which effect it is, from exams that dragrig gap blind --out kept.
+    """Learn the verdict's thresholds and weights from exams that dragrig gap blind --out wrote.
 
     Judge the result on an exam with another seed.
     """
@@ -116,33 +116,34 @@ def gap_calibrate_command(
     from dragrig.present.files import write_text
     from dragrig.present.terminal import print_parts
 
-    found = gap_calibrate(exams)
-    in_turn = () if folds is None else gap_cross_validate(exams, folds)
+    calibration = gap_calibrate(exams)
+    rates = () if folds is None else gap_cross_validate(exams, folds)
     if save is not None:
-        write_text(found.model_dump_json(indent=1) + "\n", save, overwrite=overwrite)
+        write_text(calibration.model_dump_json(indent=1) + "\n", save, overwrite=overwrite)
     if as_json:
-        judged = {} if folds is None else {"cross_validated": [rate_json(one) for one in in_turn]}
-        print_json({**found.model_dump(mode="json"), **judged})
+        validation = {} if folds is None else {"cross_validated": [rate_json(rate) for rate in rates]}
+        print_json({**calibration.model_dump(mode="json"), **validation})
     else:
-        print_parts(_calibration_parts(found, in_turn, save))
+        print_parts(_calibration_parts(calibration, rates, save))
 
 
-def _calibration_parts(found: Calibration, in_turn: "Sequence[Rate]", saved: Path | None) -> "Iterator[RenderableType]":
+def _calibration_parts(
+    calibration: "Calibration", rates: "Sequence[Rate]", saved: Path | None
+) -> "Iterator[RenderableType]":
+    from dragrig.present.exam import RATE_HEADER, RATE_NUMBER_COLUMNS, rate_row
     from dragrig.present.terminal import terminal_table
 
-    gate = found.gate
-    seeds = ", ".join(map(str, found.seeds))
-    yield f"Learnt from {found.cases} campaigns with hidden effects (seeds {seeds})."
+    gate = calibration.gate
+    seeds = ", ".join(map(str, calibration.seeds))
+    yield f"Learnt from {calibration.cases} campaigns with hidden effects (seeds {seeds})."
     yield (
-        f"A gap is as likely as not where an effect takes away {gate.least_gain:.1f} half squares, or where "
-        f"{gate.least_left:.1%} of the squares are left that none explains."
+        f"Probability of a gap is 0.5 where an effect explains Δχ²/2 = {gate.least_gain:.1f}, or where "
+        f"{gate.least_left:.1%} of χ² stays unexplained."
     )
-    rows = [(name, f"{weight:+.2f}") for name, weight in sorted(found.weights.items())]
-    yield terminal_table("Weights of what speaks for an explanation", ("feature", "weight"), rows, numbers=(1,))
-    if in_turn:
-        from dragrig.present.exam import RATE_HEADER, RATE_NUMBER_COLUMNS, rate_row
-
-        title = "How often verdicts are right that the other campaigns taught"
-        yield terminal_table(title, RATE_HEADER, map(rate_row, in_turn), RATE_NUMBER_COLUMNS)
+    rows = [(name, f"{weight:+.2f}") for name, weight in sorted(calibration.weights.items())]
+    yield terminal_table("Weights of the evidence for an explanation", ("feature", "weight"), rows, numbers=(1,))
+    if rates:
+        title = "Cross-validation: how often verdicts learnt from the other campaigns are right"
+        yield terminal_table(title, RATE_HEADER, map(rate_row, rates), RATE_NUMBER_COLUMNS)
     if saved is not None:
         yield f"Written to {saved}."

@@ -3,6 +3,7 @@
 import os
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -13,7 +14,6 @@ from dragrig.cli.console import (
     BAD_INPUT,
     ProgressMeter,
     display_path,
-    is_quiet,
     print_error,
     print_json,
     print_remark,
@@ -23,9 +23,7 @@ from dragrig.present.numbers import duration_text, size_text, text_columns
 
 if TYPE_CHECKING:
     from dragrig.campaign_session import Made
-    from dragrig.engine_host.messages import RigSelection
-    from dragrig.rig.operator import RunResult
-    from dragrig.rig.preflight import Preflight, RunPreview
+    from dragrig.rig.preflight import Preflight
     from dragrig.rig.runfile import RecoveredRecording
 
 
@@ -39,62 +37,62 @@ def init_command(folder: Path) -> None:
     """
     from dragrig.lab import create_lab
 
-    for made in create_lab(folder):
-        print_result(str(made))
+    for path in create_lab(folder):
+        print_result(str(path))
     print_remark("Edit the rig settings, then try: dragrig check drag")
 
 
 @click.command("check")
 @click.argument("plan", required=False)
 @options.settings
-@options.out("Folder whose free space counts; the rig's data root unless given.")
+@options.out("Folder whose free space is checked (default: the rig's data root).")
 @options.as_json
 @click.pass_context
 def check_command(
     ctx: click.Context, plan: str | None, out: Path | None, as_json: bool, **settings: Unpack[options.SettingsOptions]
 ) -> None:
-    """Say what PLAN, a file or a shipped name, would do; without PLAN, look at the rig. Nothing moves.
+    """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves.
 
     Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
 
-    With PLAN: every run with the range, speed and time that it takes, and what forbids it, if anything does.
+    With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
     Without: limits, calibrations and every device in turn, each ok or NOT; exit code 5 when one is not.
     """
-    import dragrig as api
+    from dragrig.api.measure import check
 
     if plan is None:
         _check_rig(ctx, settings, out, as_json=as_json)
         return
-    found = api.check(plan, out=out, **settings)
+    preflight = check(plan, out=out, **settings)
     if as_json:
-        print_json(_check_json(found))
+        print_json(_preflight_json(preflight))
     else:
-        print_result(_check_table(found))
+        print_result(_preflight_table(preflight))
         print_result(
-            f"{len(found.previews)} runs, {duration_text(found.duration_s)}, {size_text(found.size_bytes)} "
-            f"of {size_text(found.free_bytes)} free"
+            f"{len(preflight.previews)} runs, {duration_text(preflight.duration_s)}, {size_text(preflight.size_bytes)} "
+            f"of {size_text(preflight.free_bytes)} free"
         )
-    for finding in found.findings:
+    for finding in preflight.findings:
         print_error(f"{finding}.")
-    if found.findings:
+    if preflight.findings:
         ctx.exit(BAD_INPUT)
 
 
 def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
-    given = {
+    of_plans = {
         "specimen": settings["specimen"],
         "effect": settings["effects"],
         "capsule": settings["capsule"],
         "out": out,
     }
-    if spare := [name for name, value in given.items() if value]:
-        raise click.UsageError(f"Without a plan the rig itself is looked at, so leave out --{' --'.join(spare)}", ctx)
-    import dragrig as api
+    if unused := [name for name, value in of_plans.items() if value]:
+        raise click.UsageError(f"Without a plan the rig itself is checked, so leave out --{' --'.join(unused)}", ctx)
+    from dragrig.api.measure import examine
     from dragrig.config.errors import DeviceError
 
     findings = []
-    for finding in api.examine(
+    for finding in examine(
         rig=settings["rig"],
         model=settings["model"],
         backend=settings["backend"],
@@ -110,72 +108,69 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
         ctx.exit(DeviceError.exit_code)
 
 
-def _check_table(found: "Preflight") -> str:
-    header = ("", "run", "capsule", "lowest mm", "highest mm", "mm/s", "mm/s²", "rest", "takes", "size", "before it")
-    return text_columns(header, (_check_row(one) for one in found.previews))
+def _preflight_table(preflight: "Preflight") -> str:
+    header = ("", "run", "capsule", "min mm", "max mm", "mm/s", "mm/s²", "rest", "duration", "size", "prompt")
+    rows = [
+        (
+            str(preview.run.index),
+            preview.run.protocol.summary(),
+            preview.run.capsule.name,
+            f"{preview.lowest_mm:g}",
+            f"{preview.highest_mm:g}",
+            f"{preview.speed_mm_s:g}",
+            f"{preview.accel_mm_s2:g}",
+            duration_text(preview.run.wait_s),
+            duration_text(preview.run.duration_s),
+            size_text(preview.size_bytes),
+            preview.run.prompt,
+        )
+        for preview in preflight.previews
+    ]
+    return text_columns(header, rows)
 
 
-def _check_row(preview: "RunPreview") -> tuple[str, ...]:
-    run = preview.run
-    return (
-        str(run.index),
-        run.protocol.summary(),
-        run.capsule.name,
-        f"{preview.lowest_mm:g}",
-        f"{preview.highest_mm:g}",
-        f"{preview.speed_mm_s:g}",
-        f"{preview.accel_mm_s2:g}",
-        duration_text(run.wait_s),
-        duration_text(run.duration_s),
-        size_text(preview.size_bytes),
-        run.prompt,
-    )
-
-
-def _check_json(found: "Preflight") -> dict[str, object]:
+def _preflight_json(preflight: "Preflight") -> dict[str, object]:
+    runs = [
+        {
+            "index": preview.run.index,
+            "kind": preview.run.protocol.kind,
+            "parameters": preview.run.protocol.attributes(),
+            "capsule": preview.run.capsule.name,
+            "fixture": preview.run.fixture,
+            "lowest_mm": preview.lowest_mm,
+            "highest_mm": preview.highest_mm,
+            "speed_mm_s": preview.speed_mm_s,
+            "accel_mm_s2": preview.accel_mm_s2,
+            "wait_s": preview.run.wait_s,
+            "duration_s": preview.run.duration_s,
+            "size_bytes": preview.size_bytes,
+            "prompt": preview.run.prompt,
+        }
+        for preview in preflight.previews
+    ]
     return {
-        "runs": [_check_run_json(one) for one in found.previews],
-        "duration_s": found.duration_s,
-        "size_bytes": found.size_bytes,
-        "free_bytes": found.free_bytes,
-        "findings": found.findings,
-    }
-
-
-def _check_run_json(preview: "RunPreview") -> dict[str, object]:
-    run = preview.run
-    return {
-        "index": run.index,
-        "kind": run.protocol.kind,
-        "parameters": run.protocol.attributes(),
-        "capsule": run.capsule.name,
-        "fixture": run.fixture,
-        "lowest_mm": preview.lowest_mm,
-        "highest_mm": preview.highest_mm,
-        "speed_mm_s": preview.speed_mm_s,
-        "accel_mm_s2": preview.accel_mm_s2,
-        "wait_s": run.wait_s,
-        "duration_s": run.duration_s,
-        "size_bytes": preview.size_bytes,
-        "prompt": run.prompt,
+        "runs": runs,
+        "duration_s": preflight.duration_s,
+        "size_bytes": preflight.size_bytes,
+        "free_bytes": preflight.free_bytes,
+        "findings": preflight.findings,
     }
 
 
 @click.command("run")
 @click.argument("plan", required=False)
 @options.settings
-@options.out("Folder of the campaign, new or empty; one below the rig's data root unless given.")
-@click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Go on where this campaign ended.")
-@click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept in the run files.")
-@click.option("--note", metavar="TEXT", default="", help="Kept in the run files.")
+@options.out("Folder of the campaign, new or empty (default: a new one in the rig's data root).")
+@click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Resume an interrupted campaign.")
+@options.session_notes("in the run files")
 @click.option(
     "--mirror",
     metavar="DIR",
     type=click.Path(path_type=Path),
-    help="Keep a second copy of each finished file here, compared after reading it back.",
+    help="Write a second copy of each finished file here, verified by reading it back.",
 )
 @options.pace
-@click.option("--yes", "-y", is_flag=True, help="Answer every prompt with done that asks for nobody's hands.")
+@options.yes
 @options.as_json
 @options.quiet
 def run_command(
@@ -192,45 +187,25 @@ def run_command(
 ) -> None:
     """Carry out PLAN, a file or a shipped name, and write one run file per run.
 
-    A run file in place of a plan makes its whole session again, with the settings it carries.
+    A run file in place of a plan repeats its whole session, with the settings stored in it.
 
     Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
 
     Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded. The
     campaign's folder is printed at the end.
 
-    Exit codes: 0 done, 2 bad input, 3 aborted, 4 the guard tripped, 5 device fault.
+    Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
-    fixed = {**settings, "assignments": (), "effects": (), "effect": settings["effects"], "out": out}
-    _require_plan_or_campaign(plan, resume, [name for name, value in fixed.items() if value])
-    import dragrig as api
+    _require_plan_or_campaign(plan, resume, settings, out)
+    from dragrig.api import measure
     from dragrig.cli.operator import TerminalOperator
 
+    if resume is not None:
+        start = partial(measure.resume, resume, assignments=settings["assignments"])
+    else:
+        start = partial(measure.run, plan or "", out=out, **settings)
     with TerminalOperator(yes=yes) as person:
-        made = (
-            api.resume(
-                resume,
-                operator=operator,
-                note=note,
-                pace=pace,
-                person=person,
-                assignments=settings["assignments"],
-                mirror=mirror,
-                tell=_print_warning,
-            )
-            if resume is not None
-            else api.run(
-                plan or "",
-                out=out,
-                operator=operator,
-                note=note,
-                pace=pace,
-                person=person,
-                mirror=mirror,
-                tell=_print_warning,
-                **settings,
-            )
-        )
+        made = start(operator=operator, note=note, pace=pace, person=person, mirror=mirror, tell=_print_warning)
     if as_json:
         print_json(_session_json(made))
     else:
@@ -240,56 +215,60 @@ def run_command(
     made.session.require()
 
 
-def _require_plan_or_campaign(plan: str | None, campaign: Path | None, given: list[str]) -> None:
+def _require_plan_or_campaign(
+    plan: str | None, campaign: Path | None, settings: options.SettingsOptions, out: Path | None
+) -> None:
     context = click.get_current_context()
     if plan is not None and campaign is not None:
         raise click.UsageError("--resume takes its plan from the campaign, so leave the plan out", context)
     if plan is None and campaign is None:
         raise click.UsageError("Name a plan, or a campaign to go on with after --resume", context)
-    if campaign is not None and given:
-        raise click.UsageError(f"A campaign goes on with its own settings, so leave out --{' --'.join(given)}", context)
+    fixed = {**settings, "assignments": (), "effects": (), "effect": settings["effects"], "out": out}
+    if campaign is not None and (unused := [name for name, value in fixed.items() if value]):
+        raise click.UsageError(
+            f"A campaign goes on with its own settings, so leave out --{' --'.join(unused)}", context
+        )
 
 
 def _session_json(made: "Made") -> dict[str, object]:
+    runs = [
+        {
+            "file": result.path,
+            "order": result.order,
+            "kind": result.run.protocol.kind,
+            "parameters": result.run.protocol.attributes(),
+            "status": result.outcome.status,
+            "reason": result.outcome.reason,
+            "samples": result.outcome.samples,
+            "checks": result.outcome.checks.values,
+            "warnings": result.outcome.checks.warnings,
+        }
+        for result in made.session.runs
+    ]
     return {
         "folder": made.folder,
         "status": made.session.status,
         "reason": made.session.reason,
-        "runs": [_session_run_json(one) for one in made.session.runs],
+        "runs": runs,
         **({} if made.mirrored is None else {"mirror": made.mirrored}),
     }
 
 
 def _print_mirror_state(made: "Made") -> None:
-    found = made.mirrored
-    if found is None:
+    mirrored = made.mirrored
+    if mirrored is None:
         return
-    if found.copied:
-        print_remark(f"mirror: {len(found.copied)} files in {found.folder}, each read back and compared")
-    if found.missing:
-        print_error(
-            f"NOT MIRRORED, {len(found.missing)} of {len(found.missing) + len(found.copied)} files: "
-            + "; ".join(f"{name}: {why}" for name, why in found.missing.items())
-        )
-
-
-def _session_run_json(one: "RunResult") -> dict[str, object]:
-    return {
-        "file": one.path,
-        "order": one.order,
-        "kind": one.run.protocol.kind,
-        "parameters": one.run.protocol.attributes(),
-        "status": one.outcome.status,
-        "reason": one.outcome.reason,
-        "samples": one.outcome.samples,
-        "checks": one.outcome.checks.values,
-        "warnings": one.outcome.checks.warnings,
-    }
+    copied, missing = len(mirrored.copied), mirrored.missing
+    if copied:
+        print_remark(f"mirror: {copied} files in {mirrored.folder}, each read back and compared")
+    if missing:
+        reasons = "; ".join(f"{name}: {why}" for name, why in missing.items())
+        print_error(f"NOT MIRRORED, {len(missing)} of {len(missing) + copied} files: {reasons}")
 
 
 def _print_warning(sentence: str) -> None:
-    # From the mirror's thread, and whatever --quiet says: a copy that is not there must be known of.
-    with suppress(OSError):  # a terminal that was closed hears nothing, and the copying goes on
+    # From the mirror's thread, and even with --quiet: a missing copy must be known.
+    with suppress(OSError):  # the terminal may be closed; copying goes on
         click.echo(f"\n{sentence}", err=True)
 
 
@@ -301,69 +280,59 @@ def _print_warning(sentence: str) -> None:
 def recover_command(ctx: click.Context, places: tuple[Path, ...], as_json: bool) -> None:
     """Finish the runs that a crash left behind.
 
-    PLACE is a folder, searched with everything below it, or one recording (NAME.recording.h5); the working folder
-    unless given. A recording that is still being written is left alone, and so is one that cannot be read.
+    PLACE is a folder, searched with its subfolders, or one recording (NAME.recording.h5) (default: the working folder).
+    A recording that is still being written is left alone, and so is one that cannot be read.
     """
     from dragrig.rig.runfile import RecoveryOutcome, left_recordings, recover
 
-    somewhere = places or (Path(),)
-    total = sum(len(left_recordings(place)) for place in somewhere)
-    found: list[RecoveredRecording] = []
-    with ProgressMeter("recovering", total, quiet=is_quiet()) as meter:
-        for place in somewhere:
-            found += recover(place, lambda recording: meter.advance(0.0, f"recovering {recording.name}"))
+    folders = places or (Path(),)
+    recordings: list[RecoveredRecording] = []
+    with ProgressMeter("recovering", sum(len(left_recordings(place)) for place in folders)) as meter:
+        for place in folders:
+            recordings += recover(place, lambda recording: meter.advance(0.0, f"recovering {recording.name}"))
             meter.advance(float(len(left_recordings(place))))
     if as_json:
-        print_json(found)
+        print_json(recordings)
     else:
-        for one in found:
-            if one.path is not None:
-                print_result(f"{one.path}  {one.samples} samples")
-    if not found:
+        for recording in recordings:
+            if recording.path is not None:
+                print_result(f"{recording.path}  {recording.samples} samples")
+    if not recordings:
         print_remark("There is nothing to recover.")
-    left = [one for one in found if one.outcome is RecoveryOutcome.LEFT]
-    for one in found:
-        if one.outcome is not RecoveryOutcome.FINISHED:
-            print_error(one.message)
-    if left:
+    for recording in recordings:
+        if recording.outcome is not RecoveryOutcome.FINISHED:
+            print_error(recording.message)
+    if any(recording.outcome is RecoveryOutcome.LEFT for recording in recordings):
         ctx.exit(BAD_INPUT)
 
 
 @click.command("demo")
-@click.option(
-    "--out",
-    "-o",
-    metavar="DIR",
-    default="dragrig-demo",
-    show_default=True,
-    type=click.Path(path_type=Path),
-    help="Folder that gets a campaign.",
-)
+@options.out("Folder for the campaign.", default="dragrig-demo")
 @options.quiet
 def demo_command(out: Path) -> None:
-    """Run a short programme on the simulated rig and show what becomes of it.
+    """Run a short programme on the simulated rig, and filter, export and draw its runs.
 
     A blank run, a relaxation, a Coulomb test and drags at three speeds, one run file each; every trace filtered,
-    exported as CSV and drawn; and a picture of the whole. Takes some seconds.
+    exported as CSV and drawn; and an overview picture. Takes some seconds.
     """
     from dragrig.analysis.campaign_table import table_rows
-    from dragrig.api import report as demo
+    from dragrig.api.report import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
     from dragrig.cli.look_commands import table_text
     from dragrig.cli.operator import TerminalOperator
 
     print_remark("The simulated rig makes a blank run, a relaxation, a Coulomb test and drags at three speeds:")
     with TerminalOperator(yes=True) as person:
-        made = demo.run_demo(out, person)
+        made = run_demo(out, person)
     print_remark("Filtering, exporting and drawing every run …")
-    with ProgressMeter("filtering, exporting, drawing", 1.0, quiet=is_quiet()) as meter:
-        overview = demo.evaluate_demo(made, meter.at)
+    with ProgressMeter("filtering, exporting, drawing") as meter:
+        overview = evaluate_demo(made, meter.at)
     print_result(table_text(table_rows(made.folder)))
     folder = display_path(made.folder)
     print_result(
-        f"\nrun files  {folder}\ncsv        {display_path(made.folder / demo.DEMO_TABLES)}"
-        f"\npictures   {display_path(made.folder / demo.DEMO_PICTURES)}, {display_path(overview)}"
+        f"\nrun files  {folder}\ncsv        {display_path(made.folder / DEMO_TABLES)}"
+        f"\npictures   {display_path(made.folder / DEMO_PICTURES)}, {display_path(overview)}"
     )
-    print_remark(f"\nLook at it: dragrig info {folder}\nYour own:   dragrig init lab, then in it: dragrig run drag")
+    print_remark(f"\nInspect it: dragrig info {folder}\nYour own:   dragrig init lab, then in it: dragrig run drag")
 
 
 @click.command("gui")
@@ -372,20 +341,13 @@ def demo_command(out: Path) -> None:
 @options.pace
 @click.pass_context
 def gui_command(
-    ctx: click.Context,
-    lab: Path | None,
-    rig: str | None,
-    model: str | None,
-    backend: str | None,
-    double: bool,
-    assignments: tuple[str, ...],
-    pace: options.Pace | None,
+    ctx: click.Context, lab: Path | None, pace: options.Pace | None, **choices: Unpack[options.RigOptions]
 ) -> None:
     """Show the window: run plans, look at runs, diagnose campaigns.
 
-    LAB is a lab folder; the one that the working folder is in unless given. Which rig the window is for, simulated or
-    hardware, is chosen here and holds for as long as it is open. The engine runs in a process of its own: when the
-    window is closed or dies, the stage is stopped and the run finished.
+    LAB is a lab folder (default: that of the working folder). The rig, simulated or hardware, is chosen here for as
+    long as the window is open. The engine runs in its own process: when the window is closed or dies, the stage is
+    stopped and the run finished.
     """
     from dragrig.config.errors import SettingsError
     from dragrig.config.rig import RIG_FILE, rig_file_of
@@ -394,28 +356,19 @@ def gui_command(
     if lab is not None and not (lab / RIG_FILE).is_file():
         raise SettingsError(f"{lab}: is no lab folder, it holds no {RIG_FILE}; make one with dragrig init {lab}.")
     rig_file = rig_file_of(lab or Path.cwd())
-    meant = Path(rig) if rig is not None else rig_file
-    terms = RigSelection(meant, model, backend, double, assignments, pace)
-    ctx.exit(_show_window(terms, rig_file.parent if rig_file is not None else None))
-
-
-def _show_window(terms: "RigSelection", lab: Path | None) -> int:
-    from dragrig.config.errors import SettingsError
-
+    rig = Path(choices["rig"]) if choices["rig"] is not None else rig_file
+    selection = RigSelection(rig, choices["model"], choices["backend"], choices["double"], choices["assignments"], pace)
     try:
         from dragrig.window.main_window import show_window
     except ImportError as error:
-        raise SettingsError(_missing_library(error)) from error
+        if error.name is not None and error.name.split(".")[0] in {"PySide6", "shiboken6", "pyqtgraph"}:
+            missing = "the window needs PySide6 and pyqtgraph; install them with pip install 'dragrig[gui]'"
+        else:
+            missing = f"a system library that Qt needs is missing ({error}); the README names the packages"
+        raise SettingsError(f"gui: {missing}.") from error
     if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
         raise SettingsError(
             "gui: there is no screen here, neither DISPLAY nor WAYLAND_DISPLAY is set; sit at the machine itself, or "
             "connect with ssh -X."
         )
-    return show_window(terms, lab)
-
-
-def _missing_library(error: ImportError) -> str:
-    """Say which package a window needs that is not there."""
-    if error.name is not None and error.name.split(".")[0] in {"PySide6", "shiboken6", "pyqtgraph"}:
-        return "gui: the window needs PySide6 and pyqtgraph; install them with pip install 'dragrig[gui]'."
-    return f"gui: a library of the system that Qt needs is not there ({error}); the README names the packages."
+    ctx.exit(show_window(selection, rig_file.parent if rig_file is not None else None))

@@ -1,6 +1,6 @@
 """Options and arguments that several commands share, as decorators."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 Pace = Literal["fast", "real"] | float
-"""As `dragrig.setup.Pace`, which the command line's start must not load."""
+"""The same as `dragrig.setup.Pace`, which `dragrig --help` must not load."""
 
 
 def as_json(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--json`, passed on as `as_json`."""
+    """Add `--json`, as the argument `as_json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
 
 
@@ -37,21 +37,21 @@ def _set_quiet(context: click.Context, parameter: click.Parameter, value: bool) 
 
 
 def effects(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Add `--effect`, passed on as `effects`."""
+    """Add `--effect`, as the argument `effects`."""
     return click.option("--effect", "effects", metavar="ID[:KEY=VALUE,…]", multiple=True, help=what)
 
 
 _RIG_OPTIONS = (
-    click.option("--rig", metavar="F|NAME", help="Rig settings; the lab folder's, or the shipped bench."),
-    click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig; paper unless given."),
-    click.option("--backend", metavar="NAME", help="Backend; the rig's own unless given."),
-    click.option("--double", is_flag=True, help="The backend's double: a try without the hardware."),
+    click.option("--rig", metavar="F|NAME", help="Rig settings (default: the lab folder's, else the shipped bench)."),
+    click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig (default: paper)."),
+    click.option("--backend", metavar="NAME", help="Backend (default: that of the rig settings)."),
+    click.option("--double", is_flag=True, help="Use the backend's double: a try without the hardware."),
 )
 _SETTINGS_OPTIONS = (
     *_RIG_OPTIONS[:1],
-    click.option("--specimen", metavar="F|NAME", help="Specimen; jejunum unless given."),
+    click.option("--specimen", metavar="F|NAME", help="Specimen (default: jejunum)."),
     *_RIG_OPTIONS[1:2],
-    effects("What the simulated rig has beside the model, as dragrig gap effects lists it; repeatable."),
+    effects("Add an effect to the simulated rig, as listed by dragrig gap effects; repeatable."),
     click.option("--capsule", metavar="F|NAME", help="Capsule of every step, in place of the plan's."),
     *_RIG_OPTIONS[2:],
     click.option(
@@ -68,7 +68,7 @@ _SET_RIG_OPTION = click.option(
 
 
 class RigOptions(TypedDict):
-    """What `rig` adds; it fits `dragrig.setup.RigChoices`, which the command line's start must not load."""
+    """The arguments that `rig` adds, as `dragrig.setup.RigChoices`, which `dragrig --help` must not load."""
 
     rig: str | None
     model: str | None
@@ -78,7 +78,7 @@ class RigOptions(TypedDict):
 
 
 class SettingsOptions(RigOptions):
-    """What `settings` adds; it fits `dragrig.setup.SetupChoices`."""
+    """The arguments that `settings` adds, as `dragrig.setup.SetupChoices`."""
 
     specimen: str | None
     capsule: str | None
@@ -86,38 +86,45 @@ class SettingsOptions(RigOptions):
 
 
 def settings(function: Callable[P, R]) -> Callable[P, R]:
-    """Add what says with which settings a plan runs: rig, specimen, model, effects, capsule, backend and `--set`."""
+    """Add the settings of a plan: rig, specimen, model, effects, capsule, backend, double and `--set`."""
     for option in reversed(_SETTINGS_OPTIONS):
         function = option(function)
     return function
 
 
 def rig(function: Callable[P, R]) -> Callable[P, R]:
-    """Add what says which rig is meant: rig, model, backend, double and `--set`."""
+    """Add the choice of the rig: rig, model, backend, double and `--set`."""
     for option in reversed((*_RIG_OPTIONS, _SET_RIG_OPTION)):
         function = option(function)
     return function
 
 
-def _parse_pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
-    words: dict[str, Pace] = {"fast": "fast", "real": "real"}
-    if value is None or value in words:
-        return None if value is None else words[value]
-    try:
-        return float(value)
-    except ValueError:
-        said = f"{value!r} is neither fast, real, nor a number of times faster"
-        raise click.BadParameter(said, context, parameter) from None
-
-
 def pace(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--pace`."""
-    return click.option(
-        "--pace",
-        metavar="fast|real|N",
-        callback=_parse_pace,
-        help="Of the simulated rig: fast unless given. Of a double: real unless given, or N times faster.",
-    )(function)
+    text = "Of the simulated rig: fast (default) or real. Of a double: real (default), or N times faster."
+    return click.option("--pace", metavar="fast|real|N", callback=_parse_pace, help=text)(function)
+
+
+def _parse_pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
+    names: dict[str | None, Pace | None] = {"fast": "fast", "real": "real", None: None}
+    if value in names:
+        return names[value]
+    try:
+        return float(value or "")
+    except ValueError:
+        text = f"{value!r} is neither fast, real, nor a number of times faster"
+        raise click.BadParameter(text, context, parameter) from None
+
+
+def session_notes(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Add `--operator` and `--note`, stored with what the command makes."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        function = click.option("--note", metavar="TEXT", default="", help=f"Note, stored {what}.")(function)
+        operator = f"Operator's name, stored {what}."
+        return click.option("--operator", metavar="NAME", default="", help=operator)(function)
+
+    return decorate
 
 
 def inputs(function: Callable[P, R]) -> Callable[P, R]:
@@ -126,41 +133,50 @@ def inputs(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def workers(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Add `--workers` and `--scheduler`, which share out pieces of work of this name."""
+    """Add `--workers` and `--scheduler` for tasks of this name."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        cluster = f"Address of a Dask cluster's scheduler, whose workers share the {what}."
+        cluster = f"Address of a Dask cluster's scheduler, on whose workers the {what} are processed."
         function = click.option("--scheduler", metavar="ADDRESS", help=cluster)(function)
-        here = f"Processes that share the {what}, each of which has one; the cores unless given."
-        return click.option("--workers", metavar="N", type=int, help=here)(function)
+        local = f"Processes that work on the {what} in parallel (default: the number of cores)."
+        return click.option("--workers", metavar="N", type=int, help=local)(function)
 
     return decorate
 
 
 def require_single_campaign(count: int, **files: Path | None) -> None:
-    """Raise `SettingsError` where a file for one campaign is asked for and several were given."""
+    """Raise `SettingsError` where a file for one campaign is named and there are several campaigns."""
     from dragrig.config.errors import SettingsError
 
     for name, path in files.items():
         if path is not None:
             option = "--" + name.replace("_", "-")
-            raise SettingsError(
-                f"{option} {path}: is made of one campaign, and {count} were given; diagnose that one by itself."
-            )
+            raise SettingsError(f"{option} {path}: holds one campaign, and {count} were given; name a single one.")
 
 
-def out(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Add `--out DIR`, passed on as `out`."""
-    return click.option("--out", "-o", metavar="DIR", type=click.Path(path_type=Path), help=what)
+def require_all_succeeded(what: str, campaigns: int, reasons: Sequence[str]) -> None:
+    """Raise `AnalysisError` with the first reason why campaigns failed, where any did."""
+    from dragrig.config.errors import AnalysisError
+
+    if reasons:
+        more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
+        raise AnalysisError(f"{len(reasons)} of {campaigns} campaigns were not {what}: {reasons[0].rstrip('.')}{more}.")
+
+
+def out(what: str, default: str | None = None) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Add `--out DIR`, as the argument `out`."""
+    shown = default is not None
+    folder = click.Path(path_type=Path)
+    return click.option("--out", "-o", metavar="DIR", type=folder, default=default, show_default=shown, help=what)
 
 
 def overwrite(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--overwrite`."""
-    return click.option("--overwrite", is_flag=True, help="Replace files that are there already.")(function)
+    return click.option("--overwrite", is_flag=True, help="Replace existing files.")(function)
 
 
 def make_folder(folder: Path) -> Path:
-    """Make the folder that `--out` names unless it is there; raises `OutputError`."""
+    """Make the folder of `--out` where it does not exist; raises `OutputError`."""
     from dragrig.config.errors import OutputError
 
     try:
@@ -172,28 +188,28 @@ def make_folder(folder: Path) -> Path:
 
 def yes(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--yes`."""
-    said = "Answer every question with done that asks for nobody's hands or eyes at the rig."
-    return click.option("--yes", "-y", is_flag=True, help=said)(function)
+    text = "Answer every prompt that needs no hands or eyes at the rig with done."
+    return click.option("--yes", "-y", is_flag=True, help=text)(function)
 
 
 def override_limit(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--override-limit`, passed on as `override_limit`."""
-    said = "Go although this side's limit switch is pressed; everything else stays watched."
-    return click.option("--override-limit", "override", type=click.Choice(["low", "high"]), help=said)(function)
+    """Add `--override-limit`, as the argument `override`."""
+    text = "Move although this side's limit switch is pressed; everything else stays guarded."
+    return click.option("--override-limit", "override", type=click.Choice(["low", "high"]), help=text)(function)
 
 
-def limit_side(word: str | None) -> "TravelEnd | None":
+def limit_side(name: str | None) -> "TravelEnd | None":
     """Return the side that `--override-limit` names."""
     from dragrig.rig.devices import TravelEnd
 
-    return None if word is None else TravelEnd(word)
+    return None if name is None else TravelEnd(name)
 
 
-def print_move(moved: "MoveResult", *, as_json: bool) -> None:
-    """Print where the stage is, and what the guard is tripped on still."""
+def print_move(move: "MoveResult", *, as_json: bool) -> None:
+    """Print the stage's position, and why the guard is still tripped."""
     if as_json:
-        print_json(moved)
+        print_json(move)
         return
-    print_result(f"{moved.position_mm:.3f} mm")
-    if moved.trip is not None:
-        print_remark(f"The guard stays tripped: {moved.trip.message}.")
+    print_result(f"{move.position_mm:.3f} mm")
+    if move.trip is not None:
+        print_remark(f"The guard stays tripped: {move.trip.message}.")

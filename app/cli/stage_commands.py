@@ -1,12 +1,10 @@
 """Commands that move the stage by hand or calibrate: home, jog, touch-off, calibrate."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Unpack
 
 import click
 
 from dragrig.cli import options
-from dragrig.cli import options as by_hand
 from dragrig.cli.console import print_json, print_remark, print_result
 from dragrig.present.numbers import text_columns
 
@@ -15,35 +13,31 @@ if TYPE_CHECKING:
 
 
 @click.command("home")
-@by_hand.override_limit
+@options.override_limit
 @options.rig
 @options.pace
-@by_hand.yes
+@options.yes
 @options.as_json
 @options.quiet
 def home_command(
     override: str | None, pace: options.Pace | None, yes: bool, as_json: bool, **rig: Unpack[options.RigOptions]
 ) -> None:
-    """Find the stage's origin; says before what will move, and asks.
-
-    Prints where the stage then is.
-    """
-    import dragrig as api
+    """Find the stage's origin; announces the motion and asks first. Prints the stage's position."""
+    from dragrig.api.stage import home
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
-        by_hand.print_move(
-            api.home(override=by_hand.limit_side(override), pace=pace, person=person, **rig), as_json=as_json
-        )
+        move = home(override=options.limit_side(override), pace=pace, person=person, **rig)
+    options.print_move(move, as_json=as_json)
 
 
 @click.command("jog", context_settings={"ignore_unknown_options": True})
 @click.argument("distance_mm", metavar="MM", type=float)
-@click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, help="10 unless given; 2 off a limit switch.")
-@by_hand.override_limit
+@click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, help="Default: 10; 2 off a limit switch.")
+@options.override_limit
 @options.rig
 @options.pace
-@by_hand.yes
+@options.yes
 @options.as_json
 @options.quiet
 def jog_command(
@@ -55,35 +49,42 @@ def jog_command(
     as_json: bool,
     **rig: Unpack[options.RigOptions],
 ) -> None:
-    """Move the stage by MM, as 5 or -2.5; says before from where to where, and asks.
+    """Move the stage by MM, as 5 or -2.5; announces the motion and asks first. Prints the stage's position.
 
-    Guarded as a run is, and not recorded. Prints where the stage then is.
+    Guarded as a run is, and not recorded.
     """
-    import dragrig as api
+    from dragrig.api.stage import jog
     from dragrig.cli.operator import TerminalOperator
 
+    side = options.limit_side(override)
     with TerminalOperator(yes=yes) as person:
-        moved = api.jog(distance_mm, speed_mm_s, override=by_hand.limit_side(override), pace=pace, person=person, **rig)
-    by_hand.print_move(moved, as_json=as_json)
+        move = jog(distance_mm, speed_mm_s, override=side, pace=pace, person=person, **rig)
+    options.print_move(move, as_json=as_json)
 
 
 @click.command("touch-off")
-@click.option("--force", "force_mN", metavar="MN", type=float, default=20.0, show_default=True, help="Change sought.")
-@click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, default=1.0, show_default=True, help="Of the way.")
 @click.option(
-    "--most",
-    "most_mm",
-    metavar="MM",
+    "--force",
+    "force_mN",
+    metavar="MN",
     type=float,
     default=20.0,
     show_default=True,
-    help="Go so far at most; negative goes down.",
+    help="Force change that counts as contact.",
 )
-@click.option("--back", "back_mm", metavar="MM", type=float, default=0.0, show_default=True, help="Go back by so much.")
-@click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept with the contact.")
+@click.option(
+    "--speed", "speed_mm_s", metavar="MM/S", type=float, default=1.0, show_default=True, help="Approach speed."
+)
+@click.option(
+    "--most", "most_mm", metavar="MM", type=float, default=20.0, show_default=True, help="Longest travel, signed."
+)
+@click.option(
+    "--back", "back_mm", metavar="MM", type=float, default=0.0, show_default=True, help="Retract by this after contact."
+)
+@click.option("--operator", metavar="NAME", default="", help="Operator's name, stored with the contact.")
 @options.rig
 @options.pace
-@by_hand.yes
+@options.yes
 @options.as_json
 @options.quiet
 def touch_off_command(
@@ -97,16 +98,16 @@ def touch_off_command(
     as_json: bool,
     **rig: Unpack[options.RigOptions],
 ) -> None:
-    """Approach slowly until the force has changed against its value at rest; says before how far, and asks.
+    """Approach slowly until the force has changed from its value at rest; announces the motion and asks first.
 
-    The contact is kept in the lab folder. With stage.start_from = "contact" in the rig settings, start_mm of plans
+    The contact is stored in the lab folder. With stage.start_from = "contact" in the rig settings, start_mm of plans
     counts from it; limits stay absolute.
     """
-    import dragrig as api
+    from dragrig.api.stage import touch_off
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
-        found = api.touch_off(
+        contact = touch_off(
             most_mm,
             force_mN=force_mN,
             speed_mm_s=speed_mm_s,
@@ -117,39 +118,44 @@ def touch_off_command(
             **rig,
         )
     if as_json:
-        print_json(found.model_dump())
+        print_json(contact.model_dump())
     else:
-        print_result(f"contact at {found.position_mm:.3f} mm, where the force changed by {found.force_mN:.1f} mN")
-        print_remark("Kept as contact.toml in the lab folder.")
+        print_result(f"contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN")
+        print_remark("Stored as contact.toml in the lab folder.")
 
 
 @click.group("calibrate", invoke_without_command=True)
 @click.pass_context
 def calibrate_group(ctx: click.Context) -> None:
-    """Calibrate force sensor or encoder; the result is added to the lab's history and holds from then on."""
+    """Calibrate force sensor or encoder; the result is added to the lab's history and applies from then on."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 
 
 def _parse_numbers(context: click.Context, parameter: click.Parameter, value: str) -> tuple[float, ...]:
     try:
-        return tuple(float(word) for word in value.split(","))
+        return tuple(float(number) for number in value.split(","))
     except ValueError:
-        said = f"{value!r} is no list of numbers, as 0,20,50,100"
-        raise click.BadParameter(said, context, parameter) from None
+        text = f"{value!r} is no list of numbers, as 0,20,50,100"
+        raise click.BadParameter(text, context, parameter) from None
 
 
 @calibrate_group.command("force")
 @click.option(
-    "--weights", metavar="G,G,…", required=True, callback=_parse_numbers, help="Grams to hang on, 0 for nothing."
+    "--weights",
+    metavar="G,G,…",
+    required=True,
+    callback=_parse_numbers,
+    help="Weights in grams; 0 is the empty sensor.",
 )
-@click.option("--repeats", metavar="N", type=int, default=1, show_default=True, help="How often, up and down in turns.")
-@click.option("--seconds", metavar="S", type=float, default=2.0, show_default=True, help="How long each is read.")
-@click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept with the result.")
-@click.option("--note", metavar="TEXT", default="", help="Kept with the result.")
+@click.option(
+    "--repeats", metavar="N", type=int, default=1, show_default=True, help="Number of series, up and down alternately."
+)
+@click.option("--seconds", metavar="S", type=float, default=2.0, show_default=True, help="Duration of each reading.")
+@options.session_notes("with the result")
 @options.rig
 @options.pace
-@by_hand.yes
+@options.yes
 @options.as_json
 @options.quiet
 def calibrate_force_command(
@@ -163,16 +169,16 @@ def calibrate_force_command(
     as_json: bool,
     **rig: Unpack[options.RigOptions],
 ) -> None:
-    """Calibrate the force sensor with known weights: asks for each, reads it, and fits a line by least squares.
+    """Calibrate the force sensor with known weights: asks for each, reads it, fits a line by least squares.
 
     Needs at least three distinct weights. Prints the points, gain and zero with their standard errors, and the standard
     deviation of the residuals.
     """
-    import dragrig as api
+    from dragrig.api.stage import calibrate_force
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
-        made = api.calibrate_force(
+        calibration = calibrate_force(
             weights,
             repeats=repeats,
             duration_s=seconds,
@@ -182,30 +188,41 @@ def calibrate_force_command(
             person=person,
             **rig,
         )
-    if as_json:
-        print_json({"entry": made.entry.model_dump(), "points": made.points, "notes": made.notes})
-        return
-    _print_points(_force_point_table(made), made.notes)
-    print_result(
-        f"gain {made.line.gain:.6g} ± {made.line.gain_error:.2g} mN/V, zero {made.line.zero:.2f} ± "
-        f"{made.line.zero_error:.2f} mN, residual {made.line.residual:.2f} mN; kept as {made.entry.id}"
+    line = calibration.line
+    rows = [
+        (
+            f"{point.weight_g:g}",
+            f"{point.load_mN:.2f}",
+            f"{point.reading.force_V:.5f}",
+            f"{1e3 * point.reading.force_V_sd:.2f}",
+            f"{point.load_mN - line.at(point.reading.force_V):+.2f}",
+        )
+        for point in calibration.points
+    ]
+    _print_calibration(
+        calibration,
+        text_columns(("weight g", "load mN", "reading V", "noise mV", "residual mN"), rows),
+        f"gain {line.gain:.6g} ± {line.gain_error:.2g} mN/V, zero {line.zero:.2f} ± {line.zero_error:.2f} mN, residual "
+        f"{line.residual:.2f} mN",
+        as_json=as_json,
     )
 
 
 @calibrate_group.command("encoder")
-@click.option("--travel", "travel_mm", metavar="MM", type=float, required=True, help="Way there; negative goes down.")
+@click.option("--travel", "travel_mm", metavar="MM", type=float, required=True, help="Travel, signed.")
 @click.option(
-    "--measured", "measured_mm", metavar="MM", type=float, multiple=True, help="What a gauge says; repeatable."
+    "--measured", "measured_mm", metavar="MM", type=float, multiple=True, help="Travel measured by a gauge; repeatable."
 )
-@click.option("--repeats", metavar="N", type=int, default=3, show_default=True, help="How often.")
-@click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, default=10.0, show_default=True, help="Of the way.")
-@click.option("--by-hand", is_flag=True, help="The stage is switched off, and pushed.")
-@click.option("--seconds", metavar="S", type=float, default=20.0, show_default=True, help="For a push by hand.")
-@click.option("--operator", metavar="NAME", default="", help="Who is at the rig; kept with the result.")
-@click.option("--note", metavar="TEXT", default="", help="Kept with the result.")
+@click.option("--repeats", metavar="N", type=int, default=3, show_default=True, help="Number of travels.")
+@click.option(
+    "--speed", "speed_mm_s", metavar="MM/S", type=float, default=10.0, show_default=True, help="Speed of travel."
+)
+@click.option("--by-hand", is_flag=True, help="Switch the stage off and push it.")
+@click.option("--seconds", metavar="S", type=float, default=20.0, show_default=True, help="Time for a push by hand.")
+@options.session_notes("with the result")
 @options.rig
 @options.pace
-@by_hand.yes
+@options.yes
 @options.as_json
 @options.quiet
 def calibrate_encoder_command(
@@ -222,15 +239,15 @@ def calibrate_encoder_command(
     as_json: bool,
     **rig: Unpack[options.RigOptions],
 ) -> None:
-    """Calibrate the encoder over a known travel: the stage goes there and back, and a line is fitted to the counts.
+    """Calibrate the encoder over a known travel: the stage goes there and back; a line is fitted to the counts.
 
     Prints the points and the length of a count.
     """
-    import dragrig as api
+    from dragrig.api.stage import calibrate_encoder
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
-        made = api.calibrate_encoder(
+        calibration = calibrate_encoder(
             travel_mm,
             measured_mm=measured_mm,
             repeats=repeats,
@@ -243,45 +260,27 @@ def calibrate_encoder_command(
             person=person,
             **rig,
         )
-    if as_json:
-        print_json({"entry": made.entry.model_dump(), "points": made.points, "notes": made.notes})
-        return
-    _print_points(_encoder_point_table(made), made.notes)
-    print_result(
-        f"a count is {1e3 * made.line.gain:.6g} ± {1e3 * made.line.gain_error:.2g} µm, residual "
-        f"{1e3 * made.line.residual:.2g} µm; kept as {made.entry.id}"
+    line = calibration.line
+    rows = [
+        (f"{point.travel_mm:g}", f"{point.counts:.0f}", f"{1e3 * (point.travel_mm - line.at(point.counts)):+.1f}")
+        for point in calibration.points
+    ]
+    _print_calibration(
+        calibration,
+        text_columns(("travel mm", "counts", "residual µm"), rows),
+        f"a count is {1e3 * line.gain:.6g} ± {1e3 * line.gain_error:.2g} µm, residual {1e3 * line.residual:.2g} µm",
+        as_json=as_json,
     )
 
 
-def _print_points(points: str, notes: Sequence[str]) -> None:
+def _print_calibration(
+    calibration: "ForceCalibration | EncoderCalibration", points: str, summary: str, *, as_json: bool
+) -> None:
+    entry, notes = calibration.entry, calibration.notes
+    if as_json:
+        print_json({"entry": entry.model_dump(), "points": calibration.points, "notes": notes})
+        return
     print_result(points)
     for note in notes:
         print_result(f"NOTE {note}")
-
-
-def _force_point_table(made: "ForceCalibration") -> str:
-    header = ("weight g", "load mN", "reading V", "noise mV", "off the line mN")
-    return text_columns(
-        header,
-        (
-            (
-                f"{one.weight_g:g}",
-                f"{one.load_mN:.2f}",
-                f"{one.reading.force_V:.5f}",
-                f"{1e3 * one.reading.force_V_sd:.2f}",
-                f"{one.load_mN - made.line.at(one.reading.force_V):+.2f}",
-            )
-            for one in made.points
-        ),
-    )
-
-
-def _encoder_point_table(made: "EncoderCalibration") -> str:
-    header = ("travel mm", "counts", "off the line µm")
-    return text_columns(
-        header,
-        (
-            (f"{one.travel_mm:g}", f"{one.counts:.0f}", f"{1e3 * (one.travel_mm - made.line.at(one.counts)):+.1f}")
-            for one in made.points
-        ),
-    )
+    print_result(f"{summary}; stored as {entry.id}")

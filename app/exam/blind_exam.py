@@ -246,8 +246,8 @@ class _RunningExam:
                 keep(piece, result)
             self.meter.advance(weight)
 
-        with open_executor(self.workers, self.scheduler, most=len(waiting), apart=True) as some:
-            parallel_map(some, function, waiting, finished)
+        with open_executor(self.workers, self.scheduler, tasks=len(waiting), own_process=True) as executor:
+            parallel_map(executor, function, waiting, finished)
 
     def _keep(self, name: str, said: BlindDiagnosis) -> None:
         """Keep a diagnosis; the model first, so that it is there when the diagnosis is."""

@@ -37,12 +37,12 @@ class BlindDiagnosis:
 
 def diagnose_blind(question: BlindTask) -> BlindDiagnosis:
     """Diagnose a campaign; what goes wrong becomes a part of the answer, so that the exam goes on."""
-    from dragrig.api.diagnose import diagnose_campaign
+    from dragrig.api.diagnose import DiagnosisRequest
     from dragrig.config.settings import to_toml
     from dragrig.present.diagnosis import diagnosis_json
 
     try:
-        found = diagnose_campaign(question.campaign, without=question.without)
+        found = DiagnosisRequest(without=question.without).diagnose(question.campaign)
     except Exception as error:  # noqa: BLE001  # whatever it is, it is a campaign that was not diagnosed
         return BlindDiagnosis({}, None, f"{type(error).__name__}: {error}")
     model = None if found.result.model is None else to_toml(found.result.model)

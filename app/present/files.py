@@ -1,6 +1,7 @@
 """Pages, tables and texts written into files; names of the files of the paper report."""
 
 from collections.abc import Mapping
+from itertools import chain, count
 from pathlib import Path
 
 from dragrig.config.errors import OutputError
@@ -42,14 +43,23 @@ def require_writable(path: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, or name another.")
 
 
-def write_text(text: str, path: Path, *, overwrite: bool) -> Path:
+def write_text(text: str, path: Path, *, overwrite: bool, make_folder: bool = False) -> Path:
     """Write one file and return its path; raises `OutputError` as `require_writable`, and where the folder refuses."""
-    require_writable(path, overwrite=overwrite)
     try:
+        if make_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        require_writable(path, overwrite=overwrite)
         path.write_text(text, "utf-8", newline="\n")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another place.") from error
     return path
+
+
+def unused_path(path: Path, suffix: str = "") -> Path:
+    """Return the path, or one with the first free number before its suffix where it exists."""
+    stem = path.name.removesuffix(suffix)
+    numbered = (path.with_name(f"{stem}-{number}{suffix}") for number in count(2))
+    return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 
 
 PAPER_REPORT_FILE = "report.html"

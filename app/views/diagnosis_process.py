@@ -194,20 +194,18 @@ def _where_svg(diagnosis: Diagnosis) -> bytes:
     return content.getvalue()
 
 
-def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", wanted: DiagnosisTask) -> None:
-    from dragrig.api.diagnose import diagnose_campaign
+def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
+    from dragrig.api.diagnose import diagnose
 
     def progress(done: int, of: int) -> None:
         connection.send(DiagnosisProgress(done, of))
 
-    # Ctrl-C in the terminal is the window's to hear, which then cancels this.
+    # Ctrl-C in the terminal goes to the window too, which then cancels this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Nobody listens any more once the window is gone.
+    # The connection is closed once the window is gone.
     with suppress(OSError):
         try:
-            found = diagnose_campaign(
-                wanted.campaign, nominal=wanted.nominal, tolerance_mN=wanted.tolerance_mN, progress=progress
-            )
-            connection.send(diagnosis_view(found.result))
+            diagnosis = diagnose(task.campaign, nominal=task.nominal, tolerance_mN=task.tolerance_mN, progress=progress)
+            connection.send(diagnosis_view(diagnosis))
         except DragrigError as error:
             connection.send(DiagnosisFailed(str(error)))
