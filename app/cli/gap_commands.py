@@ -345,11 +345,13 @@ def _catalogue_text(effects: "Sequence[Effect]") -> str:
 
 def _effect_text(effect: "Effect") -> str:
     header = ("parameter", "unit", "default", "from", "to", "")
-    rows: list[tuple[str, ...]] = [
+    rows = [
         (
             parameter.name,
             "" if parameter.unit == "1" else parameter.unit,
-            *(f"{number:g}" for number in (parameter.default, parameter.low, parameter.high)),
+            f"{parameter.default:g}",
+            f"{parameter.low:g}",
+            f"{parameter.high:g}",
             f"{parameter.role}: {parameter.meaning}",
         )
         for parameter in effect.parameters
