@@ -6,7 +6,7 @@ import pytest
 
 from dragrig.config.errors import DragrigError, SettingsError
 from dragrig.engine_host.messages import RigSelection
-from dragrig.views.plan_view import FieldKind, describe_rig, known_plans, plan_form, preview_session
+from dragrig.views.plan_view import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
 
 
 @pytest.mark.parametrize("name", known_plans())
@@ -31,7 +31,7 @@ def test_several_values_make_one_run_of_each() -> None:
     form = plan_form("drag")
     values = {**form.steps[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
     session = preview_session(form.filled([values]), RigSelection())
-    assert len([one for one in session.runs if one.summary.startswith("drag")]) == 6
+    assert len([one for one in session.preflight.previews if one.run.protocol.summary().startswith("drag")]) == 6
 
 
 @pytest.mark.parametrize(("key", "text"), [("speed_mm_s", "fast"), ("speed_mm_s", "-3"), ("wait_s", "1, 2")])
@@ -51,9 +51,9 @@ def test_strokes_of_a_motion_can_be_edited(tmp_path: Path) -> None:
     )
     form = plan_form(str(file))
     plan = form.filled([step.values for step in form.steps])
-    assert len(preview_session(plan, RigSelection()).runs) == 1
+    assert len(preview_session(plan, RigSelection()).preflight.previews) == 1
     changed = form.filled([{"strokes": "{travel_mm = 3, speed_mm_s = 2}"}])
-    assert preview_session(changed, RigSelection()).runs[0].highest_mm == pytest.approx(43.0)
+    assert preview_session(changed, RigSelection()).preflight.previews[0].highest_mm == pytest.approx(43.0)
 
 
 def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
@@ -65,14 +65,14 @@ def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
 
 def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
     session = preview_session(plan_form("drag").plan, RigSelection())
-    time, position, speed = session.runs[0].course()
-    assert position[0] == pytest.approx(session.runs[0].lowest_mm)
-    assert position.max() == pytest.approx(session.runs[0].highest_mm)
+    time, position, speed = motion_curves(session.preflight.previews[0])
+    assert position[0] == pytest.approx(session.preflight.previews[0].lowest_mm)
+    assert position.max() == pytest.approx(session.preflight.previews[0].highest_mm)
     assert speed.max() == pytest.approx(20.0)
-    assert time[-1] == pytest.approx(session.runs[0].duration_s)
+    assert time[-1] == pytest.approx(session.preflight.previews[0].run.duration_s)
     form = plan_form("drag")
     far = preview_session(form.filled([{**form.steps[0].values, "travel_mm": "900"}]), RigSelection())
-    assert "change travel_mm or start_mm" in far.findings[0]
+    assert "change travel_mm or start_mm" in far.preflight.findings[0]
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot,
 def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until: Until, lab: Path) -> None:
     fill(window, speed_mm_s="10, 20")
     assert window.run.preview.runs.rowCount() == 2
-    assert "Nothing forbids it" in window.run.preview.findings.text()
+    assert "Plan OK, within limits" in window.run.preview.findings.text()
     window.run.new.operator.setText("A. Person")
     press(window.run.new.start)
     until(lambda: not window.run.under_way)

@@ -300,7 +300,7 @@ def _isolability_parts(result: "Isolability") -> "Iterator[RenderableType]":
     pairs = result.pairs[:MAX_PAIRS]
     title = f"The closest pairs, {len(pairs)} of {len(result.pairs)}"
     names = ("", "", "sin²", "first by second", "second by first", "d′", "")
-    rows = [
+    pair_rows = [
         (
             display_name(pair.effects[0]),
             display_name(pair.effects[1]),
@@ -311,7 +311,7 @@ def _isolability_parts(result: "Isolability") -> "Iterator[RenderableType]":
         )
         for pair in pairs
     ]
-    yield terminal_table(title, names, rows, (2, 3, 4, 5))
+    yield terminal_table(title, names, pair_rows, (2, 3, 4, 5))
     yield "\n".join(f"! {as_sentence(remark)}" for remark in result.remarks)
 
 

@@ -13,7 +13,7 @@ from dragrig.config.plan import Plan, PlanStep
 from dragrig.config.settings import Settings, find_table, parse, parse_value, shipped_files
 from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.preflight import RunPreview
+from dragrig.rig.preflight import Preflight, RunPreview
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
 from dragrig.setup import resolve_pace, resolve_rig
 
@@ -243,47 +243,27 @@ _POINTS_PER_SEGMENT = 24
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedRunView:
-    """One run before it is made; positions are absolute."""
-
-    index: int
-    summary: str
-    capsule: str
-    lowest_mm: float
-    highest_mm: float
-    speed_mm_s: float
-    accel_mm_s2: float
-    wait_s: float
-    duration_s: float
-    prompt: str
-    preview: RunPreview
-
-    def course(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return times [s], absolute positions [mm] and speeds [mm/s] that draw the run's motion, shape `(n,)` each."""
-        run = self.preview.run
-        profile = run.profile
-        ends = np.append(profile.start_s, profile.duration_s)
-        inside = np.linspace(0.0, 1.0, _POINTS_PER_SEGMENT, endpoint=False)
-        time = np.append((ends[:-1, None] + np.diff(ends)[:, None] * inside).ravel(), profile.duration_s)
-        return time, run.start_mm + profile.position(time), profile.velocity(time)
-
-
-@dataclass(frozen=True, slots=True)
 class SessionPreview:
-    """All runs of a plan, what they take, and what forbids them."""
+    """What a plan would do, and the stage's limits."""
 
-    runs: tuple[PlannedRunView, ...]
-    duration_s: float
-    size_bytes: int
-    free_bytes: int
-    findings: tuple[str, ...]
+    preflight: Preflight
     lowest_mm: float
     highest_mm: float
+
+
+def motion_curves(preview: RunPreview) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return times [s], absolute positions [mm] and speeds [mm/s] of a run's planned motion, shape `(n,)` each."""
+    run = preview.run
+    profile = run.profile
+    ends = np.append(profile.start_s, profile.duration_s)
+    inside = np.linspace(0.0, 1.0, _POINTS_PER_SEGMENT, endpoint=False)
+    time = np.append((ends[:-1, None] + np.diff(ends)[:, None] * inside).ravel(), profile.duration_s)
+    return time, run.start_mm + profile.position(time), profile.velocity(time)
 
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """Which rig is meant, unmistakably: `title` in capital letters, and what that means."""
+    """The rig in use: `title` in capital letters, and what that means."""
 
     name: str
     backend: str
@@ -295,28 +275,19 @@ class RigDescription:
 
 
 def preview_session(plan: Plan | str, rig: RigSelection) -> SessionPreview:
-    """Look at a plan without moving anything.
+    """Check a plan without moving anything.
 
     Raises
     ------
     SettingsError, PlanError, OutputError
         For settings that cannot be used at all.
     """
-    found = check(plan, **rig.choices())
     stage = resolve_rig(**rig.choices()).rig.stage
-    return SessionPreview(
-        runs=tuple(map(_planned_run_view, found.previews)),
-        duration_s=found.duration_s,
-        size_bytes=found.size_bytes,
-        free_bytes=found.free_bytes,
-        findings=found.findings,
-        lowest_mm=stage.lowest_mm,
-        highest_mm=stage.highest_mm,
-    )
+    return SessionPreview(check(plan, **rig.choices()), stage.lowest_mm, stage.highest_mm)
 
 
 def describe_rig(rig: RigSelection) -> RigDescription:
-    """Say which rig is meant; raises `SettingsError`, also for a pace that this rig has not."""
+    """Describe the rig in use; raises `SettingsError`, also for a pace that it does not have."""
     setup = resolve_rig(**rig.choices())
     resolve_pace(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
@@ -334,21 +305,4 @@ def describe_rig(rig: RigSelection) -> RigDescription:
         real=not (simulated or setup.double),
         force_limit_mN=setup.rig.guard.force_limit_mN,
         data_root=str(setup.data_root),
-    )
-
-
-def _planned_run_view(one: RunPreview) -> PlannedRunView:
-    run = one.run
-    return PlannedRunView(
-        index=run.index,
-        summary=run.protocol.summary(),
-        capsule=run.capsule.name,
-        lowest_mm=one.lowest_mm,
-        highest_mm=one.highest_mm,
-        speed_mm_s=one.speed_mm_s,
-        accel_mm_s2=one.accel_mm_s2,
-        wait_s=run.wait_s,
-        duration_s=run.duration_s,
-        prompt=run.prompt,
-        preview=one,
     )

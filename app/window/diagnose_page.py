@@ -1,10 +1,8 @@
 """The page that diagnoses a campaign: verdict, ranking, where the gap is, before and after, what to run next."""
 
-from pathlib import Path
-
 from PySide6.QtCore import QByteArray, Qt, QTimer, Signal
 from PySide6.QtSvgWidgets import QSvgWidget
-from PySide6.QtWidgets import QComboBox, QFileDialog, QLineEdit, QProgressBar, QScrollArea, QTabWidget, QWidget
+from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QScrollArea, QTabWidget, QWidget
 
 from dragrig.config.errors import DragrigError
 from dragrig.present.palette import BLUE, GREY, PALE, VERMILLION
@@ -18,7 +16,18 @@ from dragrig.views.diagnosis_process import (
 )
 from dragrig.views.plan_view import PlanForm, form_from_plan
 from dragrig.window.plots import BarChart, TimePlot
-from dragrig.window.widgets import StoredSettings, button, card, column, fill_table, label, row, table
+from dragrig.window.widgets import (
+    StoredSettings,
+    button,
+    card,
+    choose_path,
+    column,
+    fill_table,
+    label,
+    named,
+    row,
+    table,
+)
 
 _ROLE_TEXTS = ("", "cannot be told from it with these runs", "the verdict")
 
@@ -36,15 +45,13 @@ class DiagnosisResults(QWidget):
         self.next_words = label("", wrap=True)
         self.next = button("Put it in the &queue", self.next_wanted.emit, "main", "The plan is shown on the run page")
         self.ranking = BarChart()
-        self.hypotheses = table(("Hypothesis", "Probability", "Takes away, held out", ""))
-        self.hypotheses.setAccessibleName("Ranking of hypotheses")
-        self.places = table(("Along", "Where", "By chance"))
-        self.places.setAccessibleName("Where the gap is")
-        self.map = QSvgWidget()
-        self.map.setAccessibleName("Map of where the gap is")
+        self.hypotheses = named(
+            table(("Hypothesis", "Probability", "Takes away, held out", "")), "Ranking of hypotheses"
+        )
+        self.places = named(table(("Along", "Where", "By chance")), "Where the gap is")
+        self.map = named(QSvgWidget(), "Map of where the gap is")
         self.where = label("", wrap=True)
-        self.runs = QComboBox()
-        self.runs.setAccessibleName("Run to show before and after")
+        self.runs = named(QComboBox(), "Run to show before and after")
         self.runs.currentIndexChanged.connect(self._draw_run)
         self.above, self.below = TimePlot("Force", "mN"), TimePlot("Left", "mN")
         self.above.hide_times()
@@ -101,21 +108,14 @@ class DiagnosisResults(QWidget):
     def _lay_out(self) -> None:
         self.open_questions = label("", wrap=True)
         which = QWidget()
-        layout = column(self.ranking.widget, self.hypotheses, margin=8)
-        layout.setStretch(0, 3)
-        layout.setStretch(1, 2)
+        layout = column(self.ranking.widget, self.hypotheses, margin=8, stretch={0: 3, 1: 2})
         which.setLayout(layout)
         where = QWidget()
-        beside = row(self.map, self.places)
-        beside.setStretch(0, 2)
-        beside.setStretch(1, 1)
-        layout = column(self.where, beside, margin=8)
-        layout.setStretch(1, 1)
+        beside = row(self.map, self.places, stretch={0: 2, 1: 1})
+        layout = column(self.where, beside, margin=8, stretch={1: 1})
         where.setLayout(layout)
         runs = QWidget()
-        layout = column(self.runs, self.above.widget, self.below.widget, margin=8)
-        layout.setStretch(1, 3)
-        layout.setStretch(2, 2)
+        layout = column(self.runs, self.above.widget, self.below.widget, margin=8, stretch={1: 3, 2: 2})
         runs.setLayout(layout)
         questions = QScrollArea()
         questions.setWidgetResizable(True)
@@ -127,10 +127,8 @@ class DiagnosisResults(QWidget):
             (which, "&Which"), (where, "W&here"), (runs, "Before and a&fter"), (questions, "&Open questions"),
         ):  # fmt: skip
             self.tabs.addTab(widget, name)
-        following = row(label("To run next", "title"), self.next_words, self.next)
-        following.setStretch(1, 1)
-        whole = column(self.verdict, self.more, following, self.tabs)
-        whole.setStretch(3, 1)
+        following = row(label("To run next", "title"), self.next_words, self.next, stretch={1: 1})
+        whole = column(self.verdict, self.more, following, self.tabs, stretch={3: 1})
         self.setLayout(whole)
 
 
@@ -156,8 +154,7 @@ class DiagnosePage(QWidget):
         self.setObjectName("page")
         self._remembered = remembered
         self._work: DiagnosisProcess | None = None
-        self.campaign = QLineEdit(remembered.text("campaign"))
-        self.campaign.setAccessibleName("Campaign to diagnose")
+        self.campaign = named(QLineEdit(remembered.text("campaign")), "Campaign to diagnose")
         self.campaign.setPlaceholderText("folder of run files")
         self.campaign.textChanged.connect(lambda _: self._show_state())
         self.choose = button("&Campaign …", self._choose, help_="The folder of a campaign")
@@ -169,17 +166,21 @@ class DiagnosePage(QWidget):
         self.nominal.setMinimumWidth(160)
         self.start = button("Diag&nose", self.diagnose, "main", "Say where, why and how far the runs differ", "Ctrl+D")
         self.cancel = button("C&ancel", self.stop, help_="End the diagnosis; the runs stay as they are")
-        self.progress = QProgressBar()
-        self.progress.setAccessibleName("Progress of the diagnosis")
+        self.progress = named(QProgressBar(), "Progress of the diagnosis")
         self.state = label("Choose a campaign; it need not be complete.", "faint", wrap=True)
         self.results = DiagnosisResults()
         self.results.next_wanted.connect(self._want_next)
         head = row(
-            label("Campaign"), self.campaign, self.choose, label("expected"), self.nominal, self.start, self.cancel
+            label("Campaign"),
+            self.campaign,
+            self.choose,
+            label("expected"),
+            self.nominal,
+            self.start,
+            self.cancel,
+            stretch={1: 1},
         )
-        head.setStretch(1, 1)
-        whole = column(card(head, row(self.state, self.progress)), self.results, margin=8)
-        whole.setStretch(1, 1)
+        whole = column(card(head, row(self.state, self.progress)), self.results, margin=8, stretch={1: 1})
         self.setLayout(whole)
         self.results.hide()
         self._timer = QTimer(self)
@@ -253,8 +254,5 @@ class DiagnosePage(QWidget):
             self.complained.emit(str(error))
 
     def _choose(self) -> None:
-        dialog = QFileDialog(self, "Campaign to diagnose", self.campaign.text() or self._remembered.text("look folder"))
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.fileSelected.connect(lambda path: self.campaign.setText(str(Path(path))))
-        dialog.open()
+        start = self.campaign.text() or self._remembered.text("look folder")
+        choose_path(self, "Campaign to diagnose", start, self.campaign.setText)

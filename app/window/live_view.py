@@ -115,12 +115,14 @@ class LiveView(QWidget):
         self._speed = self.speed.line("", PURPLE, 2.0)
         numbers = row(*(self._number(name, value) for name, value in self.readings.items()), 1)
         layout = column(
-            row(self.title, 1, self.only_last), numbers, self.force.widget, self.position.widget, self.speed.widget,
+            row(self.title, 1, self.only_last),
+            numbers,
+            self.force.widget,
+            self.position.widget,
+            self.speed.widget,
             margin=8,
-        )  # fmt: skip
-        layout.setStretch(2, 6)
-        layout.setStretch(3, 4)
-        layout.setStretch(4, 5)
+            stretch={2: 6, 3: 4, 4: 5},
+        )
         self.setLayout(layout)
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
 

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDoubleSpinBox,
-    QFileDialog,
     QHeaderView,
     QLineEdit,
     QMenu,
@@ -43,10 +42,12 @@ from dragrig.window.widgets import (
     StoredSettings,
     button,
     card,
+    choose_path,
     column,
     current_item,
     fill_table,
     label,
+    named,
     parent_of,
     row,
     table,
@@ -65,8 +66,7 @@ class RunBrowser(QWidget):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        self.folder = QLineEdit(str(folder))
-        self.folder.setAccessibleName("Folder of campaigns")
+        self.folder = named(QLineEdit(str(folder)), "Folder of campaigns")
         self.folder.editingFinished.connect(self._edited)
         self.choose = button("&Folder …", self._choose, help_="Look at another folder")
         self.again = button("Refres&h", self.refresh, help_="Look what is there now", keys="F5")
@@ -77,18 +77,20 @@ class RunBrowser(QWidget):
         self.tree.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.tree.itemExpanded.connect(self._open)
         self.tree.itemSelectionChanged.connect(self._select)
-        self.settings = table(("Setting", "Value"))
-        self.settings.setAccessibleName("Settings of the chosen run")
+        self.settings = named(table(("Setting", "Value")), "Settings of the chosen run")
         self._listing = FileWorker(self.complained.emit, self)
         self._opening = FileWorker(self.complained.emit, self)
         self._wanted: Path | None = None
         self._listed = ""
         layout = column(
-            label("Runs", "title"), self.folder, row(self.choose, self.again, 1), self.tree,
-            label("What the chosen run says of itself", "faint"), self.settings,
-        )  # fmt: skip
-        layout.setStretch(3, 3)
-        layout.setStretch(5, 2)
+            label("Runs", "title"),
+            self.folder,
+            row(self.choose, self.again, 1),
+            self.tree,
+            label("What the chosen run says of itself", "faint"),
+            self.settings,
+            stretch={3: 3, 5: 2},
+        )
         self.setLayout(layout)
 
     @property
@@ -186,11 +188,7 @@ class RunBrowser(QWidget):
         self.chosen.emit(runs)
 
     def _choose(self) -> None:
-        dialog = QFileDialog(self, "Folder of campaigns", self.folder.text())
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.fileSelected.connect(self.open_folder)
-        dialog.open()
+        choose_path(self, "Folder of campaigns", self.folder.text(), self.open_folder)
 
     def open_folder(self, path: str) -> None:
         """Look at another folder."""
@@ -236,8 +234,7 @@ class TraceOverlay(QWidget):
         )
         self.cursors = QCheckBox("&Cursors")
         self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
-        self.values = table(("Run", "At A", "At B", "B − A"))
-        self.values.setAccessibleName("Values at the cursors")
+        self.values = named(table(("Run", "At A", "At B", "B − A")), "Values at the cursors")
         self.values.setMaximumHeight(170)
         self.values.hide()
         self._pyramids: dict[tuple[int, str, bool], TracePyramid] = {}
@@ -248,9 +245,7 @@ class TraceOverlay(QWidget):
             label("Channel"), self.channel, self.raw, label("Filter"), self.window_ms, label("order"), self.order, 1,
             self.cursors, self.fit,
         )  # fmt: skip
-        layout = column(controls, self.top.widget, self.below.widget, self.values, margin=8)
-        layout.setStretch(1, 3)
-        layout.setStretch(2, 2)
+        layout = column(controls, self.top.widget, self.below.widget, self.values, margin=8, stretch={1: 3, 2: 2})
         self.setLayout(layout)
         self._listen_to_keys()
 
@@ -397,8 +392,7 @@ class LookPage(QWidget):
         self.browser, self.overlay = RunBrowser(Path(remembered.text("look folder", str(folder)))), TraceOverlay()
         self.overlay.window_ms.setValue(remembered.number("filter window", 50.0))
         self.overlay.order.setValue(round(remembered.number("filter order", 3)))
-        self.steady = table(_STEADY_HEADER)
-        self.steady.setAccessibleName("Steady forces of the chosen runs")
+        self.steady = named(table(_STEADY_HEADER), "Steady forces of the chosen runs")
         self.state = label("Choose runs on the left; several lie over each other.", "faint")
         self.export = QToolButton()
         self.export.setText("E&xport")
@@ -503,11 +497,8 @@ class LookPage(QWidget):
         self.complained.emit(sentence)
 
     def _choose_place(self, name: str) -> None:
-        dialog = QFileDialog(self, f"Folder for {name} files", self._remembered.text("export folder"))
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.fileSelected.connect(lambda path: self._export_there(path, name))
-        dialog.open()
+        start = self._remembered.text("export folder")
+        choose_path(self, f"Folder for {name} files", start, lambda path: self._export_there(path, name))
 
     def _export_there(self, path: str, name: str) -> None:
         self._remembered.keep("export folder", path)

@@ -4,11 +4,12 @@ import gc
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QApplication, QButtonGroup, QFrame, QLayout, QMainWindow, QStackedWidget, QWidget
+from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QStackedWidget, QWidget
 
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
@@ -36,11 +37,11 @@ COLLECT_INTERVAL_MS = 200
 
 
 class GuiThreadCollector(QObject):
-    """Collects cyclic garbage now and then, in place of the interpreter.
+    """Collects cyclic garbage on the GUI thread, in place of the interpreter.
 
-    The interpreter collects on whichever thread happens to allocate. On a thread that reads files it would take plots
-    apart that the screen's thread is drawing: each then waits for the other's lock for ever, and the window, with its
-    stop button, stands still.
+    The interpreter collects on whichever thread happens to allocate. On a thread that reads files it would destroy
+    plots that the GUI thread is drawing: each then waits for the other's lock for ever, and the window, with its stop
+    button, hangs.
     """
 
     def __init__(self, parent: QObject) -> None:
@@ -50,17 +51,17 @@ class GuiThreadCollector(QObject):
         self._timer.timeout.connect(self._collect)
 
     def begin(self) -> None:
-        """Take garbage over from the interpreter."""
+        """Take collection over from the interpreter."""
         gc.disable()
         self._timer.start()
 
     def end(self) -> None:
-        """Leave it to the interpreter again."""
+        """Return collection to the interpreter."""
         self._timer.stop()
         gc.enable()
 
     def _collect(self) -> None:
-        gc.disable()  # another window, closed meanwhile, has given it back
+        gc.disable()  # another window, closed meanwhile, may have returned it
         counts, limits = gc.get_count(), gc.get_threshold()
         for generation in (2, 1, 0):
             if counts[generation] > limits[generation]:
@@ -69,12 +70,12 @@ class GuiThreadCollector(QObject):
 
 
 class NoticeBar(QWidget):
-    """Frames above the page that come and go.
+    """Notices above the page: tripped guard, prompt, lost engine, errors.
 
     Parameters
     ----------
     reset, answer, restart
-        Called when a person resets the guard, answers a question (with its number), starts the engine again.
+        Called when the operator resets the guard, answers a prompt (with its number), restarts the engine.
     """
 
     def __init__(
@@ -84,64 +85,64 @@ class NoticeBar(QWidget):
         self._answer = answer
         self._question: PromptShown | None = None
         self.trip_text = label("", wrap=True)
-        self.reset = button("&Reset the guard", reset, "main", "Once its cause is seen to", "Ctrl+R")
-        self.trip = _notice_frame("trip", _text_and_button(self.trip_text, self.reset))
+        self.reset = button("&Reset the guard", reset, "main", "Once the cause is removed", "Ctrl+R")
+        self.trip = card(row(self.trip_text, self.reset, stretch={0: 1}), role="trip")
         self.question_text = label("", "title", wrap=True)
         self.answers = {
-            Answer.DONE: button("&Done", lambda: self._say(Answer.DONE), "main", "It is done: go on"),
+            Answer.DONE: button("&Done", lambda: self._say(Answer.DONE), "main", "Done: continue"),
             Answer.REDO: button("R&edo the last run", lambda: self._say(Answer.REDO), help_="Its file is marked bad"),
-            Answer.SKIP: button("Ski&p", lambda: self._say(Answer.SKIP), help_="Leave out what this prepares"),
+            Answer.SKIP: button("Ski&p", lambda: self._say(Answer.SKIP), help_="Skip the run that this prepares"),
             Answer.ABORT: button("A&bort", lambda: self._say(Answer.ABORT), help_="End the session here"),
         }
         self.hands = label("", "faint")
-        self.question = _notice_frame("notice", column(self.question_text, row(self.hands, 1, *self.answers.values())))
+        self.question = card(self.question_text, row(self.hands, 1, *self.answers.values()), role="notice")
         self.lost_text = label("", wrap=True)
         self.restart = button("Start the en&gine again", restart, "main")
-        self.lost = _notice_frame("trip", _text_and_button(self.lost_text, self.restart))
+        self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip")
         self.complaint_text = label("", wrap=True)
-        self.dismiss = button("D&ismiss", self._dismiss, help_="Take this away")
-        self.complaint = _notice_frame("notice", _text_and_button(self.complaint_text, self.dismiss))
+        self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
+        self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice")
         self.setLayout(column(self.lost, self.trip, self.question, self.complaint))
         for frame in (self.lost, self.trip, self.question, self.complaint):
             frame.hide()
 
     def latched(self, reason: str) -> None:
-        """Tell what the guard is tripped on; nothing when it is armed."""
-        self.trip_text.setText(f"THE GUARD IS TRIPPED: {reason.rstrip('.')}. Nothing moves until it is reset.")
+        """Show why the guard is tripped; hide when it is armed."""
+        self.trip_text.setText(f"INTERLOCK ON: {reason.rstrip('.')}. Nothing moves until it is reset.")
         self.reset.setEnabled(True)
         self.trip.setVisible(bool(reason))
 
-    def ask(self, asked: PromptShown) -> None:
-        """Put a question."""
-        self._question = asked
-        self.question_text.setText(f"{asked.text}.")
-        self.hands.setText("This needs somebody at the rig." if asked.hands else "")
-        self.answers[Answer.REDO].setVisible(asked.can_redo)
-        self.answers[Answer.SKIP].setVisible(asked.can_skip)
+    def ask(self, prompt: PromptShown) -> None:
+        """Show a prompt."""
+        self._question = prompt
+        self.question_text.setText(f"{prompt.text}.")
+        self.hands.setText("This needs hands at the rig." if prompt.hands else "")
+        self.answers[Answer.REDO].setVisible(prompt.can_redo)
+        self.answers[Answer.SKIP].setVisible(prompt.can_skip)
         self.question.show()
 
     def nothing_asked(self) -> None:
-        """Take the question away."""
+        """Hide the prompt."""
         self._question = None
         self.question.hide()
 
     def complain(self, sentence: str) -> None:
-        """Say what went wrong; a second one comes below the first."""
+        """Show an error below those already shown, the last four at most."""
         before = self.complaint_text.text() if self.complaint.isVisible() else ""
         lines = [*before.splitlines(), sentence][-4:]
         self.complaint_text.setText("\n".join(dict.fromkeys(lines)))
         self.complaint.show()
 
     def engine_lost(self, exit_code: int | None) -> None:
-        """Say that the engine is gone."""
+        """Show that the engine is gone."""
         self.nothing_asked()
         self.trip.hide()
         self.lost_text.setText(
-            "THE ENGINE HAS ENDED, because it heard nothing from this window for too long: the stage was stopped, and "
-            "the run under way finished."
+            "ENGINE STOPPED: it received no sign of life from this window for too long; the stage was stopped and the "
+            "run finished."
             if exit_code == 0
-            else f"THE ENGINE HAS ENDED (exit code {exit_code}). A drive that no longer hears it stops by itself; what "
-            "was recorded is finished with dragrig recover, or when its campaign goes on."
+            else f"ENGINE LOST (exit code {exit_code}). A drive without its heartbeat stops by itself; finish the "
+            "recording with dragrig recover, or by resuming the campaign."
         )
         self.lost.show()
 
@@ -154,27 +155,17 @@ class NoticeBar(QWidget):
             self.nothing_asked()
 
 
-def _notice_frame(role: str, layout: QLayout) -> QFrame:
-    return card(layout, role=role)
-
-
-def _text_and_button(text: QWidget, pressed: QWidget) -> QLayout:
-    layout = row(text, pressed)
-    layout.setStretch(0, 1)
-    return layout
-
-
 class MainWindow(QMainWindow):
-    """What an experimenter keeps open all day.
+    """The main window.
 
     Parameters
     ----------
     rig
-        Which rig it is for, for as long as it is open.
+        The rig, for as long as the window is open.
     lab
-        Lab folder whose plans and data are offered.
+        Lab folder with plans and data.
     silence_s
-        How long the engine bears a window that is held up before it stops the stage.
+        The engine stops the stage after this long without a sign of life from the window.
     """
 
     def __init__(
@@ -221,7 +212,7 @@ class MainWindow(QMainWindow):
         chosen.setFocus()
 
     def take(self, event: Event) -> None:
-        """Hear what the engine says."""
+        """Handle an event of the engine."""
         match event:
             case HostReady():
                 self.notices.lost.hide()
@@ -248,26 +239,26 @@ class MainWindow(QMainWindow):
                 pass
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Let Escape stop the stage wherever the focus is, also in a dialog."""
+        """Stop the stage on Escape wherever the focus is, also in a dialog."""
         pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
         if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.under_way:
             if event.type() is QEvent.Type.KeyPress:
-                self.run.stop("Escape at the window")
+                self.run.stop("stopped by operator (Esc)")
             event.accept()
             return True
         return super().eventFilter(watched, event)
 
     def close_in_order(self, reason: str) -> None:
-        """Close the window whatever is under way: the stage is stopped first, and the run finished."""
+        """Close the window whatever is running: the stage is stopped first, and the run finished."""
         self._closes = True
         if self.run.under_way:
             self.run.stop(reason)
         self.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """End the engine in good order; while a session is under way, only a stop comes before."""
+        """End the engine in good order; a running session must be stopped first."""
         if self.run.under_way and not self._closes:
-            self.notices.complain("A session is under way: stop it (Esc), then close the window.")
+            self.notices.complain("A session is running: stop it (Esc), then close the window.")
             event.ignore()
             return
         self._remembered.keep("geometry", self.saveGeometry())
@@ -292,7 +283,7 @@ class MainWindow(QMainWindow):
         self.go_to(self.run)
 
     def _stop_pressed(self) -> None:
-        self.run.stop("the stop button at the window")
+        self.run.stop("stopped by operator (stop button)")
 
     def _reset(self) -> None:
         self.notices.reset.setEnabled(False)
@@ -307,12 +298,13 @@ class MainWindow(QMainWindow):
 
     def _lay_out(self, pages: dict[str, QWidget]) -> None:
         top = row(margin=8)
-        for at, (name, page) in enumerate(pages.items()):
+        for index, (name, page) in enumerate(pages.items()):
             self.pages.addWidget(page)
-            made = button(f"&{at + 1}  {name}", _page_opener(self, page), "page", f"The page {name}", f"Ctrl+{at + 1}")
-            made.setCheckable(True)
-            self._page_buttons.addButton(made, at)
-            top.addWidget(made)
+            number, show = index + 1, partial(self.go_to, page)
+            opener = button(f"&{number}  {name}", show, "page", f"The page {name}", f"Ctrl+{number}")
+            opener.setCheckable(True)
+            self._page_buttons.addButton(opener, index)
+            top.addWidget(opener)
         banner = card(
             label(f"{self.words.title}", "title"), label(f"{self.words.name}: {self.words.meaning}", "faint"),
             role="hardware" if self.words.real else "simulated", across=True,
@@ -323,8 +315,7 @@ class MainWindow(QMainWindow):
         top.addWidget(self.guard)
         top.addStretch(1)
         top.addWidget(self.stop_button)
-        body = column(top, self.notices, self.pages)
-        body.setStretch(2, 1)
+        body = column(top, self.notices, self.pages, stretch={2: 1})
         body.setSpacing(0)
         self.setCentralWidget(bare_widget(body))
 
@@ -336,20 +327,13 @@ class MainWindow(QMainWindow):
         self.go_to(self.pages.widget(place) if 0 <= place < self.pages.count() else self.run)
 
 
-def _page_opener(window: MainWindow, page: QWidget) -> Callable[[], None]:
-    return lambda: window.go_to(page)
-
-
 def qt_application() -> QApplication:
-    """Return the one application of this process, dressed."""
+    """Return the application of this process, with the window's style."""
     running = QApplication.instance()
-    if isinstance(running, QApplication):
-        apply_style(running)
-        return running
-    made = QApplication(sys.argv[:1])
-    made.setApplicationName("dragrig")
-    apply_style(made)
-    return made
+    application = running if isinstance(running, QApplication) else QApplication(sys.argv[:1])
+    application.setApplicationName("dragrig")
+    apply_style(application)
+    return application
 
 
 def show_window(rig: RigSelection, lab: Path | None) -> int:
@@ -360,9 +344,9 @@ def show_window(rig: RigSelection, lab: Path | None) -> int:
     SettingsError
         When the rig's settings cannot be used.
     """
-    made = qt_application()
+    application = qt_application()
     window = MainWindow(rig, lab)
     window.show()
-    # Python hears the signal when the engine's timer next runs some of it.
+    # Python handles the signal when the engine's timer next runs Python code.
     signal.signal(signal.SIGINT, lambda *_: window.close_in_order("Ctrl-C"))
-    return int(made.exec())
+    return int(application.exec())

@@ -6,7 +6,6 @@ from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QFileDialog,
     QFormLayout,
     QLineEdit,
     QPlainTextEdit,
@@ -16,10 +15,9 @@ from PySide6.QtWidgets import (
 
 from dragrig.config.errors import DragrigError
 from dragrig.config.plan import Plan
-from dragrig.engine_host.messages import RigSelection
+from dragrig.engine_host.messages import Pace, RigSelection
 from dragrig.present.numbers import duration_text, size_text
 from dragrig.present.palette import BLUE, PURPLE
-from dragrig.setup import Pace
 from dragrig.views.plan_view import (
     FieldKind,
     FormField,
@@ -28,13 +26,26 @@ from dragrig.views.plan_view import (
     SessionPreview,
     StepForm,
     known_plans,
+    motion_curves,
     plan_form,
     preview_session,
 )
 from dragrig.window.plots import TimePlot
-from dragrig.window.widgets import StoredSettings, button, card, column, fill_table, label, row, set_role, table
+from dragrig.window.widgets import (
+    StoredSettings,
+    button,
+    card,
+    choose_path,
+    column,
+    fill_table,
+    label,
+    named,
+    row,
+    set_role,
+    table,
+)
 
-DEFAULT_TEXT = "the usual"
+DEFAULT_TEXT = "default"
 FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
 
 
@@ -45,8 +56,7 @@ class PlanEditor(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.steps = QComboBox()
-        self.steps.setAccessibleName("Step of the plan")
+        self.steps = named(QComboBox(), "Step of the plan")
         self.steps.currentIndexChanged.connect(self._show_step)
         self.about = label("", "faint", wrap=True)
         self.editors: dict[str, FieldEditor] = {}
@@ -65,7 +75,7 @@ class PlanEditor(QWidget):
         with QSignalBlocker(self.steps):
             self.steps.clear()
             self.steps.addItems(
-                [f"Step {at + 1} of {len(form.steps)}: {one.kind}" for at, one in enumerate(form.steps)]
+                [f"Step {number} of {len(form.steps)}: {step.kind}" for number, step in enumerate(form.steps, 1)]
             )
         self.steps.setVisible(len(form.steps) > 1)
         self._show_step(0)
@@ -73,7 +83,7 @@ class PlanEditor(QWidget):
     def values(self) -> list[dict[str, str]]:
         """Return the values of every step as text."""
         self._keep()
-        return [dict(one) for one in self._values]
+        return [dict(values) for values in self._values]
 
     def put(self, key: str, text: str) -> None:
         """Fill a field of the step that is shown."""
@@ -88,21 +98,21 @@ class PlanEditor(QWidget):
             case _:
                 editor.setText(text)
 
-    def _show_step(self, at: int) -> None:
-        if self._form is None or not 0 <= at < len(self._form.steps):
+    def _show_step(self, index: int) -> None:
+        if self._form is None or not 0 <= index < len(self._form.steps):
             return
         self._keep()
-        step, self._shown = self._form.steps[at], at
+        step, self._shown = self._form.steps[index], index
         self.about.setText(step.about)
-        self.editors = {one.key: self._editor(one, self._values[at][one.key]) for one in step.fields}
+        self.editors = {field.key: self._editor(field, self._values[index][field.key]) for field in step.fields}
         inner, layout = QWidget(), QFormLayout()
         inner.setObjectName("bare")
         layout.setContentsMargins(0, 0, 8, 0)
         layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
-        for one in step.fields:
-            name = label(f"{one.name.capitalize()}{f' ({one.unit})' if one.unit else ''}")
-            name.setToolTip(_field_help(one))
-            layout.addRow(name, self.editors[one.key])
+        for field in step.fields:
+            name = label(f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}")
+            name.setToolTip(_field_help(field))
+            layout.addRow(name, self.editors[field.key])
         inner.setLayout(layout)
         self._scroll.setWidget(inner)
 
@@ -110,12 +120,12 @@ class PlanEditor(QWidget):
         if self._shown >= 0:
             self._values[self._shown] = {key: _editor_text(editor) for key, editor in self.editors.items()}
 
-    def _editor(self, one: FormField, text: str) -> FieldEditor:
+    def _editor(self, field: FormField, text: str) -> FieldEditor:
         editor: FieldEditor
-        match one.kind:
+        match field.kind:
             case FieldKind.CHOICE:
                 editor = QComboBox()
-                editor.addItems([*([] if one.default else [DEFAULT_TEXT]), *one.choices])
+                editor.addItems([*([] if field.default else [DEFAULT_TEXT]), *field.choices])
                 editor.setCurrentText(text or DEFAULT_TEXT)
                 editor.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
                 editor.setMinimumContentsLength(6)
@@ -132,16 +142,16 @@ class PlanEditor(QWidget):
             case _:
                 editor = QLineEdit(text)
                 editor.setCursorPosition(0)
-                editor.setPlaceholderText("needed" if one.required else DEFAULT_TEXT)
+                editor.setPlaceholderText("needed" if field.required else DEFAULT_TEXT)
                 editor.textChanged.connect(lambda _: self.changed.emit())
-        editor.setToolTip(_field_help(one))
-        editor.setAccessibleName(one.name)
-        editor.setAccessibleDescription(_field_help(one))
+        editor.setToolTip(_field_help(field))
+        editor.setAccessibleName(field.name)
+        editor.setAccessibleDescription(_field_help(field))
         return editor
 
 
 def _step_values(step: StepForm) -> dict[str, str]:
-    return {one.key: step.values.get(one.key, one.default) for one in step.fields}
+    return {field.key: step.values.get(field.key, field.default) for field in step.fields}
 
 
 def _editor_text(editor: FieldEditor) -> str:
@@ -156,82 +166,86 @@ def _editor_text(editor: FieldEditor) -> str:
             return editor.text()
 
 
-def _field_help(one: FormField) -> str:
-    sweep = "Several values, separated by commas, make one run of each." if one.sweeps else ""
-    limits = f"Allowed: {one.limits}." if one.limits else ""
-    usual = f"Usually {one.default}." if one.default and one.kind is not FieldKind.LIST else ""
-    return " ".join(part for part in (one.help, limits, usual, sweep) if part)
+def _field_help(field: FormField) -> str:
+    sweep = "Several values, separated by commas, make one run of each." if field.sweeps else ""
+    limits = f"Allowed: {field.limits}." if field.limits else ""
+    default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
+    return " ".join(part for part in (field.help, limits, default, sweep) if part)
 
 
 _PREVIEW_HEADER = (
     "Run",
-    "What",
+    "Protocol",
     "Capsule",
-    "Lowest (mm)",
-    "Highest (mm)",
+    "Min (mm)",
+    "Max (mm)",
     "Speed (mm/s)",
     "Rest",
-    "Takes",
-    "Asks before",
+    "Duration",
+    "Prompt before",
 )
 
 
 class PlanPreview(QWidget):
-    """Shows a planned session; the run that is chosen in the list is drawn."""
+    """Shows a planned session; the run selected in the list is drawn."""
 
     def __init__(self) -> None:
         super().__init__()
         self.summary = label("", "title", wrap=True)
         self.findings = label("", wrap=True)
-        self.runs = table(_PREVIEW_HEADER)
-        self.runs.setAccessibleName("Runs of the plan")
+        self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
         self.runs.currentCellChanged.connect(lambda at, *_: self._draw(at))
         self.position = TimePlot("Position", "mm")
         self.speed = TimePlot("Speed", "mm/s")
         self.position.hide_times()
         self.position.follow(self.speed)
-        self._way = self.position.line("", BLUE, 2.5)
-        self._pace = self.speed.line("", PURPLE, 2.5)
+        self._position_line = self.position.line("", BLUE, 2.5)
+        self._speed_line = self.speed.line("", PURPLE, 2.5)
         self._session: SessionPreview | None = None
-        layout = column(self.summary, self.findings, self.position.widget, self.speed.widget, self.runs, margin=8)
-        for place, share in ((2, 3), (3, 2), (4, 3)):
-            layout.setStretch(place, share)
+        layout = column(
+            self.summary,
+            self.findings,
+            self.position.widget,
+            self.speed.widget,
+            self.runs,
+            margin=8,
+            stretch={2: 3, 3: 2, 4: 3},
+        )
         self.setLayout(layout)
 
     def show_session(self, session: SessionPreview) -> None:
         """Show what a plan would do."""
+        preflight = session.preflight
         self._session = session
-        count = len(session.runs)
+        count = len(preflight.previews)
         self.summary.setText(
-            f"{count} run{'' if count == 1 else 's'}, {duration_text(session.duration_s)}, "
-            f"{size_text(session.size_bytes)} of {size_text(session.free_bytes)} free"
+            f"{count} run{'' if count == 1 else 's'}, {duration_text(preflight.duration_s)}, "
+            f"{size_text(preflight.size_bytes)} of {size_text(preflight.free_bytes)} free"
         )
-        fine = not session.findings
-        limits = f"stage limits {session.lowest_mm:g} to {session.highest_mm:g} mm"
-        self.findings.setText(
-            f"Nothing forbids it; {limits}." if fine else "\n".join(f"NOT ALLOWED: {one}." for one in session.findings)
-        )
-        set_role(self.findings, "fine" if fine else "wrong")
-        fill_table(
-            self.runs,
-            [
-                (
-                    str(one.index),
-                    one.summary,
-                    one.capsule,
-                    f"{one.lowest_mm:g}",
-                    f"{one.highest_mm:g}",
-                    f"{one.speed_mm_s:g}",
-                    duration_text(one.wait_s) if one.wait_s else "none",
-                    duration_text(one.duration_s),
-                    one.prompt,
-                )
-                for one in session.runs
-            ],
-        )
+        if preflight.findings:
+            self.findings.setText("\n".join(f"NOT ALLOWED: {finding}." for finding in preflight.findings))
+        else:
+            limits = f"stage limits {session.lowest_mm:g} to {session.highest_mm:g} mm"
+            self.findings.setText(f"Plan OK, within limits; {limits}.")
+        set_role(self.findings, "wrong" if preflight.findings else "fine")
+        rows = [
+            (
+                str(preview.run.index),
+                preview.run.protocol.summary(),
+                preview.run.capsule.name,
+                f"{preview.lowest_mm:g}",
+                f"{preview.highest_mm:g}",
+                f"{preview.speed_mm_s:g}",
+                duration_text(preview.run.wait_s) if preview.run.wait_s else "none",
+                duration_text(preview.run.duration_s),
+                preview.run.prompt,
+            )
+            for preview in preflight.previews
+        ]
+        fill_table(self.runs, rows)
         self.position.forget_levels()
-        for level, words in ((session.lowest_mm, "lower limit"), (session.highest_mm, "upper limit")):
-            self.position.level(level, words)
+        for level, name in ((session.lowest_mm, "lower limit"), (session.highest_mm, "upper limit")):
+            self.position.level(level, name)
         if count:
             self.runs.setCurrentCell(0, 0)
             self._draw(0)
@@ -242,14 +256,14 @@ class PlanPreview(QWidget):
         self.findings.setText(sentence)
         set_role(self.findings, "wrong")
 
-    def _draw(self, at: int) -> None:
-        if self._session is None or not 0 <= at < len(self._session.runs):
-            return
-        time, position, speed = self._session.runs[at].course()
-        self._way.points(time, position)
-        self._pace.points(time, speed)
-        self.position.fit()
-        self.speed.fit()
+    def _draw(self, index: int) -> None:
+        previews = () if self._session is None else self._session.preflight.previews
+        if 0 <= index < len(previews):
+            time, position, speed = motion_curves(previews[index])
+            self._position_line.points(time, position)
+            self._speed_line.points(time, speed)
+            self.position.fit()
+            self.speed.fit()
 
 
 _EDIT_DELAY_MS = 250
@@ -258,12 +272,12 @@ _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times fa
 
 
 class NewSession(QWidget):
-    """Edits a session; `preview_session` and `refused` tell what it would do, a moment after every change."""
+    """Edits the next session; after every change, `planned` sends what it would do, or `refused` why it cannot run."""
 
     planned = Signal(object)
     refused = Signal(str)
     wanted = Signal(bool)
-    """It is to be put into the queue; true when it is to be started as well."""
+    """The session goes into the queue; True when it starts too."""
 
     def __init__(self, rig: RigSelection, words: RigDescription, lab: Path | None, remembered: StoredSettings) -> None:
         super().__init__()
@@ -271,17 +285,16 @@ class NewSession(QWidget):
         self._form: PlanForm | None = None
         self._offered: dict[str, PlanForm] = {}
         self.session: SessionPreview | None = None
-        self.plans = QComboBox()
-        self.plans.setAccessibleName("Plan")
+        self.plans = named(QComboBox(), "Plan")
         for name in known_plans(None if lab is None else lab.absolute()):
             self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
-        self.open = button("&Open …", self._choose_file, help_="A plan from a file")
+        self.open = button("&Open …", self._choose_file, help_="Open a plan file")
         self.editor = PlanEditor()
         self.operator = QLineEdit(remembered.text("operator"))
         self.note = QLineEdit()
         self.mirror = QLineEdit(remembered.text("mirror"))
         self.mirror.setPlaceholderText("no second copy")
-        self.mirror.setToolTip("A folder on another disk: each finished file is copied into it and read back")
+        self.mirror.setToolTip("A folder on another disk: each finished file is copied to it and verified")
         self.choose_mirror = button(
             "&Folder …", self._choose_mirror, help_="A folder on another disk for second copies"
         )
@@ -302,17 +315,17 @@ class NewSession(QWidget):
 
     @property
     def chosen_pace(self) -> Pace | None:
-        """How fast a rig that is no rig is to live."""
+        """Pace of a simulated rig or a double."""
         return self._paces.get(self.pace.currentText())
 
     @property
     def chosen_mirror(self) -> Path | None:
-        """Where second copies go."""
+        """Folder for second copies."""
         text = self.mirror.text().strip()
         return Path(text).expanduser() if text else None
 
     def begin(self) -> None:
-        """Show the plan of the last time, or the first."""
+        """Show the plan used last, or the first."""
         last = self._remembered.text("plan", "drag")
         with QSignalBlocker(self.plans):
             if self.plans.findData(last) < 0 and Path(last).is_file():
@@ -321,7 +334,7 @@ class NewSession(QWidget):
         self._load(str(self.plans.currentData()))
 
     def offer(self, name: str, plan: PlanForm) -> None:
-        """Show a plan that comes from elsewhere; it can be chosen again for as long as the window is open."""
+        """Show a plan from another page; it stays selectable as long as the window is open."""
         self._offered[name] = plan
         with QSignalBlocker(self.plans):
             if self.plans.findData(name) < 0:
@@ -336,7 +349,7 @@ class NewSession(QWidget):
         return self._form.filled(self.editor.values())
 
     def look(self) -> None:
-        """Look at what the session would do."""
+        """Preview the session."""
         self._settle.stop()
         self.session = None
         try:
@@ -345,12 +358,12 @@ class NewSession(QWidget):
             self.refused.emit(str(error))
         else:
             self.planned.emit(self.session)
-        allowed = self.session is not None and not self.session.findings
+        allowed = self.session is not None and not self.session.preflight.findings
         self.start.setEnabled(allowed)
         self.queue.setEnabled(allowed)
 
     def keep(self) -> None:
-        """Remember what is chosen."""
+        """Store the choices for the next start."""
         if (plan := str(self.plans.currentData())) not in self._offered:
             self._remembered.keep("plan", plan)
         self._remembered.keep("operator", self.operator.text())
@@ -360,47 +373,31 @@ class NewSession(QWidget):
 
     def _lay_out(self) -> None:
         form = QFormLayout()
-        form.addRow("Operator", self.operator)
-        form.addRow("Note", self.note)
+        form.addRow("Operator", named(self.operator, "Operator"))
+        form.addRow("Note", named(self.note, "Note"))
         if self._paces:
-            form.addRow("Pace", self.pace)
-        copies = row(self.mirror, self.choose_mirror)
-        copies.setStretch(0, 1)
-        form.addRow("Second copy", copies)
-        for edit, name in (
-            (self.operator, "Operator"),
-            (self.note, "Note"),
-            (self.pace, "Pace"),
-            (self.mirror, "Folder for second copies"),
-        ):
-            edit.setAccessibleName(name)
+            form.addRow("Pace", named(self.pace, "Pace"))
+        mirror = named(self.mirror, "Folder for second copies")
+        form.addRow("Second copy", row(mirror, self.choose_mirror, stretch={0: 1}))
         self.plans.setMinimumWidth(180)
-        head = row(self.plans, self.open)
-        head.setStretch(0, 1)
-        inside = column(label("New session", "title"), head, self.editor, form, row(1, self.queue, self.start))
-        inside.setStretch(2, 1)
-        self.setLayout(column(card(inside)))
+        head = row(self.plans, self.open, stretch={0: 1})
+        buttons = row(1, self.queue, self.start)
+        self.setLayout(
+            column(card(column(label("New session", "title"), head, self.editor, form, buttons, stretch={2: 1})))
+        )
 
-    def _choose_pace(self, asked: Pace | None) -> None:
-        """Choose the pace that was asked for with the rig, or else that of the last time."""
-        wanted = next((name for name, pace in self._paces.items() if pace == asked), "")
-        place = self.pace.findText(wanted or self._remembered.text(f"pace, {self._words.title}"))
+    def _choose_pace(self, pace: Pace | None) -> None:
+        """Select the pace of the command line, else that used last."""
+        name = next((text for text, known in self._paces.items() if known == pace), "")
+        place = self.pace.findText(name or self._remembered.text(f"pace, {self._words.title}"))
         self.pace.setCurrentIndex(max(place, 0))
 
     def _choose_file(self) -> None:
-        dialog = QFileDialog(self, "Open a plan", self._remembered.text("plan folder"), "Plans (*.toml)")
-        # Not the system's own, which would keep Escape from the stop.
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
-        dialog.fileSelected.connect(self.open_file)
-        dialog.open()
+        start = self._remembered.text("plan folder")
+        choose_path(self, "Open a plan", start, self.open_file, filter_="Plans (*.toml)", folder=False)
 
     def _choose_mirror(self) -> None:
-        dialog = QFileDialog(self, "Folder for second copies", self.mirror.text())
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
-        dialog.fileSelected.connect(self.mirror.setText)
-        dialog.open()
+        choose_path(self, "Folder for second copies", self.mirror.text(), self.mirror.setText)
 
     def open_file(self, path: str) -> None:
         """Choose a plan by its file."""
@@ -428,9 +425,9 @@ class NewSession(QWidget):
 
 
 def _allowed_paces(rig: RigSelection, words: RigDescription) -> dict[str, Pace]:
-    """Return the paces that this rig may have, by their names; the one asked for among them."""
+    """Return the paces that this rig can have, by name, that of the command line among them."""
     if words.real:
         return {}
     known = _DOUBLE_PACES if words.title == "DOUBLE" else _SIMULATED_PACES
-    asked = rig.pace
-    return {**known, f"{asked:g} times faster": asked} if isinstance(asked, int | float) else known
+    pace = rig.pace
+    return {**known, f"{pace:g} times faster": pace} if isinstance(pace, int | float) else known

@@ -41,6 +41,7 @@ from dragrig.window.widgets import (
     current_item,
     fill_table,
     label,
+    named,
     parent_of,
     row,
     table,
@@ -57,8 +58,7 @@ class DevicesView(QWidget):
         self._looks = self._busy = False
         self.verdict = ""
         self.told = label(self._words, "faint", wrap=True)
-        self.devices = table(("", "Device", "What was found"))
-        self.devices.setAccessibleName("State of every device")
+        self.devices = named(table(("", "Device", "What was found")), "State of every device")
         self.again = button("Look agai&n", self.look, help_="Look at every device; nothing moves")
         self.setLayout(column(row(self.told, 1, self.again), self.devices, margin=8))
 
@@ -283,7 +283,7 @@ class RunPage(QWidget):
             self.new.chosen_pace,
             mirror=self.new.chosen_mirror,
         )
-        entry = QueuedSession(job, plan.name, session.duration_s, len(session.runs))
+        entry = QueuedSession(job, plan.name, session.preflight.duration_s, len(session.preflight.previews))
         self.queue.add(entry)
         self.new.keep()
         self._show_state()
@@ -374,7 +374,7 @@ class RunPage(QWidget):
     def _want(self, *, start: bool) -> None:
         self.new.look()
         session = self.new.session
-        if session is None or session.findings or self.enqueue(session) is None:
+        if session is None or session.preflight.findings or self.enqueue(session) is None:
             return
         if start:
             self.go_on()

@@ -1,13 +1,15 @@
 """Style sheet, small widgets that every page uses, and settings stored between days."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from PySide6.QtCore import QByteArray, QSettings, Qt
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QKeySequence, QPalette, QShortcut
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QApplication,
+    QFileDialog,
     QFrame,
     QHBoxLayout,
     QHeaderView,
@@ -25,6 +27,7 @@ from PySide6.QtWidgets import (
 
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, GRID, PALE, PAPER, VERMILLION
 
+WidgetT = TypeVar("WidgetT", bound=QWidget)
 TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32
 SURFACE_COLOUR = "#F3F5F7"
 STOP_COLOUR = "#B00020"
@@ -151,17 +154,23 @@ def button(text: str, pressed: Callable[[], None], role: str = "", help_: str = 
     return made
 
 
-def row(*widgets: QWidget | QLayout | int, margin: int = 0) -> QHBoxLayout:
-    """Return widgets side by side; a number is a stretch."""
+def named(widget: WidgetT, name: str) -> WidgetT:
+    """Give a widget the name that screen readers say, and return it."""
+    widget.setAccessibleName(name)
+    return widget
+
+
+def row(*widgets: QWidget | QLayout | int, margin: int = 0, stretch: Mapping[int, int] | None = None) -> QHBoxLayout:
+    """Return widgets side by side; a number is empty space, and `stretch` the share of each place in free space."""
     made = QHBoxLayout()
-    _fill_layout(made, widgets, margin)
+    _fill_layout(made, widgets, margin, stretch or {})
     return made
 
 
-def column(*widgets: QWidget | QLayout | int, margin: int = 0) -> QVBoxLayout:
-    """Return widgets one below the other; a number is a stretch."""
+def column(*widgets: QWidget | QLayout | int, margin: int = 0, stretch: Mapping[int, int] | None = None) -> QVBoxLayout:
+    """Return widgets one below the other, otherwise as `row`."""
     made = QVBoxLayout()
-    _fill_layout(made, widgets, margin)
+    _fill_layout(made, widgets, margin, stretch or {})
     return made
 
 
@@ -233,16 +242,33 @@ def parent_of(item: QTreeWidgetItem) -> QTreeWidgetItem | None:
     return item.parent()
 
 
-def _fill_layout(layout: QHBoxLayout | QVBoxLayout, widgets: Sequence[QWidget | QLayout | int], margin: int) -> None:
+def _fill_layout(
+    layout: QHBoxLayout | QVBoxLayout,
+    widgets: Sequence[QWidget | QLayout | int],
+    margin: int,
+    stretch: Mapping[int, int],
+) -> None:
     layout.setContentsMargins(margin, margin, margin, margin)
     layout.setSpacing(8)
-    for one in widgets:
-        if isinstance(one, int):
-            layout.addStretch(one)
-        elif isinstance(one, QWidget):
-            layout.addWidget(one)
+    for place, widget in enumerate(widgets):
+        if isinstance(widget, int):
+            layout.addStretch(widget)
+        elif isinstance(widget, QWidget):
+            layout.addWidget(widget, stretch.get(place, 0))
         else:
-            layout.addLayout(one)
+            layout.addLayout(widget, stretch.get(place, 0))
+
+
+def choose_path(
+    parent: QWidget, title: str, start: str, chosen: Callable[[str], None], *, filter_: str = "", folder: bool = True
+) -> None:
+    """Ask for a folder, or for an existing file of the types in `filter_`."""
+    dialog = QFileDialog(parent, title, start, filter_)
+    # Not the system's own, which would keep Escape from the stop.
+    dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
+    dialog.setFileMode(QFileDialog.FileMode.Directory if folder else QFileDialog.FileMode.ExistingFile)
+    dialog.fileSelected.connect(chosen)
+    dialog.open()
 
 
 class StoredSettings:
