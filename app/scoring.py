@@ -4,25 +4,27 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
+from math import inf, nan
 from statistics import median
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dragrig.config.errors import AnalysisError
-from dragrig.sim_backend.effects.base import confusable_effects
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-
-POSITION_EFFECTS = frozenset({"servo_lag", "velocity_ripple", "encoder_scale"})
-"""Effects that show in the position channel."""
-EITHER_CHANNEL_EFFECTS = frozenset({"channel_latency"})
-"""Effects that show between the channels, so that either is right."""
 MIN_DETECTABLE_SIZE = 0.2
 """Below this size an effect may be too small to see, and `no_gap` is right too."""
+CLOSED_SHARE = 0.9
+"""Share of the gap that must close on fresh runs for an amended model to count as closing it."""
+NAMED_ABOVE, SURE_ABOVE = 0.5, 0.8
+SEVERAL, UNKNOWN, NO_GAP = "several", "unknown", "no_gap"
+CHANNEL_RATE = "full size, right channel"
+D_PRIME_EDGES = (0.0, 3.0, 6.0, 12.0, 25.0, 50.0, 100.0, 200.0, inf)
+"""Bins of d′; below 3 an effect cannot be told from noise."""
+PROBABILITY_EDGES = (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 VerdictName = Literal["effect", "several", "no_gap", "unknown"]
 
@@ -43,14 +45,19 @@ class AnswerKey(_Record):
 
     @property
     def least(self) -> float:
-        """The smallest size of its effects; 1 where sizes are not told."""
+        """The smallest size of its effects; 1 where sizes are not known."""
         return min(self.size, default=1.0)
 
     @property
+    def detectable(self) -> bool:
+        """Whether every effect is large enough to be seen."""
+        return self.least >= MIN_DETECTABLE_SIZE
+
+    @property
     def accepted(self) -> frozenset[str]:
-        """Hypotheses that are right: an effect that is too small to see may pass for no gap."""
+        """Hypotheses that are right; for an effect that may be too small to see, `no_gap` too."""
         name = "+".join(sorted(self.effects)) if self.effects else self.verdict
-        return frozenset({name, "no_gap"} if self.effects and self.least < MIN_DETECTABLE_SIZE else {name})
+        return frozenset({name, NO_GAP} if self.effects and not self.detectable else {name})
 
 
 class ScoredHypothesis(_Record):
@@ -61,25 +68,25 @@ class ScoredHypothesis(_Record):
 
     @property
     def name(self) -> str:
-        """Its id, several in the order of the alphabet."""
+        """Its id, several effects in alphabetical order."""
         return "+".join(sorted(self.hypothesis.split("+")))
 
 
 class ScoredWhere(_Record):
-    """Where the gap is, as far as it is scored."""
+    """Share of the gap in each channel."""
 
     channel: Mapping[str, float] = Field(default_factory=dict)
 
 
 class ScoredShrink(_Record):
-    """How far a gap shrinks, as far as it is scored."""
+    """Share of the gap that closes, with its 95 % interval."""
 
     closed: float | None = None
     closed_95ci: tuple[float, float] | None = None
 
 
 class ScoredDiagnosis(_Record):
-    """What a diagnosis says, as far as it is scored."""
+    """The part of a diagnosis that is scored."""
 
     verdict: VerdictName
     effects: tuple[str, ...] = ()
@@ -90,92 +97,94 @@ class ScoredDiagnosis(_Record):
 
     @property
     def probability(self) -> float:
-        """Probability of the hypothesis that stands first."""
-        return max((one.probability for one in self.ranking), default=0.0)
+        """Probability of the most likely hypothesis."""
+        return max((ranked.probability for ranked in self.ranking), default=0.0)
 
     @property
-    def named(self) -> float:
-        """Probability of the likeliest hypothesis that is the name of an effect."""
-        names = (one.probability for one in self.ranking if one.hypothesis not in {"no_gap", "unknown"})
-        return max(names, default=0.0)
+    def effect_probability(self) -> float:
+        """Probability of the most likely hypothesis that names an effect."""
+        named = (ranked.probability for ranked in self.ranking if ranked.hypothesis not in {NO_GAP, UNKNOWN})
+        return max(named, default=0.0)
 
     @property
-    def stated(self) -> float:
-        """Probability of the verdict; that of what stands first where the ranking does not have it."""
+    def stated_probability(self) -> float:
+        """Probability of the verdict; that of the most likely hypothesis where the ranking lacks the verdict."""
         name = "+".join(sorted(self.effects)) or self.verdict
-        return next((one.probability for one in self.ranking if one.name == name), self.probability)
+        return next((ranked.probability for ranked in self.ranking if ranked.name == name), self.probability)
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredCase:
-    """A campaign with its answer and what was said of it.
+    """A campaign with its answer and its diagnosis.
 
     Attributes
     ----------
-    withheld
-        What was said when its own effect was taken out of the catalogue; None where that was not asked.
+    without_true
+        Diagnosis with its own effect removed from the catalogue; None where that was not made.
     achieved
         How far the amended model closes the gap on fresh runs; None where there is none.
-    amount
-        d′ of the hidden effect; None where it was not measured.
+    d_prime
+        d′ of the hidden effect; None where it was not computed.
     """
 
     name: str
     answer: AnswerKey
-    said: ScoredDiagnosis
-    withheld: ScoredDiagnosis | None = None
+    diagnosis: ScoredDiagnosis
+    without_true: ScoredDiagnosis | None = None
     achieved: ScoredShrink | None = None
-    amount: float | None = None
+    d_prime: float | None = None
 
     @property
-    def found(self) -> bool:
+    def single(self) -> bool:
+        """Whether a single effect is hidden."""
+        return len(self.answer.effects) == 1
+
+    @property
+    def all_named(self) -> bool:
         """Whether every hidden effect is named."""
-        return bool(self.answer.effects) and set(self.answer.effects) <= set(self.said.effects)
+        return bool(self.answer.effects) and set(self.answer.effects) <= set(self.diagnosis.effects)
 
     @property
     def right(self) -> bool:
         """Whether the verdict is right: all effects named, or `no_gap` or `unknown` where that is the answer."""
         if not self.answer.effects:
-            return self.said.verdict == self.answer.verdict
-        return self.found or (self.said.verdict == "no_gap" and self.answer.least < MIN_DETECTABLE_SIZE)
+            return self.diagnosis.verdict == self.answer.verdict
+        return self.all_named or (self.diagnosis.verdict == NO_GAP and not self.answer.detectable)
 
     @property
-    def wrong(self) -> bool:
-        """Whether the verdict misleads: not right, and not one of several effects named with no wrong one beside it."""
-        part = bool(self.said.effects) and set(self.said.effects) <= set(self.answer.effects)
-        return not self.right and not part
+    def misleading(self) -> bool:
+        """Whether the verdict misleads: not right, and not some of the hidden effects without a wrong one."""
+        partly = bool(self.diagnosis.effects) and set(self.diagnosis.effects) <= set(self.answer.effects)
+        return not self.right and not partly
 
     @property
-    def channel(self) -> bool:
-        """Whether the channel with the largest share is the effect's."""
-        shares = self.said.where.channel
+    def right_channel(self) -> bool:
+        """Whether the channel with the largest share of the gap shows the effect."""
+        from dragrig.sim_backend.effects.base import catalogue
+
+        shares = self.diagnosis.where.channel
         if not shares or not any(shares.values()):
             return False
-        effect = self.answer.effects[0]
-        return effect in EITHER_CHANNEL_EFFECTS or max(shares, key=lambda name: shares[name]) == (
-            "position" if effect in POSITION_EFFECTS else "force"
-        )
+        effect = catalogue().get(self.answer.effects[0])
+        channels = ("force",) if effect is None else effect.channels
+        return len(channels) > 1 or max(shares, key=lambda name: shares[name]) == channels[0]
 
+    @property
+    def right_without_true(self) -> bool:
+        """Whether the diagnosis without the true effect is right.
 
-RECORD_NAMES = {"AnswerKey": "answer", "ScoredDiagnosis": "diagnosis", "ScoredShrink": "shrink"}
-RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredShrink)
+        That is `unknown`; an effect that the true one is confused with, with a probability below 0.5 or a second
+        candidate; and `no_gap` for an effect that is too small to see.
+        """
+        from dragrig.sim_backend.effects.base import confusable_effects
 
-
-def parse_record(kind: type[RecordT], given: object, name: str) -> RecordT:
-    """Return what a file holds of a campaign as far as it is scored; raises `AnalysisError` where it lacks it."""
-    try:
-        return kind.model_validate(given)
-    except ValidationError as fault:
-        first = fault.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise AnalysisError(
-            f"{name}: the {RECORD_NAMES[kind.__name__]} cannot be scored because {place} is not as the report's format "
-            f"has it ({first['msg'].lower()}); make it anew"
-        ) from fault
-
-
-NAMED_ABOVE, SURE_ABOVE = 0.5, 0.8
-CHANNEL_RATE = "full size, right channel"
+        diagnosis = self.without_true
+        if diagnosis is None or diagnosis.verdict == UNKNOWN:
+            return diagnosis is not None
+        if diagnosis.verdict == NO_GAP:
+            return not self.answer.detectable
+        confusable = set(diagnosis.effects) <= confusable_effects(self.answer.effects[0])
+        return confusable and (diagnosis.stated_probability < NAMED_ABOVE or bool(diagnosis.confusable_with))
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,108 +199,74 @@ class Rate:
     high: float
 
 
-def wilson_rate(name: str, held: Sequence[bool]) -> Rate:
-    """Return how often something held."""
+def wilson_rate(name: str, outcomes: Sequence[bool]) -> Rate:
+    """Return the share of true outcomes."""
     from scipy.stats import binomtest
 
-    if not held:
-        return Rate(name, 0, 0, float("nan"), float("nan"), float("nan"))
-    interval = binomtest(sum(held), len(held)).proportion_ci(method="wilson")
-    return Rate(name, sum(held), len(held), sum(held) / len(held), float(interval.low), float(interval.high))
+    if not outcomes:
+        return Rate(name, 0, 0, nan, nan, nan)
+    held, count = sum(outcomes), len(outcomes)
+    interval = binomtest(held, count).proportion_ci(method="wilson")
+    return Rate(name, held, count, held / count, float(interval.low), float(interval.high))
 
 
 def exam_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
     """Return all rates of an exam, in the order of its table."""
-    return tuple(
-        wilson_rate(name, [held(one) for one in cases if counts(one)]) for name, counts, held in _RATE_DEFINITIONS
-    )
+    return tuple(wilson_rate(name, [holds(case) for case in cases if counts(case)]) for name, counts, holds in _RATES)
 
 
 def verdict_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    """Return the rates that ask for nothing but a verdict with its probabilities."""
-    return tuple(one for one in exam_rates(cases) if one.name != CHANNEL_RATE)
+    """Return the rates that need only the verdict and its probabilities."""
+    return tuple(rate for rate in exam_rates(cases) if rate.name != CHANNEL_RATE)
 
 
-def _is_single_effect(low: float, high: float, *, rough: bool = False) -> Callable[[ScoredCase], bool]:
-    def counts(case: ScoredCase) -> bool:
-        one = case.answer
-        return len(one.effects) == 1 and low <= one.least < high and one.nominal_slightly_wrong == rough
-
-    return counts
+_Condition = Callable[[ScoredCase], bool]
 
 
-def _is_without_effect(verdict: VerdictName, *, rough: bool = False) -> Callable[[ScoredCase], bool]:
+def _hidden(low: float, high: float = inf, *, rough: bool = False) -> _Condition:
+    """Select single effects of a size from `low` to below `high`."""
+    return lambda case: case.single and low <= case.answer.least < high and case.answer.nominal_slightly_wrong == rough
+
+
+def _answer(verdict: VerdictName, *, rough: bool = False) -> _Condition:
     return lambda case: case.answer.verdict == verdict and case.answer.nominal_slightly_wrong == rough
 
 
-_ANY_SIZE = float("inf")
-_RATE_DEFINITIONS: tuple[tuple[str, Callable[[ScoredCase], bool], Callable[[ScoredCase], bool]], ...] = (
-    ("full size, right name", _is_single_effect(0.9, _ANY_SIZE), lambda case: case.found),
-    (
-        "full size, right name alone",
-        _is_single_effect(0.9, _ANY_SIZE),
-        lambda case: case.answer.effects == case.said.effects,
-    ),
-    (CHANNEL_RATE, _is_single_effect(0.9, _ANY_SIZE), lambda case: case.channel),
-    ("a third, right name", _is_single_effect(MIN_DETECTABLE_SIZE, 0.9), lambda case: case.found),
-    ("a tenth, right name or no gap", _is_single_effect(0.0, MIN_DETECTABLE_SIZE), lambda case: case.right),
-    ("none, no gap", _is_without_effect("no_gap"), lambda case: case.right),
-    ("outside, unknown", _is_without_effect("unknown"), lambda case: case.right),
+_RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
+    ("full size, right name", _hidden(0.9), lambda case: case.all_named),
+    ("full size, right name alone", _hidden(0.9), lambda case: case.answer.effects == case.diagnosis.effects),
+    (CHANNEL_RATE, _hidden(0.9), lambda case: case.right_channel),
+    ("a third, right name", _hidden(MIN_DETECTABLE_SIZE, 0.9), lambda case: case.all_named),
+    ("a tenth, right name or no gap", _hidden(0.0, MIN_DETECTABLE_SIZE), lambda case: case.right),
+    ("none, no gap", _answer("no_gap"), lambda case: case.right),
+    ("outside, unknown", _answer("unknown"), lambda case: case.right),
     (
         "outside, a name above 0.5",
-        _is_without_effect("unknown"),
-        lambda case: bool(case.said.effects) and case.said.named > NAMED_ABOVE,
+        _answer("unknown"),
+        lambda case: bool(case.diagnosis.effects) and case.diagnosis.effect_probability > NAMED_ABOVE,
     ),
-    ("pair, both named", lambda case: len(case.answer.effects) > 1, lambda case: case.found),
-    ("pair, one named", lambda case: len(case.answer.effects) > 1, lambda case: not case.wrong),
-    ("rough, right name", _is_single_effect(0.0, _ANY_SIZE, rough=True), lambda case: case.found),
-    ("rough, none, no gap", _is_without_effect("no_gap", rough=True), lambda case: case.right),
-    ("all, wrong above 0.8", lambda _: True, lambda case: case.wrong and case.said.probability > SURE_ABOVE),
-    ("above 0.8, right", lambda case: case.said.probability > SURE_ABOVE, lambda case: case.right),
+    ("pair, both named", lambda case: len(case.answer.effects) > 1, lambda case: case.all_named),
+    ("pair, one named", lambda case: len(case.answer.effects) > 1, lambda case: not case.misleading),
+    ("rough, right name", _hidden(0.0, rough=True), lambda case: case.all_named),
+    ("rough, none, no gap", _answer("no_gap", rough=True), lambda case: case.right),
+    ("all, wrong above 0.8", lambda _: True, lambda case: case.misleading and case.diagnosis.probability > SURE_ABOVE),
+    ("above 0.8, right", lambda case: case.diagnosis.probability > SURE_ABOVE, lambda case: case.right),
 )
+"""Each rate: its name, the cases that count, and what holds of them."""
 
 
 def withheld_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
-    """Return how often that is right, and how often another effect is named without doubt."""
-    asked = [one for one in cases if one.withheld is not None and len(one.answer.effects) == 1]
-    large = [one for one in asked if one.answer.least >= MIN_DETECTABLE_SIZE]
+    """Return how often the diagnosis is right when the true effect is removed from the catalogue."""
+    single = [(case, case.without_true) for case in cases if case.without_true is not None and case.single]
+    large = [(case, diagnosis) for case, diagnosis in single if case.answer.detectable]
+    named = [bool(diagnosis.effects) and diagnosis.stated_probability > NAMED_ABOVE for _, diagnosis in large]
+    small = [case.right_without_true for case, _ in single if not case.answer.detectable]
     return (
-        wilson_rate(
-            "withheld, unknown, or its near-alias with doubt", [is_right_without_true_effect(one) for one in large]
-        ),
-        wilson_rate(
-            "withheld, unknown", [one.withheld is not None and one.withheld.verdict == "unknown" for one in large]
-        ),
-        wilson_rate("withheld, a name above 0.5", [_names_other_effect(one) for one in large]),
-        wilson_rate(
-            "withheld, a tenth: that, or no gap",
-            [is_right_without_true_effect(one) for one in asked if one.answer.least < MIN_DETECTABLE_SIZE],
-        ),
+        wilson_rate("withheld, unknown, or its near-alias with doubt", [case.right_without_true for case, _ in large]),
+        wilson_rate("withheld, unknown", [diagnosis.verdict == UNKNOWN for _, diagnosis in large]),
+        wilson_rate("withheld, a name above 0.5", named),
+        wilson_rate("withheld, a tenth: that, or no gap", small),
     )
-
-
-def is_right_without_true_effect(case: ScoredCase) -> bool:
-    """Whether what is said without the true effect is right.
-
-    That is `unknown`; a near-alias of the true effect, with its probability below 0.5 or another that cannot be told
-    from it; and `no_gap` for an effect that is too small to see.
-    """
-    said = case.withheld
-    if said is None:
-        return False
-    if said.verdict == "unknown":
-        return True
-    if said.verdict == "no_gap":
-        return case.answer.least < MIN_DETECTABLE_SIZE
-    alias = set(said.effects) <= confusable_effects(case.answer.effects[0])
-    return alias and (said.stated < NAMED_ABOVE or bool(said.confusable_with))
-
-
-def _names_other_effect(case: ScoredCase) -> bool:
-    return case.withheld is not None and bool(case.withheld.effects) and case.withheld.stated > NAMED_ABOVE
-
-
-SEVERAL, UNKNOWN, NO_GAP = "several", "unknown", "no_gap"
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,9 +279,9 @@ class ConfusionMatrix:
         Names of the rows: effects, then `several`, `unknown` (an effect that the catalogue does not have) and
         `no_gap`, as far as they occur.
     said
-        Names of the columns, likewise.
+        Names of the columns, the diagnoses, likewise.
     counts
-        A row for each hidden.
+        A row for each of `hidden`.
     """
 
     hidden: tuple[str, ...]
@@ -315,34 +290,29 @@ class ConfusionMatrix:
 
 
 def confusion_matrix(cases: Sequence[ScoredCase]) -> ConfusionMatrix:
-    """Count what was said of what."""
-    met = Counter((_row_name(one.answer.effects, one.answer.verdict), _row_name(one.said.effects, one.said.verdict))
-                  for one in cases)  # fmt: skip
-    hidden = _effects_first({row for row, _ in met})
-    said = _effects_first({column for _, column in met} | set(hidden))
-    return ConfusionMatrix(hidden, said, tuple(tuple(met[row, column] for column in said) for row in hidden))
+    """Count the diagnoses of each answer."""
+    counts = Counter((_class_name(case.answer), _class_name(case.diagnosis)) for case in cases)
+    hidden = _effects_first({row for row, _ in counts})
+    said = _effects_first({column for _, column in counts} | set(hidden))
+    return ConfusionMatrix(hidden, said, tuple(tuple(counts[row, column] for column in said) for row in hidden))
 
 
-def _row_name(effects: Sequence[str], verdict: str) -> str:
-    if len(effects) > 1:
+def _class_name(record: AnswerKey | ScoredDiagnosis) -> str:
+    if len(record.effects) > 1:
         return SEVERAL
-    return effects[0] if effects else verdict
+    return record.effects[0] if record.effects else record.verdict
 
 
 def _effects_first(names: set[str]) -> tuple[str, ...]:
     last = (SEVERAL, UNKNOWN, NO_GAP)
-    return (*sorted(names - set(last)), *(one for one in last if one in names))
-
-
-D_PRIME_EDGES = (0.0, 3.0, 6.0, 12.0, 25.0, 50.0, 100.0, 200.0, inf)
-"""Of d′; below 3 nobody can see an effect."""
+    return (*sorted(names - set(last)), *(name for name in last if name in names))
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionBin:
     """Single effects whose d′ lies from `low` to below `high`: any gap seen, the right name, and a misleading verdict.
 
-    The campaigns with a nominal model that is slightly wrong are not among them.
+    Campaigns whose nominal model is slightly wrong are left out.
     """
 
     low: float
@@ -354,20 +324,17 @@ class DetectionBin:
 
 def detection_bins(cases: Sequence[ScoredCase]) -> tuple[DetectionBin, ...]:
     """Return the bins that have cases."""
-    single = [one for one in cases if len(one.answer.effects) == 1 and not one.answer.nominal_slightly_wrong]
-    made = []
+    single = [case for case in cases if case.single and not case.answer.nominal_slightly_wrong]
+    bins = []
     for low, high in pairwise(D_PRIME_EDGES):
-        there = [one for one in single if one.amount is not None and low <= one.amount < high]
-        if there:
-            seen = wilson_rate("a gap is seen", [one.said.verdict != "no_gap" for one in there])
-            named = wilson_rate("the right name", [one.found for one in there])
-            # What is not seen, and rightly so because it is too small, misleads nobody.
-            misled = wilson_rate("a wrong name", [bool(one.said.effects) and one.wrong for one in there])
-            made.append(DetectionBin(low, high, seen, named, misled))
-    return tuple(made)
-
-
-PROBABILITY_EDGES = (0.0, 0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0)
+        inside = [case for case in single if case.d_prime is not None and low <= case.d_prime < high]
+        if inside:
+            seen = wilson_rate("a gap is seen", [case.diagnosis.verdict != NO_GAP for case in inside])
+            named = wilson_rate("the right name", [case.all_named for case in inside])
+            # An effect that is missed because it is too small misleads nobody.
+            misled = wilson_rate("a wrong name", [bool(case.diagnosis.effects) and case.misleading for case in inside])
+            bins.append(DetectionBin(low, high, seen, named, misled))
+    return tuple(bins)
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,11 +344,11 @@ class ReliabilityBin:
     Attributes
     ----------
     count, right
-        How many there are, and how many of them are right.
+        Number of verdicts, and how many of them are right.
     probability
-        Mean of what was stated.
+        Mean stated probability.
     band
-        Share that would be right in 95 % of exams like this if every probability were true (binomial).
+        Share of right verdicts in 95 % of exams like this if every probability were true (binomial).
     """
 
     low: float
@@ -404,11 +371,11 @@ class ProbabilityCalibration:
     Attributes
     ----------
     brier, brier_base, skill
-        Mean squared error of the probabilities of all hypotheses; that of always stating how often each hypothesis is
-        true in this exam; and `1 - brier / brier_base`. NaN where there is nothing to compare.
+        Brier score over all hypotheses; that of always stating how often each hypothesis is true in this exam; and
+        `1 - brier / brier_base`. NaN where there is nothing to compare.
     verdict_brier, verdict_base, verdict_skill
         The same of the verdict's own probability against always stating the share of right verdicts, which is the
-        harder the better a diagnosis is.
+        harder to beat the better a diagnosis is.
     bins
         The reliability diagram.
     """
@@ -423,69 +390,59 @@ class ProbabilityCalibration:
 
 
 def probability_calibration(cases: Sequence[ScoredCase]) -> ProbabilityCalibration:
-    """Judge the probabilities of an exam."""
-    truths = [one.answer.accepted for one in cases]
-    base = _base_rates(truths)
-    told = [{each.name: each.probability for each in one.said.ranking} for one in cases]
-    brier = _mean_or_nan([_brier_error(one, truth) for one, truth in zip(told, truths, strict=True)])
-    brier_base = _mean_or_nan([_brier_error(base, truth) for truth in truths])
-    right = [one.right for one in cases]
-    stated = [one.said.stated for one in cases]
-    share = _mean_or_nan([float(one) for one in right])
-    verdict = _mean_or_nan([(each - held) ** 2 for each, held in zip(stated, right, strict=True)])
-    verdict_base = _mean_or_nan([(share - held) ** 2 for held in right])
-    bins = tuple(_reliability_bins(stated, right))
-    return ProbabilityCalibration(brier, brier_base, _skill_score(brier, brier_base), verdict, verdict_base,
-                       _skill_score(verdict, verdict_base), bins)  # fmt: skip
+    """Compare the probabilities of an exam with its outcomes."""
+    truths = [case.answer.accepted for case in cases]
+    # Where no_gap is accepted too, the hidden effect counts.
+    hypotheses = Counter(sorted(truth - {NO_GAP} or truth)[0] for truth in truths)
+    base_rates = {name: count / len(truths) for name, count in hypotheses.items()}
+    stated = [{ranked.name: ranked.probability for ranked in case.diagnosis.ranking} for case in cases]
+    brier = _mean([_brier_error(probabilities, truth) for probabilities, truth in zip(stated, truths, strict=True)])
+    brier_base = _mean([_brier_error(base_rates, truth) for truth in truths])
+    right = [case.right for case in cases]
+    of_verdict = [case.diagnosis.stated_probability for case in cases]
+    share = _mean([float(holds) for holds in right])
+    verdict_brier = _mean([(probability - holds) ** 2 for probability, holds in zip(of_verdict, right, strict=True)])
+    verdict_base = _mean([(share - holds) ** 2 for holds in right])
+    return ProbabilityCalibration(
+        brier,
+        brier_base,
+        1.0 - brier / brier_base if brier_base > 0 else nan,
+        verdict_brier,
+        verdict_base,
+        1.0 - verdict_brier / verdict_base if verdict_base > 0 else nan,
+        tuple(_reliability_bins(of_verdict, right)),
+    )
 
 
-def _base_rates(truths: Sequence[frozenset[str]]) -> dict[str, float]:
-    """Return how often each hypothesis is true; one that is right beside another counts for what is hidden."""
-    names = Counter(sorted(one - {"no_gap"} or one)[0] for one in truths)
-    return {name: count / len(truths) for name, count in names.items()}
-
-
-def _brier_error(told: dict[str, float], truth: frozenset[str]) -> float:
+def _brier_error(probabilities: Mapping[str, float], truth: frozenset[str]) -> float:
     """Return the squared error over all hypotheses; those that are right count as one."""
-    on_truth = sum(probability for name, probability in told.items() if name in truth)
-    others = sum(probability**2 for name, probability in told.items() if name not in truth)
-    return (1.0 - on_truth) ** 2 + others
+    of_truth = sum(probability for name, probability in probabilities.items() if name in truth)
+    of_others = sum(probability**2 for name, probability in probabilities.items() if name not in truth)
+    return (1.0 - of_truth) ** 2 + of_others
 
 
-def _reliability_bins(stated: Sequence[float], right: Sequence[bool]) -> list[ReliabilityBin]:
-    made = []
-    for low, high in pairwise(PROBABILITY_EDGES):
-        there = [at for at, one in enumerate(stated) if low < min(one, 1.0) <= high or (one <= 0 == low)]
-        if there:
-            mean = _mean_or_nan([min(stated[at], 1.0) for at in there])
-            made.append(
-                ReliabilityBin(
-                    low, high, len(there), sum(right[at] for at in there), mean, _binomial_band(len(there), mean)
-                )
-            )
-    return made
-
-
-def _binomial_band(count: int, probability: float) -> tuple[float, float]:
+def _reliability_bins(probabilities: Sequence[float], right: Sequence[bool]) -> Iterable[ReliabilityBin]:
     from scipy.stats import binom
 
-    return tuple(float(binom.ppf(tail, count, probability)) / count for tail in (0.025, 0.975))  # type: ignore[return-value]
+    for low, high in pairwise(PROBABILITY_EDGES):
+        inside = [
+            (min(probability, 1.0), holds)
+            for probability, holds in zip(probabilities, right, strict=True)
+            if low < min(probability, 1.0) <= high or (probability <= 0 == low)
+        ]
+        if inside:
+            count, mean = len(inside), _mean([probability for probability, _ in inside])
+            band = (float(binom.ppf(0.025, count, mean)) / count, float(binom.ppf(0.975, count, mean)) / count)
+            yield ReliabilityBin(low, high, count, sum(holds for _, holds in inside), mean, band)
 
 
-def _skill_score(error: float, base: float) -> float:
-    return 1.0 - error / base if base > 0 else float("nan")
-
-
-def _mean_or_nan(values: Sequence[float]) -> float:
-    return sum(values) / len(values) if values else float("nan")
-
-
-CLOSED_SHARE = 0.9
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values) if values else nan
 
 
 @dataclass(frozen=True, slots=True)
 class PromiseOutcome:
-    """A promise and what came of it: the share of the gap that closes on held-out runs and on fresh ones."""
+    """Share of the gap promised to close (from held-out runs), and the share that closes on fresh runs."""
 
     case: str
     promised: float
@@ -500,8 +457,8 @@ class PromiseScore:
 
     Attributes
     ----------
-    kept
-        Campaigns whose diagnosis named an effect, with a gap to close on its own and on the fresh runs.
+    outcomes
+        Campaigns whose diagnosis named an effect, with a gap to close on their own and on the fresh runs.
     difference
         Median of the absolute differences; NaN where there are none.
     right_difference
@@ -513,7 +470,7 @@ class PromiseScore:
         How many right names at full size and at a third close 90 % of the gap on fresh runs.
     """
 
-    kept: tuple[PromiseOutcome, ...]
+    outcomes: tuple[PromiseOutcome, ...]
     difference: float
     right_difference: float
     within: Rate
@@ -522,28 +479,30 @@ class PromiseScore:
 
 def promise_score(cases: Sequence[ScoredCase]) -> PromiseScore:
     """Compare promises with fresh runs."""
-    kept = tuple(found for one in cases if (found := _promise_outcome(one)) is not None)
-    large = {one.name for one in cases if one.answer.least >= MIN_DETECTABLE_SIZE}
-    covered = [one.interval[0] <= one.achieved <= one.interval[1] for one in kept if one.interval is not None]
-    closed = [one.achieved >= CLOSED_SHARE for one in kept if one.right and one.case in large]
+    outcomes, covered, closed = [], [], []
+    for case in cases:
+        shrink, achieved = case.diagnosis.shrink, case.achieved
+        if not case.diagnosis.effects or shrink is None or achieved is None:
+            continue
+        if shrink.closed is None or achieved.closed is None:
+            continue
+        interval = shrink.closed_95ci
+        outcomes.append(PromiseOutcome(case.name, shrink.closed, interval, achieved.closed, case.all_named))
+        if interval is not None:
+            covered.append(interval[0] <= achieved.closed <= interval[1])
+        if case.all_named and case.answer.detectable:
+            closed.append(achieved.closed >= CLOSED_SHARE)
     return PromiseScore(
-        kept,
-        _median_difference(kept),
-        _median_difference([one for one in kept if one.right]),
+        tuple(outcomes),
+        _median_difference(outcomes),
+        _median_difference([outcome for outcome in outcomes if outcome.right]),
         wilson_rate("achieved within the promised interval", covered),
         wilson_rate("right name, 90 % closed on fresh runs", closed),
     )
 
 
-def _promise_outcome(case: ScoredCase) -> PromiseOutcome | None:
-    promised = None if case.said.shrink is None or not case.said.effects else case.said.shrink
-    if promised is None or promised.closed is None or case.achieved is None or case.achieved.closed is None:
-        return None
-    return PromiseOutcome(case.name, promised.closed, promised.closed_95ci, case.achieved.closed, case.found)
-
-
-def _median_difference(kept: Sequence[PromiseOutcome]) -> float:
-    return median(abs(one.promised - one.achieved) for one in kept) if kept else float("nan")
+def _median_difference(outcomes: Sequence[PromiseOutcome]) -> float:
+    return median(abs(outcome.promised - outcome.achieved) for outcome in outcomes) if outcomes else nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -557,7 +516,7 @@ class ExamScore:
     missed
         The cases whose verdict is not right.
     withheld
-        Rates of what is said when the true effect is taken out of the catalogue.
+        Rates where the true effect is removed from the catalogue.
     """
 
     rates: tuple[Rate, ...]
@@ -570,29 +529,28 @@ class ExamScore:
 
     def __getitem__(self, name: str) -> Rate:
         """Return the rate of that name."""
-        return next(one for one in (*self.rates, *self.withheld) if one.name == name)
+        return next(rate for rate in (*self.rates, *self.withheld) if rate.name == name)
 
     def tables(self) -> tuple["Table", "Table"]:
-        """Return the rates, and what was said where it was not right, as tables for a console."""
+        """Return the rates, and the verdicts that are not right, as tables for a console."""
         from rich.table import Table
 
-        shown = Table("", "held", "share", "95 % interval", title="How often the diagnosis is right")
-        for one in self.rates:
-            bounds = f"{one.low:.2f} to {one.high:.2f}"
-            told = (f"{one.share:.2f}", bounds) if one.count else ("", "")
-            shown.add_row(one.name, f"{one.held} of {one.count}", *told)
+        rates = Table("", "held", "share", "95 % interval", title="How often the diagnosis is right")
+        for rate in self.rates:
+            share = (f"{rate.share:.2f}", f"{rate.low:.2f} to {rate.high:.2f}") if rate.count else ("", "")
+            rates.add_row(rate.name, f"{rate.held} of {rate.count}", *share)
         missed = Table("case", "truth", "form", "size", "said", "probability", title="Not right")
-        for row in map(missed_cells, self.missed):
-            missed.add_row(*row)
-        return shown, missed
+        for case in self.missed:
+            missed.add_row(*missed_cells(case))
+        return rates, missed
 
 
 def missed_cells(case: ScoredCase) -> tuple[str, ...]:
-    """Return a case whose verdict is not right as cells: name, truth, form, size, said, probability."""
-    said = "+".join(case.said.effects) or case.said.verdict
+    """Return a case whose verdict is not right as cells: name, truth, form, size, verdict, probability."""
+    verdict = "+".join(case.diagnosis.effects) or case.diagnosis.verdict
     sizes = ", ".join(f"{size:.2g}" for size in case.answer.size)
     truth = case.answer.truth or ", ".join(case.answer.effects)
-    return case.name, truth, ", ".join(case.answer.form), sizes, said, f"{case.said.probability:.2f}"
+    return case.name, truth, ", ".join(case.answer.form), sizes, verdict, f"{case.diagnosis.probability:.2f}"
 
 
 def score_exam(
@@ -620,24 +578,39 @@ def score_exam(
     AnalysisError
         When an answer or a diagnosis lacks what is scored.
     """
-    others, fresh, sizes = withheld or {}, achieved or {}, amounts or {}
+    without_true, fresh, d_primes = withheld or {}, achieved or {}, amounts or {}
     cases = [
         ScoredCase(
             name,
-            parse_record(AnswerKey, answer, name),
-            parse_record(ScoredDiagnosis, said, name),
-            parse_record(ScoredDiagnosis, others[name], name) if name in others else None,
-            parse_record(ScoredShrink, fresh[name].get("shrink"), name) if name in fresh else None,
-            sizes.get(name),
+            _parse(AnswerKey, answer, name, "answer"),
+            _parse(ScoredDiagnosis, diagnosis, name, "diagnosis"),
+            _parse(ScoredDiagnosis, without_true[name], name, "diagnosis") if name in without_true else None,
+            _parse(ScoredShrink, fresh[name].get("shrink"), name, "shrink") if name in fresh else None,
+            d_primes.get(name),
         )
-        for name, answer, said in pairs
+        for name, answer, diagnosis in pairs
     ]
     return ExamScore(
         exam_rates(cases),
-        tuple(one for one in cases if not one.right),
+        tuple(case for case in cases if not case.right),
         confusion_matrix(cases),
         detection_bins(cases),
         probability_calibration(cases),
         promise_score(cases),
         withheld_rates(cases),
     )
+
+
+RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredShrink)
+
+
+def _parse(kind: type[RecordT], content: object, name: str, what: str) -> RecordT:
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise AnalysisError(
+            f"{name}: the {what} cannot be scored because {place} is not as the report's format has it "
+            f"({first['msg'].lower()}); make it anew"
+        ) from error

@@ -42,8 +42,8 @@ def test_the_mix_is_balanced() -> None:
 
 
 def test_who_diagnoses_does_not_load_the_plant() -> None:
-    code = "import sys, dragrig.exam.examinee as one; one.examine(one.Question(one.Path('gone')));" + (
-        "print([name for name in sys.modules if name.startswith(('dragrig.sim_backend.blind', 'dragrig.exam.m'))])"
+    code = "import sys, dragrig.exam.examinee as one; one.diagnose_blind(one.BlindTask(one.Path('gone')));" + (
+        "print([name for name in sys.modules if name.startswith(('dragrig.sim_backend.blind', 'dragrig.exam.blind'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

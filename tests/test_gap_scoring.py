@@ -176,7 +176,7 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
     closed = {"kept": 0.93, "not kept": 0.65, "wrong": 0.1, "no effect named": 0.2}
     achieved = {name: {"shrink": {"closed": one, "closed_95ci": None}} for name, one in closed.items()}
     found = score_exam(pairs, achieved=achieved).promises
-    assert [one.case for one in found.kept] == ["kept", "not kept", "wrong"]
+    assert [one.case for one in found.outcomes] == ["kept", "not kept", "wrong"]
     assert found.difference == pytest.approx(0.3)
     assert found.right_difference == pytest.approx(0.16)
     assert (found.within.held, found.within.count) == (1, 2)

@@ -37,7 +37,7 @@ EXAM_SHARES = {
     "rough": 0.08 * 2 / 3,
     "rough none": 0.08 / 3,
 }
-"""Of each kind of case; single effects go through the whole vocabulary in turn."""
+"""Share of each kind of case; single effects cycle through the whole catalogue of the plant."""
 MIXES = {
     EXAM_MIX: EXAM_SHARES,
     LEARNING_MIX: {
@@ -51,12 +51,12 @@ MIXES = {
         "rough none": 0.03,
     },
 }
-"""An exam has what rigs may have; to learn from, there is more of what is hard."""
+"""An exam has campaigns as rigs may have them; to learn from, there are more hard cases."""
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenCase:
-    """What is to be hidden in one campaign.
+    """What is hidden in one campaign.
 
     Attributes
     ----------
@@ -74,12 +74,12 @@ class HiddenCase:
 
     @property
     def name(self) -> str:
-        """The number as names of folders and files have it."""
+        """The number as in names of folders and files."""
         return f"{self.number:04d}"
 
     @property
     def secret(self) -> BlindCampaign:
-        """The campaign with all that is hidden in it."""
+        """The campaign with its hidden effects."""
         return draw_campaign(self.seed, effects=self.effects, size=self.sizes, rough=self.rough)
 
     @property
@@ -97,15 +97,14 @@ def draw_cases(cases: int, seed: int, which: str = EXAM_MIX) -> list[HiddenCase]
     counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
     kinds = [kind for kind, count in zip(shares, counts.tolist(), strict=True) for _ in range(count)]
     singles, foreign = _shuffled_cycle(tuple(CATALOGUE), random), _shuffled_cycle(tuple(OUTSIDE), random)
-    made = []
-    for kind in kinds:
-        effects, sizes = _draw_effects(kind, singles, foreign, random)
-        made.append((kind, effects, sizes))
-    order = random.permutation(len(made)).tolist()
-    seeds = random.integers(1, 2**31, len(made)).tolist()
+    hidden = [(kind, *_draw_effects(kind, singles, foreign, random)) for kind in kinds]
+    order = random.permutation(len(hidden)).tolist()
+    seeds = random.integers(1, 2**31, len(hidden)).tolist()
     return [
-        HiddenCase(number, made[at][0], own, made[at][1], made[at][2], rough=made[at][0].startswith("rough"))
-        for number, (at, own) in enumerate(zip(order, seeds, strict=True), 1)
+        HiddenCase(number, kind, case_seed, effects, sizes, rough=kind.startswith("rough"))
+        for number, (case_seed, (kind, effects, sizes)) in enumerate(
+            zip(seeds, (hidden[place] for place in order), strict=True), 1
+        )
     ]
 
 
@@ -130,20 +129,20 @@ def _draw_effects(
 
 
 UNFINISHED_SUFFIX = ".begun"
-"""How the name of a hidden folder ends in which runs are written that are not all there yet."""
+"""Suffix of the hidden folder in which an unfinished campaign is written."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignOrder:
-    """A campaign to be written to a folder, and a fresh session of the same specimen to another."""
+    """A campaign to simulate into a folder, and a fresh session of the same specimen into another."""
 
-    case: "HiddenCase"
+    case: HiddenCase
     campaign: Path
     fresh: Path
 
 
 def simulate_campaign(order: CampaignOrder) -> None:
-    """Write what is not there yet; a folder is there with all its runs or not at all.
+    """Simulate what does not exist yet; a folder exists with all its runs or not at all.
 
     Raises
     ------
@@ -155,34 +154,31 @@ def simulate_campaign(order: CampaignOrder) -> None:
         if folder.is_dir():
             continue
         folder.parent.mkdir(parents=True, exist_ok=True)
-        begun = Path(mkdtemp(prefix=f".{folder.name}-", suffix=UNFINISHED_SUFFIX, dir=folder.parent))
+        unfinished = Path(mkdtemp(prefix=f".{folder.name}-", suffix=UNFINISHED_SUFFIX, dir=folder.parent))
         try:
-            write_campaign(secret, begun, runs=runs)
-            begun.chmod(0o755)
-            begun.rename(folder)
+            write_campaign(secret, unfinished, runs=runs)
+            unfinished.chmod(0o755)
+            unfinished.rename(folder)
         except OSError:
-            if not folder.is_dir():  # else another worker was told to write the same, and was first
+            if not folder.is_dir():  # else another worker had the same task and was first
                 raise
         finally:
-            shutil.rmtree(begun, ignore_errors=True)
+            shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def remove_unfinished(order: CampaignOrder) -> None:
-    """Remove what workers have left that were killed while they wrote a campaign or a fresh session.
-
-    Nobody else may be at work in the exam's folder.
-    """
+    """Remove what killed workers left; no other program may work in the exam's folder."""
     for folder in (order.campaign, order.fresh):
-        for left in folder.parent.glob(f".{folder.name}-*{UNFINISHED_SUFFIX}"):
-            shutil.rmtree(left, ignore_errors=True)
+        for unfinished in folder.parent.glob(f".{folder.name}-*{UNFINISHED_SUFFIX}"):
+            shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def hidden_d_prime(case: "HiddenCase") -> float:
-    """Return d′ of what is hidden: in the force, or in the position where it is larger there."""
+def hidden_d_prime(case: HiddenCase) -> float:
+    """Return the larger d′ of the hidden effects, in the force or in the position."""
     from dragrig.sim_backend.blind.effect_size import effect_size
 
-    found = effect_size(case.secret)
-    return max(found.force, found.position)
+    size = effect_size(case.secret)
+    return max(size.force, size.position)
 
 
 EXAM_FILE, SEAL_FILE, ANSWERS_FILE = "exam.json", "answers.sha256", "answers.json"
@@ -191,61 +187,62 @@ EXAM_FORMAT, EXAM_VERSION = "dragrig-blind", 1
 
 @dataclass(frozen=True, slots=True)
 class ExamFolder:
-    """Where an exam keeps what it has."""
+    """Paths of an exam."""
 
     root: Path
 
     def campaign(self, name: str) -> Path:
-        """Return where the runs of a campaign are."""
+        """Return the folder of a campaign's runs."""
         return self.root / "campaigns" / name
 
     def fresh(self, name: str) -> Path:
-        """Return where those of the same specimen at other speeds and strains are."""
+        """Return the folder of runs of the same specimen at other speeds and strains."""
         return self.root / "fresh" / name
 
     def said(self, name: str) -> Path:
-        """Return where its diagnosis is."""
+        """Return the file of its diagnosis."""
         return self.root / "said" / f"{name}.json"
 
     def model(self, name: str) -> Path:
-        """Return where the model that the diagnosis amended is."""
+        """Return the file of the amended model."""
         return self.root / "said" / f"{name}.toml"
 
     def withheld(self, name: str) -> Path:
-        """Return where its diagnosis without the true effect is."""
+        """Return the file of its diagnosis without the true effect."""
         return self.root / "withheld" / f"{name}.json"
 
     def achieved(self, name: str) -> Path:
-        """Return where it is how far the amended model closes the gap on fresh runs."""
+        """Return the file of the amended model's evaluation on fresh runs."""
         return self.root / "achieved" / f"{name}.json"
 
     def amount(self, name: str) -> Path:
-        """Return where d′ of the hidden effect is."""
+        """Return the file of the hidden effect's d′."""
         return self.root / "amounts" / f"{name}.json"
 
 
 @contextmanager
 def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[ExamFolder]:
-    """Yield an exam's folder for one program at a time: a new one, or one that was begun with the same numbers.
+    """Lock and yield an exam's folder: a new one, or one started with the same numbers.
 
     Raises
     ------
     SettingsError
-        When it holds an exam of other numbers.
+        When it holds an exam with other numbers.
     OutputError
-        When it holds something else, cannot be written, or another program is at work in it.
+        When it holds something else, cannot be written, or another program uses it.
     """
     from filelock import FileLock, Timeout
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        there = _read_exam_numbers(out)
-        if there is None and any(one.name != ".lock" for one in out.iterdir()):
+        existing = _read_exam_numbers(out)
+        if existing is None and any(path.name != ".lock" for path in out.iterdir()):
             raise OutputError(f"{out}: holds something that is no exam; name an empty or a new folder.")
-        if there is not None and there != (cases, seed, mix):
+        if existing is not None and existing != (cases, seed, mix):
+            numbers = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]}"
             raise SettingsError(
-                f"{out}: holds an exam of {there[0]} cases with seed {there[1]}; give --cases {there[0]} --seed "
-                f"{there[1]} --mix {there[2]} to go on with it, or name another folder."
+                f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {numbers} to continue it, or "
+                "name another folder."
             )
         with FileLock(out / ".lock", timeout=0):
             write_json(
@@ -254,7 +251,7 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
             )
             yield ExamFolder(out)
     except Timeout as error:
-        raise OutputError(f"{out}: another program is at work in it; wait for it, or name another folder.") from error
+        raise OutputError(f"{out}: another program uses it; wait for it, or name another folder.") from error
     except OSError as error:
         place = error.filename or out
         raise OutputError(f"{place}: cannot be written ({error.strerror}); name another folder.") from error
@@ -263,8 +260,8 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
 def _read_exam_numbers(out: Path) -> tuple[int, int, str] | None:
     """Return number of cases, seed and mix of the exam in a folder; None where there is none."""
     try:
-        told = json.loads((out / EXAM_FILE).read_text("utf-8"))
-        return int(told["cases"]), int(told["seed"]), str(told["mix"])
+        exam = json.loads((out / EXAM_FILE).read_text("utf-8"))
+        return int(exam["cases"]), int(exam["seed"]), str(exam["mix"])
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError) as error:
@@ -272,12 +269,12 @@ def _read_exam_numbers(out: Path) -> tuple[int, int, str] | None:
 
 
 def seal_answers(folder: ExamFolder, planned: Sequence[HiddenCase]) -> str:
-    """Write the hash of the answers unless it is there, and return it.
+    """Write the hash of the answers where it does not exist, and return it.
 
     Raises
     ------
     AnalysisError
-        When it is there and another one.
+        When another hash exists.
     """
     digest = hashlib.sha256(_answers_json(planned).encode()).hexdigest()
     path = folder.root / SEAL_FILE
@@ -285,7 +282,7 @@ def seal_answers(folder: ExamFolder, planned: Sequence[HiddenCase]) -> str:
         _replace_file(path, f"{digest}  {ANSWERS_FILE}\n")
     elif path.read_text("utf-8").split()[:1] != [digest]:
         raise AnalysisError(
-            f"{path}: the plant gives other answers than were sealed, so that it was changed meanwhile; begin anew in "
+            f"{path}: the plant gives other answers than were sealed, so it was changed meanwhile; start again in "
             "another folder."
         )
     return digest
@@ -296,27 +293,27 @@ def open_answers(folder: ExamFolder, planned: Sequence[HiddenCase]) -> Mapping[s
     seal_answers(folder, planned)
     text = _answers_json(planned)
     _replace_file(folder.root / ANSWERS_FILE, text)
-    found: Mapping[str, Mapping[str, object]] = json.loads(text)
-    return found
+    answers: Mapping[str, Mapping[str, object]] = json.loads(text)
+    return answers
 
 
 def _answers_json(planned: Sequence[HiddenCase]) -> str:
-    return json.dumps({one.name: {"case": one.kind, **true_answer(one.secret)} for one in planned}, indent=1)
+    return json.dumps({case.name: {"case": case.kind, **true_answer(case.secret)} for case in planned}, indent=1)
 
 
 def write_json(path: Path, document: object) -> None:
-    """Write JSON to a file that is there whole or not at all."""
+    """Write JSON to a file atomically."""
     _replace_file(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def _replace_file(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    begun = path.with_name(f".{path.name}.begun")
-    begun.write_text(text, "utf-8", newline="\n")
-    begun.replace(path)
+    partial = path.with_name(f".{path.name}.begun")
+    partial.write_text(text, "utf-8", newline="\n")
+    partial.replace(path)
 
 
 def read_json(path: Path) -> Mapping[str, object]:
-    """Return what `put` wrote."""
-    found: Mapping[str, object] = json.loads(path.read_text("utf-8"))
-    return found
+    """Return what `write_json` wrote."""
+    content: Mapping[str, object] = json.loads(path.read_text("utf-8"))
+    return content

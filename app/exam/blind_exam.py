@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from time import perf_counter
 from typing import TypeVar
 
@@ -36,20 +37,18 @@ from dragrig.scoring import ExamScore, score_exam
 
 @dataclass(frozen=True, slots=True)
 class BlindExam:
-    """An exam that was held.
+    """The result of an exam.
 
     Attributes
     ----------
     cases, seed
-        What it was drawn from.
+        Number of campaigns, and their seed.
     answers_sha256
-        The seal.
-    score
-        How often the diagnosis was right.
+        Hash of the answers, written before any campaign.
     failed
         Why campaigns were not diagnosed, by their names; they are not in the score.
     timings_s
-        Of this call; the only part that differs between two exams with one seed.
+        Of this call; the only part that differs between two exams with the same seed.
     """
 
     cases: int
@@ -60,7 +59,7 @@ class BlindExam:
     timings_s: Mapping[str, float] = field(default_factory=dict)
 
     def document(self) -> Mapping[str, object]:
-        """Return all that the exam says as JSON."""
+        """Return the result as JSON."""
         return {
             "format": EXAM_FORMAT,
             "version": EXAM_VERSION,
@@ -74,7 +73,7 @@ class BlindExam:
 
 
 def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
-    """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `diagnosing.save_report`."""
+    """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `write_text`."""
     from dragrig.present.exam import exam_page
     from dragrig.present.files import write_text
 
@@ -84,7 +83,7 @@ def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) ->
 TaskT = TypeVar("TaskT")
 R = TypeVar("R")
 SIMULATE_COST_S, DIAGNOSE_COST_S, D_PRIME_COST_S, EVALUATE_COST_S = 2, 5, 4, 1
-"""How long a piece of each kind takes, roughly, in seconds; what is left is told by these."""
+"""Rough duration of a task of each kind, the weights of the progress."""
 
 
 def gap_blind(
@@ -101,38 +100,37 @@ def gap_blind(
 ) -> BlindExam:
     """Examine the gap diagnosis on campaigns of the blind plant, whose hidden effects it cannot know.
 
-    The hash of the answers is written first. Then campaigns are made and diagnosed, each by a process that is given
-    its folder alone. Then the answers are opened, the amended models tried on fresh runs, and all of it scored.
+    The hash of the answers is written first. Then campaigns are simulated and diagnosed, each by a process that gets
+    its folder alone. Then the answers are opened, the amended models evaluated on fresh runs, and everything scored.
 
     Parameters
     ----------
     cases, seed
-        How many campaigns, and what they are drawn from.
+        Number of campaigns, and their seed.
     out
-        Folder in which everything is kept; a second call with the same numbers goes on where the first was stopped. A
-        temporary one unless given.
+        Folder of the exam, which a second call with the same numbers continues (default: a temporary one).
     workers
-        Processes that share the campaigns; as many as there are cores unless given.
+        Number of processes (default: as many as there are cores).
     scheduler
-        Address of a Dask cluster that does the work in their place; its workers must see `out`, which must be given.
+        Address of a Dask cluster to use in their place; its workers must see `out`, which is then needed.
     kind
-        Which mix of campaigns: `exam`, or `learning`, which has more of what is hard.
+        Mix of campaigns: `exam`, or `learning`, which has more hard cases.
     without_true
         Whether campaigns with one effect are diagnosed again without it.
     sizes
-        Whether d′ of single effects is measured, which takes almost as long as a diagnosis; without it the score has no
+        Whether d′ of single effects is computed, which takes almost as long as a diagnosis; without it the score has no
         detection against size.
 
     Raises
     ------
     SettingsError
-        When the numbers are none, the folder holds another exam, or the cluster cannot be used.
+        When a number is not valid, the folder holds another exam, or the cluster cannot be used.
     OutputError
         When the folder cannot be used.
     AnalysisError
-        When no campaign was diagnosed, or the plant was changed since the answers were sealed.
+        When no campaign was diagnosed, or the plant changed since the answers were sealed.
     WorkerError
-        When processes end before the work is done; what was done is kept in `out`.
+        When processes end before the work is done; finished work stays in `out`.
 
     Examples
     --------
@@ -141,7 +139,7 @@ def gap_blind(
     >>> exam.score["full size, right name"].share  # doctest: +SKIP
     """
     if cases < 1:
-        raise SettingsError(f"--cases {cases}: an exam has one case at least.")
+        raise SettingsError(f"--cases {cases}: an exam has at least one case.")
     if seed < 0:
         raise SettingsError(f"--seed {seed}: is a whole number from 0 on.")
     if kind not in MIXES:
@@ -149,164 +147,153 @@ def gap_blind(
     worker_count(workers, scheduler)
     if scheduler is not None and out is None:
         raise SettingsError(f"--scheduler {scheduler}: needs --out, a folder that the cluster's workers see too.")
-    began = perf_counter()
+    start = perf_counter()
     place = tempfile.TemporaryDirectory(prefix="dragrig-blind-") if out is None else nullcontext(str(out))
     with place as root, open_exam_folder(Path(root).absolute(), cases, seed, kind) as folder:
-        planned = draw_cases(cases, seed, kind)
-        held = _RunningExam(folder, planned, workers, scheduler, _WeightedProgress(progress))
-        exam = held.through(cases, seed, without_true=without_true, sizes=sizes)
-        timings = {**exam.timings_s, "this call": perf_counter() - began}
-        exam = BlindExam(cases, seed, exam.answers_sha256, exam.score, exam.failed, timings)
-        write_json(folder.root / "score.json", exam.document())
-    return exam
+        exam = _RunningExam(folder, draw_cases(cases, seed, kind), workers, scheduler, _WeightedProgress(progress))
+        digest, diagnoses = exam.run(without_true=without_true, sizes=sizes)
+        score, failed = exam.score(diagnoses, without_true=without_true)
+        timings_s = {**_median_timings(diagnoses.values()), "this call": perf_counter() - start}
+        result = BlindExam(cases, seed, digest, score, failed, timings_s)
+        write_json(folder.root / "score.json", result.document())
+    return result
 
 
 class _WeightedProgress:
-    """Progress over pieces of several kinds."""
+    """Progress over tasks of several kinds."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress, self._done, self._of = progress, 0, 0
 
-    def expect(self, weight: int, pieces: int) -> None:
-        self._of += weight * pieces
+    def expect(self, weight: int, tasks: int) -> None:
+        self._of += weight * tasks
 
-    def advance(self, weight: int) -> None:
-        self._done += weight
-        self._progress(self._done, self._of)
+    def advance(self, weight: int, tasks: int = 1) -> None:
+        for _ in range(tasks):
+            self._done += weight
+            self._progress(self._done, self._of)
 
 
 @dataclass(frozen=True, slots=True)
 class _RunningExam:
     folder: ExamFolder
-    planned: Sequence[HiddenCase]
+    cases: Sequence[HiddenCase]
     workers: int | None
     scheduler: str | None
     meter: _WeightedProgress
 
-    def through(self, cases: int, seed: int, *, without_true: bool, sizes: bool) -> BlindExam:
-        """Do what is not done yet, and score."""
-        folder, single = self.folder, [one for one in self.planned if one.single]
-        orders = [CampaignOrder(one, folder.campaign(one.name), folder.fresh(one.name)) for one in self.planned]
-        unmade = [one for one in orders if not (one.campaign.is_dir() and one.fresh.is_dir())]
-        asked = {folder.campaign(one.name): one.name for one in self.planned if not folder.said(one.name).exists()}
-        again = {
-            BlindTask(folder.campaign(one.name), one.effects): one.name
-            for one in single
-            if without_true and not folder.withheld(one.name).exists()
+    def run(self, *, without_true: bool, sizes: bool) -> tuple[str, Mapping[str, Mapping[str, object]]]:
+        """Do what is not done yet; return the hash of the answers, and the diagnoses by the campaigns' names."""
+        folder, names = self.folder, [case.name for case in self.cases]
+        single = [case for case in self.cases if case.single]
+        orders = [CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)) for case in self.cases]
+        to_simulate = [order for order in orders if not (order.campaign.is_dir() and order.fresh.is_dir())]
+        to_diagnose = {BlindTask(folder.campaign(name)): name for name in names if not folder.said(name).exists()}
+        to_repeat = {
+            BlindTask(folder.campaign(case.name), case.effects): case.name
+            for case in single
+            if without_true and not folder.withheld(case.name).exists()
         }
-        unmeasured = [one for one in single if sizes and not folder.amount(one.name).exists()]
-        for weight, pieces in (
-            (SIMULATE_COST_S, unmade),
-            (DIAGNOSE_COST_S, asked),
-            (DIAGNOSE_COST_S, again),
-            (D_PRIME_COST_S, unmeasured),
-        ):
-            self.meter.expect(weight, len(pieces))
-        self.meter.expect(EVALUATE_COST_S, len(self.planned))
-        digest = seal_answers(folder, self.planned)
+        to_measure = [case for case in single if sizes and not folder.amount(case.name).exists()]
+        self.meter.expect(SIMULATE_COST_S, len(to_simulate))
+        self.meter.expect(DIAGNOSE_COST_S, len(to_diagnose) + len(to_repeat))
+        self.meter.expect(D_PRIME_COST_S, len(to_measure))
+        self.meter.expect(EVALUATE_COST_S, len(names))
+        digest = seal_answers(folder, self.cases)
         # Workers may have been killed in an earlier call, and in this one.
         for order in orders:
             remove_unfinished(order)
-        self._spread(SIMULATE_COST_S, simulate_campaign, unmade)
+        self._map(SIMULATE_COST_S, simulate_campaign, to_simulate)
         for order in orders:
             remove_unfinished(order)
-        questions = [BlindTask(one) for one in asked]
-        self._spread(
-            DIAGNOSE_COST_S, diagnose_blind, questions, lambda one, said: self._keep(asked[one.campaign], said)
+        self._map(
+            DIAGNOSE_COST_S, diagnose_blind, to_diagnose, lambda task, result: self._store(to_diagnose[task], result)
         )
-        answers = open_answers(folder, self.planned)
-        self._evaluate()
-        self._spread(
+        open_answers(folder, self.cases)
+        self._evaluate_models()
+        self._map(
             DIAGNOSE_COST_S,
             diagnose_blind,
-            again,
-            lambda one, said: write_json(folder.withheld(again[one]), _diagnosis_or_failure(said)),
+            to_repeat,
+            lambda task, result: write_json(folder.withheld(to_repeat[task]), result.json_or_failure()),
         )
-        self._spread(
+        self._map(
             D_PRIME_COST_S,
             hidden_d_prime,
-            unmeasured,
-            lambda one, found: write_json(folder.amount(one.name), {"d": found}),
+            to_measure,
+            lambda case, d_prime: write_json(folder.amount(case.name), {"d": d_prime}),
         )
-        return self._scored(cases, seed, digest, answers, without_true=without_true)
+        return digest, {name: read_json(folder.said(name)) for name in names}
 
-    def _spread(
+    def score(
+        self, diagnoses: Mapping[str, Mapping[str, object]], *, without_true: bool
+    ) -> tuple[ExamScore, Mapping[str, str]]:
+        """Return the score, and why campaigns were not diagnosed, by their names."""
+        folder = self.folder
+        failed = {name: str(diagnosis["failed"]) for name, diagnosis in diagnoses.items() if "failed" in diagnosis}
+        if len(failed) == len(diagnoses):
+            name, reason = next(iter(failed.items()))
+            raise AnalysisError(f"no campaign was diagnosed; of {name}: {reason}.")
+        answers = open_answers(folder, self.cases)
+        d_primes = self._existing(folder.amount, "d")
+        score = score_exam(
+            [(name, answers[name], diagnosis) for name, diagnosis in diagnoses.items() if name not in failed],
+            withheld=self._existing(folder.withheld, "verdict") if without_true else {},
+            achieved=self._existing(folder.achieved, "shrink"),
+            amounts={name: float(str(content["d"])) for name, content in d_primes.items()},
+        )
+        return score, failed
+
+    def _map(
         self,
         weight: int,
         function: Callable[[TaskT], R],
-        pieces: Iterable[TaskT],
-        keep: Callable[[TaskT, R], None] | None = None,
+        tasks: Iterable[TaskT],
+        store: Callable[[TaskT, R], None] | None = None,
     ) -> None:
-        waiting = list(pieces)
+        waiting = list(tasks)
         if not waiting:
             return
 
-        def finished(piece: TaskT, result: R) -> None:
-            if keep is not None:
-                keep(piece, result)
+        def finished(task: TaskT, result: R) -> None:
+            if store is not None:
+                store(task, result)
             self.meter.advance(weight)
 
         with open_executor(self.workers, self.scheduler, tasks=len(waiting), own_process=True) as executor:
             parallel_map(executor, function, waiting, finished)
 
-    def _keep(self, name: str, said: BlindDiagnosis) -> None:
-        """Keep a diagnosis; the model first, so that it is there when the diagnosis is."""
-        if said.model is not None:
+    def _store(self, name: str, diagnosis: BlindDiagnosis) -> None:
+        """Store the model before the diagnosis, so that a stored diagnosis always has its model."""
+        if diagnosis.model is not None:
             self.folder.model(name).parent.mkdir(parents=True, exist_ok=True)
-            self.folder.model(name).write_text(said.model, "utf-8", newline="\n")
-        write_json(self.folder.said(name), _diagnosis_or_failure(said))
+            self.folder.model(name).write_text(diagnosis.model, "utf-8", newline="\n")
+        write_json(self.folder.said(name), diagnosis.json_or_failure())
 
-    def _evaluate(self) -> None:
-        """Try amended models on fresh runs."""
+    def _evaluate_models(self) -> None:
+        """Evaluate amended models on fresh runs."""
         folder = self.folder
         names = {
-            (folder.model(one.name), folder.fresh(one.name)): one.name
-            for one in self.planned
-            if folder.model(one.name).exists() and not folder.achieved(one.name).exists()
+            (folder.model(case.name), folder.fresh(case.name)): case.name
+            for case in self.cases
+            if folder.model(case.name).exists() and not folder.achieved(case.name).exists()
         }
-        self._spread(
-            EVALUATE_COST_S, evaluate_blind, names, lambda one, found: write_json(folder.achieved(names[one]), found)
+        self._map(
+            EVALUATE_COST_S,
+            evaluate_blind,
+            names,
+            lambda task, reduction: write_json(folder.achieved(names[task]), reduction),
         )
-        for _ in range(len(self.planned) - len(names)):
-            self.meter.advance(EVALUATE_COST_S)
+        self.meter.advance(EVALUATE_COST_S, len(self.cases) - len(names))
 
-    def _scored(
-        self,
-        cases: int,
-        seed: int,
-        digest: str,
-        answers: Mapping[str, Mapping[str, object]],
-        *,
-        without_true: bool,
-    ) -> BlindExam:
-        folder = self.folder
-        said = {one.name: read_json(folder.said(one.name)) for one in self.planned}
-        failed = {name: str(one["failed"]) for name, one in said.items() if "failed" in one}
-        if len(failed) == len(said):
-            name, reason = next(iter(failed.items()))
-            raise AnalysisError(f"no campaign was diagnosed; of {name} it is said: {reason}.")
-        found = score_exam(
-            [(name, answers[name], one) for name, one in said.items() if name not in failed],
-            withheld=self._there(folder.withheld, "verdict") if without_true else {},
-            achieved=self._there(folder.achieved, "shrink"),
-            amounts={name: float(str(one["d"])) for name, one in self._there(folder.amount, "d").items()},
-        )
-        return BlindExam(cases, seed, digest, found, failed, _median_timings(said))
-
-    def _there(self, place: Callable[[str], Path], key: str) -> dict[str, Mapping[str, object]]:
-        """Return the files that are there and have a key, by the campaigns' names."""
-        known = {one.name: read_json(place(one.name)) for one in self.planned if place(one.name).exists()}
-        return {name: one for name, one in known.items() if key in one}
+    def _existing(self, path_of: Callable[[str], Path], key: str) -> dict[str, Mapping[str, object]]:
+        """Return the contents of the files that exist and have a key, by the campaigns' names."""
+        paths = {case.name: path_of(case.name) for case in self.cases}
+        contents = {name: read_json(path) for name, path in paths.items() if path.exists()}
+        return {name: content for name, content in contents.items() if key in content}
 
 
-def _diagnosis_or_failure(said: BlindDiagnosis) -> Mapping[str, object]:
-    return said.document or {"failed": said.why_not}
-
-
-def _median_timings(said: Mapping[str, Mapping[str, object]]) -> dict[str, float]:
-    """Return the median of the time that a diagnosis took."""
-    from statistics import median
-
-    known = [one["timings_s"] for one in said.values() if "timings_s" in one]
-    seconds = [sum(float(str(each)) for each in one.values()) for one in known if isinstance(one, Mapping)]
-    return {"diagnosis (median)": median(seconds)} if seconds else {}
+def _median_timings(diagnoses: Iterable[Mapping[str, object]]) -> dict[str, float]:
+    timings = [diagnosis["timings_s"] for diagnosis in diagnoses if "timings_s" in diagnosis]
+    totals = [sum(float(str(seconds)) for seconds in parts.values()) for parts in timings if isinstance(parts, Mapping)]
+    return {"diagnosis (median)": median(totals)} if totals else {}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class BlindTask:
-    """A folder of runs, and effects that are not in the catalogue."""
+    """A folder of runs, and the effects to remove from the catalogue."""
 
     campaign: Path
     without: tuple[str, ...] = ()
@@ -18,7 +18,7 @@ class BlindTask:
 
 @dataclass(frozen=True, slots=True)
 class BlindDiagnosis:
-    """The answer to a question.
+    """The diagnosis of a task.
 
     Attributes
     ----------
@@ -34,28 +34,33 @@ class BlindDiagnosis:
     model: str | None = None
     why_not: str = ""
 
+    def json_or_failure(self) -> Mapping[str, object]:
+        """Return the JSON to store."""
+        return self.document or {"failed": self.why_not}
 
-def diagnose_blind(question: BlindTask) -> BlindDiagnosis:
-    """Diagnose a campaign; what goes wrong becomes a part of the answer, so that the exam goes on."""
+
+def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
+    """Diagnose a campaign; an error becomes part of the result, so that the exam goes on."""
     from dragrig.api.diagnose import DiagnosisRequest
     from dragrig.config.settings import to_toml
     from dragrig.present.diagnosis import diagnosis_json
 
     try:
-        found = DiagnosisRequest(without=question.without).diagnose(question.campaign)
-    except Exception as error:  # noqa: BLE001  # whatever it is, it is a campaign that was not diagnosed
+        diagnosed = DiagnosisRequest(without=task.without).diagnose(task.campaign)
+    except Exception as error:  # noqa: BLE001  # whatever it is, the campaign counts as not diagnosed
         return BlindDiagnosis({}, None, f"{type(error).__name__}: {error}")
-    model = None if found.result.model is None else to_toml(found.result.model)
-    return BlindDiagnosis(diagnosis_json(found.result, run_ids=found.run_ids), model)
+    result = diagnosed.result
+    model = None if result.model is None else to_toml(result.model)
+    return BlindDiagnosis(diagnosis_json(result, run_ids=diagnosed.run_ids), model)
 
 
-def evaluate_blind(asked: tuple[Path, Path]) -> Mapping[str, object]:
-    """Return how far a model closes the gap on fresh runs, as JSON; empty where they cannot be used."""
+def evaluate_blind(task: tuple[Path, Path]) -> Mapping[str, object]:
+    """Evaluate a model file on a folder of fresh runs, as JSON; empty where the runs cannot be used."""
     from dragrig.api.diagnose import gap_evaluate
     from dragrig.config.errors import AnalysisError
     from dragrig.present.diagnosis import shrink_report_json
 
-    model, fresh = asked
+    model, fresh = task
     try:
         return shrink_report_json(gap_evaluate(model, fresh))
     except AnalysisError:

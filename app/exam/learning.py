@@ -1,7 +1,7 @@
 """Learn the verdict's thresholds and weights from exams, and cross-validate them."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +11,6 @@ from dragrig.analysis.gap.features import Calibration, DecisionInputs
 from dragrig.config.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
     from dragrig.analysis.gap.classifier import Classification
     from dragrig.scoring import AnswerKey, Rate, ScoredCase
 
@@ -21,90 +19,96 @@ CALIBRATION_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class _ReadExam:
-    """What is read of an exam's folder."""
+    """The content of an exam's folder that is learnt from."""
 
     seed: int
-    made_by: str
+    command: str
     answers: "Mapping[str, AnswerKey]"
-    lessons: tuple[TrainingCase, ...]
+    training: tuple[TrainingCase, ...]
 
 
 def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> Calibration:
-    """Learn from exams that `dragrig gap blind --out` kept; judge the result on exams with other seeds.
+    """Learn thresholds and weights from exams; judge the result on exams with other seeds.
 
     Parameters
     ----------
     exams
-        Their folders.
+        Folders that `dragrig gap blind --out` wrote.
     tolerance_mN
-        What an effect must change to matter.
+        Force change below which an effect does not matter.
 
     Raises
     ------
     AnalysisError
-        When a folder holds no exam that was held, or nothing is to be learnt from them.
+        When a folder holds no finished exam, or its campaigns are too few to learn from.
     """
     from dragrig.analysis.gap.classifier import fit_gate, fit_weights
 
-    read = [_read_exam(Path(one)) for one in exams]
-    lessons = [lesson for one in read for lesson in one.lessons]
-    names = " ".join(Path(one).name for one in exams)
+    read = [_read_exam(Path(exam)) for exam in exams]
+    training = [case for exam in read for case in exam.training]
+    names = " ".join(Path(exam).name for exam in exams)
     try:
-        gate, weights = fit_gate(lessons, tolerance_mN), fit_weights(lessons, tolerance_mN)
+        gate, weights = fit_gate(training, tolerance_mN), fit_weights(training, tolerance_mN)
     except ValueError as error:
         raise AnalysisError(f"{names}: {error}; hold a larger exam with dragrig gap blind.") from error
     return Calibration(
         version=CALIBRATION_VERSION,
-        command="; ".join([*(one.made_by for one in read), f"dragrig gap calibrate {names}"]),
-        seeds=tuple(one.seed for one in read),
-        cases=len(lessons),
+        command="; ".join([*(exam.command for exam in read), f"dragrig gap calibrate {names}"]),
+        seeds=tuple(exam.seed for exam in read),
+        cases=len(training),
         gate=gate,
         weights=weights,
     )
 
 
 def gap_cross_validate(exams: Sequence[str | Path], folds: int = 10, tolerance_mN: float = 0.5) -> "tuple[Rate, ...]":
-    """Say how often verdicts on the campaigns of exams are right, each learnt on the others.
+    """Cross-validate the verdict on the campaigns of exams.
 
     Parameters
     ----------
     exams
-        Folders that `dragrig gap blind --out` kept.
+        Folders that `dragrig gap blind --out` wrote.
     folds
-        Into so many parts all campaigns are divided; each part is judged by what the others teach.
+        Number of folds; the campaigns of each are judged by what the others teach.
     tolerance_mN
-        What an effect must change to matter.
+        Force change below which an effect does not matter.
 
     Returns
     -------
     rates
-        With their 95 % intervals, those of an exam that ask for nothing but a verdict.
+        Those rates of an exam that need only the verdict, with their 95 % intervals.
 
     Raises
     ------
     AnalysisError
-        When a folder holds no exam that was held, or there are too few campaigns for so many parts.
+        When a folder holds no finished exam, or there are too few campaigns for this number of folds.
     """
     from dragrig.analysis.gap.classifier import cross_validate
     from dragrig.scoring import verdict_rates
 
-    read = [_read_exam(Path(one)) for one in exams]
-    lessons = [lesson for one in read for lesson in one.lessons]
+    read = [_read_exam(Path(exam)) for exam in exams]
+    training = [case for exam in read for case in exam.training]
     try:
-        judged = cross_validate(lessons, tolerance_mN, folds)
+        verdicts = cross_validate(training, tolerance_mN, folds)
     except ValueError as error:
-        raise AnalysisError(f"{error}; hold a larger exam with dragrig gap blind, or ask for fewer parts.") from error
-    answers = [pair for one in read for pair in one.answers.items()]
-    return verdict_rates([_scored_case(*pair, said) for pair, said in zip(answers, judged, strict=True)])
+        raise AnalysisError(f"{error}; hold a larger exam with dragrig gap blind, or use fewer folds.") from error
+    answers = [answer for exam in read for answer in exam.answers.items()]
+    return verdict_rates(
+        [_scored_case(name, answer, verdict) for (name, answer), verdict in zip(answers, verdicts, strict=True)]
+    )
 
 
-def _scored_case(name: str, answer: "AnswerKey", judged: "Classification") -> "ScoredCase":
+def _scored_case(name: str, answer: "AnswerKey", result: "Classification") -> "ScoredCase":
     from dragrig.scoring import ScoredCase, ScoredDiagnosis, ScoredHypothesis
 
-    ranking = tuple(ScoredHypothesis(hypothesis=one, probability=each) for one, each in judged.probabilities.items())
-    verdict, confusable = judged.verdict.value, judged.confusable_with
-    said = ScoredDiagnosis(verdict=verdict, effects=judged.effects, ranking=ranking, confusable_with=confusable)
-    return ScoredCase(name, answer, said)
+    ranking = tuple(
+        ScoredHypothesis(hypothesis=hypothesis, probability=probability)
+        for hypothesis, probability in result.probabilities.items()
+    )
+    diagnosis = ScoredDiagnosis(
+        verdict=result.verdict.value, effects=result.effects, ranking=ranking, confusable_with=result.confusable_with
+    )
+    return ScoredCase(name, answer, diagnosis)
 
 
 def _read_exam(folder: Path) -> _ReadExam:
@@ -112,26 +116,22 @@ def _read_exam(folder: Path) -> _ReadExam:
 
     from dragrig.scoring import AnswerKey
 
+    inputs, evidence = TypeAdapter(DecisionInputs), {}
     try:
-        told = json.loads((folder / "exam.json").read_text("utf-8"))
-        seed, made = int(told["seed"]), f"--cases {told['cases']} --seed {told['seed']} --mix {told['mix']}"
+        exam = json.loads((folder / "exam.json").read_text("utf-8"))
+        seed, numbers = int(exam["seed"]), f"--cases {exam['cases']} --seed {exam['seed']} --mix {exam['mix']}"
         answers = TypeAdapter(dict[str, AnswerKey]).validate_json((folder / "answers.json").read_text("utf-8"))
-        evidence = dict(_read_evidence(folder, TypeAdapter(DecisionInputs)))
+        for path in sorted((folder / "said").glob("*.json")):
+            # None where a campaign could not be diagnosed.
+            if document := json.loads(path.read_text("utf-8")).get("evidence"):
+                evidence[path.stem] = inputs.validate_python(document)
     except (OSError, KeyError, ValueError, ValidationError) as error:
         raise AnalysisError(
-            f"{folder}: holds no exam from which can be learnt; hold one with dragrig gap blind --out {folder}."
+            f"{folder}: holds no finished exam; hold one with dragrig gap blind --out {folder}."
         ) from error
-    told_of = {name: one for name, one in answers.items() if name in evidence}
-    lessons = [
-        TrainingCase(evidence[name], frozenset(one.effects), one.verdict == "unknown", one.least)
-        for name, one in told_of.items()
-    ]
-    return _ReadExam(seed, f"dragrig gap blind {made} --out {folder.name}", told_of, tuple(lessons))
-
-
-def _read_evidence(folder: Path, kind: "TypeAdapter[DecisionInputs]") -> Iterator[tuple[str, DecisionInputs]]:
-    """Yield what each diagnosis was made of; there is none where a campaign could not be diagnosed."""
-    for path in sorted((folder / "said").glob("*.json")):
-        document = json.loads(path.read_text("utf-8"))
-        if document.get("evidence"):
-            yield path.stem, kind.validate_python(document["evidence"])
+    diagnosed = {name: answer for name, answer in answers.items() if name in evidence}
+    training = tuple(
+        TrainingCase(evidence[name], frozenset(answer.effects), answer.verdict == "unknown", answer.least)
+        for name, answer in diagnosed.items()
+    )
+    return _ReadExam(seed, f"dragrig gap blind {numbers} --out {folder.name}", diagnosed, training)

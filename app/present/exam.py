@@ -63,7 +63,7 @@ def promise_sentences(one: PromiseScore) -> Iterator[str]:
     """Say what came of the promised shrink."""
     fresh = "fresh runs of the same specimen at other speeds and strains"
     yield (
-        f"Promised and achieved share of the gap that closes, over {len(one.kept)} campaigns with {fresh}: they "
+        f"Promised and achieved share of the gap that closes, over {len(one.outcomes)} campaigns with {fresh}: they "
         f"differ by {one.difference:.3f} in the median{_right_difference_text(one)}."
     )
     if one.closed.count:
@@ -118,7 +118,7 @@ def score_json(score: ExamScore) -> ScoreJson:
             "median_absolute_difference_right": _finite_float(score.promises.right_difference),
             "within_interval": rate_json(score.promises.within),
             "closed_90": rate_json(score.promises.closed),
-            "campaigns": [asdict(each) for each in score.promises.kept],
+            "campaigns": [asdict(each) for each in score.promises.outcomes],
         },
         "not_right": [_wrong_verdict_json(each) for each in score.missed],
     }
@@ -141,10 +141,10 @@ def _wrong_verdict_json(case: ScoredCase) -> ScoreJson:
         "truth": case.answer.truth,
         "form": list(case.answer.form),
         "size": list(case.answer.size),
-        "d_prime": case.amount,
-        "verdict": case.said.verdict,
-        "effects": list(case.said.effects),
-        "probability": case.said.probability,
+        "d_prime": case.d_prime,
+        "verdict": case.diagnosis.verdict,
+        "effects": list(case.diagnosis.effects),
+        "probability": case.diagnosis.probability,
     }
 
 
@@ -183,7 +183,7 @@ def exam_parts(found: ExamScore, cases: int, seed: int, answers_sha256: str) -> 
     if found.calibration.bins:
         yield "\n".join(calibration_sentences(found.calibration))
         yield _reliability_part(found.calibration)
-    if found.promises.kept:
+    if found.promises.outcomes:
         yield "\n".join(promise_sentences(found.promises))
     if found.missed:
         header = ("case", "truth", "form", "size", "said", "probability")
@@ -324,7 +324,7 @@ def inline_exam_figures(score: ExamScore) -> dict[str, InlineFigure]:
             "Points near a diagonal: the share of right verdicts over their probability.",
             "A point above its band: more verdicts are right than was stated; below it, fewer.",
         )
-    if score.promises.kept:
+    if score.promises.outcomes:
         drawn["promises"] = inline_figure(
             exam_promises_figure(score.promises),
             "Points near a diagonal: the achieved share of the gap over the promised one.",
@@ -345,7 +345,7 @@ def exam_page(score: ExamScore, cases: int, seed: int, answers_sha256: str) -> s
             "honestly": honestly,
             "settings": {"Campaigns": str(cases), "Seed": str(seed), "Answers' sha256": answers_sha256},
             "calibration": list(calibration_sentences(score.calibration)),
-            "promises": list(promise_sentences(score.promises)) if score.promises.kept else [],
+            "promises": list(promise_sentences(score.promises)) if score.promises.outcomes else [],
             "tables": exam_tables(score),
             "pictures": inline_exam_figures(score),
         },

@@ -215,10 +215,10 @@ def exam_promises_figure(promises: PromiseScore) -> Figure:
             "Share of the gap that closes; fresh runs: the same specimen at other speeds and strains",
         )  # fmt: skip
         axes = add_panel(figure, PanelBox(1.1, 0.8, RELIABILITY_WIDTH_IN - 1.6, RELIABILITY_SIDE_IN - 0.3))
-        low = max(min([0.6, *(min(one.promised, one.achieved) for one in promises.kept)]) - 0.05, -1.0)
+        low = max(min([0.6, *(min(one.promised, one.achieved) for one in promises.outcomes)]) - 0.05, -1.0)
         axes.plot([low, 1.05], [low, 1.05], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
         for right, colour, marker, word in ((True, BLUE, "o", "right name"), (False, ORANGE, "s", "wrong name")):
-            there = [one for one in promises.kept if one.right is right]
+            there = [one for one in promises.outcomes if one.right is right]
             for one in there:
                 if one.interval is not None:
                     axes.plot([max(one.interval[0], low), one.interval[1]], [max(one.achieved, low)] * 2, color=colour,
