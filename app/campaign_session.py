@@ -3,6 +3,7 @@
 import queue
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -47,43 +48,45 @@ class _PendingPrompt:
 
 
 class PromptRelay:
-    """An operator whom a session asks on its own thread and who answers on the one that hosts it."""
+    """Passes a session's prompts to the operator on the calling thread."""
 
     def __init__(self, operator: Operator) -> None:
         self._operator = operator
-        self._questions: queue.SimpleQueue[_PendingPrompt] = queue.SimpleQueue()
+        self._prompts: queue.SimpleQueue[_PendingPrompt] = queue.SimpleQueue()
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put a prompt to the hosting thread and wait for the answer."""
-        question = _PendingPrompt(prompt)
-        self._questions.put(question)
-        question.answered.wait()
-        return question.answer
+        """Wait for the answer from the calling thread."""
+        pending = _PendingPrompt(prompt)
+        self._prompts.put(pending)
+        pending.answered.wait()
+        return pending.answer
 
     def answer_next(self, within_s: float) -> None:
-        """Answer one prompt if there is one; Ctrl-C at a prompt ends the session."""
+        """Answer the next prompt, if there is one in this time; Ctrl-C at a prompt ends the session."""
         try:
-            question = self._questions.get(timeout=within_s)
+            pending = self._prompts.get(timeout=within_s)
         except queue.Empty:
             return
         try:
-            with _signals_raise():
-                question.answer = self._operator.ask(question.prompt)
+            with _signal_handler(signal.default_int_handler):
+                pending.answer = self._operator.ask(pending.prompt)
         except (KeyboardInterrupt, EOFError):
-            question.answer = Answer.ABORT
+            pending.answer = Answer.ABORT
         finally:
-            question.answered.set()
+            pending.answered.set()
 
 
 def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], operator: PromptRelay) -> ResultT:
-    """Run what moves a rig to its end and return what it returns.
+    """Run work that moves the rig on a worker thread, while this thread handles signals and prompts.
+
+    This thread wakes every few milliseconds, because on Windows nothing else lets it receive Ctrl-C.
 
     Parameters
     ----------
     work
-        Made on a thread of its own, as `Session.run`.
+        Runs on the worker thread, such as `Session.run`.
     abort
-        Asks it for an end in good order: Ctrl-C and the other signals that end a program call it.
+        Ends it in good order; called for Ctrl-C and the other signals that end a program.
 
     Raises
     ------
@@ -100,7 +103,12 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
             errors.append(error)
 
     worker = threading.Thread(target=run, name="session")
-    with _signals_abort(abort):
+
+    def abort_on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        abort("Ctrl-C" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}")
+
+    with _signal_handler(abort_on_signal):
         worker.start()
         try:
             while worker.is_alive():
@@ -112,22 +120,6 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
     if errors:
         raise errors[0]
     return results[0]
-
-
-@contextmanager
-def _signals_abort(abort: Callable[[str], None]) -> Iterator[None]:
-    def heard(number: int, frame: FrameType | None) -> None:
-        del frame
-        abort("Ctrl-C" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}")
-
-    with _signal_handler(heard):
-        yield
-
-
-@contextmanager
-def _signals_raise() -> Iterator[None]:
-    with _signal_handler(signal.default_int_handler):
-        yield
 
 
 @contextmanager
@@ -148,16 +140,16 @@ def _signal_handler(handler: Callable[[int, FrameType | None], object]) -> Itera
 
 
 class SessionOperator(Operator, SessionObserver, Protocol):
-    """Somebody who answers prompts and follows the session."""
+    """Answers prompts and observes the session."""
 
 
 def discard_message(sentence: str) -> None:
-    """Tell nobody."""
+    """Ignore a message."""
     del sentence
 
 
 def _ignore_abort(abort: Callable[[str], None]) -> None:
-    """Leave the end of a session to its host."""
+    """Ignore how to end the session."""
     del abort
 
 
@@ -172,15 +164,15 @@ class SessionOptions:
     pace
         Of a simulated rig, or of a double.
     origin
-        Time of day at which a simulated session begins; now unless given.
+        Time of day at which a simulated session starts (default: now).
     first_run_at
-        When the campaign's first run began, in a session that goes on with it.
+        Start of the campaign's first run, in a resumed campaign.
     begun
-        Told, before anything moves, what ends the session in good order from any thread, for a reason.
+        Called before anything moves with a function that ends the session in good order from any thread.
     mirror
-        Folder that is to hold a second copy of each finished file.
+        Folder for a second copy of each finished file.
     tell
-        Called, from any thread, with what a person has to know at once and that stops nothing.
+        Called, from any thread, with a warning that does not stop the session.
     """
 
     folder: Path
@@ -198,17 +190,17 @@ class SessionOptions:
 def run_session(
     setup: Setup,
     open_store: Callable[[SessionRecord], AbstractContextManager[Store]],
-    terms: SessionOptions,
+    options: SessionOptions,
     person: SessionOperator | None = None,
 ) -> SessionResult:
-    """Check a plan and carry it out, with Ctrl-C heard and people asked on the calling thread.
+    """Check a plan and carry it out; the calling thread handles Ctrl-C and prompts.
 
     Parameters
     ----------
     open_store
-        Opens the store of the session, once everything has been checked and its record is known.
+        Opens the store of the session once everything is checked; gets the session's record.
     person
-        Who answers prompts and watches; nobody unless given, and every prompt counts as done.
+        Answers prompts and observes (default: every prompt counts as done).
 
     Raises
     ------
@@ -217,37 +209,37 @@ def run_session(
     DragrigError
         When a record cannot be opened or finished; the stage is stopped first.
     """
-    someone: SessionOperator = person or NullOperator()
+    observer: SessionOperator = person or NullOperator()
     programme = setup.programme()
-    left = replace(programme, runs=programme.pending(terms.progress.done))
+    left = replace(programme, runs=programme.pending(options.progress.done))
     if not left.runs:
-        # Nobody is asked, and no stage is sent home, for nothing.
+        # Without runs, neither prompt nor homing.
         return SessionResult(RunStatus.COMPLETE, "", ())
-    pace = resolve_pace(terms.pace, double=setup.double)
+    pace = resolve_pace(options.pace, double=setup.double)
     calibrations = setup.calibrations()
     request = BackendRequest(
         setup.rig,
         setup.model,
         pace.real_time,
-        terms.origin,
+        options.origin,
         calibrations,
         pace=pace.times_faster,
-        first_run_at=terms.first_run_at,
+        first_run_at=options.first_run_at,
     )
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         further = len(backend.sampler.channels) - 2
-        preflight(left, setup.rig, backend.stage.limits, terms.folder, setup.plan_source, further).require()
-        record = _session_record(setup, backend, terms, calibrations)
-        operator = PromptRelay(someone)
+        preflight(left, setup.rig, backend.stage.limits, options.folder, setup.plan_source, further).require()
+        record = _session_record(setup, backend, options, calibrations)
+        operator = PromptRelay(observer)
         with open_store(record) as store:
             timed = pace.real_time or backend.needs_hands
-            session = Session(backend, programme, record, store, operator, someone, terms.progress, real_time=timed)
-            terms.begun(session.abort)
+            session = Session(backend, programme, record, store, operator, observer, options.progress, real_time=timed)
+            options.begun(session.abort)
             return run_on_worker(session.run, session.abort, operator)
 
 
 def _session_record(
-    setup: Setup, backend: Backend, terms: SessionOptions, calibrations: Mapping[str, Calibration]
+    setup: Setup, backend: Backend, options: SessionOptions, calibrations: Mapping[str, Calibration]
 ) -> SessionRecord:
     ids = {quantity: entry.id for quantity, entry in calibrations.items()}
     return SessionRecord(
@@ -255,8 +247,8 @@ def _session_record(
         backend=setup.backend,
         double=setup.double,
         contact_mm=setup.contact_mm if setup.rig.stage.start_from == "contact" else None,
-        operator=terms.operator,
-        note=terms.note,
+        operator=options.operator,
+        note=options.note,
         calibration_id=ids.get("force", ""),
         encoder_calibration_id=ids.get("encoder", ""),
         beside=setup.plan_folder,
@@ -269,52 +261,49 @@ def _session_record(
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a session left: the campaign's folder, and how each run ended."""
+    """The result of a session: the campaign's folder, and how each run ended."""
 
     folder: Path
     session: SessionResult
     mirrored: MirrorReport | None = None
-    """What is in the mirror; None without one."""
+    """Content of the mirror; None without one."""
 
     def summary(self) -> str:
-        """One line for a person."""
-        counts: dict[str, int] = {}
-        for one in self.session.runs:
-            counts[one.outcome.status.value] = counts.get(one.outcome.status.value, 0) + 1
+        """Return one line: how many runs ended in each status."""
+        counts = Counter(run.outcome.status.value for run in self.session.runs)
         if not counts:
-            return "no run was made"
-        made = sum(counts.values())
-        each = ", ".join(f"{count} {status}" for status, count in counts.items())
-        return f"{made} run{'' if made == 1 else 's'}: {each}"
+            return "no run was recorded"
+        statuses = ", ".join(f"{count} {status}" for status, count in counts.items())
+        return f"{counts.total()} run{'' if counts.total() == 1 else 's'}: {statuses}"
 
 
-def start_campaign(setup: Setup, out: Path | None, terms: SessionOptions, person: SessionOperator | None) -> Made:
+def start_campaign(setup: Setup, out: Path | None, options: SessionOptions, person: SessionOperator | None) -> Made:
     """Carry out a plan into a new campaign.
 
     Parameters
     ----------
     out
-        The campaign's folder, new or without runs; one below the data root unless given.
+        The campaign's folder, new or without runs (default: a new one in the data root).
 
     Raises
     ------
     OutputError
-        When the folder cannot be made, holds a campaign already, or another session is at work in it.
+        When the folder cannot be made, holds a campaign, or another session uses it.
     DragrigError
         What `run_session` raises.
     """
     if out is not None:
         _require_no_runs(out)
-        with ExitStack() as alone:
-            return _run_campaign(setup, replace(terms, folder=out), person, _folder_maker(out, alone, own=False))
-    now = terms.origin or datetime.now().astimezone()
+        with ExitStack() as lock:
+            return _run_campaign(setup, replace(options, folder=out), person, _folder_maker(out, lock, new=False))
+    now = options.origin or datetime.now().astimezone()
     name = f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}"
-    names = (name if nth == 1 else f"{name}-{nth}" for nth in count(1))
-    # Two sessions may begin within one second: here, where nothing has moved yet, the later one takes the next name.
-    for folder in (folder for folder in (setup.data_root / one for one in names) if not folder.exists()):
-        with ExitStack() as alone, suppress(_FolderTakenError):
-            return _run_campaign(setup, replace(terms, folder=folder), person, _folder_maker(folder, alone, own=True))
-    raise AssertionError("names do not run out")
+    folders = (setup.data_root / (name if number == 1 else f"{name}-{number}") for number in count(1))
+    # Two sessions may start within one second: nothing has moved yet, and the later one takes the next name.
+    for folder in (folder for folder in folders if not folder.exists()):
+        with ExitStack() as lock, suppress(_FolderTakenError):
+            return _run_campaign(setup, replace(options, folder=folder), person, _folder_maker(folder, lock, new=True))
+    raise AssertionError("unreachable")
 
 
 class _FolderTakenError(OutputError):
@@ -322,11 +311,11 @@ class _FolderTakenError(OutputError):
 
 
 def resume_campaign(
-    folder: Path, terms: SessionOptions, person: SessionOperator | None, assignments: Sequence[str] = ()
+    folder: Path, options: SessionOptions, person: SessionOperator | None, assignments: Sequence[str] = ()
 ) -> Made:
-    """Make the runs that a campaign still lacks, with the settings it was begun with.
+    """Make the missing runs of a campaign, with its own settings.
 
-    Runs that a crash left behind are recovered first. A run counts as made when it is complete and not marked bad.
+    Runs that a crash left unfinished are recovered first. A run counts when it is complete and not marked bad.
 
     Parameters
     ----------
@@ -342,104 +331,100 @@ def resume_campaign(
     """
     latest_session_record(folder)
     with session_lock(folder):
-        for one in recover(folder):
-            if one.outcome is RecoveryOutcome.IN_USE:
-                raise OutputError(
-                    f"{one.recording}: is being recorded right now; a campaign goes on once its session is over."
-                )
+        for recording in recover(folder):
+            if recording.outcome is RecoveryOutcome.IN_USE:
+                raise OutputError(f"{recording.recording}: is being recorded; resume the campaign after its session.")
         record, before = latest_session_record(folder), read_campaign(folder)
-        # A dry run's rests take no time, so that its last run may have ended later than it is now.
-        ended = [one.end_time or one.header.start_time for one in before.runs]
+        # Rests of a dry run take no wall time, so that its last run may end in the future.
+        ended = [run.end_time or run.header.start_time for run in before.runs]
         origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
         setup = _setup_from_record(record, folder).with_rig(assignments)
-        first = min((one.header.start_time for one in before.runs), default=None)
-        terms = replace(terms, folder=folder, origin=origin, first_run_at=first, progress=_resume_progress(before))
-        return _run_campaign(setup, terms, person, lambda: None, before)
+        first = min((run.header.start_time for run in before.runs), default=None)
+        options = replace(options, folder=folder, origin=origin, first_run_at=first, progress=_resume_progress(before))
+        return _run_campaign(setup, options, person, lambda: None, before)
 
 
-def _folder_maker(folder: Path, alone: ExitStack, *, own: bool) -> Callable[[], None]:
-    """Return what makes a campaign's folder, and takes it for this session until `alone` is left."""
+def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], None]:
+    """Return a function that makes a campaign's folder and locks it for this session."""
 
-    def begun() -> None:
+    def make() -> None:
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(exist_ok=not own)
+            folder.mkdir(exist_ok=not new)
         except FileExistsError:
-            if own:
-                raise _FolderTakenError(f"{folder}: is there already.") from None
+            if new:
+                raise _FolderTakenError(f"{folder}: exists already.") from None
             raise
-        alone.enter_context(session_lock(folder))
+        lock.enter_context(session_lock(folder))
         _require_no_runs(folder)
 
-    return begun
+    return make
 
 
 def _require_no_runs(folder: Path) -> None:
     if folder.is_dir() and any(folder.glob("*.h5")):
-        raise OutputError(f"{folder}: holds runs already; name another folder, or go on with --resume {folder}.")
+        raise OutputError(f"{folder}: holds runs already; name another folder, or continue it with --resume {folder}.")
 
 
 def _run_campaign(
     setup: Setup,
-    terms: SessionOptions,
+    options: SessionOptions,
     person: SessionOperator | None,
-    begun: Callable[[], None],
+    make_folder: Callable[[], None],
     before: Campaign | None = None,
 ) -> Made:
-    """Carry out a session whose state others can see, with its files mirrored where that is wanted."""
-    someone, folder = person or NullOperator(), terms.folder
+    """Carry out a session with its state published, and its files mirrored where a mirror is named."""
+    observer, folder = person or NullOperator(), options.folder
     state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
-    announced = StatePublisher(someone, someone, folder, state)
-    mirror = None
-    if terms.mirror is not None:
-        mirror = Mirror(_require_other_folder(terms.mirror, folder), folder.resolve().name, terms.tell)
-        for run in before.runs if before is not None else ():
-            mirror.submit(run.path)
+    publisher = StatePublisher(observer, observer, folder, state)
+    mirror = None if options.mirror is None else _open_mirror(options.mirror, folder, options.tell, before)
     status, reason = RunStatus.FAILED.value, "the program ended it"
-    mirrored = None
+    report = None
     try:
-        told = mirror.submit if mirror is not None else None
-        session = run_session(setup, _store_opener(folder, begun, told), terms, announced)
+        copied = mirror.submit if mirror is not None else None
+        session = run_session(setup, _store_opener(folder, make_folder, copied), options, publisher)
         status, reason = session.status.value, session.reason
     except DragrigError as error:
         reason = reason_of(error)
         raise
     finally:
-        announced.ends(status, reason)
+        publisher.ends(status, reason)
         if mirror is not None:
-            mirrored = _close_mirror(mirror, folder)
-    return Made(folder, session, mirrored)
+            report = _close_mirror(mirror, folder)
+    return Made(folder, session, report)
 
 
-def _require_other_folder(mirror: Path, folder: Path) -> Path:
-    if (mirror.resolve() / folder.resolve().name) == folder.resolve():
-        raise OutputError(f"--mirror {mirror}: is where the campaign itself goes; name a folder on another disk.")
+def _open_mirror(target: Path, folder: Path, tell: Callable[[str], None], before: Campaign | None) -> Mirror:
+    if (target.resolve() / folder.resolve().name) == folder.resolve():
+        raise OutputError(f"--mirror {target}: is where the campaign itself goes; name a folder on another disk.")
+    mirror = Mirror(target, folder.resolve().name, tell)
+    for run in before.runs if before is not None else ():
+        mirror.submit(run.path)
     return mirror
 
 
 def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:
-    """Copy the sessions' records and the marks on runs too, and wait for the last copy."""
+    """Copy session records and marks too, and wait for the last copy."""
     for file in (*sorted(folder.glob("session-*.toml")), *sorted(folder.glob("*.mark.toml"))):
         mirror.submit(file)
     return mirror.close()
 
 
 def _store_opener(
-    folder: Path, begun: Callable[[], None], told: Callable[[Path], None] | None
+    folder: Path, make_folder: Callable[[], None], finished: Callable[[Path], None] | None
 ) -> Callable[[SessionRecord], FolderStore]:
-    def opened(record: SessionRecord) -> FolderStore:
+    def open_store(record: SessionRecord) -> FolderStore:
         try:
-            begun()
+            make_folder()
             write_session_record(record, folder)
         except OSError as error:
             raise OutputError(
                 f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
             ) from error
-        return FolderStore(
-            folder, flush_s=record.rig.recording.flush_s, reserve_mb=record.rig.recording.reserve_mb, on_finished=told
-        )
+        recording = record.rig.recording
+        return FolderStore(folder, flush_s=recording.flush_s, reserve_mb=recording.reserve_mb, on_finished=finished)
 
-    return opened
+    return open_store
 
 
 def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
@@ -460,8 +445,8 @@ def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
 
 
 def _resume_progress(before: Campaign) -> CampaignProgress:
-    planned = [one.header.entry.get("plan_run") for one in before.good if one.status is RunStatus.COMPLETE]
+    numbers = [run.header.entry.get("plan_run") for run in before.good if run.status is RunStatus.COMPLETE]
     return CampaignProgress(
-        done=frozenset(place for place in planned if isinstance(place, int)),
-        next_order=max((one.header.order + 1 for one in before.runs), default=0),
+        done=frozenset(number for number in numbers if isinstance(number, int)),
+        next_order=max((run.header.order + 1 for run in before.runs), default=0),
     )

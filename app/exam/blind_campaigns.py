@@ -241,8 +241,8 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
         if existing is not None and existing != (cases, seed, mix):
             numbers = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]}"
             raise SettingsError(
-                f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {numbers} to continue it, or "
-                "name another folder."
+                f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {numbers} to continue "
+                "it, or name another folder."
             )
         with FileLock(out / ".lock", timeout=0):
             write_json(
