@@ -21,9 +21,9 @@ from dragrig.rig.runfile.filesystem import BusyError, file_lock, rename_into_pla
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
-"""Held by the process that carries the session out, and let go by the system when that dies."""
+"""Locked by the process of the session; the system unlocks it when that dies."""
 _LOCK_TIMEOUT_S, _LOCK_POLL_S = 2.0, 0.02
-"""Who watches holds the lock too, for a moment."""
+"""A watcher holds the lock for a moment too."""
 
 Activity = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
 
@@ -40,41 +40,40 @@ class SessionState(Settings):
     backend: str
     double: bool = False
     since: AwareDatetime = Field(default_factory=_now)
-    """When it began to do so, by the wall's clock."""
+    """Start of this activity, wall-clock time."""
     doing: Activity = "preparing"
     said: str = ""
-    """The prompt that waits for an answer, or what is waited for."""
+    """The open prompt, or the reason of the wait."""
     wait_s: float = 0.0
-    """Length of the wait; none where time is not real."""
+    """Length of the wait; 0 where time is simulated."""
     real_time: bool = False
     runs: int = 0
-    """Runs that this session has to make, ways back included."""
+    """Number of runs of this session, return strokes included."""
     made: int = 0
-    """Which of these began last, from 1."""
+    """Number of the run started last, from 1."""
     order: int = -1
     run: str = ""
-    """The run that was begun last, in a few words."""
+    """Summary of that run."""
     run_s: float = 0.0
-    """How long that one records."""
+    """Its recording time."""
     after_s: float = 0.0
-    """How long all runs after it take, rests included, people's hands not."""
+    """Duration of all runs after it, with rests, without prompts."""
     status: str = ""
     """How the session ended."""
     reason: str = ""
 
 
 def read_state(folder: Path) -> SessionState | None:
-    """Read what the latest session of a campaign says of itself; None where there is nothing, or nothing readable."""
+    """Read the state of the latest session of a campaign; None where there is none that can be read."""
     with contextlib.suppress(OSError, ValidationError):
         return SessionState.model_validate_json((folder / STATE_FILE).read_bytes())
     return None
 
 
 def is_session_running(folder: Path) -> bool:
-    """Tell whether a process is carrying out a session of this campaign; nothing is written to find out.
+    """Return whether a process carries out a session of this campaign; writes nothing.
 
-    Where the file system has no locks nobody can tell, and a lock that was left counts as held: what the session said
-    last is then believed.
+    Where the file system has no locks, or a lock was left behind, this is True: the state file is then believed.
     """
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
@@ -89,9 +88,7 @@ def is_session_running(folder: Path) -> bool:
             import fcntl
 
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except ImportError:
-        return True
-    except OSError:
+    except (ImportError, OSError):
         return True
     finally:
         os.close(descriptor)
@@ -100,16 +97,16 @@ def is_session_running(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def session_lock(folder: Path) -> Iterator[None]:
-    """Be the only session of a campaign, of all processes, until the block ends or the process dies.
+    """Hold the lock of a campaign until the block ends or the process dies.
 
     Raises
     ------
     BusyError
-        When another one is at work.
+        When another session holds it.
     OutputError
-        When the folder refuses.
+        When the folder cannot be written.
     """
-    busy = f"{folder}: another session of this campaign is at work; go on once it is over."
+    busy = f"{folder}: another session of this campaign is running; wait until it is over."
     until = time.monotonic() + _LOCK_TIMEOUT_S
     with contextlib.ExitStack() as held:
         while True:
@@ -124,49 +121,43 @@ def session_lock(folder: Path) -> Iterator[None]:
 
 
 class StatePublisher:
-    """A person, and beside them the file that says what the session is doing.
+    """Operator and observer of a session that also writes its state file.
 
-    The file is small, replaced at once, and written when something begins or ends, never while samples are taken; a
-    folder that refuses it is of no account to the session.
-
-    Parameters
-    ----------
-    state
-        What is said from the beginning.
+    The file is small, replaced atomically, and written when an activity starts, never while samples are taken; a folder
+    that cannot be written does not disturb the session.
     """
 
-    def __init__(self, person: Operator, watcher: SessionObserver, folder: Path, state: SessionState) -> None:
-        self._person, self._watcher, self._folder = person, watcher, folder
+    def __init__(self, operator: Operator, observer: SessionObserver, folder: Path, state: SessionState) -> None:
+        self._operator, self._observer, self._folder = operator, observer, folder
         self._state = state
         self._runs: tuple[PlannedRun, ...] = ()
-        self._begun = False
+        self._started = False
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt, and say that somebody is waited for."""
-        self._says("asking", said=prompt.text)
-        answer = self._person.ask(prompt)
-        self._says("between", said="")
+        """Publish the prompt while it is open."""
+        self._publish("asking", said=prompt.text)
+        answer = self._operator.ask(prompt)
+        self._publish("between", said="")
         return answer
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        """Say what is to be done."""
-        self._begun = True
+        """Publish the number and duration of the runs."""
+        self._started = True
         self._runs = tuple(pending)
-        self._says(
-            "preparing", runs=len(pending), real_time=real_time, after_s=sum(map(_planned_duration_s, self._runs))
-        )
-        self._watcher.begins(programme, pending, real_time=real_time)
+        after_s = sum(map(_planned_duration_s, self._runs))
+        self._publish("preparing", runs=len(pending), real_time=real_time, after_s=after_s)
+        self._observer.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:
-        """Say what is waited for."""
-        self._says("waiting", said=why, wait_s=duration_s if self._state.real_time else 0.0)
-        self._watcher.waits(duration_s, why)
+        """Publish a rest."""
+        self._publish("waiting", said=why, wait_s=duration_s if self._state.real_time else 0.0)
+        self._observer.waits(duration_s, why)
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
-        """Say which run is recorded."""
-        # Runs before it were made or skipped, and those after it are still to come, also when it is made again.
-        later = [one for one in self._runs if one.index > run.index]
-        self._says(
+        """Publish the run that is recorded."""
+        # By index, because a run may be made again: those before it were made or skipped.
+        later = [planned for planned in self._runs if planned.index > run.index]
+        self._publish(
             "recording",
             made=len(self._runs) - len(later),
             order=order,
@@ -174,25 +165,25 @@ class StatePublisher:
             run_s=run.duration_s,
             after_s=sum(map(_planned_duration_s, later)),
         )
-        self._watcher.run_begins(run, order)
+        self._observer.run_begins(run, order)
 
     def reads(self, reading: Reading) -> None:
-        """Hand the block on; the recording itself is what others look at."""
-        self._watcher.reads(reading)
+        """Pass the block on; watchers read the recording itself."""
+        self._observer.reads(reading)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Say that nothing is recorded for the moment."""
-        self._says("between")
-        self._watcher.run_ends(run, outcome)
+        """Publish that nothing is recorded."""
+        self._publish("between")
+        self._observer.run_ends(run, outcome)
 
     def ends(self, status: str, reason: str) -> None:
-        """Say how the session ended; nothing where it never began."""
-        if self._begun:
-            self._says("ended", status=status, reason=reason)
+        """Publish how the session ended; nothing where it never started."""
+        if self._started:
+            self._publish("ended", status=status, reason=reason)
 
-    def _says(self, doing: Activity, **further: object) -> None:
-        told = {"said": "", "wait_s": 0.0, **further}
-        self._state = self._state.model_copy(update={"doing": doing, "since": _now(), **told})
+    def _publish(self, doing: Activity, **changes: object) -> None:
+        update = {"said": "", "wait_s": 0.0, **changes, "doing": doing, "since": _now()}
+        self._state = self._state.model_copy(update=update)
         part = self._folder / f".{STATE_FILE}.part"
         with contextlib.suppress(OSError, OutputError):
             part.write_text(self._state.model_dump_json(indent=1), "utf-8")

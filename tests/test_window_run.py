@@ -97,7 +97,7 @@ def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot,
     window = opened(qtbot, lab, tmp_path / "window.ini")
     try:
         assert window.notices.trip.isVisible()
-        assert "nobody has looked at the rig yet" in window.notices.trip_text.text()
+        assert "path clear, hands out, e-stop in reach" in window.notices.trip_text.text()
         press(window.notices.reset)
         qtbot.waitUntil(lambda: not window.notices.trip.isVisible(), timeout=WAIT_MS)
         assert window.guard.text() == "guard: armed"

@@ -19,33 +19,33 @@ from dragrig.engine_host.messages import (
 from dragrig.engine_host.server import serve
 
 _CLOSE_TIMEOUT_S = 30.0
-"""A stage that moves is stopped and its run finished before the process ends."""
+"""Time for a moving stage to stop and its run to be finished."""
 
 
 class EngineClient:
-    """A host in a process of its own, and the way to it; belongs to one thread.
+    """Starts a host process and talks to it; belongs to one thread.
 
     Parameters
     ----------
     silence_s
-        How long the host waits for a sign of life; `beat` is one, as any request.
+        The host stops the stage after this long without a request; `beat` is one.
     samples
-        Size of the ring that live samples come through.
+        Size of the ring of live samples.
     """
 
     def __init__(self, rig: RigSelection, silence_s: float = SILENCE_TIMEOUT_S, samples: int = RING_SAMPLES) -> None:
         context = multiprocessing.get_context("spawn")
         memory = shared_memory(context, samples)
-        self._connection, theirs = context.Pipe()
+        self._connection, host_end = context.Pipe()
         self.live = LiveRingReader(memory)
         self._lost = False
-        # Not a daemon, which would be killed with us in place of ending in good order.
+        # Not a daemon, which would be killed with this process in place of ending in good order.
         self._process = context.Process(
-            target=serve, args=(theirs, memory, rig, silence_s), name="dragrig-engine", daemon=False
+            target=serve, args=(host_end, memory, rig, silence_s), name="dragrig-engine", daemon=False
         )
         self._process.start()
-        # Our copy of its end has to go, or it would never notice that we are gone.
-        theirs.close()
+        # Without this the host would never notice that this process is gone.
+        host_end.close()
 
     @property
     def pid(self) -> int | None:
@@ -58,16 +58,16 @@ class EngineClient:
         return self._lost
 
     def ask(self, request: Request) -> None:
-        """Send a request; one to a host that is gone is dropped, and `events` tells of the loss."""
+        """Send a request; to a lost host it is dropped, and `events` yields the loss."""
         with suppress(OSError):
             self._connection.send(request)
 
     def beat(self) -> None:
-        """Say that we live."""
+        """Send a sign of life."""
         self.ask(Heartbeat())
 
     def events(self) -> Iterator[Event]:
-        """Yield what the host said since the last time; `HostLost` once when it is gone."""
+        """Yield new events; `HostLost` once when the host is gone."""
         try:
             while not self._lost and self._connection.poll(0):
                 event: Event = self._connection.recv()
@@ -78,7 +78,7 @@ class EngineClient:
             yield HostLost(self._process.exitcode)
 
     def close(self, within_s: float = _CLOSE_TIMEOUT_S) -> None:
-        """End the host: a session under way is stopped and its run finished first."""
+        """End the host; a running session is stopped and its run finished first."""
         self.ask(StopHost())
         self._process.join(within_s)
         self._lost = True

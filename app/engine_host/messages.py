@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config.plan import Plan
+from dragrig.rig.devices import RigCheck
 from dragrig.rig.operator import Answer
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import PHASE_NAMES, RunStatus
@@ -18,14 +19,14 @@ from dragrig.setup import Pace, RigChoices
 __all__ = ["PHASE_NAMES", "Answer", "Pace", "RunStatus"]  # what messages hold, for clients that know no rig
 
 SILENCE_TIMEOUT_S = 20.0
-"""A client that says nothing for so long is taken for dead; one whose interpreter is held for seconds is not."""
+"""A client without a sign of life for this long counts as dead; one whose interpreter hangs for seconds does not."""
 HEARTBEAT_S = 1.0
-"""How often a client is to say that it lives."""
+"""Interval of a client's signs of life."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigSelection:
-    """Which rig a host is for; none means the usual, as of `dragrig.examine`."""
+    """The rig of a host; None means the default, as in `dragrig.examine`."""
 
     rig: Path | None = None
     model: str | Path | None = None
@@ -35,7 +36,7 @@ class RigSelection:
     pace: Pace | None = None
 
     def choices(self) -> RigChoices:
-        """Return the terms as keyword arguments."""
+        """Return the keyword arguments of `dragrig.examine`."""
         return {
             "rig": self.rig,
             "model": self.model,
@@ -52,11 +53,11 @@ class SessionJob:
     Attributes
     ----------
     number
-        What its client calls it.
+        Assigned by the client.
     resume
-        Folder of a campaign to go on with, in place of the plan.
+        Folder of a campaign to resume, in place of the plan.
     mirror
-        Folder that is to hold a second copy of each finished file.
+        Folder for a second copy of each finished file.
     """
 
     number: int
@@ -78,14 +79,14 @@ class StartSession:
 
 @dataclass(frozen=True, slots=True)
 class AbortSession:
-    """Stop the stage now, and end the session in good order."""
+    """Stop the stage now and end the session in good order."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class PromptReply:
-    """An answer to the question of this number."""
+    """The answer to the prompt of this number."""
 
     question: int
     answer: Answer
@@ -93,22 +94,22 @@ class PromptReply:
 
 @dataclass(frozen=True, slots=True)
 class ExamineRig:
-    """Look at every device; nothing moves."""
+    """Check every device; nothing moves."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResetGuard:
-    """Reset the guard's latch, if every condition is clear."""
+    """Reset the guard, if every condition is clear."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """The client lives."""
+    """A sign of life."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopHost:
-    """End the process, once the session under way has been ended."""
+    """End the process, after ending a running session."""
 
 
 Request: TypeAlias = StartSession | AbortSession | PromptReply | ExamineRig | ResetGuard | Heartbeat | StopHost
@@ -122,19 +123,10 @@ class HostReady:
 
 
 @dataclass(frozen=True, slots=True)
-class DeviceFinding:
-    """What a look at one device found."""
-
-    what: str
-    fine: bool
-    detail: str
-
-
-@dataclass(frozen=True, slots=True)
 class RigExamined:
     """What a look at the rig found; `error` where it could not be finished."""
 
-    devices: tuple[DeviceFinding, ...]
+    devices: tuple[RigCheck, ...]
     error: str = ""
 
 
@@ -239,7 +231,7 @@ class RequestRefused:
 
 @dataclass(frozen=True, slots=True)
 class HostLost:
-    """The host's process is gone; the client's own word, no message of the host's."""
+    """The host process is gone; raised by the client itself."""
 
     exit_code: int | None
 
@@ -261,9 +253,9 @@ Event: TypeAlias = (
 
 
 RING_SAMPLES = 1 << 20
-"""Of the ring: over 17 min at 1 kHz, 4 s at 250 kHz."""
+"""Size of the ring: over 17 min at 1 kHz, 4 s at 250 kHz."""
 _RING_MARGIN = 1 << 14
-"""What may be written while a reader copies; it keeps so far away from the oldest samples."""
+"""Distance that a reader keeps from the oldest samples, which are overwritten while it copies."""
 _FIELDS = 4
 _WRITTEN, _SERIAL, _BASE, _RATE_MHZ = range(_FIELDS)
 _BYTES_PER_SAMPLE = 4 + 4 + 1
@@ -275,16 +267,16 @@ Phases = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveSamples:
-    """Samples that were not read before, arrays of shape `(n,)`.
+    """New samples, arrays of shape `(n,)`.
 
     Attributes
     ----------
     serial
-        Tells one run from the next.
+        Differs from run to run.
     first_index
-        Of the first sample, from the run's start, lost samples counted.
+        Index of the first sample from the start of the run, lost samples included.
     missed
-        Samples right before these that were overwritten before anybody read them.
+        Number of samples before these that were overwritten unread.
     force, position
         In mN and mm; NaN where the sampler lost samples.
     """
@@ -299,33 +291,33 @@ class LiveSamples:
 
 
 def shared_memory(context: SpawnContext, samples: int = RING_SAMPLES) -> RingMemory:
-    """Return memory for a ring, to be handed to a process that is about to be started; it lives as long as they do."""
+    """Return memory for a ring, to be passed to a process at its start; it lives as long as both processes."""
     return context.RawArray(ctypes.c_byte, 8 * _FIELDS + _BYTES_PER_SAMPLE * samples)
 
 
 class _SampleRing:
     def __init__(self, memory: RingMemory) -> None:
         self.samples = (len(memory) - 8 * _FIELDS) // _BYTES_PER_SAMPLE
-        at, held = 8 * _FIELDS, memoryview(memory).cast("B")
-        self.head: npt.NDArray[np.int64] = np.frombuffer(held, np.int64, _FIELDS)
-        self.force: Floats = np.frombuffer(held, np.float32, self.samples, at)
-        self.position: Floats = np.frombuffer(held, np.float32, self.samples, at + 4 * self.samples)
-        self.phase: Phases = np.frombuffer(held, np.uint8, self.samples, at + 8 * self.samples)
+        at, content = 8 * _FIELDS, memoryview(memory).cast("B")
+        self.head: npt.NDArray[np.int64] = np.frombuffer(content, np.int64, _FIELDS)
+        self.force: Floats = np.frombuffer(content, np.float32, self.samples, at)
+        self.position: Floats = np.frombuffer(content, np.float32, self.samples, at + 4 * self.samples)
+        self.phase: Phases = np.frombuffer(content, np.uint8, self.samples, at + 8 * self.samples)
 
 
 class LiveRingWriter:
-    """Puts readings into the ring; belongs to one thread."""
+    """Writes samples to the ring, whose reader it never waits for; belongs to one thread."""
 
     def __init__(self, memory: RingMemory) -> None:
         self._ring = _SampleRing(memory)
         self._begins = False
 
     def begin(self) -> None:
-        """Say that what comes next belongs to another run."""
+        """Start another run with the next block."""
         self._begins = True
 
     def put(self, reading: Reading) -> None:
-        """Put a reading in; takes as long as copying it."""
+        """Write a block; takes as long as copying it."""
         head = self._ring.head
         if self._begins:
             self._open_run(reading)
@@ -338,7 +330,7 @@ class LiveRingWriter:
 
     def _open_run(self, reading: Reading) -> None:
         head, self._begins = self._ring.head, False
-        # Odd while the fields do not belong together.
+        # Odd while the fields are inconsistent.
         head[_SERIAL] += 1
         head[_BASE] = head[_WRITTEN]
         head[_RATE_MHZ] = round(1000 * _sample_rate(reading))
@@ -361,7 +353,7 @@ class LiveRingWriter:
 
 
 class LiveRingReader:
-    """Reads what was put into the ring since it was last asked; any number of them, each in one thread."""
+    """Reads new samples from the ring; any number of readers, each in one thread."""
 
     def __init__(self, memory: RingMemory) -> None:
         self._ring = _SampleRing(memory)
@@ -369,14 +361,14 @@ class LiveRingReader:
         self._serial = 0
 
     def read(self) -> LiveSamples | None:
-        """Return what is new; none when nothing is."""
+        """Return new samples; None when there are none."""
         head = self._ring.head
         serial, base, rate, written = int(head[_SERIAL]), int(head[_BASE]), int(head[_RATE_MHZ]), int(head[_WRITTEN])
         if serial % 2 or serial == 0:
             return None
         if serial != self._serial:
             self._serial, self._cursor = serial, base
-        oldest = written - self._ring.samples + _read_margin(self._ring.samples)
+        oldest = written - self._ring.samples + min(_RING_MARGIN, self._ring.samples // 4)
         start = max(self._cursor, oldest, base)
         if written <= start:
             return None
@@ -386,7 +378,7 @@ class LiveRingReader:
         phase = np.concatenate([ring.phase[place] for place in places])
         if int(head[_SERIAL]) != serial:
             return None
-        # What was overwritten while it was copied is dropped.
+        # Samples overwritten while they were copied are dropped.
         torn = max(0, int(head[_WRITTEN]) - self._ring.samples - start)
         if torn >= written - start:
             return None
@@ -402,10 +394,6 @@ def _ring_slices(start: int, count: int, samples: int) -> list[slice]:
     if first + count <= samples:
         return [slice(first, first + count)]
     return [slice(first, samples), slice(0, first + count - samples)]
-
-
-def _read_margin(samples: int) -> int:
-    return min(_RING_MARGIN, samples // 4)
 
 
 def _sample_rate(reading: Reading) -> float:

@@ -6,22 +6,19 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Event as Signal
 from threading import Lock, Thread
 
-from dragrig import campaign_session as campaigns
 from dragrig.api.measure import examine
 from dragrig.api.stage import run_on_bench
-from dragrig.campaign_session import Made, SessionOptions
+from dragrig.campaign_session import Made, SessionOptions, resume_campaign, start_campaign
 from dragrig.config.errors import DragrigError, TrippedError
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
     AbortSession,
-    DeviceFinding,
     Event,
     ExamineRig,
     GuardState,
@@ -48,6 +45,7 @@ from dragrig.engine_host.messages import (
     StartSession,
     StopHost,
 )
+from dragrig.rig.devices import RigCheck
 from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.programme import PlannedRun, Programme
@@ -61,20 +59,20 @@ CLIENT_SILENT = "the window has been silent for too long"
 
 
 class EventSender:
-    """Sends events in order from a thread of its own; `say` returns at once."""
+    """Sends events in order from its own thread; `say` returns at once."""
 
     def __init__(self, connection: "Connection[Event, Request]") -> None:
         self._connection = connection
         self._events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
-        self._thread = Thread(target=self._send_all, name="mouth", daemon=True)
+        self._thread = Thread(target=self._send_all, name="sender", daemon=True)
         self._thread.start()
 
     def say(self, event: Event) -> None:
-        """Have an event sent."""
+        """Queue an event."""
         self._events.put(event)
 
     def close(self, within_s: float = 2.0) -> None:
-        """Wait until all is sent, or nobody listens."""
+        """Wait until all events are sent, or the client is gone."""
         self._events.put(None)
         self._thread.join(within_s)
 
@@ -87,14 +85,14 @@ class EventSender:
 
 
 class RequestReceiver:
-    """Hears requests on a thread of its own: stops and answers at once, the others in order from `next`.
+    """Receives requests on its own thread: aborts and answers act at once, the others come in order from `next`.
 
-    A stop is for what had been asked before it came, under way or still to be begun, and for nothing asked later.
+    An abort applies to all requests received before it, and to none received later.
 
     Attributes
     ----------
     gone
-        Set once there is no client any more, or it wants the host to end.
+        Set once the client is gone, or wants the host to end.
     """
 
     def __init__(self, connection: "Connection[Event, Request]", silence_s: float = SILENCE_TIMEOUT_S) -> None:
@@ -102,145 +100,142 @@ class RequestReceiver:
         self._silence_s = silence_s
         self._requests: queue.SimpleQueue[tuple[int, Request] | None] = queue.SimpleQueue()
         self._lock = Lock()
-        self._heard = self._at_hand = self._stopped = 0
-        self._stop: Callable[[str], None] | None = None
-        self._stop_reason = ""
-        self._questions: dict[int, queue.SimpleQueue[Answer]] = {}
+        # Numbers of the request received last, of the current one, and of the last one that an abort applies to.
+        self._received = self._current = self._aborted = 0
+        self._abort: Callable[[str], None] | None = None
+        self._abort_reason = ""
+        self._answers: dict[int, queue.SimpleQueue[Answer]] = {}
         self.gone = Signal()
-        Thread(target=self._listen, name="ear", daemon=True).start()
+        Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
     def next(self) -> Request | None:
-        """Wait for a request; none once the client is gone."""
-        found = None if self.gone.is_set() else self._requests.get()
-        if found is None:
+        """Wait for a request; None once the client is gone."""
+        numbered = None if self.gone.is_set() else self._requests.get()
+        if numbered is None:
             return None
         with self._lock:
-            self._at_hand, request = found
+            self._current, request = numbered
         return request
 
-    def stops(self, stop: Callable[[str], None] | None) -> None:
-        """Name what stops the request at hand; a stop that came before it is passed on now."""
+    def stops(self, abort: Callable[[str], None] | None) -> None:
+        """Set what aborts the current request; an abort received before is applied now."""
         with self._lock:
-            self._stop, reason = stop, self._stop_reason if self._ending else ""
-        if stop is not None and reason:
-            stop(reason)
+            self._abort, reason = abort, self._abort_reason if self._is_aborted else ""
+        if abort is not None and reason:
+            abort(reason)
 
-    def await_answer(self, question: int, put: Callable[[], None]) -> Answer:
-        """Put a question and wait for its answer; abort where the request at hand is to end."""
-        box: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+    def await_answer(self, question: int, ask: Callable[[], None]) -> Answer:
+        """Ask a question and wait for its answer, which is an abort where the current request is aborted."""
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         with self._lock:
-            self._questions[question] = box
-            if self._ending:
-                box.put(Answer.ABORT)
+            self._answers[question] = answers
+            if self._is_aborted:
+                answers.put(Answer.ABORT)
         try:
-            # Not before there is a box for the answer, which may be quick.
-            put()
-            return box.get()
+            # Only now that its answer, which may be quick, has a place to go.
+            ask()
+            return answers.get()
         finally:
             with self._lock:
-                del self._questions[question]
+                del self._answers[question]
 
     @property
-    def _ending(self) -> bool:
-        """Whether the request at hand is to end; asked with the lock held."""
-        return self._at_hand <= self._stopped
+    def _is_aborted(self) -> bool:
+        """Whether the current request is aborted; read with the lock held."""
+        return self._current <= self._aborted
 
-    def _listen(self) -> None:
+    def _receive_all(self) -> None:
         reason = CLIENT_GONE
-        heard = time.monotonic()
+        last_s = time.monotonic()
         with suppress(EOFError, OSError):
             while True:
                 if self._connection.poll(_POLL_S):
                     request = self._connection.recv()
-                    heard = time.monotonic()
-                    self._hear(request)
+                    last_s = time.monotonic()
+                    self._receive(request)
                     if isinstance(request, StopHost):
                         reason = "the window was closed"
                         break
-                elif time.monotonic() - heard > self._silence_s:
+                elif time.monotonic() - last_s > self._silence_s:
                     reason = CLIENT_SILENT
                     break
         self.gone.set()
-        self._end(reason)
+        self._abort_all(reason)
         self._requests.put(None)
 
-    def _hear(self, request: Request) -> None:
+    def _receive(self, request: Request) -> None:
         match request:
             case AbortSession(reason):
-                self._end(reason)
+                self._abort_all(reason)
             case PromptReply(question, answer):
                 with self._lock:
-                    box = self._questions.get(question)
-                if box is not None:
-                    box.put(answer)
+                    answers = self._answers.get(question)
+                if answers is not None:
+                    answers.put(answer)
             case Heartbeat() | StopHost():
                 pass
             case _:
                 with self._lock:
-                    self._heard += 1
-                    self._requests.put((self._heard, request))
+                    self._received += 1
+                    self._requests.put((self._received, request))
 
-    def _end(self, reason: str) -> None:
+    def _abort_all(self, reason: str) -> None:
         with self._lock:
-            if self._stopped < self._heard:  # else all that was asked is to end already, for the reason given first
-                self._stopped, self._stop_reason = self._heard, reason
-            stop, reason, boxes = self._stop, self._stop_reason, tuple(self._questions.values())
-        if stop is not None:
-            stop(reason)
-        for box in boxes:
-            box.put(Answer.ABORT)
+            if self._aborted < self._received:  # else all requests are aborted already, for the first reason
+                self._aborted, self._abort_reason = self._received, reason
+            abort, reason, waiting = self._abort, self._abort_reason, tuple(self._answers.values())
+        if abort is not None:
+            abort(reason)
+        for answers in waiting:
+            answers.put(Answer.ABORT)
 
 
 class RemoteOperator:
-    """Asks and tells somebody in another process; tells never wait, asks wait for the answer or the end."""
+    """A session's operator and observer in the client process; only `ask` waits for it."""
 
-    def __init__(self, mouth: EventSender, ear: RequestReceiver, live: LiveRingWriter) -> None:
-        self._mouth, self._ear, self._live = mouth, ear, live
+    def __init__(self, sender: EventSender, receiver: RequestReceiver, live: LiveRingWriter) -> None:
+        self._sender, self._receiver, self._live = sender, receiver, live
         self._numbers = count(1)
-        self._job = self._order = 0
-
-    def takes(self, job: int) -> None:
-        """Say which session is told of from here on."""
-        self._job = job
+        self._order = 0
+        self.job = 0
+        """Number of the session that is reported."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put a prompt and wait for the answer; abort when the session is to end."""
-        question = next(self._numbers)
-        asked = PromptShown(question, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
-        return self._ear.await_answer(question, lambda: self._mouth.say(asked))
+        """Show a prompt and wait for the answer, which is an abort where the session is aborted."""
+        number = next(self._numbers)
+        shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
+        return self._receiver.await_answer(number, lambda: self._sender.say(shown))
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        """Tell which runs are still to be made."""
+        """Report the runs still to make."""
         del programme
-        self._mouth.say(SessionStarted(self._job, tuple(map(_queued_run, pending)), real_time))
+        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time))
 
     def waits(self, duration_s: float, why: str) -> None:
-        """Tell that nothing moves for a while."""
-        self._mouth.say(SessionWaiting(duration_s, why))
+        """Report a rest."""
+        self._sender.say(SessionWaiting(duration_s, why))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
-        """Tell that a run starts."""
+        """Report the start of a run."""
         self._order = order
         self._live.begin()
-        self._mouth.say(RunStarted(_queued_run(run), order))
+        self._sender.say(RunStarted(_queued_run(run), order))
 
     def reads(self, reading: Reading) -> None:
-        """Put a block where a screen may find it."""
+        """Write a block of samples to the live ring."""
         self._live.put(reading)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Tell how a run ended."""
-        warnings = tuple(outcome.checks.warnings)
-        self._mouth.say(
-            RunFinished(_queued_run(run), self._order, outcome.status, outcome.reason, outcome.samples, warnings)
-        )
+        """Report the end of a run."""
+        queued, warnings = _queued_run(run), tuple(outcome.checks.warnings)
+        self._sender.say(RunFinished(queued, self._order, outcome.status, outcome.reason, outcome.samples, warnings))
 
 
 def _queued_run(run: PlannedRun) -> QueuedRun:
     return QueuedRun(run.index, run.protocol.summary(), run.wait_s, run.duration_s)
 
 
-NOT_YET_RESET = "nobody has looked at the rig yet: its way free, hands out, the e-stop in reach"
+NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"
 
 
 def serve(
@@ -249,103 +244,101 @@ def serve(
     rig: RigSelection,
     silence_s: float = SILENCE_TIMEOUT_S,
 ) -> None:
-    """Host an engine until the client leaves or dies; what a process of its own runs."""
-    # Ctrl-C in the terminal is the client's to hear; a session under way hears it by itself.
+    """Host an engine until the client leaves or dies; the target of the host process."""
+    # Ctrl-C in the terminal reaches the client too; a running session handles it by itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    mouth, ear = EventSender(connection), RequestReceiver(connection, silence_s)
-    EngineHost(mouth, ear, LiveRingWriter(memory), rig).run()
-    mouth.close()
+    sender, receiver = EventSender(connection), RequestReceiver(connection, silence_s)
+    EngineHost(sender, receiver, LiveRingWriter(memory), rig).run()
+    sender.close()
 
 
 class EngineHost:
-    """Answers requests on the process's main thread, where a session hears signals."""
+    """Handles requests on the process's main thread, where a session can handle signals."""
 
-    def __init__(self, mouth: EventSender, ear: RequestReceiver, live: LiveRingWriter, rig: RigSelection) -> None:
-        self._mouth, self._ear, self._rig = mouth, ear, rig
-        self._person = RemoteOperator(mouth, ear, live)
-        self._latched_on = NOT_YET_RESET
+    def __init__(self, sender: EventSender, receiver: RequestReceiver, live: LiveRingWriter, rig: RigSelection) -> None:
+        self._sender, self._receiver, self._rig = sender, receiver, rig
+        self._operator = RemoteOperator(sender, receiver, live)
+        self._trip_reason = NOT_YET_RESET
 
     def run(self) -> None:
-        """Answer until the client is gone."""
-        self._mouth.say(HostReady(os.getpid()))
-        self._mouth.say(GuardState(self._latched_on))
-        while (request := self._ear.next()) is not None:
+        """Handle requests until the client is gone."""
+        self._sender.say(HostReady(os.getpid()))
+        self._sender.say(GuardState(self._trip_reason))
+        while (request := self._receiver.next()) is not None:
             try:
-                self._answer(request)
-            except Exception as error:  # noqa: BLE001  # the client must hear of it, and the host must go on
-                self._mouth.say(RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it."))
+                self._handle(request)
+            except Exception as error:  # noqa: BLE001  # the client must know, and the host must go on
+                self._sender.say(RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it."))
 
-    def _answer(self, request: Request) -> None:
+    def _handle(self, request: Request) -> None:
         match request:
             case StartSession(job):
                 self._start(job)
             case ExamineRig():
-                self._mouth.say(self._examined())
+                self._sender.say(self._examine())
             case ResetGuard():
                 self._reset()
             case _:
                 pass
 
     def _start(self, job: SessionJob) -> None:
-        if self._latched_on:
-            sentence = f"the guard is tripped: {self._latched_on}; see to it, then reset the guard"
-            self._mouth.say(SessionFinished(job.number, None, sentence))
+        if self._trip_reason:
+            sentence = f"the guard is tripped: {self._trip_reason}; remove the cause, then reset the guard"
+            self._sender.say(SessionFinished(job.number, None, sentence))
             return
-        self._person.takes(job.number)
-        ended = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
+        self._operator.job = job.number
+        finished = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
         try:
-            made = self._carry_out(job)
-            ended = SessionFinished(
-                job.number, made.session.status, made.session.reason, made.folder, _mirror_status(made)
-            )
+            made = self._run_session(job)
+            session, mirror = made.session, _mirror_status(made)
+            finished = SessionFinished(job.number, session.status, session.reason, made.folder, mirror)
         except DragrigError as error:
-            ended = SessionFinished(job.number, None, str(error))
+            finished = SessionFinished(job.number, None, str(error))
         finally:
-            self._ear.stops(None)
-            self._mouth.say(ended)
-        if ended.status is RunStatus.TRIPPED:
-            self._latch(ended.reason)
+            self._receiver.stops(None)
+            self._sender.say(finished)
+        if finished.status is RunStatus.TRIPPED:
+            self._trip(finished.reason)
 
-    def _carry_out(self, job: SessionJob) -> Made:
-        terms = SessionOptions(
+    def _run_session(self, job: SessionJob) -> Made:
+        options = SessionOptions(
             Path(),
             operator=job.operator,
             note=job.note,
             pace=job.pace,
-            begun=self._ear.stops,
+            begun=self._receiver.stops,
             mirror=job.mirror,
-            tell=lambda sentence: self._mouth.say(OperatorWarning(sentence)),
+            tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),
         )
         if job.resume is not None:
-            return campaigns.resume_campaign(job.resume, terms, self._person)
-        return campaigns.start_campaign(resolve(job.plan, **self._rig.choices()), job.out, terms, self._person)
+            return resume_campaign(job.resume, options, self._operator)
+        return start_campaign(resolve(job.plan, **self._rig.choices()), job.out, options, self._operator)
 
     def _reset(self) -> None:
         try:
             setup = resolve_rig(**self._rig.choices())
             pace = self._rig.pace if setup.double else None
-            run_on_bench(lambda bench: bench.manual.reset(), setup, pace, self._person)
+            run_on_bench(lambda bench: bench.manual.reset(), setup, pace, self._operator)
         except TrippedError as error:
-            self._latch(str(error))
+            self._trip(str(error))
         except DragrigError as error:
-            self._mouth.say(RequestRefused(str(error)))
+            self._sender.say(RequestRefused(str(error)))
         else:
-            self._latch("")
+            self._trip("")
 
-    def _latch(self, reason: str) -> None:
-        self._latched_on = reason
-        self._mouth.say(GuardState(reason))
+    def _trip(self, reason: str) -> None:
+        self._trip_reason = reason
+        self._sender.say(GuardState(reason))
 
-    def _examined(self) -> RigExamined:
-        found = RigExamined(())
+    def _examine(self) -> RigExamined:
+        checks: list[RigCheck] = []
         try:
-            for one in examine(**self._rig.choices()):
-                found = replace(found, devices=(*found.devices, DeviceFinding(one.what, one.fine, one.detail)))
+            checks.extend(examine(**self._rig.choices()))
         except DragrigError as error:
-            return replace(found, error=str(error))
-        return found
+            return RigExamined(tuple(checks), str(error))
+        return RigExamined(tuple(checks))
 
 
 def _mirror_status(made: Made) -> MirrorStatus | None:
-    found = made.mirrored
-    return None if found is None else MirrorStatus(found.folder, len(found.copied), tuple(found.missing.items()))
+    report = made.mirrored
+    return None if report is None else MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))
