@@ -3,7 +3,6 @@
 import contextlib
 import os
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -17,12 +16,12 @@ from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import Answer, Operator, Prompt, SessionObserver
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.filesystem import BusyError, file_lock, rename_into_place
+from dragrig.rig.runfile.filesystem import file_lock, rename_into_place
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
 """Locked by the process of the session; the system unlocks it when that dies."""
-_LOCK_TIMEOUT_S, _LOCK_POLL_S = 2.0, 0.02
+_LOCK_TIMEOUT_S = 2.0
 """A watcher holds the lock for a moment too."""
 
 Activity = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
@@ -107,16 +106,7 @@ def session_lock(folder: Path) -> Iterator[None]:
         When the folder cannot be written.
     """
     busy = f"{folder}: another session of this campaign is running; wait until it is over."
-    until = time.monotonic() + _LOCK_TIMEOUT_S
-    with contextlib.ExitStack() as held:
-        while True:
-            try:
-                held.enter_context(file_lock(folder / LOCK_FILE, busy))
-                break
-            except BusyError:
-                if time.monotonic() > until:
-                    raise
-            time.sleep(_LOCK_POLL_S)
+    with file_lock(folder / LOCK_FILE, busy, _LOCK_TIMEOUT_S):
         yield
 
 

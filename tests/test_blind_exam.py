@@ -75,7 +75,7 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "exam"
-    busy = pytest.raises(OutputError, match="another program is at work")
+    busy = pytest.raises(OutputError, match="another program uses it")
     with open_exam_folder(out, 12, 3, "exam"), busy, open_exam_folder(out, 12, 3, "exam"):
         pass
     with pytest.raises(SettingsError, match="exam of 12 cases with seed 3; give --cases 12 --seed 3"):
@@ -90,9 +90,9 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--cases", "0"], "one case at least"),
+        (["--cases", "0"], "at least one case"),
         (["--seed", "-1"], "whole number from 0 on"),
-        (["--workers", "0"], "one worker at least"),
+        (["--workers", "0"], "at least one worker"),
         (["--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "give one"),
         (["--scheduler", "tcp://127.0.0.1:1"], "needs --out"),
         (["--report", "gone/report.html"], "there is no folder gone"),
@@ -165,7 +165,7 @@ def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
         worker = frozen_while_it_writes(exam.pid, out)
         begun = unfinished(out)
         assert main(asked) == 2
-        assert "another program is at work" in capsys.readouterr().err
+        assert "another program uses it" in capsys.readouterr().err
         assert unfinished(out) == begun
         exam.kill()
         worker.kill()

@@ -16,7 +16,7 @@ from dragrig.cli.commands import SECTIONS, dragrig_group
 from dragrig.cli.console import print_result, run_command_line
 from dragrig.present.json_values import to_json_value
 
-ALONE = "Without a plan the rig itself is looked at, so"
+ALONE = "Without a plan the rig itself is checked, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
 COMMANDS = [(name, line) for section in SECTIONS.values() for name, line in section.items()]
 

@@ -115,7 +115,7 @@ def test_workers_are_the_cores_unless_told() -> None:
     with open_executor(tasks=1) as one:
         assert isinstance(one, SerialExecutor)
     assert available_cores() >= 1
-    with pytest.raises(SettingsError, match="one worker at least"), open_executor(0):
+    with pytest.raises(SettingsError, match="at least one worker"), open_executor(0):
         pass
     with pytest.raises(SettingsError, match="give one"), open_executor(2, "tcp://127.0.0.1:1"):
         pass

@@ -163,7 +163,7 @@ def test_one_session_of_a_campaign_at_a_time(tmp_path: Path) -> None:
     plan.write_text(PLAN, "utf-8")
     dragrig.run(str(plan), out=folder, person=Second()).session.require()
     assert len(told) == 3
-    assert all("another session of this campaign is at work" in one for one in told[:2])
+    assert all("another session of this campaign is running" in one for one in told[:2])
     assert told[2] == "asking"
     assert len(list(folder.glob("session-*.toml"))) == 1
 

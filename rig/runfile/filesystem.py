@@ -30,19 +30,19 @@ def lock_run(run: Path) -> contextlib.AbstractContextManager[None]:
 
 
 @contextlib.contextmanager
-def file_lock(path: Path, busy_message: str) -> Iterator[None]:
+def file_lock(path: Path, busy_message: str, timeout_s: float = 0.0) -> Iterator[None]:
     """Hold the lock of a small file, of all processes, until the block ends or the process dies; remove it at the end.
 
     Raises
     ------
     BusyError
-        With this message, when another process, or this one elsewhere, holds it.
+        With this message, when another process, or this one elsewhere, still holds it after `timeout_s`.
     OutputError
         When the folder cannot be written to.
     """
     from filelock import FileLock, Timeout
 
-    lock = FileLock(path, timeout=0, thread_local=False, fallback_to_soft=False)
+    lock = FileLock(path, timeout=timeout_s, thread_local=False, fallback_to_soft=False)
     try:
         # filelock would make a missing folder.
         path.parent.stat()
