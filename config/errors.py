@@ -4,10 +4,7 @@ from typing import ClassVar
 
 
 class DragrigError(Exception):
-    """Base of all errors whose message is written for the person at the rig.
-
-    The message is one sentence that says what is wrong, where, and what to do.
-    """
+    """Base of all errors for the operator; the message is one sentence on what is wrong, where, and what to do."""
 
     exit_code: ClassVar[int] = 2
 
@@ -29,15 +26,15 @@ class ImportDataError(DragrigError):
 
 
 class OutputError(DragrigError):
-    """A place that cannot be written to, or that already holds something."""
+    """An output file or folder that cannot be written, or exists already."""
 
 
 class AnalysisError(DragrigError):
-    """A request that the data at hand cannot answer."""
+    """A request that the available data cannot answer."""
 
 
 class WorkerError(DragrigError):
-    """Processes that share a work end before it is done."""
+    """Worker processes ended before their work was done."""
 
 
 class RecordingError(DragrigError):
@@ -53,13 +50,13 @@ class AbortedError(DragrigError):
 
 
 class TrippedError(DragrigError):
-    """The guard stopped the stage and stays latched until it is reset."""
+    """The guard stopped the stage and stays tripped until it is reset."""
 
     exit_code = 4
 
 
 class DeviceError(DragrigError):
-    """A device did not do what it was told."""
+    """A device failed or refused a command."""
 
     exit_code = 5
 
@@ -69,5 +66,5 @@ class StaleDataError(DeviceError):
 
 
 def reason_of(error: DragrigError) -> str:
-    """Return an error's sentence as a part of another one."""
+    """Return an error's message without its full stop, for use in another sentence."""
     return str(error).rstrip(".")

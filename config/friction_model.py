@@ -13,7 +13,7 @@ from dragrig.config.settings import Settings
 
 
 class EffectSettings(Settings):
-    """An effect that is switched on. Its parameters stand beside the id, in a file as here; the usual for none."""
+    """An effect that is switched on, with its parameters; those not listed have their default values."""
 
     id: str = Field(min_length=1)
     parameters: Mapping[str, float] = {}
@@ -23,11 +23,11 @@ class EffectSettings(Settings):
     def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(data, Mapping):
             return handler(data)
-        given = data.get("parameters", {})
-        rest = {key: value for key, value in data.items() if key not in cls.model_fields}
-        if rest and isinstance(given, Mapping):
-            own = {key: value for key, value in data.items() if key not in rest}
-            data = {**own, "parameters": {**given, **rest}}
+        effect = {key: value for key, value in data.items() if key in cls.model_fields}
+        parameters = effect.get("parameters", {})
+        if len(effect) < len(data) and isinstance(parameters, Mapping):
+            beside = {key: value for key, value in data.items() if key not in effect}
+            return handler({**effect, "parameters": {**parameters, **beside}})
         return handler(data)
 
     @model_serializer
@@ -35,26 +35,20 @@ class EffectSettings(Settings):
         return {"id": self.id, **self.parameters}
 
 
-def parse_effects(given: Sequence[str | EffectSettings]) -> tuple[EffectSettings, ...]:
-    """Return effects as they are typed, `stribeck` or `stribeck:ratio=0.4,speed_mm_s=2`, or as they are.
+def parse_effects(effects: Sequence[str | EffectSettings]) -> tuple[EffectSettings, ...]:
+    """Return effects from settings or from text, `stribeck` or `stribeck:ratio=0.4,speed_mm_s=2`.
 
-    Raises
-    ------
-    SettingsError
-        For a text that is not of this form.
+    Raises `SettingsError` for a text that is not of this form.
     """
-    return tuple(one if isinstance(one, EffectSettings) else _parse_effect(one) for one in _as_sequence(given))
-
-
-def _as_sequence(given: Sequence[str | EffectSettings]) -> Sequence[str | EffectSettings]:
-    return (given,) if isinstance(given, str | EffectSettings) else given
+    sequence = (effects,) if isinstance(effects, str | EffectSettings) else effects
+    return tuple(effect if isinstance(effect, EffectSettings) else _parse_effect(effect) for effect in sequence)
 
 
 def _parse_effect(text: str) -> EffectSettings:
-    name, colon, listed = text.partition(":")
+    name, colon, assignments = text.partition(":")
     values: dict[str, float] = {}
-    for part in listed.split(",") if colon else ():
-        key, _, value = part.partition("=")
+    for assignment in assignments.split(",") if colon else ():
+        key, _, value = assignment.partition("=")
         number = _finite_number(value)
         if not name.strip() or not key.strip() or number is None:
             raise SettingsError(
@@ -75,9 +69,9 @@ def _finite_number(text: str) -> float | None:
 
 
 class IdentifiedValue(Settings):
-    """A number of a fit with its 95 % interval; `learnt` is the share of the prior's width that runs took away.
+    """A fitted number with its 95 % interval.
 
-    One that is not `determined` is no more than what was known before.
+    `learnt` is the fraction by which the runs narrowed the prior; a value that is not `determined` is the prior's.
     """
 
     name: str
@@ -91,7 +85,7 @@ class IdentifiedValue(Settings):
 
 
 class IdentificationSummary(Settings):
-    """An identification in short."""
+    """Summary of an identification."""
 
     campaign: str
     specimen: str
@@ -100,17 +94,17 @@ class IdentificationSummary(Settings):
     converged: bool
     chi2_per_degree: float
     parameters: tuple[IdentifiedValue, ...] = ()
-    """All parameters of the fit; those of which the runs say nothing keep the nominal value in the settings."""
+    """All parameters of the fit; those that the runs do not determine keep the nominal value in the settings."""
     combinations: tuple[IdentifiedValue, ...] = ()
     correlation: tuple[tuple[float, ...], ...] = ()
     """Between the parameters, in their order."""
 
 
 class DiagnosisSummary(Settings):
-    """A diagnosis in short.
+    """Summary of a diagnosis.
 
-    `nominal` holds the parameters of the nominal model as they were refitted without the effects, so that what the
-    effects are worth can be measured on other runs; `promised` the share of the gap that they closed.
+    `nominal` holds the parameters of the nominal model refitted without the effects, so that the effects' contribution
+    can be measured on other runs; `promised` is the fraction of the gap that they closed.
     """
 
     specimen: str
@@ -127,7 +121,7 @@ Polynomial = Annotated[tuple[float, ...], Field(min_length=1, max_length=5)]
 
 
 class WallPolynomials(Settings):
-    """Each element of the wall against strain; springs in kPa, dampers in kPa·s."""
+    """Elements of the wall as functions of strain; springs in kPa, dampers in kPa·s."""
 
     E1: Polynomial
     E2: Polynomial
@@ -141,9 +135,9 @@ class FrictionModelSettings(Settings):
 
     name: str = "paper"
     wall: Literal["eq14", "table1", "polynomial"] = "eq14"
-    """Wall parameters: Eq. 14, the least-squares quadratic through Table 1, or polynomials of one's own."""
+    """Wall parameters: Eq. 14, the least-squares quadratic through Table 1, or your own polynomials."""
     wall_polynomials: WallPolynomials | None = None
-    """What wall polynomial evaluates."""
+    """Polynomials of the wall `polynomial`."""
     viscous: Literal["published", "newtonian"] = "published"
     """Reading of Eq. 10: δ v with δ in mN·s/mm, or δ (v/d) S with δ in Pa·s."""
     friction_coefficient: float = Field(default=0.082, ge=0, le=2)
@@ -151,9 +145,9 @@ class FrictionModelSettings(Settings):
     mucus_thickness_mm: float = Field(default=0.030, gt=0, le=1)
     """The paper's d."""
     side_contact_mm: float = Field(default=20.0, ge=0, le=200)
-    """How far behind the equator the wall still touches (section 3.3 of the paper)."""
+    """Length behind the equator that the wall still touches (section 3.3 of the paper)."""
     regularisation_mm_s: float = Field(default=0.05, gt=0, le=10)
-    """Speed over which Coulomb friction turns its sign."""
+    """Speed range over which Coulomb friction changes its sign."""
     stiffness_scale: float = Field(default=1.0, gt=0, le=10)
     """Multiplies E1, E2, E3, η1 and η2 alike."""
     e1_scale: float = Field(default=1.0, gt=0, le=10)
@@ -164,17 +158,17 @@ class FrictionModelSettings(Settings):
     mucus_scale: float = Field(default=1.0, ge=0, le=10)
     """Multiplies the apparent viscosity."""
     force_gain: float = Field(default=1.0, gt=0, le=10)
-    """True gain of the force channel over its calibration."""
+    """True gain of the force channel relative to its calibration."""
     insertion_dwell_scale: float = Field(default=1.0, gt=0, le=10)
-    """True age of the contact at the first sample over the noted one."""
+    """True age of the contact at the first sample relative to the recorded one."""
     contact_angle_offset_deg: float = Field(default=0.0, gt=-30, lt=30)
     """Added to the capsule's contact angle."""
     effects: tuple[EffectSettings, ...] = ()
-    """What the simulated rig has beside this model, in a file as groups [[effects]]; dragrig gap effects lists them."""
+    """Effects of the simulated rig beyond this model, as groups [[effects]] in a file; see dragrig gap effects."""
     identified: IdentificationSummary | None = None
-    """Where the values come from, if from runs."""
+    """The identification that the values come from."""
     diagnosed: DiagnosisSummary | None = None
-    """Where the effects come from, if from a diagnosis."""
+    """The diagnosis that the effects come from."""
 
     @model_validator(mode="after")
     def _has_its_polynomials(self) -> Self:

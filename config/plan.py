@@ -16,7 +16,7 @@ from dragrig.config.specimen import Fixture
 
 
 class RunOrder(StrEnum):
-    """In which order the runs of a step are made."""
+    """Order of a step's runs."""
 
     LISTED = "listed"
     REVERSED = "reversed"
@@ -25,59 +25,58 @@ class RunOrder(StrEnum):
 
 
 class ReturnMode(StrEnum):
-    """How the capsule gets back to where the step's runs begin."""
+    """How the capsule returns to the start of the step's runs."""
 
     DRIVEN = "driven"
     """By the stage, recorded as a run of kind `return`."""
     BY_HAND = "by_hand"
-    """By a person, who is prompted; the stage then follows unrecorded."""
+    """By a person, who is prompted; the stage follows unrecorded."""
     STAY = "stay"
-    """Not at all: the next run begins where this one ended."""
+    """Not at all: the next run begins at the end of this one."""
 
 
 class PlanStep(Settings):
     """One step of a plan."""
 
     kind: str = Field(min_length=1)
-    """Kind of run: relaxation, coulomb, drag, blank, motion, ….."""
+    """Kind of run: relaxation, coulomb, drag, blank, motion, …."""
     parameters: Mapping[str, object] = {}
-    """The protocol's keys; in a file they stand beside the step's own."""
+    """The protocol's keys; in a file they are written beside the step's own."""
     capsule: str = ""
-    """Name of a capsule, or its file; the protocol's usual one unless given."""
+    """Name of a capsule, or its file (default: the protocol's capsule)."""
     fixture: Fixture | None = None
-    """What holds the gut; the protocol's usual one unless given."""
+    """What holds the gut (default: the protocol's fixture)."""
     repeats: int = Field(default=1, ge=1, le=1000)
-    """How often each run of the step is made."""
+    """Number of times that each run of the step is made."""
     order: RunOrder = RunOrder.LISTED
-    """In which order the runs of the step are made."""
+    """Order of the step's runs."""
     wait_s: float = Field(default=60.0, ge=0, le=86_400)
-    """Rest before each run, from the last standstill on; with a capsule in the gut, the age of the contact."""
+    """Rest before each run, counted from the last standstill; with a capsule in the gut, the age of the contact."""
     way_back: ReturnMode = ReturnMode.DRIVEN
-    """How the capsule gets back to where the step's runs begin."""
+    """How the capsule returns to the start of the step's runs."""
     way_back_speed_mm_s: float = Field(default=20.0, gt=0)
-    """Speed of a driven way back."""
+    """Speed of a driven return stroke."""
     start_mm: float | None = None
-    """Where the runs begin, absolute or from the contact (stage.start_from of the rig); the rig's own unless given."""
+    """Start of the runs, absolute or from the contact (stage.start_from of the rig; default: stage.start_mm)."""
     tare_s: float = Field(default=0.0, ge=0, le=60)
-    """Take the sensor's zero for so long before each run, with the capsule out of contact; 0 takes none."""
+    """Duration of a tare before each run, with the capsule out of contact; 0 for no tare."""
     prompt: str = ""
-    """What to ask a person to do before the step's first run."""
+    """Prompt to the operator before the step's first run."""
     prompt_each: bool = False
-    """Ask before every run of the step."""
+    """Show the prompt before every run of the step."""
     note: str = ""
-    """Kept in the run files of the step."""
+    """Note stored in the run files of the step."""
 
     @model_validator(mode="wrap")
     @classmethod
     def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(data, Mapping):
             return handler(data)
-        own = {key: value for key, value in data.items() if key in cls.model_fields}
-        rest = {key: value for key, value in data.items() if key not in cls.model_fields}
-        if rest:
-            given = own.get("parameters", {})
-            own["parameters"] = {**given, **rest} if isinstance(given, Mapping) else given
-        return handler(own)
+        step = {key: value for key, value in data.items() if key in cls.model_fields}
+        parameters = step.get("parameters", {})
+        if len(step) < len(data) and isinstance(parameters, Mapping):
+            step["parameters"] = {**parameters, **{key: value for key, value in data.items() if key not in step}}
+        return handler(step)
 
 
 class Plan(Settings):
@@ -86,5 +85,5 @@ class Plan(Settings):
     name: str = Field(min_length=1, pattern=r"^[\w.-]+$")
     description: str = ""
     seed: int = Field(default=0, ge=0, lt=2**63)
-    """Seed of the random orders."""
+    """Seed of random orders."""
     steps: tuple[PlanStep, ...] = Field(min_length=1)

@@ -13,17 +13,17 @@ from dragrig.config.settings import Settings
 
 
 class StageSettings(Settings):
-    """The linear motor's axis; positions are absolute, after homing."""
+    """The linear motor; positions are absolute, after homing."""
 
     model: str = "NLA-7SL"
     lowest_mm: float = 0.0
-    """Soft limit."""
+    """Lower soft limit."""
     highest_mm: float = 150.0
-    """Soft limit."""
+    """Upper soft limit."""
     start_mm: float = 40.0
-    """Where runs begin unless the plan says otherwise."""
+    """Default start of runs."""
     start_from: Literal["home", "contact"] = "home"
-    """What start_mm, here and in plans, counts from: the origin, or the contact that touch-off found."""
+    """Reference of start_mm, here and in plans: the origin, or the contact found by touch-off."""
     max_speed_mm_s: float = Field(default=100.0, gt=0, le=5000)
     max_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
     stop_accel_mm_s2: float = Field(default=3000.0, gt=0, le=100_000)
@@ -53,7 +53,7 @@ class ForceSensorSettings(Settings):
 
     serial: str = ""
     range_mN: float = Field(default=10_000.0, gt=0, le=1e6)
-    """Full scale to either side."""
+    """Full scale, in both directions."""
     bits: int = Field(default=16, ge=8, le=32)
     accuracy_mN: float = Field(default=5.0, gt=0)
 
@@ -65,7 +65,7 @@ class SamplingSettings(Settings):
     block_s: float = Field(default=0.05, gt=0, le=0.05)
     """Length of the blocks that guard, recorder and viewers see."""
     motor_force: bool = True
-    """Record the motor's force beside the sensor's."""
+    """Whether to record the motor's force as well."""
 
 
 class GuardSettings(Settings):
@@ -73,30 +73,30 @@ class GuardSettings(Settings):
 
     force_limit_mN: float = Field(default=8000.0, gt=0)
     position_margin_mm: float = Field(default=1.0, ge=0)
-    """How far outside the profile's own range the stage may be seen."""
+    """Allowed distance outside the profile's own range."""
     speed_factor: float = Field(default=1.5, gt=1)
     """Trip above this times the profile's highest speed …"""
     speed_margin_mm_s: float = Field(default=5.0, ge=0)
     """… plus this."""
     following_error_mm: float = Field(default=0.5, gt=0)
-    """Allowed distance between command and position at standstill …"""
+    """Allowed following error at standstill …"""
     following_error_per_speed_s: float = Field(default=0.05, ge=0)
     """… plus this times the speed."""
     encoder_silent_mm: float = Field(default=0.4, gt=0)
-    """Trip when the command has moved on by more than this, plus following_error_per_speed_s times the speed, …"""
+    """Trip when the command has moved by more than this, plus following_error_per_speed_s times the speed, …"""
     encoder_silent_s: float = Field(default=0.04, gt=0, le=5)
-    """… and for longer than this, while the encoder showed not a single count."""
+    """… and for longer than this, while the encoder showed no count."""
     stale_data_s: float = Field(default=0.2, gt=0, le=5)
     """Trip when no block arrives for this long."""
 
 
 class RecordingSettings(Settings):
-    """How runs are put on disk."""
+    """Recording of runs on disk."""
 
     flush_s: float = Field(default=0.1, gt=0, le=0.25)
-    """Longest time of data that a crash may cost."""
+    """Longest duration of data that a crash may cost."""
     reserve_mb: float = Field(default=64.0, ge=1)
-    """Free space below which a run stops, besides twice the run's own size."""
+    """Free space that a run must leave, besides twice its own size; below, it stops."""
 
 
 class NoiseSettings(Settings):
@@ -111,7 +111,7 @@ class NoiseSettings(Settings):
 
 
 class MotorSettings(Settings):
-    """The simulated stage's own mechanics, as its motor force shows them."""
+    """The simulated stage's mechanics, which its motor force shows."""
 
     moving_mass_g: float = Field(default=1200.0, gt=0)
     viscous_mN_s_mm: float = Field(default=4.0, ge=0)
@@ -121,16 +121,16 @@ class MotorSettings(Settings):
 
 
 class VariationSettings(Settings):
-    """How simulated specimens and runs differ, as relative standard deviations."""
+    """Scatter between simulated specimens and runs, as relative standard deviations."""
 
     specimen: bool = False
-    """Draw this session's specimen at random instead of taking the model's values."""
+    """Whether to draw this session's specimen at random instead of using the model's values."""
     run_stiffness: float = Field(default=0.02, ge=0, le=0.5)
     run_friction: float = Field(default=0.015, ge=0, le=0.5)
 
 
 class SimulatedSettings(Settings):
-    """What only the simulated rig needs."""
+    """Settings of the simulated rig only."""
 
     seed: int = Field(default=20120509, ge=0, lt=2**63)
     noise: NoiseSettings = NoiseSettings()
@@ -139,18 +139,18 @@ class SimulatedSettings(Settings):
 
 
 class DataSettings(Settings):
-    """Where run files go."""
+    """Storage of run files."""
 
     root: Path = Path("runs")
     """Folder of the campaigns, relative to the rig file."""
 
 
 class RigSettings(Settings):
-    """Everything that is set once per rig."""
+    """Settings of a rig."""
 
     name: str = Field(default="simulated bench", min_length=1)
     backend: str = "simulated"
-    """Backend of runs that name none."""
+    """Default backend."""
     stage: StageSettings = StageSettings()
     encoder: EncoderSettings = EncoderSettings()
     force_sensor: ForceSensorSettings = ForceSensorSettings()
@@ -164,7 +164,9 @@ class RigSettings(Settings):
     @model_validator(mode="after")
     def _sees_the_force_limit(self) -> Self:
         if self.guard.force_limit_mN >= self.force_sensor.range_mN:
-            raise ValueError("guard.force_limit_mN must be below force_sensor.range_mN, or no force could trip it")
+            raise ValueError(
+                "guard.force_limit_mN must be below force_sensor.range_mN, or no force could trip the guard"
+            )
         return self
 
     @model_validator(mode="after")
@@ -172,7 +174,7 @@ class RigSettings(Settings):
         if self.guard.encoder_silent_mm < 3e-3 * self.encoder.resolution_um:
             raise ValueError(
                 "guard.encoder_silent_mm must be at least three counts (encoder.resolution_um), or a healthy encoder "
-                "could trip it"
+                "could trip the guard"
             )
         return self
 
@@ -189,14 +191,14 @@ class Calibration(Settings):
     made_at: AwareDatetime
     quantity: str = Field(pattern="^(force|encoder)$")
     made_on: str = ""
-    """Backend that it was made on and holds for, its double told from it; empty for any."""
+    """Backend that it was made on and is valid for, which its double is not; empty for any."""
     sensor_serial: str = ""
     gain: float
     """Quantity per raw unit: mN/V for force, mm per count for the encoder."""
     gain_error: float = Field(default=0.0, ge=0)
     """Standard error of the gain; 0 where it is not known."""
     zero: float = 0.0
-    """Quantity at no raw unit: mN at 0 V."""
+    """Quantity at raw value 0: mN at 0 V."""
     zero_error: float = Field(default=0.0, ge=0)
     residual: float = Field(default=0.0, ge=0)
     """Standard deviation of the fit, in the quantity's unit."""
@@ -206,18 +208,18 @@ class Calibration(Settings):
 
 
 class ContactPoint(Settings):
-    """Where the capsule last met what it was driven against."""
+    """The contact that the last touch-off found."""
 
     position_mm: float
     """Absolute position of the stage."""
     made_at: AwareDatetime
     force_mN: float
-    """Change of the force that told the contact."""
+    """Change of the force at the contact."""
     operator: str = ""
 
 
 def rig_file_of(start: Path) -> Path | None:
-    """Return the rig file of the lab folder that `start` is in, searching upwards; None when in none."""
+    """Return the rig file of the lab folder that contains `start`, searching upwards, or None."""
     for folder in (start.absolute(), *start.absolute().parents):
         if (folder / RIG_FILE).is_file():
             return folder / RIG_FILE

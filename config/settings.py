@@ -45,13 +45,7 @@ _EXPECTED_SHAPES = {
 
 
 def read_toml(path: Path) -> Table:
-    """Read a TOML file.
-
-    Raises
-    ------
-    SettingsError
-        When it cannot be read, is not text, or is not TOML.
-    """
+    """Read a TOML file; raises `SettingsError` when it cannot be read, is not text, or is not TOML."""
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise SettingsError(f"{path}: larger than 4 MB, which no settings file is; check the path.")
@@ -79,12 +73,12 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
     Parameters
     ----------
     source
-        Where the table comes from, for the error message: a path, or `--set`.
+        Origin of the table for the error message: a path, or `--set`.
 
     Raises
     ------
     SettingsError
-        One sentence about the first thing that is wrong, and how many more there are.
+        With one sentence about the first mistake, and the number of others.
     """
     try:
         return model.model_validate(data)
@@ -98,11 +92,11 @@ def load_settings(model: type[ModelT], path: Path) -> ModelT:
 
 
 def describe_validation_error(error: ValidationError, model: type[BaseModel], source: str) -> str:
-    """One sentence for a validation error: file, key, what is allowed."""
+    """Return one sentence for a validation error: file, key, what is allowed."""
     details = error.errors(include_url=False)
-    # A list that lost a broken member counts as too short; that is no second mistake.
-    details = [one for one in details if one["type"] != "too_short"] or details
-    first = next((one for one in details if one["type"] == "extra_forbidden"), details[0])
+    # A list that lost an invalid member counts as too short as well; that is no second mistake.
+    details = [detail for detail in details if detail["type"] != "too_short"] or details
+    first = next((detail for detail in details if detail["type"] == "extra_forbidden"), details[0])
     sentence = f"{source}: {_describe_detail(first, model)}"
     if len(details) > 1:
         sentence += f" (and {len(details) - 1} more mistake{'s' if len(details) > 2 else ''})"
@@ -110,7 +104,7 @@ def describe_validation_error(error: ValidationError, model: type[BaseModel], so
 
 
 def suggestion(word: str, known: Sequence[str]) -> str:
-    """End a sentence with the nearest known word, or with all of them when none is near."""
+    """Return the end of an error message: the most similar known word, or all of them when none is similar."""
     close = get_close_matches(word, known, n=1, cutoff=0.5)
     if close:
         return f"did you mean {close[0]}?"
@@ -118,16 +112,16 @@ def suggestion(word: str, known: Sequence[str]) -> str:
 
 
 def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> Table:
-    """Return `table` with `changes` laid over it, table by table."""
+    """Return `table` with `changes` merged into it, table by table."""
     merged = dict(table)
     for key, value in changes.items():
-        below = merged.get(key)
-        merged[key] = merge_tables(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        old = merged.get(key)
+        merged[key] = merge_tables(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
     return merged
 
 
 def parse_value(text: str) -> object:
-    """Read the right side of `--set key=value`: a TOML value, or else the text itself."""
+    """Return the value of `--set key=value`: a TOML value, or else the text itself."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -178,6 +172,7 @@ def _key_path(location: Sequence[int | str]) -> str:
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the model of the group at a place in a table, or None where there is none."""
     current: type[BaseModel] | None = model
     for part in location:
         if isinstance(part, int):
@@ -193,9 +188,8 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
         return annotation
     if get_origin(annotation) in (Union, UnionType, tuple, list):
         for inner in get_args(annotation):
-            found = _model_in(inner)
-            if found is not None:
-                return found
+            if (model := _model_in(inner)) is not None:
+                return model
     return None
 
 
@@ -205,57 +199,44 @@ SHIPPED_FOLDERS = {"rig": "rigs", "capsule": "capsules", "specimen": "specimens"
 def shipped_files(kind: str) -> dict[str, Traversable]:
     """Return the shipped files of a kind (rig, capsule, specimen, model, plan), by name."""
     folder = resources.files("dragrig.config") / "files" / SHIPPED_FOLDERS[kind]
-    found = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
-    return dict(sorted(found.items()))
+    files = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
+    return dict(sorted(files.items()))
 
 
 def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tuple[Table, str]:
-    """Find settings and read them: a file first (also relative to `beside`), then a shipped name.
+    """Read settings from a file (also relative to the folder `beside`) or by shipped name.
 
-    Returns
-    -------
-    The table, and where it comes from, for error messages.
-
-    Raises
-    ------
-    SettingsError
-        When there is neither, naming the nearest shipped one.
+    Returns the table and its origin for error messages; raises `SettingsError` when there is neither.
     """
-    import tomllib
-
     path = _settings_file(name_or_path, beside)
     if path is not None:
         return read_toml(path), str(path)
-    ships = shipped_files(kind)
-    if name_or_path in ships:
-        return tomllib.loads(ships[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
+    shipped = shipped_files(kind)
+    if name_or_path in shipped:
+        return tomllib.loads(shipped[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
     raise SettingsError(
-        f"{name_or_path}: there is no such file and no {kind} of this name; {suggestion(name_or_path, list(ships))}"
+        f"{name_or_path}: there is no such file and no {kind} of this name; {suggestion(name_or_path, list(shipped))}"
     )
 
 
 def find_settings(model: type[ModelT], kind: str, name_or_path: str, beside: Path | None = None) -> ModelT:
-    """Find settings by file or shipped name and validate them; raises `SettingsError`."""
+    """Read settings from a file or by shipped name and validate them; raises `SettingsError`."""
     data, source = find_table(kind, name_or_path, beside)
     return parse(model, data, source)
 
 
 def absolute_if_file(name_or_path: str) -> str:
-    """Return a name as it is, and a file so that a process with another working folder finds it."""
+    """Return a file as an absolute path, for processes with another working folder, and a name unchanged."""
     path = Path(name_or_path)
     is_name = not path.suffix and len(path.parts) < 2
     return str(path.absolute()) if path.is_file() and not is_name else name_or_path
 
 
 def _settings_file(name_or_path: str, beside: Path | None) -> Path | None:
-    if not name_or_path:
+    path = Path(name_or_path)
+    if not name_or_path or not (path.suffix == ".toml" or len(path.parts) > 1):
         return None
-    given = Path(name_or_path)
-    looks_like_a_file = given.suffix == ".toml" or len(given.parts) > 1
-    if not looks_like_a_file:
-        return None
-    near = beside / given if beside is not None else given
-    for candidate in (near, given):
+    for candidate in (beside / path if beside is not None else path, path):
         if candidate.is_file():
             return candidate
     raise SettingsError(f"{name_or_path}: there is no such file; check the path.")

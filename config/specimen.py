@@ -20,12 +20,12 @@ class Fixture(StrEnum):
 
 
 class Specimen(Settings):
-    """A specimen; only name and wall thickness are needed."""
+    """The specimen."""
 
     name: str = Field(min_length=1)
     wall_thickness_mm: float = Field(default=2.5, gt=0, le=20)
     id: str = ""
-    """Identity that `order` counts on; a fresh piece needs a new one."""
+    """Identity of the piece: runs of the same id share their history; a fresh piece needs a new id."""
     animal: str = ""
     segment: str = ""
     excised_at: AwareDatetime | None = None
@@ -44,4 +44,4 @@ class Capsule(Settings):
     length_mm: float = Field(gt=0, le=200)
     mass_g: float = Field(ge=0, le=1000)
     contact_angle_deg: float = Field(default=60.0, gt=0, lt=90)
-    """Angle of the contact on the hemisphere, the paper's α."""
+    """Contact angle on the hemisphere, the paper's α."""

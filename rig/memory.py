@@ -17,7 +17,7 @@ ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 
 class MemoryStore:
-    """Keeps every run of a session as a `Run` in `runs`, in order."""
+    """Holds every run of a session as a `Run` in `runs`, in order."""
 
     def __init__(self) -> None:
         self.runs: list[Run] = []
@@ -29,15 +29,15 @@ class MemoryStore:
         return MemorySink(header, self.runs)
 
     def mark_bad(self, order: int, reason: str) -> None:
-        """Note that a run is not to be used."""
+        """Mark a run as bad."""
         self.bad[order] = reason
 
     def settle(self) -> None:
-        """Nothing is left to be done."""
+        """Do nothing."""
 
 
 class MemorySink:
-    """Gathers one run."""
+    """Collects the blocks of one run."""
 
     def __init__(self, header: RunHeader, runs: list[Run]) -> None:
         self._header, self._runs = header, runs
@@ -57,11 +57,11 @@ class MemorySink:
         self._events.append(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known while the run goes on."""
+        """Take attributes of `/entry` that become known during the run."""
         self._header = replace(self._header, entry={**self._header.entry, **entry})
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
-        """Finish the record; the path is a name only."""
+        """Finish the record; the path is a name without a file."""
         time = _joined([np.asarray(piece["time"], np.float64) for piece in self._pieces], np.float64)
         path = Path(f"{self._header.run_id}.h5")
         info = RunInfo(

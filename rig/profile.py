@@ -13,11 +13,11 @@ import numpy.typing as npt
 from dragrig.rig.arrays import FloatArray, PhaseArray, read_only
 
 TIME_TOLERANCE_S = 1e-9
-"""A phase holds its first instant and not its last, to within this."""
+"""A phase includes its first instant and excludes its last, to within this tolerance."""
 
 
 class Phase(IntEnum):
-    """What the motion is doing; the numbers are the run file's."""
+    """Phase of the motion, with its number in run files."""
 
     REST = 0
     ACCELERATE = 1
@@ -28,7 +28,7 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A stretch of constant acceleration."""
+    """A piece of a motion with constant acceleration."""
 
     duration_s: float
     acceleration_mm_s2: float
@@ -37,7 +37,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class MotionExtremes:
-    """What a motion reaches at most; positions are relative to its start."""
+    """Extremes of a motion; positions are relative to its start."""
 
     lowest_mm: float
     highest_mm: float
@@ -68,21 +68,21 @@ class MotionProfile:
 
     @classmethod
     def from_pieces(cls, pieces: Iterable[Piece]) -> "MotionProfile":
-        """Chain pieces from standstill at position 0; pieces of no duration are left out."""
-        kept = [piece for piece in pieces if piece.duration_s > 0]
-        duration = np.array([piece.duration_s for piece in kept])
-        acceleration = np.array([piece.acceleration_mm_s2 for piece in kept])
+        """Chain pieces from standstill at position 0; pieces of zero duration are dropped."""
+        chain = [piece for piece in pieces if piece.duration_s > 0]
+        duration = np.array([piece.duration_s for piece in chain])
+        acceleration = np.array([piece.acceleration_mm_s2 for piece in chain])
         ends = np.cumsum(duration)
         velocity = np.concatenate(([0.0], np.cumsum(acceleration * duration)))
         velocity[np.abs(velocity) < 1e-9] = 0.0
         travel = velocity[:-1] * duration + 0.5 * acceleration * duration**2
         profile = cls(
-            start_s=np.concatenate(([0.0], ends[:-1])) if kept else np.zeros(0),
-            position_mm=np.concatenate(([0.0], np.cumsum(travel)[:-1])) if kept else np.zeros(0),
+            start_s=np.concatenate(([0.0], ends[:-1])) if chain else np.zeros(0),
+            position_mm=np.concatenate(([0.0], np.cumsum(travel)[:-1])) if chain else np.zeros(0),
             velocity_mm_s=velocity[:-1],
             acceleration_mm_s2=acceleration,
-            phase=np.array([piece.phase for piece in kept], dtype=np.uint8),
-            duration_s=float(ends[-1]) if kept else 0.0,
+            phase=np.array([piece.phase for piece in chain], dtype=np.uint8),
+            duration_s=float(ends[-1]) if chain else 0.0,
         )
         for array in (profile.start_s, profile.position_mm, profile.velocity_mm_s, profile.acceleration_mm_s2):
             read_only(array)
@@ -90,7 +90,7 @@ class MotionProfile:
         return profile
 
     def pieces(self) -> tuple[Piece, ...]:
-        """Return the pieces that `from_pieces` would make this profile of."""
+        """Return the pieces of this profile, as `from_pieces` takes them."""
         durations = np.diff(np.append(self.start_s, self.duration_s))
         return tuple(
             Piece(float(duration), float(acceleration), Phase(int(phase)))
@@ -99,7 +99,7 @@ class MotionProfile:
 
     @property
     def motion_ends_s(self) -> float:
-        """When the stage comes to its last standstill; 0 when it never moves."""
+        """Time of the last standstill; 0 when the stage never moves."""
         moving = (self.velocity_mm_s != 0) | (self.acceleration_mm_s2 != 0)
         if not moving.any():
             return 0.0
@@ -107,11 +107,11 @@ class MotionProfile:
         return float(ends[moving][-1])
 
     def samples(self, sample_rate_hz: float) -> int:
-        """Return how many samples the whole profile takes at a rate."""
+        """Return the number of samples of the whole profile."""
         return round(self.duration_s * sample_rate_hz)
 
     def position(self, time_s: npt.ArrayLike) -> FloatArray:
-        """Position [mm] at any times [s]."""
+        """Return the position [mm] at any times [s]."""
         index, elapsed = self._locate(time_s)
         return np.asarray(
             self.position_mm[index]
@@ -119,27 +119,25 @@ class MotionProfile:
         )
 
     def velocity(self, time_s: npt.ArrayLike) -> FloatArray:
-        """Velocity [mm/s] at any times [s]."""
+        """Return the velocity [mm/s] at any times [s]."""
         index, elapsed = self._locate(time_s)
         return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
 
     def acceleration(self, time_s: npt.ArrayLike) -> FloatArray:
-        """Acceleration [mm/s²] at any times [s]; 0 outside the profile."""
+        """Return the acceleration [mm/s²] at any times [s]; 0 outside the profile."""
         time = np.asarray(time_s, dtype=float)
         index, _ = self._locate(time)
         return np.where((time < 0) | (time >= self.duration_s), 0.0, self.acceleration_mm_s2[index])
 
     def phase_at(self, time_s: npt.ArrayLike) -> PhaseArray:
-        """Phase at any times [s], as the run file's numbers."""
+        """Return the phase at any times [s], as numbers of `Phase`."""
         index, _ = self._locate(np.asarray(time_s, dtype=float) + TIME_TOLERANCE_S)
         return np.asarray(self.phase[index])
 
     def extremes(self) -> MotionExtremes:
-        """Return what the motion reaches at most, run-up and run-down included."""
+        """Return the extremes of the motion, run-up and run-down included."""
         ends = np.append(self.start_s, self.duration_s)
-        turning = self._turning_times()
-        times = np.concatenate((ends, turning))
-        positions = self.position(times)
+        positions = self.position(np.concatenate((ends, self._turning_times())))
         return MotionExtremes(
             lowest_mm=float(positions.min()),
             highest_mm=float(positions.max()),
@@ -149,18 +147,18 @@ class MotionProfile:
 
     def stopped(self, time_s: float, deceleration_mm_s2: float, hold_s: float = 0.0) -> "MotionProfile":
         """Return this motion up to `time_s`, then braked to a standstill and held for `hold_s`."""
-        kept: list[Piece] = []
+        pieces: list[Piece] = []
         for piece, start in zip(self.pieces(), self.start_s, strict=True):
-            left = time_s - float(start)
-            if left <= 0:
+            remaining_s = time_s - float(start)
+            if remaining_s <= 0:
                 break
-            kept.append(Piece(min(piece.duration_s, left), piece.acceleration_mm_s2, piece.phase))
+            pieces.append(Piece(min(piece.duration_s, remaining_s), piece.acceleration_mm_s2, piece.phase))
         speed = float(self.velocity(time_s))
         if speed != 0:
-            braking = abs(speed) / deceleration_mm_s2
-            kept.append(Piece(braking, -np.sign(speed) * deceleration_mm_s2, Phase.DECELERATE))
-        kept.append(Piece(hold_s, 0.0, Phase.HOLD))
-        return MotionProfile.from_pieces(kept)
+            braking_s = abs(speed) / deceleration_mm_s2
+            pieces.append(Piece(braking_s, -np.sign(speed) * deceleration_mm_s2, Phase.DECELERATE))
+        pieces.append(Piece(hold_s, 0.0, Phase.HOLD))
+        return MotionProfile.from_pieces(pieces)
 
     def _locate(self, time_s: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray]:
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
@@ -177,7 +175,7 @@ class MotionProfile:
 
 
 def trapezoid(travel_mm: float, speed_mm_s: float, accel_mm_s2: float) -> tuple[Piece, ...]:
-    """Pieces of one trapezoidal move: signed travel, speed and acceleration both positive.
+    """Return the pieces of a trapezoidal move; the travel is signed, speed and acceleration are positive.
 
     A move too short for the speed becomes a triangle: it has no steady phase.
     """
@@ -195,5 +193,5 @@ def trapezoid(travel_mm: float, speed_mm_s: float, accel_mm_s2: float) -> tuple[
 
 
 def stationary_piece(duration_s: float, phase: Phase) -> Piece:
-    """Return a stretch of standing still."""
+    """Return a piece at standstill."""
     return Piece(duration_s, 0.0, phase)

@@ -14,6 +14,8 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 
+_MAX_RETURN_ACCEL_MM_S2 = 400.0
+
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
@@ -22,15 +24,15 @@ class PlannedRun:
     Attributes
     ----------
     index
-        Place in the programme, from 0; a resumed session tells done runs by it.
+        Place in the programme, from 0; a resumed session identifies finished runs by it.
     start_mm
         Absolute position where the run begins.
     sheared_from
         Shear strain of a sticking contact at the first sample.
     prompt
-        What a person is asked to do before; empty when nothing.
+        Prompt to the operator before the run; empty for none.
     follows
-        Index of the run that this one is the way back of; -1 for a run that stands for itself.
+        Index of the run whose return stroke this is; -1 for any other run.
     """
 
     index: int
@@ -58,7 +60,7 @@ class PlannedRun:
 
     @property
     def duration_s(self) -> float:
-        """Recorded time."""
+        """Recorded duration."""
         return self.profile.duration_s
 
 
@@ -71,33 +73,33 @@ class Programme:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first wait to the last sample, people's hands not counted."""
+        """Duration from the first wait to the last sample, without manual steps."""
         return sum(run.wait_s + run.tare_s + run.duration_s for run in self.runs)
 
     def pending(self, done: Collection[int]) -> tuple[PlannedRun, ...]:
-        """Return the runs to make when those with some indices are done.
+        """Return the runs still to make.
 
-        A way back goes with the run that it follows: it is made again with that run, and never on its own.
+        A return stroke belongs to the run that it follows: it is repeated with that run, and never made alone.
         """
-        ahead = {run.index for run in self.runs if run.follows < 0}.difference(done)
-        return tuple(run for run in self.runs if run.index in ahead or run.follows in ahead)
+        pending = {run.index for run in self.runs if run.follows < 0}.difference(done)
+        return tuple(run for run in self.runs if run.index in pending or run.follows in pending)
 
 
 def build_programme(
     plan: Plan, specimen: Specimen, start_mm: float, source: str, beside: Path | None = None, zero_mm: float = 0.0
 ) -> Programme:
-    """Lay out a plan's runs.
+    """Return the programme of a plan.
 
     Parameters
     ----------
     start_mm
-        Where steps begin that name no position.
+        Default start of a step.
     source
-        Where the plan comes from, for error messages.
+        Origin of the plan, for error messages.
     beside
         Folder that capsule files in the plan are relative to.
     zero_mm
-        Absolute position that `start_mm`, here and in the plan, counts from.
+        Absolute position of the reference of `start_mm`, here and in the plan.
 
     Raises
     ------
@@ -106,48 +108,49 @@ def build_programme(
     """
     rng = random.Random(plan.seed)  # noqa: S311  # an order of runs is no secret
     runs: list[PlannedRun] = []
-    position = zero_mm + start_mm
+    position_mm = zero_mm + start_mm
     for number, step in enumerate(plan.steps):
-        where = f"{source}: steps[{number}]"
-        home = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
+        place = f"{source}: steps[{number}]"
         if step.way_back is not ReturnMode.STAY or step.start_mm is not None:
-            position = home
-        for template in _step_runs(step, number, specimen, where, beside, rng.random):
-            run = replace(template, index=len(runs), start_mm=position)
+            position_mm = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
+        for template in _step_runs(step, number, specimen, place, beside, rng.random):
+            run = replace(template, index=len(runs), start_mm=position_mm)
             runs.append(run)
-            position = run.end_mm
-            if step.way_back is ReturnMode.DRIVEN and position != run.start_mm:
+            position_mm = run.end_mm
+            if step.way_back is ReturnMode.DRIVEN and position_mm != run.start_mm:
                 runs.append(_return_stroke(run, step, len(runs)))
             if step.way_back is not ReturnMode.STAY:
-                position = run.start_mm
+                position_mm = run.start_mm
     return Programme(plan, tuple(runs))
 
 
 def _step_runs(
-    step: PlanStep, number: int, specimen: Specimen, where: str, beside: Path | None, draw: Callable[[], float]
+    step: PlanStep, number: int, specimen: Specimen, place: str, beside: Path | None, draw: Callable[[], float]
 ) -> Iterator[PlannedRun]:
     if step.kind == ReturnProtocol.kind:
-        raise PlanError(f"{where}: a plan has no steps of kind return; say way_back = 'driven' in the step before.")
-    protocols = expand_sweep(step.kind, step.parameters, where, tuple(PlanStep.model_fields))
+        raise PlanError(f"{place}: a plan has no steps of kind return; set way_back = 'driven' in the step before.")
+    protocols = expand_sweep(step.kind, step.parameters, place, tuple(PlanStep.model_fields))
     if len(protocols) * step.repeats > MAX_RUNS:
-        raise PlanError(f"{where}: makes more than {MAX_RUNS} runs; lower repeats or shorten the lists.")
+        raise PlanError(f"{place}: makes more than {MAX_RUNS} runs; lower repeats or shorten the lists.")
     for count, protocol in enumerate(_in_order(protocols, step, draw)):
         by_hand = step.way_back is ReturnMode.BY_HAND and count > 0
-        asks = step.prompt if count == 0 or step.prompt_each else ""
-        back = "Bring the capsule back to its start by hand, outside of the gut" if by_hand else ""
+        prompts = (
+            "Return the capsule to its start by hand, outside the gut" if by_hand else "",
+            step.prompt if count == 0 or step.prompt_each else "",
+        )
         yield PlannedRun(
             index=0,
             step=number,
             protocol=protocol,
             profile=protocol.profile(specimen),
-            capsule=_find_capsule(step.capsule or protocol.capsule, where, beside),
+            capsule=_find_capsule(step.capsule or protocol.capsule, place, beside),
             specimen=specimen,
             fixture=step.fixture or protocol.fixture,
             contact=Contact.NONE if step.fixture is Fixture.NONE else protocol.contact,
             start_mm=0.0,
             wait_s=step.wait_s,
             tare_s=step.tare_s,
-            prompt="; ".join(part for part in (back, asks) if part),
+            prompt="; ".join(prompt for prompt in prompts if prompt),
             by_hand=by_hand,
             shear_strain=protocol.strain(),
             note=step.note,
@@ -160,29 +163,30 @@ def _in_order(protocols: tuple[RunProtocol, ...], step: PlanStep, draw: Callable
         case RunOrder.LISTED:
             pass
         case RunOrder.REVERSED:
-            repeats = [one[::-1] for one in repeats]
+            repeats = [repeat[::-1] for repeat in repeats]
         case RunOrder.RANDOM:
-            repeats = [_shuffled([protocol for one in repeats for protocol in one], draw)]
+            repeats = [_shuffled([protocol for repeat in repeats for protocol in repeat], draw)]
         case RunOrder.RANDOM_WITHIN_REPEAT:
-            repeats = [_shuffled(one, draw) for one in repeats]
-    return [protocol for one in repeats for protocol in one]
+            repeats = [_shuffled(repeat, draw) for repeat in repeats]
+    return [protocol for repeat in repeats for protocol in repeat]
 
 
 def _shuffled(items: list[RunProtocol], draw: Callable[[], float]) -> list[RunProtocol]:
-    # Sorting by draws of random(), the one method whose stream Python promises to keep.
-    keyed = [(draw(), place, item) for place, item in enumerate(items)]
-    return [item for _, _, item in sorted(keyed, key=lambda one: one[:2])]
+    # Sorted by draws of random(), the only method whose stream Python guarantees across versions.
+    draws = [draw() for _ in items]
+    return [items[index] for index in sorted(range(len(items)), key=draws.__getitem__)]
 
 
 def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
-    back = ReturnProtocol(
-        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=_return_acceleration(run)
+    accel_mm_s2 = min(run.profile.extremes().acceleration_mm_s2, _MAX_RETURN_ACCEL_MM_S2)
+    stroke = ReturnProtocol(
+        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=accel_mm_s2
     )
     return replace(
         run,
         index=index,
-        protocol=back,
-        profile=back.profile(run.specimen),
+        protocol=stroke,
+        profile=stroke.profile(run.specimen),
         start_mm=run.end_mm,
         wait_s=0.0,
         tare_s=0.0,
@@ -194,12 +198,8 @@ def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
     )
 
 
-def _return_acceleration(run: PlannedRun) -> float:
-    return min(run.profile.extremes().acceleration_mm_s2, 400.0)
-
-
-def _find_capsule(name: str, where: str, beside: Path | None) -> Capsule:
+def _find_capsule(name: str, place: str, beside: Path | None) -> Capsule:
     try:
         return find_settings(Capsule, "capsule", name, beside)
     except SettingsError as error:
-        raise SettingsError(f"{where}.capsule: {error}") from error
+        raise SettingsError(f"{place}.capsule: {error}") from error

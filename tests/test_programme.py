@@ -81,7 +81,7 @@ def test_reversal_runs_stay_where_they_end_and_go_the_other_way() -> None:
 
 def test_by_hand_asks_before_every_run_but_the_first() -> None:
     programme = made({"kind": "drag", "speed_mm_s": [1, 2], "way_back": "by_hand", "prompt": "fit"})
-    back = "Bring the capsule back to its start by hand, outside of the gut"
+    back = "Return the capsule to its start by hand, outside the gut"
     assert [run.prompt for run in programme.runs] == ["fit", back]
     assert [run.start_mm for run in programme.runs] == [40.0, 40.0]
 

@@ -19,7 +19,7 @@ CARD = "rig.hardware.card"
         (f"{CARD}.lines.e_stop='port1/line8'", "such as port1/line0"),
         (f"{CARD}.lines.e_stop='line1'", "such as port1/line0"),
         (f"{CARD}.lines.e_stop='port1/line0'", "port1/line0 is wired to two signals"),
-        (f"{CARD}.lines.heartbeat='port2/line0'", "port2/line0 and PFI8 under lines and encoder are one and the same"),
+        (f"{CARD}.lines.heartbeat='port2/line0'", "port2/line0 and PFI8 under lines and encoder are the same pin"),
         ("rig.hardware.drive.velocity.channel='ao4'", "ao0 to ao3"),
         ("rig.hardware.drive.port=''", "hardware.drive.port"),
         (f"{CARD}.device=''", "hardware.card.device"),
@@ -39,7 +39,7 @@ def test_velocity_mode_needs_a_counter_of_its_own(capsys: pytest.CaptureFixture[
     words = ["rig.hardware.drive.mode='velocity'", f"{CARD}.lines.heartbeat='port1/line4'"]
     changes = [*words, "rig.hardware.drive.velocity.counter='ctr0'"]
     assert main(["check", "drag", "--rig", "bench", *(word for one in changes for word in ("--set", one))]) == 2
-    assert "must be two" in capsys.readouterr().err
+    assert "must differ" in capsys.readouterr().err
 
 
 def test_a_line_that_is_not_wired_is_empty() -> None:
