@@ -6,7 +6,7 @@ Also the linear systems and the rate-independent hysteresis that several share, 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Annotated, ClassVar, Self, get_type_hints
+from typing import Annotated, ClassVar, Self, dataclass_transform, get_type_hints
 from zlib import crc32
 
 import numpy as np
@@ -79,9 +79,10 @@ class CapsuleForces:
     normal: Floats
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass_transform(frozen_default=True)
+@dataclass(frozen=True)
 class HiddenEffect:
-    """A hidden effect; subclasses override the hooks of the location where it acts.
+    """A hidden effect; subclasses, frozen dataclasses themselves, override the hooks of the location where it acts.
 
     `name` is an id of the catalogue, or another for an effect outside it; `form` is the functional form. Parameters are
     fields annotated with the `DrawnFrom` that they are drawn from; the size scales `amplitude` alone.
@@ -95,6 +96,9 @@ class HiddenEffect:
     rank: ClassVar[int] = 0
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         """Return the true motion of the stage, from the commanded one."""

@@ -1,6 +1,5 @@
 """Hidden effects of the gut: wall, folds, mesentery, contractions, and changes over a session."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +17,6 @@ from dragrig.sim_backend.blind.effects.base import (
 from dragrig.sim_backend.blind.programme import Floats, RunPlan
 
 
-@dataclass(frozen=True, slots=True)
 class LiftOffFade(HiddenEffect):
     """The front part of the contact carries less as speed grows, and comes back late once the capsule slows down."""
 
@@ -39,7 +37,6 @@ class LiftOffFade(HiddenEffect):
         return np.asarray(1 - self.amplitude * edge * (1 - 1 / (1 + (speed / self.speed_mm_s) ** self.power)))
 
 
-@dataclass(frozen=True, slots=True)
 class LiftOffPeel(HiddenEffect):
     """The contact peels from the front, over a distance, up to a place that moves back with speed."""
 
@@ -58,7 +55,6 @@ class LiftOffPeel(HiddenEffect):
         return np.asarray(1 - np.clip((lost - where) / 0.06 + 0.5, 0.0, 1.0) * np.minimum(lost / 0.06, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
 class LiftOffHollow(HiddenEffect):
     """A hollow opens at the front beyond a speed, deepest where contact begins; it opens and closes sluggishly."""
 
@@ -78,7 +74,6 @@ class LiftOffHollow(HiddenEffect):
         return np.asarray(1 - self.amplitude * opened * depth)
 
 
-@dataclass(frozen=True, slots=True)
 class InertiaPower(HiddenEffect):
     """A force that grows faster than the square of speed."""
 
@@ -90,7 +85,6 @@ class InertiaPower(HiddenEffect):
         return np.asarray(self.amplitude * run.direction * (run.speed / 60.0) ** self.power)
 
 
-@dataclass(frozen=True, slots=True)
 class InertiaBending(HiddenEffect):
     """A force of the square of speed that bends over to a straight line."""
 
@@ -103,7 +97,6 @@ class InertiaBending(HiddenEffect):
         return np.asarray(self.amplitude * run.direction * (v / 60.0) ** 2 * (1 + 60.0 / bend) / (1 + v / bend))
 
 
-@dataclass(frozen=True, slots=True)
 class HyperelasticLock(HiddenEffect):
     """Moduli grow with a power of strain, fast branches more than the spring."""
 
@@ -117,7 +110,6 @@ class HyperelasticLock(HiddenEffect):
         return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
 
 
-@dataclass(frozen=True, slots=True)
 class HyperelasticKink(HiddenEffect):
     """Moduli grow while fibres straighten, between two strains."""
 
@@ -133,7 +125,6 @@ class HyperelasticKink(HiddenEffect):
         return 1 + more, 1 + more * self.slower, 1 + more * self.slower**2
 
 
-@dataclass(frozen=True, slots=True)
 class HyperelasticBent(HiddenEffect):
     """Moduli that grow steeply about one strain and less beyond it, in the fast branches alone."""
 
@@ -149,7 +140,6 @@ class HyperelasticBent(HiddenEffect):
         return 1 + more, 1 + more * self.slower, np.ones_like(strain)
 
 
-@dataclass(frozen=True, slots=True)
 class RelaxationStretched(HiddenEffect):
     """Stress that fades as a stretched exponential of age, the faster the further the wall is strained."""
 
@@ -164,7 +154,6 @@ class RelaxationStretched(HiddenEffect):
         return np.asarray(self.amplitude * np.exp(-((np.maximum(age_s, 0.0) / time_s) ** self.power)))
 
 
-@dataclass(frozen=True, slots=True)
 class RelaxationPower(HiddenEffect):
     """Stress that fades as a power of age, of a share that grows with strain."""
 
@@ -179,7 +168,6 @@ class RelaxationPower(HiddenEffect):
         return np.asarray(share * (1 + np.maximum(age_s, 0.0) / self.time_s) ** -self.power)
 
 
-@dataclass(frozen=True, slots=True)
 class RelaxationLog(HiddenEffect):
     """Stress that fades with the logarithm of age, to nothing at a last age, in wall strained beyond some strain."""
 
@@ -201,7 +189,6 @@ WALL_FORMS: tuple[type[HiddenEffect], ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
 class FoldsHarmonics(HiddenEffect):
     """Elastic resistance modulated in position with two harmonics."""
 
@@ -218,7 +205,6 @@ class FoldsHarmonics(HiddenEffect):
         return np.asarray(self.amplitude * forces.elastic * wave)
 
 
-@dataclass(frozen=True, slots=True)
 class FoldsRidges(HiddenEffect):
     """Narrow ridges at equal distances, between which the wall is slack."""
 
@@ -236,7 +222,6 @@ class FoldsRidges(HiddenEffect):
         return np.asarray(self.amplitude * forces.elastic * ridges * (1 + self.sharpness / 2))
 
 
-@dataclass(frozen=True, slots=True)
 class FoldsWandering(HiddenEffect):
     """Folds whose distance changes along the gut, with straight flanks."""
 
@@ -252,7 +237,6 @@ class FoldsWandering(HiddenEffect):
         return np.asarray(self.amplitude * forces.elastic * np.arcsin(np.sin(turn)) * 2 / np.pi)
 
 
-@dataclass(frozen=True, slots=True)
 class TetherPower(HiddenEffect):
     """A pull that grows with a power of the travel beyond a place, and relaxes while the capsule is held."""
 
@@ -269,7 +253,6 @@ class TetherPower(HiddenEffect):
         return np.asarray(self.amplitude * beyond**self.power * (1 + self.relaxes * np.expm1(-held / self.time_s)))
 
 
-@dataclass(frozen=True, slots=True)
 class TetherSoft(HiddenEffect):
     """A pull that stiffens gradually, as tissue that unfolds does, and gives way again and again."""
 
@@ -288,7 +271,6 @@ class TetherSoft(HiddenEffect):
         return np.asarray(self.amplitude * taut * (1 - self.slips * np.sin(turn) ** 4))
 
 
-@dataclass(frozen=True, slots=True)
 class TetherTwoStrands(HiddenEffect):
     """Two strands that come taut one after the other; the first gives way where the second comes taut."""
 
@@ -308,7 +290,6 @@ class TetherTwoStrands(HiddenEffect):
         return np.asarray(self.amplitude * taut(run.motion.p) / taut(np.array(40.0)))
 
 
-@dataclass(frozen=True, slots=True)
 class PeristalsisPulses(HiddenEffect):
     """Pulses of a Gaussian shape at times of the session that are not quite equally far apart."""
 
@@ -325,7 +306,6 @@ class PeristalsisPulses(HiddenEffect):
         return np.asarray(self.amplitude * np.exp(-(((late - np.round(late)) / self.width) ** 2)))
 
 
-@dataclass(frozen=True, slots=True)
 class PeristalsisTwitch(HiddenEffect):
     """Contractions that rise fast and fade slowly, at equal times of the session."""
 
@@ -340,7 +320,6 @@ class PeristalsisTwitch(HiddenEffect):
         return np.asarray(self.amplitude * turn / self.rise * np.exp(1 - turn / self.rise))
 
 
-@dataclass(frozen=True, slots=True)
 class PeristalsisUneven(HiddenEffect):
     """Smooth contractions at equal times of the session, not all equally strong."""
 
@@ -361,7 +340,6 @@ ORGAN_FORMS: tuple[type[HiddenEffect], ...] = (
     PeristalsisTwitch, PeristalsisUneven,     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
 class AgeingRoot(HiddenEffect):
     """Stiffness drifts with the root of the session's time, and is set back whenever somebody wets the gut."""
 
@@ -375,7 +353,6 @@ class AgeingRoot(HiddenEffect):
         return float(1 + self.amplitude * ((1 - self.share) * lasting + self.share * dried))
 
 
-@dataclass(frozen=True, slots=True)
 class AgeingLate(HiddenEffect):
     """Stiffness drifts slowly at first and faster later on, more and less as the room's warmth swings."""
 
@@ -390,7 +367,6 @@ class AgeingLate(HiddenEffect):
         return float(1 + self.amplitude * (plan.start_s / 3000.0) ** self.power * swung)
 
 
-@dataclass(frozen=True, slots=True)
 class AgeingTurn(HiddenEffect):
     """Stiffness changes over from one value to another about a time within the session."""
 
@@ -404,7 +380,6 @@ class AgeingTurn(HiddenEffect):
         return float(1 + self.amplitude * (now - start) / (1 - start))
 
 
-@dataclass(frozen=True, slots=True)
 class PreconditioningRational(HiddenEffect):
     """A fresh specimen is stiffer, the more the further it is strained; that fades with the run count."""
 
@@ -419,7 +394,6 @@ class PreconditioningRational(HiddenEffect):
         return float(1 + self.amplitude * fresh / (1 + (plan.order / self.runs) ** self.power))
 
 
-@dataclass(frozen=True, slots=True)
 class PreconditioningBell(HiddenEffect):
     """The stiffness of a fresh specimen fades as a Gaussian of the run count."""
 

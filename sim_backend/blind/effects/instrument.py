@@ -1,6 +1,5 @@
 """Hidden effects of force sensor, payload, motor and acquisition."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +16,6 @@ from dragrig.sim_backend.blind.effects.base import (
 from dragrig.sim_backend.blind.programme import Floats, SampledMotion
 
 
-@dataclass(frozen=True, slots=True)
 class DriftRoot(HiddenEffect):
     """Zero that creeps with the root of the run's time, somewhat different in every run."""
 
@@ -29,7 +27,6 @@ class DriftRoot(HiddenEffect):
         return force + self.amplitude * own * np.sqrt(run.motion.t / 20.0)
 
 
-@dataclass(frozen=True, slots=True)
 class DriftBent(HiddenEffect):
     """Zero that creeps at a rate which falls by half over some seconds."""
 
@@ -43,7 +40,6 @@ class DriftBent(HiddenEffect):
         return np.asarray(force + self.amplitude * own * grown)
 
 
-@dataclass(frozen=True, slots=True)
 class NonlinearCubic(HiddenEffect):
     """Gain that is another beyond a load, as where an overload stop begins to touch."""
 
@@ -56,7 +52,6 @@ class NonlinearCubic(HiddenEffect):
         return np.asarray(force + self.amplitude * np.sign(force) * beyond)
 
 
-@dataclass(frozen=True, slots=True)
 class NonlinearSoft(HiddenEffect):
     """Gain that is right at no load and again at a full one, with the largest error between."""
 
@@ -68,7 +63,6 @@ class NonlinearSoft(HiddenEffect):
         return np.asarray(force * (1 + self.amplitude * np.sin(np.pi * force / self.full_mN)))
 
 
-@dataclass(frozen=True, slots=True)
 class HysteresisDahl(HiddenEffect):
     """Hysteresis whose branches approach a band exponentially in the load, and which creeps off in part."""
 
@@ -85,7 +79,6 @@ class HysteresisDahl(HiddenEffect):
         return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, run.motion.t))
 
 
-@dataclass(frozen=True, slots=True)
 class HysteresisStack(HiddenEffect):
     """A stack of four plays of different widths, wider under load."""
 
@@ -103,7 +96,6 @@ class HysteresisStack(HiddenEffect):
         return np.asarray(self.load_mN * np.sinh(held))
 
 
-@dataclass(frozen=True, slots=True)
 class HumHarmonics(HiddenEffect):
     """Mains pick-up with a third harmonic, at another phase in every run."""
 
@@ -119,7 +111,6 @@ class HumHarmonics(HiddenEffect):
         return force + self.amplitude * (np.sin(turn) + self.third * np.sin(3 * turn + 1.0))
 
 
-@dataclass(frozen=True, slots=True)
 class HumBeating(HiddenEffect):
     """Mains pick-up whose strength swells slowly."""
 
@@ -136,7 +127,6 @@ class HumBeating(HiddenEffect):
         return np.asarray(force + self.amplitude * slow * np.sin(2 * np.pi * hertz * t + first))
 
 
-@dataclass(frozen=True, slots=True)
 class InertiaSoft(HiddenEffect):
     """Mass times acceleration [g], through a coupling that is stiff when pushed and soft when pulled."""
 
@@ -152,7 +142,6 @@ class InertiaSoft(HiddenEffect):
         return force + self.amplitude / 1000 * (np.maximum(a, 0.0) + slow)
 
 
-@dataclass(frozen=True, slots=True)
 class InertiaUneven(HiddenEffect):
     """Mass times acceleration [g], part of it missing while slowing down."""
 
@@ -165,7 +154,6 @@ class InertiaUneven(HiddenEffect):
         return force + self.amplitude / 1000 * np.where(a > 0, a, (1 - self.missing) * a)
 
 
-@dataclass(frozen=True, slots=True)
 class ComplianceMode(HiddenEffect):
     """An arm that rings after every change of acceleration, longer when speeding up; the amplitude is its mass [g]."""
 
@@ -184,7 +172,6 @@ class ComplianceMode(HiddenEffect):
         return force + self.amplitude / 1000 * (faster + slower)
 
 
-@dataclass(frozen=True, slots=True)
 class ComplianceTwoModes(HiddenEffect):
     """An arm that rings in two modes, bending and twisting."""
 
@@ -210,7 +197,6 @@ SENSOR_FORMS: tuple[type[HiddenEffect], ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
 class LagSecondOrder(HiddenEffect):
     """A stage that follows as a damped second-order system, of whose lag [s] an integrator takes a share away."""
 
@@ -232,7 +218,6 @@ class LagSecondOrder(HiddenEffect):
         return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
-@dataclass(frozen=True, slots=True)
 class LagDeadTime(HiddenEffect):
     """A stage that starts late and follows through two poles, later at speed as its voltage runs out."""
 
@@ -252,7 +237,6 @@ class LagDeadTime(HiddenEffect):
         return SampledMotion(motion.t, p, v, a)
 
 
-@dataclass(frozen=True, slots=True)
 class LagTwoTimes(HiddenEffect):
     """A stage that makes most of the way fast and creeps the rest within seconds; the fast lag is the amplitude [s].
 
@@ -276,7 +260,6 @@ class LagTwoTimes(HiddenEffect):
         return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
-@dataclass(frozen=True, slots=True)
 class RippleHarmonics(HiddenEffect):
     """Position error periodic in position, with two harmonics [mm]."""
 
@@ -293,7 +276,6 @@ class RippleHarmonics(HiddenEffect):
         return _rippled(motion, self.amplitude, terms)
 
 
-@dataclass(frozen=True, slots=True)
 class RippleSaw(HiddenEffect):
     """Position error that rises slowly and falls fast within each period, as teeth do."""
 
@@ -309,7 +291,6 @@ class RippleSaw(HiddenEffect):
         return _rippled(motion, self.amplitude, terms)
 
 
-@dataclass(frozen=True, slots=True)
 class RippleTwoPeriods(HiddenEffect):
     """Position error of two periods that do not fit each other, of the poles and of the screw."""
 
@@ -325,7 +306,6 @@ class RippleTwoPeriods(HiddenEffect):
         return _rippled(motion, self.amplitude, ((k, self.phase, 1.0), (k / self.ratio, 0.0, self.second)))
 
 
-@dataclass(frozen=True, slots=True)
 class LatencySpread(HiddenEffect):
     """Force late, or early, against position, not by the same time in every run [s]."""
 
@@ -338,7 +318,6 @@ class LatencySpread(HiddenEffect):
         return delayed(force, self.amplitude * own, run.motion.t)
 
 
-@dataclass(frozen=True, slots=True)
 class LatencyAveraged(HiddenEffect):
     """Force late against position because the converter averages over some samples before it [s]."""
 
@@ -352,7 +331,6 @@ class LatencyAveraged(HiddenEffect):
         return np.asarray(np.mean(late, axis=0))
 
 
-@dataclass(frozen=True, slots=True)
 class LatencyGrows(HiddenEffect):
     """Force that falls further behind position while a run lasts, as a filling buffer makes it."""
 
@@ -365,7 +343,6 @@ class LatencyGrows(HiddenEffect):
         return delayed(force, self.amplitude * (1.5 - np.exp(-t / self.time_s)), t)
 
 
-@dataclass(frozen=True, slots=True)
 class ScaleBent(HiddenEffect):
     """Counts that are off by a part which swings along the scale, as a band that is not stuck down evenly has it."""
 
@@ -380,7 +357,6 @@ class ScaleBent(HiddenEffect):
         return np.asarray(position * (1 + self.amplitude * (1 + self.swing * swung)))
 
 
-@dataclass(frozen=True, slots=True)
 class ScaleWarm(HiddenEffect):
     """Counts that are off by a part which grows as the scale warms up during the session."""
 

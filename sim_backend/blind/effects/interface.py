@@ -1,6 +1,5 @@
 """Hidden effects between mucosa and capsule: friction coefficient, tack, and the first slip."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -19,7 +18,6 @@ REFERENCE_MN = 1000.0
 """Normal force at which speeds are told."""
 
 
-@dataclass(frozen=True, slots=True)
 class StribeckRational(HiddenEffect):
     """μ falls as a rational function of speed, once the capsule has drawn in its film over a distance."""
 
@@ -34,7 +32,6 @@ class StribeckRational(HiddenEffect):
         return np.asarray(self.amplitude / (1 + film * (run.speed / self.speed_mm_s) ** self.power))
 
 
-@dataclass(frozen=True, slots=True)
 class StribeckLogNormal(HiddenEffect):
     """μ falls as the error function of the logarithm of speed, through a minimum, and rises again."""
 
@@ -52,7 +49,6 @@ class StribeckLogNormal(HiddenEffect):
         return np.asarray(self.amplitude * (erfc(decades / self.width) / 2 * (1 + self.dip) + self.dip * (risen - 1)))
 
 
-@dataclass(frozen=True, slots=True)
 class StribeckRamp(HiddenEffect):
     """μ falls with the logarithm of speed between two speeds, which the normal force raises (Hersey's number)."""
 
@@ -68,7 +64,6 @@ class StribeckRamp(HiddenEffect):
         return np.asarray(forces.coulomb * self.amplitude * np.clip(1 - part, 0.0, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
 class AdhesionRoot(HiddenEffect):
     """Tack that falls as the inverse root of one plus speed squared, stronger where the contact has aged at rest."""
 
@@ -83,7 +78,6 @@ class AdhesionRoot(HiddenEffect):
         return np.asarray(self.amplitude * more * run.direction / np.sqrt(1 + (run.speed / self.speed_mm_s) ** 2))
 
 
-@dataclass(frozen=True, slots=True)
 class AdhesionLog(HiddenEffect):
     """Tack that falls with the logarithm of speed to a highest one, and with the distance that uses it up."""
 
@@ -99,7 +93,6 @@ class AdhesionLog(HiddenEffect):
         return np.asarray(self.amplitude * left * run.direction * np.maximum(1 - fall, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
 class AdhesionBend(HiddenEffect):
     """Tack that holds at low speed and falls inversely with speed beyond a bend."""
 
@@ -112,7 +105,6 @@ class AdhesionBend(HiddenEffect):
         return np.asarray(self.amplitude * run.direction * np.maximum(run.speed / self.speed_mm_s, 1.0) ** -self.power)
 
 
-@dataclass(frozen=True, slots=True)
 class FilmPower(HiddenEffect):
     """μ grows with a power of the distance."""
 
@@ -124,7 +116,6 @@ class FilmPower(HiddenEffect):
         return np.asarray(self.amplitude * (np.maximum(run.motion.p, 0.0) / 40.0) ** self.power)
 
 
-@dataclass(frozen=True, slots=True)
 class FilmStep(HiddenEffect):
     """μ grows smoothly from a wet to a wiped state about one distance."""
 
@@ -145,7 +136,6 @@ INTERFACE_FORMS: tuple[type[HiddenEffect], ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
 class BreakawayBump(HiddenEffect):
     """Extra friction of an aged contact that fades as a Gaussian of the slip."""
 
@@ -157,7 +147,6 @@ class BreakawayBump(HiddenEffect):
         return np.asarray(self.amplitude * np.exp(-((run.motion.p / self.slip_mm) ** 2)))
 
 
-@dataclass(frozen=True, slots=True)
 class BreakawayRamp(HiddenEffect):
     """Extra friction of an aged contact that falls in a straight line with slip."""
 
@@ -169,7 +158,6 @@ class BreakawayRamp(HiddenEffect):
         return np.asarray(self.amplitude * np.clip(1 - run.motion.p / self.slip_mm, 0.0, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
 class BreakawayPlateau(HiddenEffect):
     """Extra friction of an aged contact that holds for a while of slip and then goes along half a cosine."""
 
@@ -183,7 +171,6 @@ class BreakawayPlateau(HiddenEffect):
         return np.asarray(self.amplitude * (1 + np.cos(np.pi * part)) / 2)
 
 
-@dataclass(frozen=True, slots=True)
 class PreslidingHyperbola(HiddenEffect):
     """Friction builds up as s / (s + l), to a power; at standstill it fades inversely with time."""
 
@@ -200,7 +187,6 @@ class PreslidingHyperbola(HiddenEffect):
         return (1 - self.amplitude) * direction + self.amplitude * built / (1 + held / self.half_s)
 
 
-@dataclass(frozen=True, slots=True)
 class PreslidingCreep(HiddenEffect):
     """Friction builds up in a straight line over the slip, stays at standstill, and creeps off."""
 
@@ -215,7 +201,6 @@ class PreslidingCreep(HiddenEffect):
         return (1 - self.amplitude) * direction + self.amplitude * built * (1 - self.creep * np.log1p(held / 0.05))
 
 
-@dataclass(frozen=True, slots=True)
 class PreslidingRelease(HiddenEffect):
     """Friction builds up as s / √(s² + l²); at standstill part of it springs back and the rest stays."""
 

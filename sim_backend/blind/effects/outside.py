@@ -1,6 +1,5 @@
 """Hidden effects that the catalogue does not have, in force, position and time; the right verdict is `unknown`."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +17,6 @@ from dragrig.sim_backend.blind.effects.base import (
 from dragrig.sim_backend.blind.programme import Floats, RunPlan
 
 
-@dataclass(frozen=True, slots=True)
 class AmplifierSaturates(HiddenEffect):
     """Above a load the amplifier passes on only a part of what comes."""
 
@@ -30,7 +28,6 @@ class AmplifierSaturates(HiddenEffect):
         return np.asarray(force - self.amplitude * np.maximum(force - self.load_mN, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
 class StickSlip(HiddenEffect):
     """At low speed the capsule sticks and slips by lengths that are never the same."""
 
@@ -49,7 +46,6 @@ class StickSlip(HiddenEffect):
         return np.asarray(self.amplitude * (lengths[at] / self.slip_mm) * (part - 0.5) * slow)
 
 
-@dataclass(frozen=True, slots=True)
 class CurrentCrosstalk(HiddenEffect):
     """The motor's current couples into the force channel in proportion to the commanded speed [mN at 60 mm/s]."""
 
@@ -60,7 +56,6 @@ class CurrentCrosstalk(HiddenEffect):
         return force + self.amplitude * np.abs(run.command.v) / 60.0
 
 
-@dataclass(frozen=True, slots=True)
 class LooseCoupling(HiddenEffect):
     """A loose coupling lets the force drop for stretches of random length."""
 
@@ -78,7 +73,6 @@ class LooseCoupling(HiddenEffect):
         return np.asarray(force * np.where(lost & (run.motion.v > 0), 1 - self.amplitude, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
 class GainSwitches(HiddenEffect):
     """The amplifier comes up with one of two gains, by chance from run to run."""
 
@@ -89,7 +83,6 @@ class GainSwitches(HiddenEffect):
         return force * (1 - self.amplitude * float(run.random("gain").random() < 0.5))
 
 
-@dataclass(frozen=True, slots=True)
 class FixtureCreeps(HiddenEffect):
     """The fixture gives way while the stage moves and creeps back after it stops, with nothing attached too."""
 
@@ -105,7 +98,6 @@ class FixtureCreeps(HiddenEffect):
         return force + self.amplitude * grown * np.exp(-np.maximum(t - stop, 0.0) / self.back_s)
 
 
-@dataclass(frozen=True, slots=True)
 class FoamResonance(HiddenEffect):
     """Extra force inside one band of speed, where the foam resonates."""
 
@@ -119,7 +111,6 @@ class FoamResonance(HiddenEffect):
         return np.asarray(self.amplitude * run.direction * np.exp(-(off**2)))
 
 
-@dataclass(frozen=True, slots=True)
 class WallSeam(HiddenEffect):
     """A seam in the wall: one bump at one position."""
 
@@ -132,7 +123,6 @@ class WallSeam(HiddenEffect):
         return np.asarray(self.amplitude * np.exp(-(((run.motion.p - self.place_mm) / self.width_mm) ** 2)))
 
 
-@dataclass(frozen=True, slots=True)
 class ThermostatZero(HiddenEffect):
     """The zero follows the room's heating, which switches on and off at times of the session, in every run."""
 
@@ -147,7 +137,6 @@ class ThermostatZero(HiddenEffect):
         return force + self.amplitude * (np.where(turn < self.on, turn / self.on, (1 - turn) / (1 - self.on)) - 0.5)
 
 
-@dataclass(frozen=True, slots=True)
 class TableVibration(HiddenEffect):
     """The table shakes at a few hertz in every run, now more, now less."""
 
@@ -167,7 +156,6 @@ class TableVibration(HiddenEffect):
         return np.asarray(force + self.amplitude * (shaken / gain)[before:])
 
 
-@dataclass(frozen=True, slots=True)
 class MissingBits(HiddenEffect):
     """The converter has lost its lowest bits: the force comes in steps [mN]."""
 
@@ -178,7 +166,6 @@ class MissingBits(HiddenEffect):
         return np.round(force / self.amplitude) * self.amplitude if self.amplitude else force
 
 
-@dataclass(frozen=True, slots=True)
 class Suction(HiddenEffect):
     """Suction that grows while the capsule stands and breaks as it moves."""
 
@@ -192,7 +179,6 @@ class Suction(HiddenEffect):
         return np.asarray(-self.amplitude * (1 - np.exp(-((standing / self.time_s) ** 1.5))))
 
 
-@dataclass(frozen=True, slots=True)
 class BrakeClamps(HiddenEffect):
     """A brake closes some time after the stop and loads the sensor, the same way in every run."""
 
@@ -204,7 +190,6 @@ class BrakeClamps(HiddenEffect):
         return force + self.amplitude * (run.motion.t > run.plan.bounds_s[3] + self.after_s)
 
 
-@dataclass(frozen=True, slots=True)
 class CableLoop(HiddenEffect):
     """A cable that drags: its loop pushes in the middle of the stroke and pulls at the end, blanks included."""
 
@@ -223,7 +208,6 @@ OUTSIDE_FORCE_FORMS: tuple[type[HiddenEffect], ...] = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
 class EncoderMisses(HiddenEffect):
     """The encoder misses counts, or counts twice, at random places; the amplitude is the distance of one jump [mm]."""
 
@@ -238,7 +222,6 @@ class EncoderMisses(HiddenEffect):
         return np.asarray(position - np.concatenate([[0.0], np.cumsum(lost)])[np.searchsorted(at, position)])
 
 
-@dataclass(frozen=True, slots=True)
 class StageYields(HiddenEffect):
     """The stage yields elastically under the measured force [mm at 1 N], and nothing brings it back to the command."""
 
@@ -249,7 +232,6 @@ class StageYields(HiddenEffect):
         return np.asarray(position - self.amplitude * (force - force[0]) / 1000.0)
 
 
-@dataclass(frozen=True, slots=True)
 class ClockOff(HiddenEffect):
     """The sampling clock is off by a part in some of the runs."""
 
