@@ -168,7 +168,7 @@ def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSet
     if further:
         model = model.model_copy(update={"effects": (*model.effects, *further)})
     if model.effects:
-        from dragrig.sim_backend.effects.chain import active_effects
+        from dragrig.sim_backend.effects.base import active_effects
 
         active_effects(model)
     return model

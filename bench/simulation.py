@@ -21,9 +21,8 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Acquisition, Backend, BackendRequest
 from dragrig.rig.programme import PlannedRun, build_programme
 from dragrig.sim_backend.devices import open_backend
-from dragrig.sim_backend.devices.channels import SimulatedChannels
 from dragrig.sim_backend.devices.faults import NO_FAULTS
-from dragrig.sim_backend.devices.simulated_sampler import CHUNK_SAMPLES
+from dragrig.sim_backend.devices.simulated_sampler import CHUNK_SAMPLES, SimulatedChannels
 from dragrig.sim_backend.devices.variability import force_noise, motor_noise
 from dragrig.sim_backend.friction import prepare
 

@@ -16,8 +16,7 @@ from dragrig.config.friction_model import EffectSettings, FrictionModelSettings,
 from dragrig.config.settings import load_settings, parse, to_toml
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.effects.base import catalogue
-from dragrig.sim_backend.effects.chain import EffectChain, active_effects
+from dragrig.sim_backend.effects.base import EffectChain, active_effects, catalogue
 
 SILENT = tuple(f"rig.simulated.noise.{name}_mN=0" for name in ("white", "slow", "zero"))
 SAME = ("rig.simulated.variation.run_stiffness=0", "rig.simulated.variation.run_friction=0")

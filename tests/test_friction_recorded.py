@@ -14,7 +14,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.environmental_resistance import COUNTED_RULE, FINE_RULE
-from dragrig.sim_backend.friction.recorded_motion import measured_motion
+from dragrig.sim_backend.friction.motion import measured_motion
 from dragrig.sim_backend.friction.sliding import SlidingForce
 
 MODEL = FrictionModelSettings()

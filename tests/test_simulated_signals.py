@@ -8,7 +8,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import EncoderSettings, ForceSensorSettings, MotorSettings, NoiseSettings, VariationSettings
 from dragrig.rig.devices import BackendRequest, Contact
 from dragrig.sim_backend.devices import open_backend
-from dragrig.sim_backend.devices.channels import ForceConverter
+from dragrig.sim_backend.devices.simulated_sampler import ForceConverter
 from dragrig.sim_backend.devices.simulated_stage import PositionEncoder
 from dragrig.sim_backend.devices.variability import (
     BETWEEN_SPECIMENS,

@@ -18,7 +18,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.runfile import read_campaign, read_info, read_mark, read_run
 from dragrig.rig.runfile.campaigns import specimen_key
 from dragrig.rig.runfile.model import Run, RunInfo
-from dragrig.sim_backend.effects.chain import EffectChain, evaluation_rate_hz, evaluation_times
+from dragrig.sim_backend.effects.base import EffectChain, evaluation_rate_hz, evaluation_times
 from dragrig.sim_backend.effects.run_state import gut_run_state
 from dragrig.sim_backend.friction import prepare
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from dragrig.config.friction_model import EffectSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Channel, Effect, EffectParameter, Role
-from dragrig.sim_backend.effects.chain import ActiveEffect, EffectChain
+from dragrig.sim_backend.effects.base import ActiveEffect, Channel, Effect, EffectChain, EffectParameter, Role
 from dragrig.sim_backend.effects.run_state import RunState
 
 

@@ -27,8 +27,7 @@ from dragrig.analysis.models.capsule_model import ANGLE_PARAMETER
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.base import Effect, Location
-from dragrig.sim_backend.effects.chain import EffectChain
+from dragrig.sim_backend.effects.base import Effect, EffectChain, Location
 from dragrig.sim_backend.effects.run_state import RunState
 
 

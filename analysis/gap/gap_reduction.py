@@ -31,8 +31,7 @@ from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect
-from dragrig.sim_backend.effects.chain import active_effects
+from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect, active_effects
 
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_FLOOR = 1.2

@@ -13,7 +13,7 @@ import numpy as np
 from dragrig.analysis.inference.linear_gaussian import JointProblem, PriorScales, solve_joint
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.run_state import RunState, ShearedWall
-from dragrig.sim_backend.friction.contact import stress_log_derivatives
+from dragrig.sim_backend.friction.wall import stress_log_derivatives
 
 LAW_SHAPE_SD = 0.02
 """Shape of the wall's law, all elements alike: relative change over a strain of 1."""

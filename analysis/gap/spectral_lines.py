@@ -17,7 +17,7 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.chain import EffectChain
+from dragrig.sim_backend.effects.base import EffectChain
 
 MIN_FREQUENCY_HZ, FREQUENCY_STEP_HZ = 2.5, 0.5
 HOLD_SETTLING_S = 0.5

@@ -23,8 +23,7 @@ from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.schema import SIGNALS
-from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect
-from dragrig.sim_backend.effects.chain import SIMULATED_NOMINAL, EffectChain
+from dragrig.sim_backend.effects.base import SIMULATED_NOMINAL, Effect, EffectChain, ForceEffect, SensorEffect
 from dragrig.sim_backend.effects.run_state import RunState
 
 MIN_SIGNATURE_MN = 1e-9

@@ -22,8 +22,8 @@ from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, viscous_force
+from dragrig.sim_backend.friction.wall import HemisphereContact
 
 MAX_SCATTER_FACTOR = 1e3
 """Scatter beyond so many times the largest deviation is not looked for."""

@@ -29,9 +29,9 @@ from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
 from dragrig.sim_backend.friction.sliding import steady_forces
+from dragrig.sim_backend.friction.wall import HemisphereContact
 
 QUADRATURE_NODES = 24
 DERIVATIVE_STEP = 1e-3

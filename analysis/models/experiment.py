@@ -14,12 +14,12 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile.model import Attribute, Run
-from dragrig.sim_backend.friction.motion import ProfileMotion
-from dragrig.sim_backend.friction.recorded_motion import (
+from dragrig.sim_backend.friction.motion import (
     ENCODER_JITTER_MM,
     MIN_SAMPLES,
     SMOOTHING_ORDER,
     SMOOTHING_WINDOW_S,
+    ProfileMotion,
     RecordedMotion,
     commanded_motion,
     measured_motion,

@@ -233,7 +233,7 @@ def model(
         }
     )
     if settings.effects:
-        from dragrig.sim_backend.devices.channels import steady_effect_forces
+        from dragrig.sim_backend.devices.simulated_sampler import steady_effect_forces
 
         frame.insert(4, "effects_mN", steady_effect_forces(forces.speed_mm_s, settings, body, thickness))
         frame["total_mN"] += frame["effects_mN"]

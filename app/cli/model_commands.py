@@ -81,7 +81,7 @@ def model_command(
     thickness = find_settings(Specimen, "specimen", specimen).wall_thickness_mm
     rows = _steady_rows(steady_forces(speeds, model, body, thickness))
     if model.effects:
-        from dragrig.sim_backend.devices.channels import steady_effect_forces
+        from dragrig.sim_backend.devices.simulated_sampler import steady_effect_forces
 
         rows = _add_effects(rows, steady_effect_forces(np.array(speeds), model, body, thickness).tolist())
     if as_json:

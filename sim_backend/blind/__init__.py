@@ -10,9 +10,8 @@ from dragrig.sim_backend.blind.blind_campaign import (
     true_answer,
     without_effects,
 )
-from dragrig.sim_backend.blind.campaign_files import write_campaign
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE, effect_group
-from dragrig.sim_backend.blind.plant import EffectSignature, effect_signatures
+from dragrig.sim_backend.blind.plant import EffectSignature, effect_signatures, write_campaign
 from dragrig.sim_backend.blind.programme import RunList
 
 __all__ = [

@@ -12,7 +12,7 @@ from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 from dragrig.sim_backend.devices.simulated_stage import PositionEncoder, SimulatedAxis, SimulatedStage
 from dragrig.sim_backend.devices.variability import draw_specimen_model
-from dragrig.sim_backend.effects.chain import active_effects
+from dragrig.sim_backend.effects.base import active_effects
 
 
 class VirtualClock:

@@ -15,8 +15,8 @@ from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import Acquisition, Contact, with_utc_offset
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
-from dragrig.sim_backend.devices.channels import SimulatedChannels
 from dragrig.sim_backend.devices.faults import NO_FAULTS
+from dragrig.sim_backend.devices.simulated_sampler import SimulatedChannels
 from dragrig.sim_backend.devices.simulated_stage import Track
 from dragrig.sim_backend.doubles.carriage import (
     SETTLING_S,

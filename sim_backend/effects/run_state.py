@@ -14,13 +14,18 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.sim_backend.friction import prepare
-from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.contact_history import ContactHistory
 from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
 from dragrig.sim_backend.friction.motion import Motion
 from dragrig.sim_backend.friction.prepared import StickingForce
 from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, Components, SlidingForce
-from dragrig.sim_backend.friction.wall import MaxwellBranches, WallParameters, model_wall, shear_strain
+from dragrig.sim_backend.friction.wall import (
+    HemisphereContact,
+    MaxwellBranches,
+    WallParameters,
+    model_wall,
+    shear_strain,
+)
 
 WALL_POINTS = 32
 """Points of the wall; they crowd near first contact, because the fast branch relaxes within milliseconds."""

@@ -5,9 +5,8 @@ curves, `wall_parameters` and `parameter_set_differences` the two published para
 model.
 """
 
-from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
 from dragrig.sim_backend.friction.prepared import PreparedForce, prepare
-from dragrig.sim_backend.friction.recorded_motion import RecordedMotion
 from dragrig.sim_backend.friction.sliding import Components, SteadyForces, skew_resistance, steady_forces
 from dragrig.sim_backend.friction.wall import (
     ParameterSetDifference,

@@ -14,8 +14,7 @@ from itertools import groupby, pairwise
 import numpy as np
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
-from dragrig.sim_backend.friction.recorded_motion import RecordedMotion
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
 
 
 @dataclass(frozen=True, slots=True)

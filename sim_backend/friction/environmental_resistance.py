@@ -14,9 +14,9 @@ import numpy.typing as npt
 from scipy.interpolate import PPoly
 
 from dragrig.rig.arrays import FloatArray, read_only
-from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.contact_history import ContactHistory, ContactStroke, WallSegment
 from dragrig.sim_backend.friction.motion import Motion
+from dragrig.sim_backend.friction.wall import HemisphereContact
 
 
 @dataclass(frozen=True, slots=True)

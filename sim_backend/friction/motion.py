@@ -1,15 +1,21 @@
-"""The motion as the friction model uses it, and a motion profile in that form.
+"""Motions as the friction model uses them: of a profile, or known by samples that were measured, commanded or computed.
 
-Units: mm and s. Position 0 is where the run starts, time 0 its first sample.
+Units: mm and s; position 0 is where the run starts, time 0 its first sample. Sliding friction needs a velocity: a
+measured position is smoothed between rests, because raw differences of counts would be false velocities far above the
+speed over which Coulomb friction changes sign. The wall of a sticking capsule needs the position only and takes it
+unsmoothed, since smoothing would round the corners of a ramp by 20 µm, which is 30 mN.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.config.errors import AnalysisError
+from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile
 
 ROUNDING_MM_S = 1e-9
@@ -171,3 +177,419 @@ def _turning_times(profile: MotionProfile) -> FloatArray:
     after = -profile.velocity_mm_s[moving] / profile.acceleration_mm_s2[moving]
     inside = (after > TIME_TOLERANCE_S) & (after < (end - profile.start_s)[moving] - TIME_TOLERANCE_S)
     return np.asarray((profile.start_s[moving] + after)[inside])
+
+
+SMOOTHING_ORDER = 2
+"""Order of the smoothing polynomial: a ramp of constant acceleration passes unchanged."""
+
+TURN_JITTERS = 5.0
+"""A reversal shorter than this many times the jitter is ignored."""
+
+
+def smooth_between_rests(
+    position_mm: FloatArray, window: int, jitter_mm: float, rest_window: int | None = None
+) -> tuple[FloatArray, IndexArray]:
+    """Make rests exactly still and the motion between reversals monotone, smoothed separately between rests.
+
+    Parameters
+    ----------
+    window
+        Length of the smoothing window [samples].
+    jitter_mm
+        Peak-to-peak variation of the position within a window at rest.
+    rest_window
+        Length of the shortest rest [samples]; default: the smoothing window.
+
+    Returns
+    -------
+    The smoothed position, and the edges of rests and of the motion between reversals.
+    """
+    from scipy.signal import savgol_filter
+
+    still = _at_rest(position_mm, rest_window or window, jitter_mm)
+    changes = np.flatnonzero(np.diff(still))
+    edges = np.unique(np.concatenate(([0], np.where(still[changes], changes, changes + 1), [still.size - 1])))
+    smooth = position_mm.copy()
+    reversals: list[int] = []
+    for begin, end in pairwise(edges.tolist()):
+        if still[(begin + end) // 2]:
+            smooth[begin : end + 1] = position_mm[begin : end + 1].mean()
+    for begin, end in pairwise(edges.tolist()):
+        inner = slice(begin + int(still[begin]), end + 1 - int(still[end]))
+        length = min(window, (inner.stop - inner.start - 1) // 2 * 2 + 1)
+        if not still[(begin + end) // 2] and length > SMOOTHING_ORDER:
+            smooth[inner] = savgol_filter(position_mm[inner], length, SMOOTHING_ORDER)
+            reversals += (begin + _turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
+    edges = np.union1d(edges, np.array(reversals, dtype=np.intp))
+    return _monotone_between(smooth, edges), edges
+
+
+def _at_rest(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
+    """Return whether each sample lies in some window whose positions span no more than `span_mm`."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    quiet = maximum_filter1d(position_mm, window) - minimum_filter1d(position_mm, window) <= span_mm
+    return np.asarray(maximum_filter1d(quiet.astype(np.uint8), window) > 0)
+
+
+def _turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
+    """Return peaks and valleys of a position with a prominence of at least `min_mm`."""
+    from scipy.signal import find_peaks
+
+    return np.concatenate([find_peaks(side * position_mm, prominence=min_mm)[0] for side in (1.0, -1.0)])
+
+
+def _monotone_between(position_mm: FloatArray, edges: IndexArray) -> FloatArray:
+    """Make a position monotone between edges, at which it keeps its values."""
+    monotone = position_mm.copy()
+    for begin, end in pairwise(edges.tolist()):
+        first, last = position_mm[begin], position_mm[end]
+        sign = 1.0 if last >= first else -1.0
+        rising = np.maximum.accumulate(sign * position_mm[begin : end + 1])
+        monotone[begin : end + 1] = sign * np.clip(rising, sign * first, sign * last)
+    return monotone
+
+
+FINEST_STEP_S = 0.5e-3
+"""Records of shorter steps are averaged down to this."""
+
+SMOOTHING_WINDOW_S = 0.03
+"""Length of the smoothing window, and of the shortest rest."""
+
+MIN_SAMPLES = 5
+"""Least samples in a record and in a smoothing window."""
+
+ENCODER_JITTER_MM = 0.0015
+"""Variation of an encoder of 1 µm counts at rest: it may toggle between two counts."""
+
+REST_SPEED_MM_S = 0.05
+"""Where a stage varies by more than the counts, the window of a rest is so long that this speed would exceed that."""
+MAX_REST_WINDOW_S = 0.3
+
+CREEP_MM_S = 1e-4
+"""Below this speed a computed position is at rest: 0.2 % of the speed over which Coulomb friction changes sign."""
+
+COMPUTED_TOLERANCE_MM = 1e-6
+"""Greatest deviation of the pieces from a computed position."""
+
+BEND_MM_S = 0.05
+BEND_SHARE = 0.03
+"""A bend is a change of velocity above both limits, the second relative to the top speed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedMotion:
+    """A measured motion: a `Motion` whose times and positions count from the first sample.
+
+    Rests are found first and made exactly still; the motion between them is smoothed on its own and then described by
+    as few pieces of constant acceleration as stay within its jitter.
+
+    Attributes
+    ----------
+    breaks_s, signs, uniform
+        As in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
+    fine
+        All pieces of constant acceleration.
+    counted
+        Whether it was measured in counts.
+    """
+
+    breaks_s: FloatArray
+    signs: SignArray
+    uniform: BoolArray
+    fine: ProfileMotion
+    counted: bool = False
+
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same, bit for bit, as for repeats that followed one command exactly."""
+        return self is other or (isinstance(other, RecordedMotion) and self._bits == other._bits)
+
+    def __hash__(self) -> int:
+        """Hash consistently with equality."""
+        return hash(self._bits)
+
+    @property
+    def _bits(self) -> tuple[object, ...]:
+        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.fine, self.counted
+
+    @classmethod
+    def of(
+        cls, time_s: npt.ArrayLike, position_mm: npt.ArrayLike, jitter_mm: float = ENCODER_JITTER_MM
+    ) -> "RecordedMotion":
+        """Prepare a measured position.
+
+        Parameters
+        ----------
+        time_s, position_mm
+            The record, shape `(n,)`; times rise, gaps are bridged by straight lines.
+        jitter_mm
+            Peak-to-peak variation of the position while the stage rests.
+
+        Raises
+        ------
+        AnalysisError
+            When the record is too short, its times do not rise, or a value is not finite.
+        """
+        grid, raw = resample_uniformly(*check_record(time_s, position_mm))
+        step = float(grid[1])
+        window = max(MIN_SAMPLES, 2 * round(0.5 * SMOOTHING_WINDOW_S / step) + 1)
+        resting_s = min(max(SMOOTHING_WINDOW_S, jitter_mm / REST_SPEED_MM_S), MAX_REST_WINDOW_S)
+        at_rest = max(window, 2 * round(0.5 * resting_s / step) + 1)
+        smooth, edges = smooth_between_rests(raw, window, jitter_mm, at_rest)
+        fine = _fit_parabolas(grid, smooth - smooth[0], edges, jitter_mm)
+        breaks = add_bends(fine, grid[edges])
+        first = np.searchsorted(fine.breaks_s, breaks[:-1])
+        signs = np.sign(np.add.reduceat(fine.signs, first)).astype(np.int8)
+        return cls(breaks, signs, signs == 0, fine, counted=True)
+
+    @classmethod
+    def computed(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":
+        """Prepare a computed position, which needs no smoothing.
+
+        Parameters
+        ----------
+        time_s, position_mm
+            Rising times from 0 on, and the position then, shape `(n,)` with at least two times; between times the
+            position is nearly linear.
+        """
+        step = np.diff(position_mm)
+        step[np.abs(step) < CREEP_MM_S * np.diff(time_s)] = 0.0
+        position = np.append(0.0, np.cumsum(step))
+        edges = np.concatenate(([0], np.flatnonzero(np.diff(np.sign(step))) + 1, [step.size]))
+        return cls.from_pieces(_fit_parabolas(time_s, position, edges, COMPUTED_TOLERANCE_MM))
+
+    @classmethod
+    def from_pieces(cls, fine: ProfileMotion) -> "RecordedMotion":
+        """Join pieces between rests and reversals where the velocity hardly bends."""
+        changes = fine.signs[1:] != fine.signs[:-1]
+        breaks = add_bends(fine, fine.breaks_s[np.concatenate(([True], changes, [True]))])
+        first = np.searchsorted(fine.breaks_s, breaks[:-1])
+        alone = np.diff(np.append(first, fine.signs.size)) == 1
+        uniform = np.logical_and.reduceat(fine.uniform, first) & alone
+        return cls(breaks, fine.signs[first], uniform, fine)
+
+    def position(self, time_s: FloatArray) -> FloatArray:
+        """Return the position [mm] at any times within the motion."""
+        return self.fine.position(time_s)
+
+    def velocity(self, time_s: FloatArray) -> FloatArray:
+        """Return the velocity [mm/s] at any times within the motion."""
+        return self.fine.velocity(time_s)
+
+    def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position and velocity at times of shape `(n, m)`."""
+        return self.fine.position(time_s), self.fine.velocity(time_s)
+
+    def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
+        """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
+        begin, end = np.searchsorted(self.fine.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
+        return self.fine.arrival_time(position_mm, begin, end - 1)
+
+    def pieces(self) -> Pieces:
+        """Return the motion as pieces of constant acceleration."""
+        return self.fine.pieces()
+
+
+def check_record(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return a record as arrays, its times from 0; raises `AnalysisError` for an unusable one."""
+    time, position = np.asarray(time_s, dtype=float), np.asarray(position_mm, dtype=float)
+    if time.ndim != 1 or time.shape != position.shape or time.size < MIN_SAMPLES:
+        raise AnalysisError(f"A recorded motion needs at least {MIN_SAMPLES} times and as many positions")
+    if not (np.isfinite(time).all() and np.isfinite(position).all()):
+        raise AnalysisError("A recorded motion must not hold NaN or infinite values; leave those samples out")
+    if not (np.diff(time) > 0).all():
+        raise AnalysisError("The times of a recorded motion must rise; sort them and leave out repeated samples")
+    return time - time[0], position
+
+
+def resample_uniformly(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Average a fast record down, then interpolate it on a uniform grid from 0 to its last time."""
+    step = float(np.median(np.diff(time_s)))
+    block = max(1, min(int(FINEST_STEP_S / step + 1e-6), time_s.size // MIN_SAMPLES))
+    whole = time_s.size // block * block
+    time, position = (values[:whole].reshape(-1, block).mean(axis=1) for values in (time_s, position_mm))
+    grid = np.linspace(0.0, float(time_s[-1]), max(MIN_SAMPLES, round(float(time_s[-1]) / (step * block)) + 1))
+    return grid, np.interp(grid, time, position)
+
+
+def _split_spans(edges: IndexArray, worst: Callable[[int, int], int | None]) -> IndexArray:
+    """Divide the spans between edges where `worst` returns an index, until it returns None."""
+    divided = [int(edges[0])]
+    pending = [(int(begin), int(end)) for begin, end in pairwise(edges)][::-1]
+    while pending:
+        begin, end = pending.pop()
+        at = worst(begin, end)
+        if at is None:
+            divided.append(end)
+        else:
+            pending += [(at, end), (begin, at)]
+    return np.array(divided, dtype=np.intp)
+
+
+def _curvature(time_s: FloatArray, position_mm: FloatArray) -> float:
+    """Return c of the best-fitting monotone parabola through both ends, chord + c (t − t0)(t1 − t)."""
+    bow = (time_s - time_s[0]) * (time_s[-1] - time_s)
+    slope = (position_mm[-1] - position_mm[0]) / (time_s[-1] - time_s[0])
+    deviation = position_mm - position_mm[0] - slope * (time_s - time_s[0])
+    best = float(bow @ deviation) / max(float(bow @ bow), 1e-300)
+    steepest = abs(slope) / float(time_s[-1] - time_s[0])
+    return float(np.clip(best, -steepest, steepest))
+
+
+def _fit_parabolas(
+    grid_s: FloatArray, position_mm: FloatArray, edges: IndexArray, tolerance_mm: float
+) -> ProfileMotion:
+    """Describe a position, monotone between edges, by parabolas within a tolerance."""
+
+    def worst(begin: int, end: int) -> int | None:
+        time, position = grid_s[begin : end + 1], position_mm[begin : end + 1]
+        elapsed, left = time - time[0], time[-1] - time
+        slope = (position[-1] - position[0]) / elapsed[-1]
+        parabola = position[0] + (slope + _curvature(time, position) * left) * elapsed
+        deviation = np.abs(position - parabola)
+        at = int(deviation.argmax())
+        return begin + at if deviation[at] > tolerance_mm and end - begin >= MIN_SAMPLES else None
+
+    knots = _split_spans(edges, worst)
+    time, position = grid_s[knots], position_mm[knots]
+    duration = np.diff(time)
+    slope = np.diff(position) / duration
+    curvature = np.array([_curvature(grid_s[a : b + 1], position_mm[a : b + 1]) for a, b in pairwise(knots.tolist())])
+    return ProfileMotion(
+        breaks_s=time,
+        signs=np.sign(slope).astype(np.int8),
+        uniform=curvature == 0,
+        start_mm=position[:-1],
+        velocity_mm_s=slope + curvature * duration,
+        acceleration_mm_s2=-2 * curvature,
+    )
+
+
+def add_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
+    """Add to the edges the ends of pieces at which the velocity bends."""
+    time = fine.breaks_s
+    ending = fine.velocity_mm_s + fine.acceleration_mm_s2 * np.diff(time)
+    after, before = np.append(fine.velocity_mm_s, 0.0), np.concatenate(([0.0], ending))
+    tolerance = max(BEND_MM_S, BEND_SHARE * float(np.abs(after).max()))
+
+    def worst(begin: int, end: int) -> int | None:
+        if end - begin < 2:
+            return None
+        inner = slice(begin + 1, end)
+        line = np.interp(time[inner], time[[begin, end]], [after[begin], before[end]])
+        deviation = np.maximum(np.abs(after[inner] - line), np.abs(before[inner] - line))
+        at = int(deviation.argmax())
+        return begin + 1 + at if deviation[at] > tolerance else None
+
+    return np.asarray(time[_split_spans(np.searchsorted(time, edges_s), worst)])
+
+
+FLOAT32_ROUNDING = 4 * float(np.finfo(np.float32).eps)
+"""Relative rounding of a position in single precision."""
+MIN_CHORD_MM_S = 1e-6
+"""Lower velocities of a command are rounding errors."""
+
+
+def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> RecordedMotion:
+    """Return a commanded motion: one piece a sample during acceleration, one for each interval of constant velocity.
+
+    Nothing is smoothed, so that the millisecond in which friction builds up is not shifted.
+
+    Parameters
+    ----------
+    time_s, position_mm
+        The command, shape `(n,)`; times rise, gaps are bridged by straight lines.
+
+    Raises
+    ------
+    AnalysisError
+        When the record is too short, its times do not rise, or a value is not finite.
+    """
+    grid, position = resample_uniformly(*check_record(time_s, position_mm))
+    step = float(grid[1])
+    chord = np.diff(position) / step
+    tolerance = max(MIN_CHORD_MM_S, FLOAT32_ROUNDING * float(np.abs(position).max()) / step)
+    chord[np.abs(chord) < tolerance] = 0.0
+    knots = np.concatenate(([0], np.flatnonzero(np.abs(np.diff(chord)) > tolerance) + 1, [chord.size]))
+    time, knot_mm = grid[knots], position[knots] - position[0]
+    duration = np.diff(time)
+    mean = np.diff(knot_mm) / duration
+    mean[np.abs(mean) < tolerance] = 0.0
+    change = np.diff(chord) / step
+    acceleration = _minmod(np.concatenate(([0.0], change))[knots[:-1]], np.append(change, 0.0)[knots[1:] - 1])
+    acceleration[np.diff(knots) > 1] = 0.0
+    # A piece must not reverse.
+    limit = 2 * np.abs(mean) / duration
+    acceleration = np.clip(acceleration, -limit, limit)
+    return RecordedMotion.from_pieces(
+        ProfileMotion(
+            breaks_s=time,
+            signs=np.sign(mean).astype(np.int8),
+            uniform=acceleration == 0,
+            start_mm=knot_mm[:-1],
+            velocity_mm_s=mean - 0.5 * acceleration * duration,
+            acceleration_mm_s2=acceleration,
+        )
+    )
+
+
+MAX_KNOTS = 4000
+"""A longer record is averaged down to about this many knots."""
+SAME_TIME_S = 1e-7
+"""Times closer than this are equal, but computed in two ways."""
+
+
+def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
+    """Return a measured motion of constant velocity between points, exactly at rest where the stage rests.
+
+    Parameters
+    ----------
+    motion
+        The same record smoothed, whose rests are used.
+    time_s, position_mm
+        The record, shape `(n,)`: rising times from 0, finite positions.
+    """
+    time_s, position_mm = _with_midpoints(time_s, position_mm)
+    edges = np.searchsorted(time_s, motion.breaks_s)
+    times, positions = [np.zeros(0)], [np.zeros(0)]
+    for number, sign in enumerate(motion.signs.tolist()):
+        within = slice(int(edges[number]), int(edges[number + 1]) + 1)
+        if sign == 0:
+            time, position = motion.breaks_s[number : number + 2], np.full(2, position_mm[within].mean())
+        else:
+            time, position = _averaged_down(time_s[within], position_mm[within])
+        later = time > (times[-1][-1] + SAME_TIME_S if times[-1].size else -1.0)
+        times.append(time[later])
+        positions.append(position[later])
+    time, position = np.concatenate(times), np.concatenate(positions)
+    velocity = np.diff(position) / np.diff(time)
+    return ProfileMotion(
+        breaks_s=time,
+        signs=np.sign(velocity).astype(np.int8),
+        uniform=np.ones(velocity.size, dtype=np.bool_),
+        start_mm=position[:-1] - position[0],
+        velocity_mm_s=velocity,
+        acceleration_mm_s2=np.zeros_like(velocity),
+    )
+
+
+def _with_midpoints(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Insert a point between any two samples, on the parabola of their acceleration: a chord would cut ramps short."""
+    bend = np.pad(np.diff(position_mm, 2), 1)
+    agreed = _minmod(bend[:-1], bend[1:])
+    time, position = np.repeat(time_s, 2)[:-1], np.repeat(position_mm, 2)[:-1]
+    time[1::2] = 0.5 * (time_s[1:] + time_s[:-1])
+    position[1::2] = 0.5 * (position_mm[1:] + position_mm[:-1]) - agreed / 8
+    return time, position
+
+
+def _minmod(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the smaller of two accelerations, 0 where they differ in sign, so that no corner is overshot."""
+    return np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
+
+
+def _averaged_down(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    group = -(-time_s.size // MAX_KNOTS)
+    starts = np.arange(0, time_s.size, max(1, group))
+    count = np.diff(np.append(starts, time_s.size))
+    return np.add.reduceat(time_s, starts) / count, np.add.reduceat(position_mm, starts) / count

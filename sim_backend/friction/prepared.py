@@ -11,12 +11,11 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray, read_only
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.sim_backend.friction.contact import HemisphereContact
 from dragrig.sim_backend.friction.contact_history import ContactHistory, leading_motion
 from dragrig.sim_backend.friction.environmental_resistance import quadrature_rule
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
 from dragrig.sim_backend.friction.sliding import Components, SlidingForce
-from dragrig.sim_backend.friction.wall import MaxwellBranches, model_wall, shear_strain
+from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, model_wall, shear_strain
 
 
 @dataclass(frozen=True, slots=True, eq=False)

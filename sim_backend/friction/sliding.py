@@ -16,7 +16,6 @@ from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.contact import HemisphereContact, SidePressure
 from dragrig.sim_backend.friction.contact_history import (
     ContactHistory,
     ContactStroke,
@@ -34,6 +33,7 @@ from dragrig.sim_backend.friction.environmental_resistance import (
     time_panel_edges,
 )
 from dragrig.sim_backend.friction.motion import Motion
+from dragrig.sim_backend.friction.wall import HemisphereContact, SidePressure
 
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
