@@ -15,6 +15,7 @@ Without any slow noise the interval is about 1.7 times too wide: slow noise cann
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import exp
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +79,17 @@ class EstimatedQuantity:
     value: float
     standard_error: float
     interval: tuple[float, float]
+
+    @classmethod
+    def normal(cls, name: str, unit: str, value: float, error: float) -> "EstimatedQuantity":
+        """Take a normally distributed value."""
+        return cls(name, unit, value, error, (value - NORMAL_95 * error, value + NORMAL_95 * error))
+
+    @classmethod
+    def lognormal(cls, name: str, unit: str, log_value: float, log_error: float) -> "EstimatedQuantity":
+        """Take a value whose logarithm is normally distributed."""
+        value, factor = exp(log_value), exp(NORMAL_95 * log_error)
+        return cls(name, unit, value, value * log_error, (value / factor, value * factor))
 
     @property
     def half_width(self) -> float:

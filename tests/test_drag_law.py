@@ -1,4 +1,4 @@
-"""Steady drag against speed: errors, law, R², and where measurement and model part ways."""
+"""Steady drag against speed: errors, law, R², and where measurement and model differ."""
 
 from itertools import product
 from pathlib import Path
@@ -173,7 +173,7 @@ def test_too_few_speeds_for_a_boundary() -> None:
     four = np.array([1.0, 5.0, 20.0, 60.0])
     found = find_boundary(ForceDeviation(four, np.array([0.0, 0.0, 0.0, -50.0]), np.ones(4), np.empty((0, 4))))
     assert (found.speed_mm_s, found.interval, found.p_value) == (None, None, None)
-    assert found.sentence == "With 4 speeds a boundary cannot be estimated; it takes at least 5."
+    assert found.sentence == "With 4 speeds a boundary cannot be estimated; at least 5 are needed."
 
 
 def test_without_noise_the_points_are_the_models_and_so_are_its_parts() -> None:

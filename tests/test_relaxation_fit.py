@@ -238,4 +238,4 @@ def test_too_few_samples_for_the_fast_branch_give_no_elements() -> None:
     runs = dragrig.simulate("relaxation", assignments=["rig.sampling.rate_hz=50", "rig.simulated.seed=9"])
     found = identify_relaxation(select_loaded_runs(runs))
     assert len(found.fits) == 4
-    assert all(not fit.elements and "too seldom for a fast branch" in fit.remark for fit in found.fits)
+    assert all(not fit.elements and "too slow for a fast branch" in fit.remark for fit in found.fits)

@@ -18,6 +18,7 @@ from dragrig.analysis.identification.identification import RelaxationFit, ThirdB
 from dragrig.analysis.inference.blocks import BlockMeans, average_in_blocks
 from dragrig.analysis.inference.noise import NoiseModel
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.segments import mask_spans
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
@@ -25,24 +26,43 @@ from dragrig.sim_backend.friction.motion import Pieces
 from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
 
 MIN_VALID_PEAK_SHARE = 0.5
-"""Share of the samples about the peak that must be valid."""
+"""Smallest share of valid samples about the peak."""
 PEAK_WINDOW_S = 0.02
 MIN_SAMPLES_AFTER_RAMP = 50
-"""Least valid samples after the ramp."""
 MIN_TRAVEL_MM = 0.01
-"""A shorter way between rests is an encoder that wavers, and no motion."""
+"""A shorter travel between rests is jitter of the encoder, not a motion."""
+GRID_POINTS = 60
+MIN_TIME_CONSTANT_S = 5e-4
+MAX_TIME_CONSTANT_HOLDS = 3.0
+"""Slowest branch searched, in lengths of the hold; a slower one acts as a spring in such a run."""
+UNKNOWN_ZERO_SD_MN = 5.0
+"""Prior of the sensor's zero where no rest shows it."""
+LOG_STEP = 1e-4
+MAX_EVALUATIONS = 100
+NULL_DRAWS = 4000
+NULL_SEED = 1912
+SIGNIFICANCE = 0.01
+"""Five elements suffice unless the p-value is below: one clean run in a hundred is misjudged."""
+GRID_EXTENSION = 4.0
+"""A third branch is searched up to this many times the slowest time constant of the fit."""
+MIN_RELEVANT_FORCE_MN = 5.0
+"""Accuracy of the rig's sensor: a branch whose force stays below does not matter, however significant."""
+POOR_FIT_CHI2 = 2.0
+"""χ² per degree of freedom above which something else than relaxation is in a run."""
+MIN_INDEPENDENT_SHARE = 1e-6
+"""Branches with a smaller share beyond the five elements add nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearRecord:
-    """A relaxation: measured motion, block means of the force, and what a branch of 1 kPa would show in them.
+    """A relaxation: measured motion, block means of the force, and the response of a branch of 1 kPa to that motion.
 
     Attributes
     ----------
     ramp_s
-        When the ramp begins and ends.
+        Start and end of the ramp.
     rested
-        Whether there is a rest before it that shows the sensor's zero.
+        Whether a rest before it shows the sensor's zero.
     hold_s
         Time from the ramp's end to the last valid sample.
     """
@@ -60,14 +80,14 @@ class ShearRecord:
 
     @classmethod
     def of(cls, experiment: Experiment) -> "ShearRecord":
-        """Make a run ready; raises `AnalysisError` with the reason where it cannot say anything of the wall."""
+        """Prepare a run; raises `AnalysisError` with the reason where it shows nothing of the wall."""
         if experiment.contact is not Contact.STICKING:
             raise AnalysisError(f"{experiment.file}: nothing was sheared, the specimen's fixture is none")
         capsule = experiment.capsule
-        turns = _motion_breaks(experiment)
-        if turns.size < 2:
-            raise AnalysisError(f"{experiment.file}: it has no ramp, the position stays where it is")
-        ramp = float(turns[0]), float(turns[-1])
+        breaks_s = _motion_breaks(experiment)
+        if breaks_s.size < 2:
+            raise AnalysisError(f"{experiment.file}: it has no ramp, the position does not change")
+        ramp = float(breaks_s[0]), float(breaks_s[-1])
         hold_s = _hold_duration(experiment, ramp)
         return cls(
             file=experiment.file,
@@ -75,7 +95,7 @@ class ShearRecord:
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
             pieces=experiment.unsmoothed_motion.pieces(),
-            blocks=average_in_blocks(experiment, "force", turns, jumps=False),
+            blocks=average_in_blocks(experiment, "force", breaks_s, jumps=False),
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
             hold_s=hold_s,
@@ -100,49 +120,38 @@ class ShearRecord:
 
 
 def _motion_breaks(experiment: Experiment) -> FloatArray:
-    """Return when the motion begins, bends and ends; empty where it does not move."""
+    """Return the times at which the motion starts, bends and ends; empty where it does not move."""
     motion = experiment.motion
-    place, moves = motion.position(motion.breaks_s), np.pad((motion.signs != 0).astype(np.int8), 1)
-    begins, ends = np.flatnonzero(np.diff(moves) > 0), np.flatnonzero(np.diff(moves) < 0)
-    ways = [(begin, end) for begin, end in zip(begins, ends, strict=True) if _is_motion(place[begin : end + 1])]
-    return np.concatenate([np.zeros(0), *(motion.breaks_s[begin : end + 1] for begin, end in ways)])
-
-
-def _is_motion(place_mm: FloatArray) -> bool:
-    return bool(np.ptp(place_mm) >= MIN_TRAVEL_MM)
+    position = motion.position(motion.breaks_s)
+    moves = mask_spans(motion.signs != 0)
+    ways = [
+        motion.breaks_s[start : stop + 1]
+        for start, stop in moves
+        if np.ptp(position[start : stop + 1]) >= MIN_TRAVEL_MM
+    ]
+    return np.concatenate([np.zeros(0), *ways])
 
 
 def _hold_duration(experiment: Experiment, ramp_s: tuple[float, float]) -> float:
     time, valid = experiment.time_s, experiment.valid
-    begin, end = ramp_s
-    held = np.flatnonzero(valid & (time > end))
-    if held.size < MIN_SAMPLES_AFTER_RAMP:
+    start, end = ramp_s
+    after = np.flatnonzero(valid & (time > end))
+    if after.size < MIN_SAMPLES_AFTER_RAMP:
         raise AnalysisError(
-            f"{experiment.file}: only {held.size} usable samples follow the ramp, too few to see the wall relax"
+            f"{experiment.file}: only {after.size} usable samples follow the ramp, too few to show the relaxation"
         )
-    peak = (time > end - min(0.5 * (end - begin), PEAK_WINDOW_S)) & (time < end + PEAK_WINDOW_S)
+    peak = (time > end - min(0.5 * (end - start), PEAK_WINDOW_S)) & (time < end + PEAK_WINDOW_S)
     if np.mean(valid[peak]) < MIN_VALID_PEAK_SHARE:
         raise AnalysisError(f"{experiment.file}: the samples about the peak are clipped or missing (NaN)")
-    return float(time[held[-1]]) - end
-
-
-GRID_POINTS = 60
-MIN_TIME_CONSTANT_S = 5e-4
-MAX_TIME_CONSTANT_HOLDS = 3.0
-"""Slowest branch that is looked for, in lengths of the hold; a slower one is a spring to such a run."""
-UNKNOWN_ZERO_SD_MN = 5.0
-"""What is known of the sensor's zero where no rest shows it."""
-LOG_STEP = 1e-4
-MAX_EVALUATIONS = 100
+    return float(time[after[-1]]) - end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhitenedRecord:
-    """A run whose block means are turned into numbers of unit variance."""
+    """A run whose block means are whitened; `factor` is the lower Cholesky factor of their covariance."""
 
     record: ShearRecord
     factor: FloatArray
-    """Lower triangle of Cholesky of the block means' covariance."""
 
     @classmethod
     def of(cls, record: ShearRecord, noise: NoiseModel) -> "WhitenedRecord":
@@ -152,7 +161,7 @@ class WhitenedRecord:
         return cls(record, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
     def rows(self, signals: FloatArray) -> FloatArray:
-        """Whiten signals of shape `(B, n)`; one more column says what is known of the zero."""
+        """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
         from scipy.linalg import solve_triangular
 
         white = solve_triangular(self.factor, signals.T, lower=True, check_finite=False).T
@@ -163,6 +172,10 @@ class WhitenedRecord:
         row = self.rows(np.ones((1, self.record.blocks.samples.size)))
         row[:, -1] = 0.0 if self.record.rested else 1 / UNKNOWN_ZERO_SD_MN
         return row
+
+    def target(self) -> FloatArray:
+        """Row of the measured means, shape `(n + 1,)`."""
+        return np.asarray(self.rows(self.record.blocks.mean[None])[0])
 
     @property
     def grid_s(self) -> FloatArray:
@@ -194,11 +207,6 @@ class BranchFit:
         return self.values.size // 2 - 1
 
     @property
-    def spring(self) -> float:
-        """E3 [kPa]."""
-        return float(np.exp(self.values[1]))
-
-    @property
     def moduli(self) -> FloatArray:
         """Moduli of the branches [kPa]."""
         return np.exp(self.values[2 : 2 + self.count])
@@ -219,48 +227,15 @@ class BranchFit:
         return self.residual.size - 1 - self.values.size
 
     @property
-    def scale(self) -> float:
-        """Variance of the whitened residuals where it is larger than the noise's, else 1."""
-        return max(1.0, self.chi2 / max(self.degrees, 1))
+    def reduced_chi2(self) -> float:
+        """χ² per degree of freedom."""
+        return self.chi2 / max(self.degrees, 1)
 
     def covariance(self) -> FloatArray:
-        """Covariance of the values, residuals that are larger than the noise accounted for."""
+        """Covariance of the values, widened where residuals are larger than the noise."""
         _, triangle = np.linalg.qr(self.jacobian)
         inverse = np.linalg.pinv(triangle)
-        return np.asarray(self.scale * inverse @ inverse.T)
-
-
-def scan_time_constants(whitened: WhitenedRecord) -> list[FloatArray]:
-    """Return start values for two branches: the best pair of time constants, and the best ones further apart.
-
-    A time constant between two of the grid is described best by both of them, at the expense of the other branch;
-    hence the pairs further apart. Raises as `fit_two_branches`.
-    """
-    record, grid = whitened.record, whitened.grid_s
-    rows = np.vstack((whitened.zero(), whitened.rows(np.vstack((record.spring(), record.branches(grid))))))
-    target = whitened.rows(record.blocks.mean[None])[0]
-    size = np.sqrt((rows**2).sum(axis=1))
-    products, right = (rows / size[:, None]) @ (rows / size[:, None]).T, (rows / size[:, None]) @ target
-    pairs = np.array([(0, 1, 2 + i, 2 + j) for i, j in combinations(range(grid.size), 2) if j > i + 1])
-    matrices = products[pairs[:, :, None], pairs[:, None, :]] + 1e-12 * np.eye(4)
-    solved = np.linalg.solve(matrices, right[pairs][..., None])[..., 0]
-    gained = (solved * right[pairs]).sum(axis=1)
-    gained[(solved[:, 1:] <= 0).any(axis=1)] = -np.inf
-    apart = pairs[:, 3] - pairs[:, 2]
-    starts = {
-        int(np.where(apart >= least, gained, -np.inf).argmax()) for least in (2, GRID_POINTS // 8, GRID_POINTS // 3)
-    }
-    starts = {best for best in starts if np.isfinite(gained[best])}
-    if not starts:
-        raise AnalysisError(
-            f"{record.file}: its force does not relax as a spring and two Maxwell branches would, for no time constants"
-        )
-    return [_start_values(solved[best] / size[pairs[best]], grid[pairs[best, 2:] - 2]) for best in sorted(starts)]
-
-
-def _start_values(amplitudes: FloatArray, times_s: FloatArray) -> FloatArray:
-    zero, *moduli = amplitudes.tolist()
-    return np.array([zero, *np.log([*moduli, *times_s])])
+        return np.asarray(max(1.0, self.reduced_chi2) * inverse @ inverse.T)
 
 
 def fit_two_branches(whitened: WhitenedRecord) -> BranchFit:
@@ -269,18 +244,49 @@ def fit_two_branches(whitened: WhitenedRecord) -> BranchFit:
     Raises
     ------
     AnalysisError
-        Where no two branches beside a spring, all of them positive, describe the run.
+        Where no spring and two branches with positive moduli describe the run.
     """
-    return min((refine_branches(whitened, start) for start in scan_time_constants(whitened)), key=lambda fit: fit.chi2)
+    fits = (_refine_branches(whitened, start) for start in _start_values(whitened))
+    return min(fits, key=lambda fit: fit.chi2)
 
 
-def refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
-    """Fit from start values, the branches in the order of their time constants."""
+def _start_values(whitened: WhitenedRecord) -> list[FloatArray]:
+    """Start values for two branches: the best pair of time constants, and the best pairs further apart.
+
+    A time constant between two of the grid is described best by both of them, at the expense of the second branch;
+    hence the pairs further apart.
+    """
+    record, grid = whitened.record, whitened.grid_s
+    rows = np.vstack((whitened.zero(), whitened.rows(np.vstack((record.spring(), record.branches(grid))))))
+    size = np.sqrt((rows**2).sum(axis=1))
+    unit_rows = rows / size[:, None]
+    products, right = unit_rows @ unit_rows.T, unit_rows @ whitened.target()
+    pairs = np.array([(0, 1, 2 + i, 2 + j) for i, j in combinations(range(grid.size), 2) if j > i + 1])
+    matrices = products[pairs[:, :, None], pairs[:, None, :]] + 1e-12 * np.eye(4)
+    solved = np.linalg.solve(matrices, right[pairs][..., None])[..., 0]
+    gain = (solved * right[pairs]).sum(axis=1)
+    gain[(solved[:, 1:] <= 0).any(axis=1)] = -np.inf
+    apart = pairs[:, 3] - pairs[:, 2]
+    best = {int(np.where(apart >= least, gain, -np.inf).argmax()) for least in (2, GRID_POINTS // 8, GRID_POINTS // 3)}
+    best = {pair for pair in best if np.isfinite(gain[pair])}
+    if not best:
+        raise AnalysisError(
+            f"{record.file}: its force does not relax as a spring and two Maxwell branches would, for no time constants"
+        )
+    starts = []
+    for pair in sorted(best):
+        zero, *moduli = (solved[pair] / size[pairs[pair]]).tolist()
+        starts.append(np.array([zero, *np.log([*moduli, *grid[pairs[pair, 2:] - 2]])]))
+    return starts
+
+
+def _refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
+    """Fit from start values, and sort the branches by their time constants."""
     from scipy.optimize import least_squares
 
     count = start.size // 2 - 1
     zero, spring = whitened.zero(), whitened.rows(whitened.record.spring()[None])
-    target = whitened.rows(whitened.record.blocks.mean[None])[0]
+    target = whitened.target()
     grid = np.log(whitened.grid_s)
 
     def residual(values: FloatArray) -> FloatArray:
@@ -298,32 +304,12 @@ def refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[2 + count :], high[2 + count :] = grid[0] - 1.0, grid[-1] + 2.0
     low[1 : 2 + count], high[1 : 2 + count] = -20.0, 20.0
-    found = least_squares(
-        residual,
-        np.clip(start, low + 1e-6, high - 1e-6),
-        jacobian,
-        (low, high),
-        x_scale="jac",
-        max_nfev=MAX_EVALUATIONS,
-    )
-    order = np.argsort(found.x[2 + count :])
-    shuffled = np.concatenate(([0, 1], 2 + order, 2 + count + order))
-    converged = bool(found.success) and not found.active_mask.any()
-    return BranchFit(found.x[shuffled], found.fun, jacobian(found.x)[:, shuffled], converged)
-
-
-NULL_DRAWS = 4000
-NULL_SEED = 1912
-SIGNIFICANCE = 0.01
-"""Five elements suffice unless the p-value falls below this: one clean run in a hundred is called otherwise."""
-GRID_EXTENSION = 4.0
-"""How far beyond the slowest branch that the fit looks for a third is looked for."""
-MIN_RELEVANT_FORCE_MN = 5.0
-"""Accuracy of the rig's sensor: a branch that never shows as much does not matter, however significant."""
-POOR_FIT_CHI2 = 2.0
-"""Squared whitened residuals per degree of freedom beyond which something else than relaxation is in a run."""
-MIN_INDEPENDENT_SHARE = 1e-6
-"""Branches of which no more than this share lies beyond the five elements add nothing."""
+    inside = np.clip(start, low + 1e-6, high - 1e-6)
+    optimum = least_squares(residual, inside, jacobian, (low, high), x_scale="jac", max_nfev=MAX_EVALUATIONS)
+    order = np.argsort(optimum.x[2 + count :])
+    by_speed = np.concatenate(([0, 1], 2 + order, 2 + count + order))
+    converged = bool(optimum.success) and not optimum.active_mask.any()
+    return BranchFit(optimum.x[by_speed], optimum.fun, jacobian(optimum.x)[:, by_speed], converged)
 
 
 def third_branch_test(whitened: WhitenedRecord, fit: BranchFit) -> ThirdBranchTest:
@@ -333,74 +319,57 @@ def third_branch_test(whitened: WhitenedRecord, fit: BranchFit) -> ThirdBranchTe
     basis, _ = np.linalg.qr(fit.jacobian)
     beyond = branches - (branches @ basis) @ basis.T
     size = np.sqrt((beyond**2).sum(axis=1))
-    new = size > MIN_INDEPENDENT_SHARE * np.sqrt((branches**2).sum(axis=1))
-    if not new.any():
-        return ThirdBranchTest(None, None, None, None, "The run cannot tell five elements from more.")
-    grid, beyond = grid[new], beyond[new] / size[new, None]
-    # The residual is prediction minus measurement: a branch that is lacking projects on it negatively.
-    gains = np.maximum(-(beyond @ fit.residual), 0.0) ** 2
+    independent = size > MIN_INDEPENDENT_SHARE * np.sqrt((branches**2).sum(axis=1))
+    if not independent.any():
+        return ThirdBranchTest(None, None, None, None, "The run cannot distinguish five elements from more.")
+    grid, direction = grid[independent], beyond[independent] / size[independent, None]
+    # The residual is prediction minus measurement: a missing branch projects on it negatively.
+    gains = np.maximum(-(direction @ fit.residual), 0.0) ** 2
     best = int(gains.argmax())
-    left = max(1.0, (fit.chi2 - float(gains[best])) / max(fit.degrees - 2, 1))
-    p_value = _null_probability(beyond, float(gains[best]) / left)
-    if p_value >= SIGNIFICANCE:
-        return _five_suffice(p_value, fit.chi2 / max(fit.degrees, 1))
-    modulus = float(gains[best] ** 0.5 / size[new][best])
-    third, left = _fit_third_branch(whitened, fit, float(grid[best]), modulus)
-    return _five_insufficient(p_value, third, left)
+    gain = float(gains[best])
+    misfit = max(1.0, (fit.chi2 - gain) / max(fit.degrees - 2, 1))
+    p_value = _null_probability(direction, gain / misfit)
+    if p_value < SIGNIFICANCE:
+        modulus = gain**0.5 / float(size[independent][best])
+        return _significant_third(whitened, fit, float(grid[best]), modulus, p_value)
+    if fit.reduced_chi2 > POOR_FIT_CHI2:
+        sentence = f"Neither five elements nor a third branch describe the run (χ² per degree {fit.reduced_chi2:.3g})."
+        return ThirdBranchTest(None, p_value, None, None, sentence)
+    sentence = f"Five elements suffice: a third branch explains no more than noise (p = {p_value:.2g})."
+    return ThirdBranchTest(True, p_value, None, None, sentence)
 
 
-def _five_suffice(p_value: float, left: float) -> ThirdBranchTest:
-    if left > POOR_FIT_CHI2:
-        told = f"Neither five elements nor a third branch describe the run (χ² per degree {left:.3g})."
-        return ThirdBranchTest(None, p_value, None, None, told)
-    told = f"Five elements suffice: a third branch explains no more than noise would (p = {p_value:.2g})."
-    return ThirdBranchTest(True, p_value, None, None, told)
-
-
-def _five_insufficient(p_value: float, third: "_ThirdBranch", left: float) -> ThirdBranchTest:
-    chance = f"p < {1 / NULL_DRAWS:.2g}" if p_value < 2 / NULL_DRAWS else f"p = {p_value:.2g}"
-    what = f"a third branch of {third.time_s:.3g} s and {abs(third.force_mN):.3g} mN explains more than noise would"
-    if third.largest_mN < MIN_RELEVANT_FORCE_MN:
-        told = f"Five elements suffice: {what} ({chance}), but stays below the sensor's {MIN_RELEVANT_FORCE_MN:g} mN."
-        return ThirdBranchTest(True, p_value, third.time_s, third.force_mN, told)
-    told = f"Five elements do not suffice: {what} ({chance})"
-    told += f", yet not all of it (χ² per degree {left:.3g})." if left > POOR_FIT_CHI2 else "."
-    return ThirdBranchTest(False, p_value, third.time_s, third.force_mN, told)
-
-
-def _null_probability(beyond: FloatArray, gain: float) -> float:
-    """Chance that white noise gives at least this largest gain over all branches."""
-    _, triangle = np.linalg.qr(beyond.T)
+def _null_probability(direction: FloatArray, gain: float) -> float:
+    """Probability that white noise gives at least this largest gain over all branches."""
+    _, triangle = np.linalg.qr(direction.T)
     draws = np.random.default_rng(NULL_SEED).standard_normal((NULL_DRAWS, len(triangle))) @ triangle
     largest = np.maximum(draws, 0.0).max(axis=1) ** 2
     return float((1 + np.count_nonzero(largest >= gain)) / (1 + NULL_DRAWS))
 
 
-@dataclass(frozen=True, slots=True)
-class _ThirdBranch:
-    """A third branch: its force when the hold begins, and the largest that it ever shows."""
-
-    time_s: float
-    force_mN: float
-    largest_mN: float
-
-
-def _fit_third_branch(
-    whitened: WhitenedRecord, fit: BranchFit, time_s: float, modulus: float
-) -> tuple[_ThirdBranch, float]:
-    """Fit three branches from a first guess of the third; return it, and the chi² per degree that is left."""
+def _significant_third(
+    whitened: WhitenedRecord, fit: BranchFit, time_s: float, modulus: float, p_value: float
+) -> ThirdBranchTest:
+    """Fit three branches from a first guess of the third, and judge by its largest force."""
     values, count = fit.values, fit.count
     start = np.concatenate((values[: 2 + count], [np.log(max(modulus, 1e-6))], values[2 + count :], [np.log(time_s)]))
-    three = refine_branches(whitened, start)
+    three = _refine_branches(whitened, start)
     if three.converged and three.chi2 <= fit.chi2:
-        # Which of three is the third is a matter of words: the weakest.
+        # The weakest of the three is called the third.
         weakest = int(three.moduli.argmin())
         time_s, modulus = float(three.times_s[weakest]), float(three.moduli[weakest])
     record = whitened.record
     time = np.append(record.ramp_s[1], record.blocks.middle_s)
     shown = record.forces_at(np.array([time_s]), np.array([modulus]), 0.0, time)
-    third = _ThirdBranch(time_s, float(shown[0]), float(np.abs(shown).max()))
-    return third, three.chi2 / max(three.degrees, 1)
+    force_mN, largest_mN = float(shown[0]), float(np.abs(shown).max())
+    p_text = f"p < {1 / NULL_DRAWS:.2g}" if p_value < 2 / NULL_DRAWS else f"p = {p_value:.2g}"
+    third = f"a third branch of {time_s:.3g} s and {abs(force_mN):.3g} mN explains more than noise ({p_text})"
+    if largest_mN < MIN_RELEVANT_FORCE_MN:
+        sentence = f"Five elements suffice: {third}, but stays below the sensor's {MIN_RELEVANT_FORCE_MN:g} mN."
+        return ThirdBranchTest(True, p_value, time_s, force_mN, sentence)
+    poor = f", yet not all of it (χ² per degree {three.reduced_chi2:.3g})"
+    sentence = f"Five elements do not suffice: {third}{poor if three.reduced_chi2 > POOR_FIT_CHI2 else ''}."
+    return ThirdBranchTest(False, p_value, time_s, force_mN, sentence)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -410,11 +379,11 @@ class RelaxationResiduals:
     Attributes
     ----------
     ramp_s
-        When the ramp begins and ends.
+        Start and end of the ramp.
     middle_s, whitened
         Middle of each block of the fit, and its residual, measured less predicted, shape `(n,)`.
     time_s, predicted_mN
-        Times from the ramp's begin on, evenly spread over their logarithm, and the predicted force, zero included.
+        Times from the ramp's start on, evenly spread over their logarithm, and the predicted force, zero included.
     """
 
     ramp_s: tuple[float, float]
@@ -427,20 +396,20 @@ class RelaxationResiduals:
 def relaxation_residuals(
     fit: RelaxationFit, experiment: Experiment, noise: NoiseModel, points: int = 400
 ) -> RelaxationResiduals:
-    """Evaluate a fit beside its run; `AnalysisError` where it has no numbers."""
+    """Evaluate a fit beside its run; raises `AnalysisError` where it has no elements."""
     record = ShearRecord.of(experiment)
     moduli, times, spring, zero = _branch_values(fit)
     blocks = record.blocks
     predicted = zero + spring * record.spring() + moduli @ record.branches(times)
     whitened = WhitenedRecord.of(record, noise).rows((blocks.mean - predicted)[None])[0, :-1]
-    begin = record.ramp_s[0]
-    time = begin + np.geomspace(record.step_s, blocks.end_s[-1] - begin, points)
+    start = record.ramp_s[0]
+    time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, points)
     force = zero + record.forces_at(times, moduli, spring, time)
     return RelaxationResiduals(record.ramp_s, blocks.middle_s, whitened, time, force)
 
 
 def predicted_force(fit: RelaxationFit, experiment: Experiment, time_s: FloatArray) -> FloatArray:
-    """Force [mN] that a fit predicts at times of its run, zero included; `AnalysisError` where it has no numbers."""
+    """Force [mN] of a fit at times of its run, zero included; raises `AnalysisError` where it has no elements."""
     moduli, times, spring, zero = _branch_values(fit)
     return zero + ShearRecord.of(experiment).forces_at(times, moduli, spring, time_s)
 
@@ -448,5 +417,5 @@ def predicted_force(fit: RelaxationFit, experiment: Experiment, time_s: FloatArr
 def _branch_values(fit: RelaxationFit) -> tuple[FloatArray, FloatArray, float, float]:
     if not fit.elements or fit.zero.value is None:
         raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
-    E1, E2, E3, eta1, eta2 = (one.value for one in fit.elements)
+    E1, E2, E3, eta1, eta2 = (element.value for element in fit.elements)
     return np.array([E1, E2]), np.array([eta1 / E1, eta2 / E2]), E3, fit.zero.value

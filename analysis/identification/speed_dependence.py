@@ -18,60 +18,73 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.estimates import NORMAL_95, EstimatedQuantity
+from dragrig.analysis.estimates import EstimatedQuantity
 from dragrig.analysis.identification.identification import LogLaw, SpeedBandR2, SpeedBoundary, SpeedPoint
 from dragrig.rig.arrays import FloatArray
 
 MIN_SPEEDS_FOR_LAW = 3
+MIN_SPEEDS_FOR_R2 = 3
+MIN_SPEEDS_FOR_BOUNDARY = 5
+BOUNDARY_GRID_POINTS = 200
+"""Boundaries tried, evenly spaced in ln v between the second speed and the last but one."""
+NULL_SIMULATIONS = 2000
+NULL_SEED = 2012
+SIMULATION_NOTE = f"by {NULL_SIMULATIONS} simulated campaigns, seed {NULL_SEED}"
+SIGNIFICANCE = 0.05
+CHI2_95 = 3.8415
+"""95 % quantile of χ² with one degree of freedom: the rise of χ² at the ends of a profile interval."""
+PAPER_BOUNDARY_MM_S = 20.0
+SPEED_TOLERANCE = 0.01
+"""A stage faster than its set speed by up to this share counts as at that speed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyForces:
+    """Speeds without sign, forces and their standard errors as arrays of shape `(n,)`."""
+
+    speed_mm_s: FloatArray
+    force_mN: FloatArray
+    error_mN: FloatArray
+
+    @classmethod
+    def of(cls, points: Sequence[SpeedPoint]) -> "SteadyForces":
+        """Take them from the points of one direction."""
+        return cls(
+            np.array([abs(point.speed_mm_s) for point in points]),
+            np.array([point.force.value for point in points], dtype=float),
+            np.array([point.force.standard_error for point in points], dtype=float),
+        )
 
 
 def fit_log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
     """Fit intercept + slope · ln(v / 1 mm/s) by weighted least squares; None for fewer than three speeds.
 
     The intervals are those of the line through the points at these speeds, by the points' errors. Where
-    `lack_of_fit_p` is small, no straight line describes them, and other speeds would give another one.
+    `lack_of_fit_p` is small, no straight line describes them, and other speeds would give another line.
     """
     from scipy.special import chdtrc
 
-    if len(points) < MIN_SPEEDS_FOR_LAW:
+    steady = SteadyForces.of(points)
+    force, error = steady.force_mN, steady.error_mN
+    if len(points) < MIN_SPEEDS_FOR_LAW or not (error > 0).all():
         return None
-    force = np.array([point.force.value for point in points], dtype=float)
-    error = np.array([point.force.standard_error for point in points], dtype=float)
-    if not (error > 0).all():
-        return None
-    design = np.column_stack((np.ones(len(points)), np.log([abs(point.speed_mm_s) for point in points])))
+    design = np.column_stack((np.ones(len(points)), np.log(steady.speed_mm_s)))
     weighted = design / error[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
-    found = covariance @ weighted.T @ (force / error)
-    stray = (force - design @ found) / error
-    degrees, squares = len(points) - 2, float(stray @ stray)
+    coefficients = covariance @ weighted.T @ (force / error)
+    residual = (force - design @ coefficients) / error
+    degrees, chi2 = len(points) - 2, float(residual @ residual)
     errors = np.sqrt(np.diag(covariance))
     weight = error**-2
     about_mean = force - float(weight @ force) / float(weight.sum())
-    spread = float(weight @ about_mean**2)
-    intercept, slope = (
-        EstimatedQuantity(
-            name, "mN", float(value), float(one), (float(value - NORMAL_95 * one), float(value + NORMAL_95 * one))
-        )
-        for name, value, one in zip(("intercept", "slope"), found, errors, strict=True)
-    )
+    total = float(weight @ about_mean**2)
     return LogLaw(
-        intercept=intercept,
-        slope=slope,
+        intercept=EstimatedQuantity.normal("intercept", "mN", float(coefficients[0]), float(errors[0])),
+        slope=EstimatedQuantity.normal("slope", "mN", float(coefficients[1]), float(errors[1])),
         correlation=float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])),
-        r2=1 - squares / spread if spread else float("nan"),
-        lack_of_fit_p=float(chdtrc(degrees, squares)),
+        r2=1 - chi2 / total if total else float("nan"),
+        lack_of_fit_p=float(chdtrc(degrees, chi2)),
     )
-
-
-MIN_SPEEDS_FOR_BOUNDARY = 5
-BOUNDARY_GRID_POINTS = 200
-"""Boundaries tried, evenly spaced in ln v between the second speed and the last but one."""
-NULL_SIMULATIONS = 2000
-NULL_SEED = 2012
-SIGNIFICANCE = 0.05
-CHI2_95 = 3.8415
-"""How much worse the squares may be for a boundary inside the 95 % interval."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +96,7 @@ class ForceDeviation:
     speed_mm_s, force_mN, error_mN
         Speed, deviation, and its standard error, shape `(n,)`.
     freedom_mN
-        Deviations that need no boundary, each as large as one standard deviation of what is known of it
-        beforehand, shape `(K, n)`.
+        Deviations that need no boundary, each one prior standard deviation large, shape `(K, n)`.
     """
 
     speed_mm_s: FloatArray
@@ -97,149 +109,138 @@ class ForceDeviation:
         """Of the deviations without any boundary or trend, shape `(n, n)`."""
         return np.asarray(np.diag(self.error_mN**2) + self.freedom_mN.T @ self.freedom_mN)
 
+    @property
+    def trend(self) -> FloatArray:
+        """Level and slope in ln v, shape `(n, 2)`."""
+        return np.column_stack((np.ones_like(self.speed_mm_s), np.log(self.speed_mm_s)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HingeSearch:
-    """Hinges tried, shape `(G, n)`, and `unit`, the same whitened, made free of level and trend, and of length 1."""
+    """Hinges at the boundaries of a grid.
+
+    Attributes
+    ----------
+    hinge
+        Their deviations, shape `(G, n)`.
+    direction
+        The same, whitened, freed of level and trend, and of length 1.
+    whiten, project
+        Whiten deviations, and remove level and trend from whitened ones, shape `(n, n)`.
+    """
 
     at_mm_s: FloatArray
     hinge: FloatArray
-    unit: FloatArray
+    direction: FloatArray
     whiten: FloatArray
+    project: FloatArray
 
-    @property
-    def degrees(self) -> int:
-        """Degrees of freedom that level, trend and hinge leave."""
-        return int(self.unit.shape[1]) - 4
+    @classmethod
+    def of(cls, deviation: ForceDeviation) -> "_HingeSearch":
+        speed = deviation.speed_mm_s
+        at_mm_s = np.geomspace(speed[1], speed[-2], BOUNDARY_GRID_POINTS)
+        hinge = np.maximum(np.log(speed / at_mm_s[:, None]), 0.0)
+        whiten = np.linalg.inv(np.linalg.cholesky(deviation.covariance))
+        basis, _ = np.linalg.qr(whiten @ deviation.trend)
+        project = np.asarray(np.eye(len(speed)) - basis @ basis.T)
+        direction = hinge @ whiten.T @ project
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        return cls(at_mm_s, hinge, direction, whiten, project)
 
-    def drops(self, whitened: FloatArray) -> FloatArray:
-        """How much each hinge takes off the squares, shape `(…, G)`."""
-        return np.asarray((whitened @ self.unit.T) ** 2)
+    def chi2_drops(self, whitened: FloatArray) -> FloatArray:
+        """By how much each hinge lowers χ², shape `(…, G)`."""
+        return np.asarray((whitened @ self.direction.T) ** 2)
 
-    def left_over(self, squares: FloatArray, drop: FloatArray) -> FloatArray:
-        """Squares per degree of freedom that a hinge leaves; 1 where the errors explain them."""
-        return np.maximum(1.0, (squares - drop) / self.degrees)
+    def misfit(self, chi2: FloatArray, drop: FloatArray) -> FloatArray:
+        """χ² per degree of freedom that level, trend, hinge and its place leave; 1 where the errors explain them."""
+        return np.asarray(np.maximum(1.0, (chi2 - drop) / (self.direction.shape[1] - 4)))
+
+    def null_probability(self, improvement: float) -> float:
+        """Share of simulated campaigns without a boundary that improve as much."""
+        draws = np.random.default_rng(NULL_SEED).standard_normal((NULL_SIMULATIONS, len(self.project))) @ self.project
+        drop = self.chi2_drops(draws).max(axis=1)
+        improvements = drop / self.misfit((draws**2).sum(axis=1), drop)
+        return float((1 + np.count_nonzero(improvements >= improvement)) / (1 + NULL_SIMULATIONS))
 
 
 def find_boundary(deviation: ForceDeviation, what: str = "measurement and model") -> SpeedBoundary:
-    """Estimate the boundary with its interval by profile likelihood, and the chance of such a one by errors alone.
+    """Estimate the boundary and its interval by profile likelihood, and the probability of such a bend by errors alone.
 
     Where the hinge leaves more than the errors explain, improvements count relative to what it leaves.
 
     Parameters
     ----------
     what
-        The two that part ways, for the sentence.
+        The two that are compared, for the sentence.
     """
     speeds = len(deviation.speed_mm_s)
     if speeds < MIN_SPEEDS_FOR_BOUNDARY:
-        given = f"{speeds} speed{'s' * (speeds != 1)}"
+        few = f"{speeds} speed{'s' * (speeds != 1)}"
         return SpeedBoundary(
             None,
             None,
             None,
-            f"With {given} a boundary cannot be estimated; it takes at least {MIN_SPEEDS_FOR_BOUNDARY}.",
+            f"With {few} a boundary cannot be estimated; at least {MIN_SPEEDS_FOR_BOUNDARY} are needed.",
         )
-    search = _search_hinges(deviation)
-    free = _trend_projection(search.whiten, deviation.speed_mm_s)
-    seen = free @ search.whiten @ deviation.force_mN
-    drop = search.drops(seen)
+    search = _HingeSearch.of(deviation)
+    whitened = search.project @ search.whiten @ deviation.force_mN
+    drop = search.chi2_drops(whitened)
     best = int(drop.argmax())
-    left = float(search.left_over(seen @ seen, drop[best]))
-    chance = _null_probability(search, free, float(drop[best]) / left)
-    if chance >= SIGNIFICANCE:
-        return SpeedBoundary(None, None, chance, _no_boundary_sentence(deviation, what, chance))
-    at = float(search.at_mm_s[best])
-    inside = search.at_mm_s[drop[best] - drop <= CHI2_95 * left]
-    interval = _widen_to_speeds(deviation.speed_mm_s, at, float(inside.min()), float(inside.max()))
-    return SpeedBoundary(at, interval, chance, _boundary_sentence(deviation, search, best, interval, chance, what))
+    misfit = float(search.misfit(whitened @ whitened, drop[best]))
+    probability = search.null_probability(float(drop[best]) / misfit)
+    if probability >= SIGNIFICANCE:
+        return SpeedBoundary(None, None, probability, _no_boundary_sentence(deviation, what, probability))
+    at_mm_s = float(search.at_mm_s[best])
+    inside = search.at_mm_s[drop[best] - drop <= CHI2_95 * misfit]
+    # Never narrower than the two measured speeds next to the boundary.
+    slower = deviation.speed_mm_s[deviation.speed_mm_s <= at_mm_s]
+    faster = deviation.speed_mm_s[deviation.speed_mm_s >= at_mm_s]
+    interval = min(float(inside.min()), float(slower[-1])), max(float(inside.max()), float(faster[0]))
+    sentence = _boundary_sentence(deviation, search, best, interval, probability, what)
+    return SpeedBoundary(at_mm_s, interval, probability, sentence)
 
 
-def _search_hinges(deviation: ForceDeviation) -> _HingeSearch:
-    speed = deviation.speed_mm_s
-    at = np.geomspace(speed[1], speed[-2], BOUNDARY_GRID_POINTS)
-    hinge = np.maximum(np.log(speed / at[:, None]), 0.0)
-    whiten = np.linalg.inv(np.linalg.cholesky(deviation.covariance))
-    unit = hinge @ whiten.T @ _trend_projection(whiten, speed)
-    unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    return _HingeSearch(at, hinge, unit, whiten)
-
-
-def _widen_to_speeds(speed_mm_s: FloatArray, at_mm_s: float, low: float, high: float) -> tuple[float, float]:
-    """Widen an interval to the speeds next to the boundary."""
-    slower, faster = speed_mm_s[speed_mm_s <= at_mm_s], speed_mm_s[speed_mm_s >= at_mm_s]
-    return min(low, float(slower[-1])), max(high, float(faster[0]))
-
-
-def _trend_projection(whiten: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
-    """Return the projection that takes level and trend off whitened deviations."""
-    basis, _ = np.linalg.qr(whiten @ _trend(speed_mm_s))
-    return np.asarray(np.eye(len(speed_mm_s)) - basis @ basis.T)
-
-
-def _trend(speed_mm_s: FloatArray) -> FloatArray:
-    return np.column_stack((np.ones_like(speed_mm_s), np.log(speed_mm_s)))
-
-
-def _null_probability(search: _HingeSearch, free: FloatArray, improvement: float) -> float:
-    """Share of simulated campaigns without a boundary that improve as much."""
-    drawn = np.random.default_rng(NULL_SEED).standard_normal((NULL_SIMULATIONS, len(free))) @ free
-    drop = search.drops(drawn).max(axis=1)
-    left = search.left_over((drawn**2).sum(axis=1), drop)
-    return float((1 + np.count_nonzero(drop / left >= improvement)) / (1 + NULL_SIMULATIONS))
-
-
-def _no_boundary_sentence(deviation: ForceDeviation, what: str, chance: float) -> str:
+def _no_boundary_sentence(deviation: ForceDeviation, what: str, probability: float) -> str:
     from scipy.special import chdtrc
 
-    squares = deviation.force_mN @ np.linalg.solve(deviation.covariance, deviation.force_mN)
-    alike = float(chdtrc(len(deviation.force_mN), squares))
+    chi2 = deviation.force_mN @ np.linalg.solve(deviation.covariance, deviation.force_mN)
+    equal_p = float(chdtrc(len(deviation.force_mN), chi2))
     besides = ""
-    if alike < SIGNIFICANCE:
-        besides = f" Yet {what} differ (p {_p_text(alike)}), with no speed at which that begins."
+    if equal_p < SIGNIFICANCE:
+        besides = f" Yet {what} differ (p {_p_text(equal_p)}), with no speed at which that begins."
     return (
         f"No boundary is supported: the difference between {what} bends no more than errors allow "
-        f"(p {_p_text(chance)} {_simulation_note()}); a boundary is reported for about 5 in 100 campaigns that have "
+        f"(p {_p_text(probability)} {SIMULATION_NOTE}); a boundary is reported for about 5 in 100 campaigns that have "
         f"none.{besides}"
     )
 
 
 def _boundary_sentence(
-    deviation: ForceDeviation, search: _HingeSearch, best: int, interval: tuple[float, float], chance: float, what: str
+    deviation: ForceDeviation,
+    search: _HingeSearch,
+    best: int,
+    interval: tuple[float, float],
+    probability: float,
+    what: str,
 ) -> str:
     speed, (low, high) = deviation.speed_mm_s, interval
-    below, change = _hinge_slopes(deviation, search, best)
-    above = abs(below) <= abs(below + change)
+    design = np.column_stack((deviation.trend, search.hinge[best]))
+    coefficients, *_ = np.linalg.lstsq(search.whiten @ design, search.whiten @ deviation.force_mN)
+    slope_below, change = float(coefficients[1]), float(coefficients[2])
+    above = abs(slope_below) <= abs(slope_below + change)
     far = float(speed[-1] if above else speed[0])
     size = change * abs(np.log(far / search.at_mm_s[best]))
-    at_end = "" if speed[1] < low and high < speed[-2] else ", which the range of speeds cuts off"
+    at_end = "" if speed[1] < low and high < speed[-2] else ", limited by the range of speeds"
     return (
-        f"{what[:1].upper()}{what[1:]} part ways {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
-        f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(chance)} {_simulation_note()}): at {far:.3g} mm/s "
+        f"{what[:1].upper()}{what[1:]} differ {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
+        f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(probability)} {SIMULATION_NOTE}): at {far:.3g} mm/s "
         f"the force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than expected from the other speeds."
     )
 
 
-def _hinge_slopes(deviation: ForceDeviation, search: _HingeSearch, best: int) -> tuple[float, float]:
-    """Return the trend below the boundary and its change there [mN per unit of ln v]."""
-    design = np.column_stack((_trend(deviation.speed_mm_s), search.hinge[best]))
-    found, *_ = np.linalg.lstsq(search.whiten @ design, search.whiten @ deviation.force_mN)
-    return float(found[1]), float(found[2])
-
-
-def _simulation_note() -> str:
-    return f"by {NULL_SIMULATIONS} simulated campaigns, seed {NULL_SEED}"
-
-
-def _p_text(chance: float) -> str:
+def _p_text(probability: float) -> str:
     least = 2 / NULL_SIMULATIONS
-    return f"< {least:g}" if chance < least else f"= {chance:.2g}"
-
-
-MIN_SPEEDS_FOR_R2 = 3
-PAPER_BOUNDARY_MM_S = 20.0
-SPEED_TOLERANCE = 0.01
-"""A stage that is so much faster than the speed it was set to is still at that speed."""
+    return f"< {least:g}" if probability < least else f"= {probability:.2g}"
 
 
 def r2_eq15(model: FloatArray, measured: FloatArray) -> float | None:
@@ -254,7 +255,7 @@ def r2_eq15(model: FloatArray, measured: FloatArray) -> float | None:
 
 
 def squared_correlation(model: FloatArray, measured: FloatArray) -> float | None:
-    """Return the square of the correlation, which the paper introduces Eq. 15 as; None where either is constant."""
+    """Return the square of the correlation, as which the paper introduces Eq. 15; None where either is constant."""
     if np.ptp(model) == 0 or np.ptp(measured) == 0:
         return None
     return float(np.corrcoef(model, measured)[0, 1] ** 2)
@@ -283,6 +284,5 @@ def _speed_bands(
 def _band_r2(band: str, points: Sequence[SpeedPoint]) -> SpeedBandR2:
     if len(points) < MIN_SPEEDS_FOR_R2:
         return SpeedBandR2(band, len(points), None, None)
-    model = np.array([point.model_mN for point in points])
-    measured = np.array([point.force.value for point in points], dtype=float)
+    model, measured = np.array([point.model_mN for point in points]), SteadyForces.of(points).force_mN
     return SpeedBandR2(band, len(points), r2_eq15(model, measured), squared_correlation(model, measured))

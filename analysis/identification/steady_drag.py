@@ -11,8 +11,14 @@ import numpy as np
 
 from dragrig.analysis.computation import single_blas_thread
 from dragrig.analysis.estimates import Estimate, Exclusion
-from dragrig.analysis.identification.identification import DragResult, LogLaw, SpeedBoundary, SpeedPoint
-from dragrig.analysis.identification.speed_dependence import ForceDeviation, find_boundary, fit_log_law, r2_by_band
+from dragrig.analysis.identification.identification import DragResult, LogLaw, SpeedPoint
+from dragrig.analysis.identification.speed_dependence import (
+    ForceDeviation,
+    SteadyForces,
+    find_boundary,
+    fit_log_law,
+    r2_by_band,
+)
 from dragrig.analysis.identification.steady_sliding import along_motion, measure_sliding, rest_mean, subtract_estimates
 from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
 from dragrig.analysis.models.capsule_model import (
@@ -33,6 +39,12 @@ from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
 from dragrig.sim_backend.friction.sliding import steady_forces
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
+STIFFNESS_SCATTER, FRICTION_SCATTER = (variation.sd for variation in RUN_VARIATIONS)
+SAME_SPEED_FACTOR = 1.03
+"""Successive speeds within this factor are repeats."""
+SIGNIFICANCE = 0.05
+NOTABLE_SCATTER = 1.5
+"""Scatter of repeats over its expectation from which a remark says so."""
 QUADRATURE_NODES = 24
 DERIVATIVE_STEP = 1e-3
 
@@ -46,14 +58,13 @@ class DragSetup:
 
     @classmethod
     def of(cls, experiment: Experiment) -> "DragSetup":
-        """Take them from a run; raises `AnalysisError` where it does not say enough of its capsule."""
-        capsule = experiment.capsule.model_copy(update={"name": "capsule"})
-        return cls(capsule, experiment.wall_thickness_mm)
+        """Take them from a run; raises `AnalysisError` where it does not state enough of its capsule."""
+        return cls(experiment.capsule.model_copy(update={"name": "capsule"}), experiment.wall_thickness_mm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyForceParts:
-    """Parts of the steady force [mN], shape `(n,)`; `wall` is what the wall's stiffness multiplies, in f_e and f_c."""
+    """Parts of the steady force [mN], shape `(n,)`; `wall` is the part of f_e and f_c that scales with stiffness."""
 
     f_e: FloatArray
     f_v: FloatArray
@@ -66,52 +77,16 @@ class SteadyForceParts:
         return self.f_e + self.f_v + self.f_c
 
 
-def steady_force_parts(setup: DragSetup, model: FrictionModelSettings, speed_mm_s: FloatArray) -> SteadyForceParts:
-    """Return the model's parts at steady speeds; raises `SettingsError` as `steady_forces`."""
-    steady, gain = steady_forces(speed_mm_s, model, setup.capsule, setup.wall_thickness_mm), model.force_gain
-    pressed = steady.f_e + model.friction_coefficient * steady.side_pressure_force
-    return SteadyForceParts(gain * steady.f_e, gain * steady.f_v, gain * steady.f_c, gain * pressed)
-
-
-def resting_force(setup: DragSetup, model: FrictionModelSettings, age_s: float) -> float:
-    """Return the axial force [mN] of wall that has all been in contact for one time, as before a drag test."""
-    contact = HemisphereContact.of(setup.capsule, setup.wall_thickness_mm, model)
-    nodes, weights = gauss_legendre(QUADRATURE_NODES)
-    load = contact.axial_load(contact.length_mm * nodes, np.full(QUADRATURE_NODES, age_s * model.insertion_dwell_scale))
-    return model.force_gain * contact.length_mm * float(load @ weights)
-
-
-def prior_deviations(
-    model: FrictionModelSettings, expected: Callable[[FrictionModelSettings], FloatArray]
-) -> FloatArray:
-    """Return how far one standard deviation of each of a specimen's parameters moves a prediction, shape `(K, n)`."""
-    nominal = expected(model)
-    rows = []
-    for name, (sd, _) in SPECIMEN_PRIORS.items():
-        value = float(getattr(model, name))
-        if value:
-            moved = model.model_copy(update={name: value * (1 + DERIVATIVE_STEP)})
-            rows.append((expected(moved) - nominal) * (sd / DERIVATIVE_STEP))
-    turned = model.model_copy(update={ANGLE_PARAMETER: getattr(model, ANGLE_PARAMETER) + DERIVATIVE_STEP})
-    rows.append((expected(turned) - nominal) * (ANGLE_SD_DEG / DERIVATIVE_STEP))
-    return np.array(rows)
-
-
-STIFFNESS_SCATTER, FRICTION_SCATTER = (one.sd for one in RUN_VARIATIONS)
-SAME_SPEED_FACTOR = 1.03
-"""Runs whose speeds follow one another by less than this factor are repeats."""
-
-
 @dataclass(frozen=True, slots=True)
 class DragRun:
-    """Steady drag of one run, along its motion, the sensor's zero taken off.
+    """Steady drag of one run along its motion, the sensor's zero subtracted.
 
     Attributes
     ----------
     force
         With the error of this run's own force.
     scatter_mN
-        Standard deviation by which runs like it differ.
+        Standard deviation between runs of these settings.
     rest_age_s
         Age of the contact at rest, where the zero was taken from the rest; None where it was given.
     """
@@ -126,7 +101,7 @@ class DragRun:
 
     @property
     def variance(self) -> float:
-        """Squared error with which the run stands for others like it [mN²]."""
+        """Squared error with which the run represents others of its settings [mN²]."""
         return (self.force.standard_error or 0.0) ** 2 + self.scatter_mN**2
 
 
@@ -138,41 +113,77 @@ class SpeedGroup:
     point: SpeedPoint
 
 
-def measure_drag_runs(
+@single_blas_thread()
+def identify_drag(
+    selection: RunSelection, model: FrictionModelSettings, zeros: Mapping[str, Estimate] | None = None
+) -> DragResult:
+    """Compare the steady drag of a specimen with the model.
+
+    Forces are those in the channel, counted along the motion; backward speeds are negative. Law, boundary
+    and R² are those of the direction with more speeds; R² of the opposite direction follows.
+
+    Parameters
+    ----------
+    zeros
+        The sensor's zero by the name of the run's file. A run without one has it taken from its rest, less the
+        force of the model's relaxed wall on the capsule there.
+    """
+    experiments = selection.of_kind("drag")
+    if not experiments:
+        return DragResult((), None, None, remarks=("the campaign has no usable drag run",))
+    known = {file: zero for file, zero in (zeros or {}).items() if zero.standard_error is not None}
+    noise = cache(lambda: estimate_noise(selection.experiments, FORCE_CHANNEL))
+    measured, left_out = _measure_runs(experiments, model, known, noise)
+    usual_setup = Counter(run.setup for run in measured).most_common(1)[0][0] if measured else None
+    left_out += [
+        Exclusion(run.file, "its capsule or wall differs from that of most runs")
+        for run in measured
+        if run.setup != usual_setup
+    ]
+    runs = [run for run in measured if run.setup == usual_setup]
+    remarks = [f"{exclusion.what} is left out of the drag: {exclusion.reason}" for exclusion in left_out]
+    if not runs:
+        return DragResult((), None, None, remarks=tuple(remarks))
+    groups, scatter_factor = _group_by_speed(runs, model)
+    by_sign = [[group for group in groups if sign * group.point.speed_mm_s > 0] for sign in (1, -1)]
+    directions = sorted(filter(None, by_sign), key=len, reverse=True)
+    points = [group.point for group in directions[0]]
+    law = fit_log_law(points)
+    boundary = find_boundary(_model_deviation(directions[0], model))
+    bands = r2_by_band(points, boundary)
+    for direction in directions[1:]:
+        bands += r2_by_band([group.point for group in direction], None, f"{_direction_name(direction)}, ")
+    remarks += _run_remarks(runs, scatter_factor)
+    if len(directions) > 1:
+        remarks.append(f"law and boundary are those of the {len(points)} {_direction_name(directions[0])} speeds")
+    remarks += _law_remarks(points, law)
+    return DragResult(tuple(group.point for group in groups), law, boundary, bands, tuple(remarks))
+
+
+def _direction_name(groups: Sequence[SpeedGroup]) -> str:
+    return "backward" if groups[0].point.speed_mm_s < 0 else "forward"
+
+
+# Runs.
+
+
+def _measure_runs(
     experiments: Iterable[Experiment],
     model: FrictionModelSettings,
     zeros: Mapping[str, Estimate],
     noise: Callable[[], NoiseModel],
 ) -> tuple[list[DragRun], list[Exclusion]]:
-    """Measure runs, and say why others cannot be; the noise is asked for by those whose zero is not given."""
-    found, left_out = list[DragRun](), list[Exclusion]()
+    """Measure runs; the noise is estimated only for runs whose zero is not given."""
+    runs, left_out = list[DragRun](), list[Exclusion]()
     for experiment in experiments:
         try:
-            found.append(_measure_drag_run(experiment, model, zeros.get(experiment.file), noise))
-        except (AnalysisError, SettingsError) as fault:
-            left_out.append(Exclusion(experiment.file, str(fault).removeprefix(f"{experiment.file}: ")))
-    return found, left_out
+            runs.append(_measure_run(experiment, model, zeros.get(experiment.file), noise))
+        except (AnalysisError, SettingsError) as error:
+            left_out.append(Exclusion(experiment.file, str(error).removeprefix(f"{experiment.file}: ")))
+    return runs, left_out
 
 
-def group_by_speed(runs: Sequence[DragRun], model: FrictionModelSettings) -> tuple[list[SpeedGroup], float]:
-    """Average the runs at each speed and direction, forward before backward and slow before fast.
-
-    Returns
-    -------
-    The speeds, and by what factor repeats scatter more than their errors say; 1 where they do not.
-    """
-    groups = _speed_groups(runs)
-    squares, degrees = 0.0, 0
-    for group in groups:
-        mean, weights = _weighted_mean(group)
-        values = np.array([run.force.value for run in group], dtype=float)
-        squares += float(weights @ (values - mean) ** 2)
-        degrees += len(group) - 1
-    factor = max(1.0, (squares / degrees) ** 0.5) if degrees else 1.0
-    return [SpeedGroup(tuple(group), _speed_point(group, model, factor)) for group in groups], factor
-
-
-def _measure_drag_run(
+def _measure_run(
     experiment: Experiment, model: FrictionModelSettings, zero: Estimate | None, noise: Callable[[], NoiseModel]
 ) -> DragRun:
     if experiment.fixture is not Fixture.FOAM:
@@ -180,44 +191,40 @@ def _measure_drag_run(
             f"its fixture is {experiment.fixture.value}, not foam: the gut does not close on the capsule"
         )
     setup = DragSetup.of(experiment)
-    seen = measure_sliding(experiment)
-    age, held, along_mN = None, 0.0, 0.0
+    sliding = measure_sliding(experiment)
+    still = experiment.time_s[at_rest(experiment.run.trace)]
+    age_s = experiment.insertion_dwell_s + (0.5 * float(still[0] + still[-1]) if still.size else 0.0)
+    resting_mN = resting_force(setup, model, age_s)
     if zero is None:
-        age = _rest_age(experiment)
-        held = resting_force(setup, model, age)
-        force = _add_force(subtract_estimates(seen.steady, rest_mean(experiment, seen.direction, noise())), held)
+        force = subtract_estimates(sliding.steady, rest_mean(experiment, sliding.direction, noise()))
+        if force.value is not None:
+            force = Estimate(force.value + resting_mN, force.standard_error)
+        subtracted_mN, correlated_mN = resting_mN, 0.0
     else:
-        along_mN = _correlated_zero_error(zero, resting_force(setup, model, _rest_age(experiment)))
-        own = Estimate(zero.value, ((zero.standard_error or 0.0) ** 2 - along_mN**2) ** 0.5)
-        force = subtract_estimates(seen.steady, along_motion(own, seen.direction))
+        # A zero from a fit comes from the rest, and is as uncertain as the run's own wall's pressure there. That part
+        # of its error varies with the steady force's scatter.
+        zero_error = zero.standard_error or 0.0
+        correlated_mN = min(zero_error, STIFFNESS_SCATTER * abs(resting_mN))
+        own = Estimate(zero.value, (zero_error**2 - correlated_mN**2) ** 0.5)
+        force = subtract_estimates(sliding.steady, along_motion(own, sliding.direction))
+        subtracted_mN = 0.0
     if force.value is None:
         raise AnalysisError(force.reason)
-    by_model = steady_force_parts(setup, model, np.array([seen.speed_mm_s]))
-    # A run whose wall is stiffer presses harder at rest too, which goes off with the rest.
-    stiff = STIFFNESS_SCATTER * (float(by_model.wall[0]) - held) - along_mN
-    scatter = hypot(stiff, FRICTION_SCATTER * float(by_model.f_c[0]))
-    return DragRun(experiment.file, setup, seen.direction, seen.speed_mm_s, force, scatter, age)
+    parts = steady_force_parts(setup, model, np.array([sliding.speed_mm_s]))
+    # A run whose wall is stiffer presses harder at rest too, which is subtracted with the rest.
+    stiff_mN = STIFFNESS_SCATTER * (float(parts.wall[0]) - subtracted_mN) - correlated_mN
+    scatter_mN = hypot(stiff_mN, FRICTION_SCATTER * float(parts.f_c[0]))
+    rest_age_s = age_s if zero is None else None
+    return DragRun(experiment.file, setup, sliding.direction, sliding.speed_mm_s, force, scatter_mN, rest_age_s)
 
 
-def _correlated_zero_error(zero: Estimate, resting_mN: float) -> float:
-    """Return which part of a zero's error goes along with the steady force's scatter, one standard deviation.
+def _group_by_speed(runs: Sequence[DragRun], model: FrictionModelSettings) -> tuple[list[SpeedGroup], float]:
+    """Average the runs at each speed and direction, forward before backward and slow before fast.
 
-    Where a fit tells the zero, it does so from the rest, and is in doubt by how hard the run's own wall presses there.
+    Returns
+    -------
+    The speeds, and the factor by which repeats scatter more than their errors say; 1 where they do not.
     """
-    return min(zero.standard_error or 0.0, STIFFNESS_SCATTER * abs(resting_mN))
-
-
-def _add_force(force: Estimate, by_mN: float) -> Estimate:
-    return force if force.value is None else Estimate(force.value + by_mN, force.standard_error)
-
-
-def _rest_age(experiment: Experiment) -> float:
-    """Return the noted age of the contact in the middle of the rest."""
-    still = experiment.time_s[at_rest(experiment.run.trace)]
-    return experiment.insertion_dwell_s + (0.5 * float(still[0] + still[-1]) if still.size else 0.0)
-
-
-def _speed_groups(runs: Sequence[DragRun]) -> list[list[DragRun]]:
     groups: list[list[DragRun]] = []
     rising = sorted(runs, key=lambda run: (-run.direction, run.speed_mm_s))
     for _, one_way in groupby(rising, key=lambda run: run.direction):
@@ -228,10 +235,16 @@ def _speed_groups(runs: Sequence[DragRun]) -> list[list[DragRun]]:
             else:
                 groups.append([run])
             previous = run.speed_mm_s
-    return groups
+    chi2 = 0.0
+    for group in groups:
+        mean, weights = _weighted_mean(group)
+        chi2 += float(weights @ (np.array([run.force.value for run in group], dtype=float) - mean) ** 2)
+    degrees = len(runs) - len(groups)
+    factor = max(1.0, (chi2 / degrees) ** 0.5) if degrees else 1.0
+    return [SpeedGroup(tuple(group), _speed_point(group, model, factor)) for group in groups], factor
 
 
-def _weighted_mean(group: Sequence[DragRun]) -> "tuple[float, np.ndarray[tuple[int], np.dtype[np.float64]]]":
+def _weighted_mean(group: Sequence[DragRun]) -> tuple[float, FloatArray]:
     weights = np.array([1 / run.variance for run in group])
     values = np.array([run.force.value for run in group], dtype=float)
     return float(weights @ values / weights.sum()), weights
@@ -240,128 +253,99 @@ def _weighted_mean(group: Sequence[DragRun]) -> "tuple[float, np.ndarray[tuple[i
 def _speed_point(group: Sequence[DragRun], model: FrictionModelSettings, factor: float) -> SpeedPoint:
     mean, weights = _weighted_mean(group)
     speed = float(np.mean([run.speed_mm_s for run in group]))
-    by_model = steady_force_parts(group[0].setup, model, np.array([speed]))
-    error = factor * float(weights.sum()) ** -0.5
+    parts = steady_force_parts(group[0].setup, model, np.array([speed]))
     return SpeedPoint(
         speed_mm_s=group[0].direction * speed,
         runs=len(group),
-        force=Estimate(mean, error),
-        f_e_mN=float(by_model.f_e[0]),
-        f_v_mN=float(by_model.f_v[0]),
-        f_c_mN=float(by_model.f_c[0]),
+        force=Estimate(mean, factor * float(weights.sum()) ** -0.5),
+        f_e_mN=float(parts.f_e[0]),
+        f_v_mN=float(parts.f_v[0]),
+        f_c_mN=float(parts.f_c[0]),
     )
 
 
-SIGNIFICANCE = 0.05
+# The friction model beside them.
 
 
-@single_blas_thread()
-def identify_drag(
-    selection: RunSelection, model: FrictionModelSettings, zeros: Mapping[str, Estimate] | None = None
-) -> DragResult:
-    """Compare the steady drag of a specimen with the model.
-
-    Forces are those that the channel shows, counted along the motion; backward speeds are negative. Law, boundary
-    and R² are those of the direction with more speeds; R² of the other one follows.
-
-    Parameters
-    ----------
-    zeros
-        The sensor's zero by the name of the run's file. A run without one has it taken from its rest, less the
-        force with which the model's relaxed wall presses on the capsule there.
-    """
-    experiments = selection.of_kind("drag")
-    if not experiments:
-        return DragResult((), None, None, remarks=("the campaign has no usable drag run",))
-    known = {file: zero for file, zero in (zeros or {}).items() if zero.standard_error is not None}
-    noise = cache(lambda: estimate_noise(selection.experiments, FORCE_CHANNEL))
-    measured, left_out = measure_drag_runs(experiments, model, known, noise)
-    runs, others = _split_by_setup(measured)
-    remarks = [f"{one.what} is left out of the drag: {one.reason}" for one in left_out]
-    remarks += [
-        f"{one.file} is left out of the drag: its capsule or wall differs from that of most runs" for one in others
-    ]
-    if not runs:
-        return DragResult((), None, None, remarks=tuple(remarks))
-    speeds, factor = group_by_speed(runs, model)
-    ways = _by_direction(speeds)
-    main = [one.point for one in ways[0]]
-    law = fit_log_law(main)
-    boundary = find_boundary(_model_deviation(ways[0], model))
-    compared = r2_by_band(main, boundary)
-    for way in ways[1:]:
-        name = "backward, " if way[0].point.speed_mm_s < 0 else "forward, "
-        compared += r2_by_band([one.point for one in way], None, name)
-    remarks += [*_run_remarks(runs, factor), *_direction_remarks(ways), *_law_remarks(main, law)]
-    return DragResult(tuple(one.point for one in speeds), law, boundary, compared, tuple(remarks))
+def steady_force_parts(setup: DragSetup, model: FrictionModelSettings, speed_mm_s: FloatArray) -> SteadyForceParts:
+    """Return the model's parts at steady speeds as the channel shows them; raises `SettingsError`."""
+    steady, gain = steady_forces(speed_mm_s, model, setup.capsule, setup.wall_thickness_mm), model.force_gain
+    wall = steady.f_e + model.friction_coefficient * steady.side_pressure_force
+    return SteadyForceParts(gain * steady.f_e, gain * steady.f_v, gain * steady.f_c, gain * wall)
 
 
-def _split_by_setup(runs: Sequence[DragRun]) -> tuple[list[DragRun], list[DragRun]]:
-    """Divide runs into those with the capsule and wall that most have, and the others."""
-    if not runs:
-        return [], []
-    usual, _ = Counter(run.setup for run in runs).most_common(1)[0]
-    return [run for run in runs if run.setup == usual], [run for run in runs if run.setup != usual]
+def resting_force(setup: DragSetup, model: FrictionModelSettings, age_s: float) -> float:
+    """Return the axial force [mN] of wall that has all been in contact for one time, as before a drag test."""
+    contact = HemisphereContact.of(setup.capsule, setup.wall_thickness_mm, model)
+    nodes, weights = gauss_legendre(QUADRATURE_NODES)
+    ages = np.full(QUADRATURE_NODES, age_s * model.insertion_dwell_scale)
+    load = contact.axial_load(contact.length_mm * nodes, ages)
+    return model.force_gain * contact.length_mm * float(load @ weights)
 
 
-def _by_direction(speeds: Sequence[SpeedGroup]) -> list[list[SpeedGroup]]:
-    """Return the speeds of each direction, the one with more of them first."""
-    forward = [one for one in speeds if one.point.speed_mm_s > 0]
-    backward = [one for one in speeds if one.point.speed_mm_s < 0]
-    return sorted((way for way in (forward, backward) if way), key=len, reverse=True)
-
-
-def _model_deviation(speeds: Sequence[SpeedGroup], model: FrictionModelSettings) -> ForceDeviation:
-    """Measured minus model, and what another specimen would make of it."""
-    setup = speeds[0].runs[0].setup
-    at = np.array([abs(one.point.speed_mm_s) for one in speeds])
-    ages = [[run.rest_age_s for run in one.runs if run.rest_age_s is not None] for one in speeds]
-    shares = np.array([len(known) / len(one.runs) for known, one in zip(ages, speeds, strict=True)])
-    known = [age for some in ages for age in some]
-    age = float(np.mean(known)) if known else None
+def _model_deviation(groups: Sequence[SpeedGroup], model: FrictionModelSettings) -> ForceDeviation:
+    """Measured minus model, and the deviations that the priors of another specimen allow."""
+    setup = groups[0].runs[0].setup
+    steady = SteadyForces.of([group.point for group in groups])
+    ages = [[run.rest_age_s for run in group.runs if run.rest_age_s is not None] for group in groups]
+    rest_shares = np.array([len(known) / len(group.runs) for known, group in zip(ages, groups, strict=True)])
+    known_ages = [age for of_group in ages for age in of_group]
 
     def expected(varied: FrictionModelSettings) -> FloatArray:
-        # What goes off with the rest goes off here as well.
-        held = 0.0 if age is None else resting_force(setup, varied, age)
-        return steady_force_parts(setup, varied, at).total - shares * held
+        # The resting force was subtracted from the measurement with the rest, so here too.
+        resting = resting_force(setup, varied, float(np.mean(known_ages))) if known_ages else 0.0
+        return steady_force_parts(setup, varied, steady.speed_mm_s).total - rest_shares * resting
 
-    measured = np.array([one.point.force.value for one in speeds], dtype=float)
-    errors = np.array([one.point.force.standard_error for one in speeds], dtype=float)
-    by_model = np.array([one.point.model_mN for one in speeds])
-    return ForceDeviation(at, measured - by_model, errors, prior_deviations(model, expected))
+    by_model = np.array([group.point.model_mN for group in groups])
+    freedom = _prior_deviations(model, expected)
+    return ForceDeviation(steady.speed_mm_s, steady.force_mN - by_model, steady.error_mN, freedom)
 
 
-def _run_remarks(runs: Sequence[DragRun], factor: float) -> Iterator[str]:
-    at_rest = sum(run.rest_age_s is not None for run in runs)
-    if at_rest:
+def _prior_deviations(
+    model: FrictionModelSettings, expected: Callable[[FrictionModelSettings], FloatArray]
+) -> FloatArray:
+    """Change of a prediction by one prior standard deviation of each of a specimen's parameters, shape `(K, n)`."""
+    nominal = expected(model)
+    rows = []
+    for name, (sd, _) in SPECIMEN_PRIORS.items():
+        value = float(getattr(model, name))
+        if value:
+            scaled = model.model_copy(update={name: value * (1 + DERIVATIVE_STEP)})
+            rows.append((expected(scaled) - nominal) * (sd / DERIVATIVE_STEP))
+    turned = model.model_copy(update={ANGLE_PARAMETER: getattr(model, ANGLE_PARAMETER) + DERIVATIVE_STEP})
+    rows.append((expected(turned) - nominal) * (ANGLE_SD_DEG / DERIVATIVE_STEP))
+    return np.array(rows)
+
+
+# Remarks.
+
+
+def _run_remarks(runs: Sequence[DragRun], scatter_factor: float) -> Iterator[str]:
+    from_rest = sum(run.rest_age_s is not None for run in runs)
+    if from_rest:
         yield (
-            f"in {at_rest} of {len(runs)} runs the zero is the mean at rest less the model's resting force: a wall "
-            "stiffer than the model's shifts these forces alike"
+            f"in {from_rest} of {len(runs)} runs the zero is the mean at rest less the model's resting force: a wall "
+            "stiffer than the model's shifts all these forces"
         )
-    if factor > 1.5:
-        yield f"repeats scatter {factor:.2g} times as much as noise and 2 % of stiffness explain; the errors hold that"
-
-
-def _direction_remarks(ways: Sequence[Sequence[SpeedGroup]]) -> Iterator[str]:
-    if len(ways) > 1:
-        name = "forward" if ways[0][0].point.speed_mm_s > 0 else "backward"
-        yield f"law and boundary are those of the {len(ways[0])} {name} speeds"
+    if scatter_factor > NOTABLE_SCATTER:
+        yield (
+            f"repeats scatter {scatter_factor:.2g} times as much as noise and 2 % of stiffness explain; the errors "
+            "include that"
+        )
 
 
 def _law_remarks(points: Sequence[SpeedPoint], law: LogLaw | None) -> Iterator[str]:
     if law is None:
-        yield f"a law in ln v takes at least three speeds; these are {len(points)}"
+        yield f"a law in ln v needs at least three speeds; these are {len(points)}"
     elif law.lack_of_fit_p is not None and law.lack_of_fit_p < SIGNIFICANCE:
-        bend = _law_boundary(points, law)
-        where = "" if bend is None or bend.speed_mm_s is None else f"; they bend away at {bend.speed_mm_s:.3g} mm/s"
-        if bend is not None and bend.interval is not None:
+        steady = SteadyForces.of(points)
+        line = law.intercept.value + law.slope.value * np.log(steady.speed_mm_s)
+        no_freedom = np.empty((0, len(points)))
+        bend = find_boundary(
+            ForceDeviation(steady.speed_mm_s, steady.force_mN - line, steady.error_mN, no_freedom),
+            "measurement and law",
+        )
+        where = "" if bend.speed_mm_s is None else f"; they bend away at {bend.speed_mm_s:.3g} mm/s"
+        if bend.interval is not None:
             where += f" (95 %: {bend.interval[0]:.3g} to {bend.interval[1]:.3g})"
         yield f"the forces do not lie on a straight line in ln v (p = {law.lack_of_fit_p:.2g}){where}"
-
-
-def _law_boundary(points: Sequence[SpeedPoint], law: LogLaw) -> SpeedBoundary | None:
-    at = np.array([abs(point.speed_mm_s) for point in points])
-    force = np.array([point.force.value for point in points], dtype=float)
-    error = np.array([point.force.standard_error for point in points], dtype=float)
-    line = law.intercept.value + law.slope.value * np.log(at)
-    return find_boundary(ForceDeviation(at, force - line, error, np.empty((0, len(at)))), "measurement and law")

@@ -9,14 +9,14 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.rig.arrays import FloatArray
 
 BLOCK_GROWTH = 0.1
-"""Width of a block over the time since the last event."""
+"""Width of a block relative to the time since the last event."""
 MAX_BLOCK_S = 0.25
 MAX_BLOCK_SHARE = 0.01
-"""In records of minutes a block may be longer, by this share of the time since the last event."""
+"""In records of minutes a block may be longer: this share of the time since the last event."""
 
 MAX_BLOCKS = 800
-"""Work grows with the cube of the number of blocks. A motion of so many bends that there would be more has coarser ones
-behind those at which the stage does not start, stop or turn."""
+"""Work grows with the cube of the number of blocks. A motion of so many bends that there would be more has coarser
+blocks after bends at which the stage does not start, stop or turn."""
 COARSENING_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 
 
@@ -27,14 +27,14 @@ class BlockMeans:
     Attributes
     ----------
     start_s, end_s
-        Begin and end of each block, half a sample beyond its first and last valid one.
+        Start and end of each block, half a sample beyond its first and last valid sample.
     samples
-        Valid samples in each.
+        Valid samples of each block.
     mean
         Their mean.
     nodes_s
         Times at which a prediction is to be evaluated, two in each block, rising, shape `(2 B,)`. They have the mean
-        and the scatter of the times that the block covers.
+        and the standard deviation of the times that the block covers.
     """
 
     start_s: FloatArray
@@ -49,23 +49,23 @@ class BlockMeans:
         return 0.5 * (self.start_s + self.end_s)
 
     def of(self, predicted: FloatArray) -> FloatArray:
-        """Return block means of what was predicted at `nodes_s`, shape `(…, 2 B)` to `(…, B)`."""
+        """Return block means of a prediction at `nodes_s`, shape `(…, 2 B)` to `(…, B)`."""
         return np.asarray(0.5 * (predicted[..., ::2] + predicted[..., 1::2]))
 
 
 def average_in_blocks(
     experiment: Experiment, channel: str, events_s: FloatArray, *, jumps: bool, longest_mm: float = np.inf
 ) -> BlockMeans:
-    """Average a channel over blocks that are one sample short after each event and grow from there.
+    """Average a channel over blocks of one sample after each event, which grow with the time since.
 
     Parameters
     ----------
     jumps
         Whether parameters move a jump of the prediction in time. Each sample then covers the time up to its
-        neighbours, so that the mean follows such a parameter gradually. Else it is an instant, which keeps the
-        sharp peak of a relaxation.
+        neighbours, so that the mean follows such a parameter gradually. Otherwise it is an instant, which preserves
+        the sharp peak of a relaxation.
     longest_mm
-        No block reaches further along the way, so that what is periodic in position shows.
+        Longest travel within a block, so that periodic functions of position show.
     """
     values = np.asarray(experiment.run.trace.channels[channel], dtype=np.float64)
     usable = np.flatnonzero(experiment.valid & np.isfinite(values))
@@ -94,15 +94,15 @@ def average_in_blocks(
 
 
 def _stretch_starts(events_s: FloatArray, end_s: float, step_s: float) -> list[float]:
-    """Return when stretches without an event begin, and when the last one ends."""
+    """Start of each stretch without an event, and the end of the last one."""
     inside = events_s[(events_s > 0) & (events_s < end_s)]
     # The motion is known to a sample or so; a block must not reach across its event.
-    begins: list[float] = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s]))).tolist()
-    return begins
+    starts: list[float] = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s]))).tolist()
+    return starts
 
 
 def _max_block_lengths(experiment: Experiment, begins_s: list[float], longest_mm: float) -> list[float]:
-    """Return the longest block of each stretch, by how fast the stage moves in it."""
+    """Longest block of each stretch, by how fast the stage moves in it."""
     if not np.isfinite(longest_mm):
         return [np.inf] * (len(begins_s) - 1)
     speed = np.abs(np.diff(experiment.position(np.array(begins_s)))) / np.diff(begins_s)
@@ -113,11 +113,11 @@ def _max_block_lengths(experiment: Experiment, begins_s: list[float], longest_mm
 def _block_edges(
     experiment: Experiment, begins_s: Sequence[float], longest_s: Sequence[float], step_s: float
 ) -> FloatArray:
-    """Return where blocks begin, coarser behind mere bends if need be."""
+    """Edges of the blocks, coarser after mere bends if there would be too many."""
     sharp = _starts_at_turn(experiment, begins_s, step_s)
     edges = np.zeros(0)
     for coarser in COARSENING_FACTORS:
-        factors = [1.0 if one else coarser for one in sharp]
+        factors = [1.0 if is_turn else coarser for is_turn in sharp]
         pieces = zip(begins_s[:-1], begins_s[1:], longest_s, factors, strict=True)
         edges = np.unique(np.concatenate([_graded_edges(*piece, step_s) for piece in pieces]))
         if len(edges) <= MAX_BLOCKS:
@@ -126,18 +126,18 @@ def _block_edges(
 
 
 def _starts_at_turn(experiment: Experiment, begins_s: Sequence[float], step_s: float) -> list[bool]:
-    """Tell which stretches begin where the record does, or where the stage starts, stops or turns."""
+    """Whether each stretch begins with the record, or where the stage starts, stops or turns."""
     motion = experiment.motion
     turns = np.append(motion.breaks_s[1:-1][np.diff(motion.signs) != 0], begins_s[0])
     near = np.abs(np.asarray(begins_s[:-1])[:, None] - turns).min(axis=1) <= 1.5 * step_s
-    found: list[bool] = near.tolist()
-    return found
+    flags: list[bool] = near.tolist()
+    return flags
 
 
 def _graded_edges(begin_s: float, end_s: float, longest_s: float, coarser: float, step_s: float) -> FloatArray:
     edges = [begin_s]
     while edges[-1] < end_s:
         since = edges[-1] - begin_s
-        usual = min(coarser * max(BLOCK_GROWTH * since, step_s), max(MAX_BLOCK_S, MAX_BLOCK_SHARE * since))
-        edges.append(edges[-1] + max(min(usual, longest_s), step_s))
+        width = min(coarser * max(BLOCK_GROWTH * since, step_s), max(MAX_BLOCK_S, MAX_BLOCK_SHARE * since))
+        edges.append(edges[-1] + max(min(width, longest_s), step_s))
     return np.array(edges[:-1])

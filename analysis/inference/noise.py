@@ -10,36 +10,36 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.segments import Mask, at_rest, in_phase
+from dragrig.analysis.segments import at_rest, in_phase, mask_spans
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 
 NOISE_BLOCK_S = 0.05
-"""Stretches are averaged in blocks of this length; faster noise is told by the differences of samples."""
+"""Stretches are averaged in blocks of this length; differences of samples show faster noise."""
 MIN_BLOCKS = 8
 MIN_DIFFERENCES = 12
-"""Fewer in all say nothing of the noise."""
+"""Fewer differences in all runs do not show the noise."""
 MAX_STRETCH_S = 60.0
-"""So much of a stretch is looked at."""
+"""Longest part of a stretch that is used."""
 RELAXATION_DEGREE = 3
-"""Power of time up to which the end of a relaxation is taken off."""
+"""Degree of the polynomial that is subtracted from the end of a relaxation."""
 MIN_MOVING_SAMPLES = 100
-"""Samples of steady motion that say what white noise is like where nothing rests."""
+"""Samples of steady motion that show white noise where nothing rests."""
 NORMAL_MEDIAN = 0.6745
 """Median over standard deviation of a normal distribution's magnitudes."""
 MIN_WHITE_SHARE = 1e-5
-"""Least white noise over the largest value of the channel, a step or so of a converter of 16 bit."""
+"""Smallest white noise relative to the channel's largest value, about a step of a 16-bit converter."""
 DEFAULT_CORRELATION_S = 0.2
 MAX_CORRELATION_S = 5.0
 DEFAULT_SLOW_SHARE = 1.0 / 3.0
-"""Slow noise over white noise where no stretch is long enough to tell."""
+"""Slow noise over white noise where no stretch is long enough to show it."""
 DEFAULT_WHITE = 2.0
-"""White noise where no run shows any [mN], at the upper end of what such sensors have."""
+"""White noise [mN] where no run shows any, at the upper end for such sensors."""
 LINE_COHERENCE_S = 1.0
-"""So long a line is taken to keep the frequency that is known of it."""
+"""Time over which a line stays coherent with its stated frequency."""
 LINE_FIT_S = 0.5
-"""A line that is taken out of a stretch has an amplitude and a phase of its own in pieces of this length."""
+"""A line is removed with amplitude and phase of its own in pieces of this length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class NoiseModel:
     slow, correlation_s
         Standard deviation and correlation time of the slow noise.
     degrees
-        Independent numbers that it was estimated from; 0 where it was assumed.
+        Independent numbers of the estimate; 0 where the noise was assumed.
     hum, hum_hz
-        Amplitude and frequency of a line that is known beforehand, 0 for none; its phase is not known.
+        Amplitude and frequency of a known line, 0 for none; its phase is not known.
     """
 
     white: float
@@ -81,9 +81,9 @@ class NoiseModel:
 
     def _hum(self, middle_s: FloatArray, width_s: FloatArray) -> FloatArray:
         apart = np.abs(middle_s[:, None] - middle_s[None, :])
-        kept = np.sinc(self.hum_hz * width_s)
+        attenuation = np.sinc(self.hum_hz * width_s)
         wave = np.cos(2 * np.pi * self.hum_hz * apart) * np.exp(-apart / LINE_COHERENCE_S)
-        return np.asarray(0.5 * self.hum**2 * wave * kept[:, None] * kept[None, :])
+        return np.asarray(0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :])
 
 
 DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DEFAULT_CORRELATION_S, 0)
@@ -91,7 +91,7 @@ DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _QuietStretch:
-    """Samples that differ by noise, and by a polynomial of time of this degree."""
+    """Samples that differ by noise and by a polynomial of time of this degree only."""
 
     values: FloatArray
     rate_hz: float
@@ -100,7 +100,7 @@ class _QuietStretch:
 
 @dataclass(frozen=True, slots=True)
 class _BlockLayout:
-    """What stretches of block means have in common: number, width and samples of the blocks, and the degree."""
+    """Shape of a stretch of block means: number, width and samples of the blocks, and the degree of its polynomial."""
 
     blocks: int
     width_s: float
@@ -111,7 +111,7 @@ class _BlockLayout:
 def estimate_noise(
     experiments: Iterable[Experiment], channel: str, hum: float = 0.0, hum_hz: float = 0.0
 ) -> NoiseModel:
-    """Estimate a channel's noise from all stretches at which it should stay the same, or merely relaxes.
+    """Estimate a channel's noise from all stretches in which it should be constant or merely relaxes.
 
     Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
     short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
@@ -121,19 +121,13 @@ def estimate_noise(
     Parameters
     ----------
     hum, hum_hz
-        Amplitude and frequency of a line that is known to be there: it is kept apart. 0 for none.
+        Amplitude and frequency of a known line, which is removed first; 0 for none.
     """
     runs = tuple(experiments)
-    if hum > 0:
-        stretches = [_remove_line(one, hum_hz) for one in _quiet_stretches(runs, channel)]
-        return replace(_estimate_from(stretches, runs, channel), hum=hum, hum_hz=hum_hz)
-    return _estimate_from(_quiet_stretches(runs, channel), runs, channel)
-
-
-def _estimate_from(stretches: Iterable[_QuietStretch], runs: Sequence[Experiment], channel: str) -> NoiseModel:
     squares, count, largest = 0.0, 0, 0.0
     groups: dict[_BlockLayout, list[FloatArray]] = {}
-    for stretch in stretches:
+    for quiet in _quiet_stretches(runs, channel):
+        stretch = _remove_line(quiet, hum_hz) if hum > 0 else quiet
         squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
         count += len(stretch.values) - 1
         largest = max(largest, float(np.abs(stretch.values).max()))
@@ -141,30 +135,30 @@ def _estimate_from(stretches: Iterable[_QuietStretch], runs: Sequence[Experiment
         if layout.blocks >= MIN_BLOCKS:
             groups.setdefault(layout, []).append(means)
     if count < MIN_DIFFERENCES:
-        return _estimate_in_motion(runs, channel)
+        return replace(_estimate_in_motion(runs, channel), hum=hum, hum_hz=hum_hz if hum > 0 else 0.0)
     white = max(float(np.sqrt(squares / count)), MIN_WHITE_SHARE * largest, 1e-9)
     slow, correlation_s = (
         _fit_slow_noise(groups, white) if groups else (DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S)
     )
     # Differences of neighbours hold two independent numbers in three.
-    return NoiseModel(white, slow, correlation_s, count * 2 // 3)
+    return NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
 
 
 def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> NoiseModel:
-    """Return the noise that steady motion shows from sample to sample; what is slower cannot be told from a signal."""
-    bends, largest = [np.zeros(0)], 0.0
+    """White noise that steady motion shows from sample to sample; slower noise looks like a signal."""
+    curvatures, largest = [np.zeros(0)], 0.0
     for experiment in experiments:
         trace = experiment.run.trace
         if channel not in trace.channels:
             continue
         values = np.asarray(trace.channels[channel], dtype=np.float64)
-        for start, stop in _mask_spans(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values)):
-            bends.append(np.abs(np.diff(values[start:stop], 2)) / np.sqrt(6.0))
+        for start, stop in mask_spans(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values)):
+            curvatures.append(np.abs(np.diff(values[start:stop], 2)) / np.sqrt(6.0))
             largest = max(largest, float(np.abs(values[start:stop]).max()))
-    whole = np.concatenate(bends)
-    if whole.size < MIN_MOVING_SAMPLES:
+    curvature = np.concatenate(curvatures)
+    if curvature.size < MIN_MOVING_SAMPLES:
         return DEFAULT_NOISE
-    white = max(float(np.median(whole)) / NORMAL_MEDIAN, MIN_WHITE_SHARE * largest, 1e-9)
+    white = max(float(np.median(curvature)) / NORMAL_MEDIAN, MIN_WHITE_SHARE * largest, 1e-9)
     return NoiseModel(white, DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S, 0)
 
 
@@ -182,31 +176,27 @@ def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterato
             hold = np.flatnonzero(in_phase(trace, Phase.HOLD))
             relaxing[hold[hold.size - min(hold.size // 2, int(MAX_STRETCH_S * trace.sample_rate_hz)) :]] = True
         for part, degree in ((still, 0), (relaxing, RELAXATION_DEGREE)):
-            for start, stop in _mask_spans(part & usable):
+            for start, stop in mask_spans(part & usable):
                 if stop - start > 2:
                     yield _QuietStretch(values[start:stop], trace.sample_rate_hz, degree)
 
 
 def _remove_line(stretch: _QuietStretch, hertz: float) -> _QuietStretch:
-    """Take a line out of a stretch, piece by piece, beside a straight line in each."""
+    """Subtract a line from a stretch, piece by piece, fitted with a straight line in each."""
     size = max(round(LINE_FIT_S * stretch.rate_hz), MIN_DIFFERENCES)
     pieces = np.array_split(stretch.values, max(stretch.values.size // size, 1))
-    return replace(stretch, values=np.concatenate([one - _fit_line(one, hertz / stretch.rate_hz) for one in pieces]))
+    return replace(
+        stretch, values=np.concatenate([piece - _fit_line(piece, hertz / stretch.rate_hz) for piece in pieces])
+    )
 
 
 def _fit_line(values: FloatArray, turns: float) -> FloatArray:
-    """Return the sine of so many turns per sample that fits best beside a straight line, shape `(n,)`."""
+    """Least-squares sine of so many turns per sample, fitted with a straight line, shape `(n,)`."""
     sample = np.arange(values.size, dtype=np.float64)
     angle = 2 * np.pi * turns * sample
     columns = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(sample), sample))
-    found = np.linalg.lstsq(columns, values, rcond=None)[0]
-    return np.asarray(columns[:, :2] @ found[:2])
-
-
-def _mask_spans(mask: Mask) -> list[tuple[int, int]]:
-    """Return where each stretch of a mask begins and stops."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8))).tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
+    coefficients = np.linalg.lstsq(columns, values, rcond=None)[0]
+    return np.asarray(columns[:, :2] @ coefficients[:2])
 
 
 def _block_means(stretch: _QuietStretch) -> tuple[_BlockLayout, FloatArray]:
@@ -220,32 +210,25 @@ def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) 
     from scipy.optimize import minimize
 
     stacks = [(layout, np.array(means)) for layout, means in groups.items()]
+    start = np.log([DEFAULT_SLOW_SHARE, DEFAULT_CORRELATION_S])
 
     def misfit(logs: FloatArray) -> float:
         correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
         noise = NoiseModel(white, white * float(np.exp(logs[0])), correlation_s, 0)
-        return sum(_restricted_likelihood(noise, layout, means) for layout, means in stacks) + _prior_penalty(logs)
+        # A weak prior, a factor of three either way, for stretches that show little.
+        penalty = float(np.sum(((logs - start) / np.log(3.0)) ** 2))
+        return sum(_restricted_likelihood(noise, layout, means) for layout, means in stacks) + penalty
 
-    found = minimize(
-        misfit,
-        np.log([DEFAULT_SLOW_SHARE, DEFAULT_CORRELATION_S]),
-        method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 0.01},
-    )
-    ratio, correlation = np.exp(found.x)
+    optimum = minimize(misfit, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.01})
+    ratio, correlation = np.exp(optimum.x)
     return white * float(ratio), float(np.clip(correlation, 0.01, MAX_CORRELATION_S))
 
 
-def _prior_penalty(logs: FloatArray) -> float:
-    """Return a weak prior around the usual noise, a factor of three either way, for stretches that say little."""
-    return float(np.sum(((logs - np.log([DEFAULT_SLOW_SHARE, DEFAULT_CORRELATION_S])) / np.log(3.0)) ** 2))
-
-
 def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: FloatArray) -> float:
-    """Return −2 log restricted likelihood of stretches of block means, shape `(R, blocks)`.
+    """−2 log restricted likelihood of stretches of block means, shape `(R, blocks)`.
 
-    What a block adds to the one before, which the correlation makes it remember, is correlated with its neighbours
-    alone: in these innovations the covariance is a band, and its determinant stays the same.
+    The innovation of a block, its mean less what the correlation predicts from the block before, is correlated with
+    its neighbours alone: the covariance of innovations is a band, with the same determinant.
     """
     from scipy.linalg import cholesky_banded, solve_banded
 
@@ -262,7 +245,7 @@ def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: Float
     signals[1:] -= memory * signals[:-1].copy()
     whitened = solve_banded((1, 0), root, signals, check_finite=False)
     basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
-    left = whitened[:, layout.degree + 1 :]
-    misfit = float(np.sum(left**2) - np.sum((basis.T @ left) ** 2))
+    residual = whitened[:, layout.degree + 1 :]
+    misfit = float(np.sum(residual**2) - np.sum((basis.T @ residual) ** 2))
     logs = np.log(root[0]).sum() + np.log(np.abs(np.diag(triangle))).sum()
     return misfit + 2 * len(means) * float(logs)
