@@ -73,13 +73,13 @@ def diagnosed(source: Source, data: Path, folder: Path) -> None:
         values = ", ".join(f"{each.name} {each.value:.4g}" for each in one.parameters)
         print(f"    {one.hypothesis} {one.probability:.2f} {values}".rstrip())
     if found.unknown is not None:
-        print(f"    {found.unknown.lives_in}\n    {found.unknown.shape}\n    {found.unknown.expression}".rstrip())
+        print(f"    {found.unknown.location}\n    {found.unknown.dependence}\n    {found.unknown.expression}".rstrip())
     if found.shrink is not None:
         print(f"    motor force: {found.shrink.gap_before_mN:.0f} mN, noise {found.shrink.noise_floor_mN:.1f} mN")
     if source.steady:
         print(f"    position less command: {1000 * strays_mm(folder) / RADIUS_MM:.1f} mrad")
     seconds = f"{imported - began:.1f} s to import, {done - imported:.1f} s to diagnose"
-    print(f"    would have seen {found.would_have_seen_mN:.0f} mN; {seconds}", flush=True)
+    print(f"    would have seen {found.detection_limit_mN:.0f} mN; {seconds}", flush=True)
 
 
 def strays_mm(folder: Path) -> float:

@@ -60,7 +60,7 @@ def angles() -> None:
         seen = {one.effect: one for one in found.effects}
         for effect in PAIR:
             one = seen[effect]
-            least = "not seen" if one.least is None else f"from {one.least:.3f} on ({one.least_mN:.1f} mN)"
+            least = "not seen" if one.smallest is None else f"from {one.smallest:.3f} on ({one.smallest_mN:.1f} mN)"
             near = [each for each in found.pairs if effect in each.effects][:2]
             said = [f"{each.effects} sin² {each.sin2:.2f} d′ {each.separation:.0f}" for each in near]
             print(f"{name}: {effect} d′ {one.d_prime:.0f}, {least}; nearest {'; '.join(said)}", flush=True)

@@ -147,13 +147,13 @@ STRIBECK = Diagnosis(
     ),
     confusable_with=("adhesion", "film_depletion"),
     residual_unknown=False,
-    would_have_seen_mN=2.14,
+    detection_limit_mN=2.14,
     tolerance_mN=3.0,
     where=where(),
     shrink=shrink(),
     model=FrictionModelSettings(name="paper-jejunum"),
-    views=VIEWS,
-    cannot_answer=(
+    traces=VIEWS,
+    limitations=(
         "No relaxation is held long enough to say anything of extra relaxation.",
         "There is no blank run: payload inertia cannot be told from what the gut does.",
     ),
@@ -175,7 +175,7 @@ NO_GAP = replace(
     where=where(present=False),
     shrink=shrink(None),
     model=None,
-    cannot_answer=(),
+    limitations=(),
     remarks=(),
 )
 

@@ -15,8 +15,8 @@ SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 SD = {"force": 2.0, "position": 0.002}
 
 
-def nothing(one: ResidualBlocks) -> FloatArray:
-    return np.zeros_like(one.residual)
+def nothing(run: ResidualBlocks) -> FloatArray:
+    return np.zeros_like(run.residual)
 
 
 def campaign(seed: int, planted: Planted = nothing, channel: str = "force") -> list[ResidualBlocks]:
@@ -41,7 +41,7 @@ def blocks(run_id: str, channel: str, kind: str, speed: float, strain: float, se
     ramp, hold = speed / acceleration, 20.0 if kind == "relaxation" else 3.0
     steady = travel / speed - ramp
     durations, counts = (1.0, ramp, steady, ramp, hold), (10, 3, 120, 3, 60)
-    width = np.concatenate([np.full(count, one / count) for one, count in zip(durations, counts, strict=True)])
+    width = np.concatenate([np.full(count, value / count) for value, count in zip(durations, counts, strict=True)])
     phase = np.repeat(np.array(Phase, dtype=np.uint8), counts)
     time = np.cumsum(width) - 0.5 * width
     position = np.interp(time, [1.0 + ramp / 2, 1.0 + 1.5 * ramp + steady], [0.0, travel])

@@ -51,7 +51,7 @@ def test_its_coulomb_runs_tell_friction_from_tack_better_than_those_of_paper() -
 
     def beside_drags(name: str) -> Plan:
         plan = resolve(name, backend="simulated").plan
-        return plan.model_copy(update={"steps": (*(one for one in plan.steps if one.kind == "coulomb"), drags)})
+        return plan.model_copy(update={"steps": (*(step for step in plan.steps if step.kind == "coulomb"), drags)})
 
     apart = {
         name: dragrig.isolability(beside_drags(name), without=others).pair(*pair) for name in ("paper", "diagnose")
@@ -66,8 +66,8 @@ def test_the_plant_makes_a_list_of_runs(tmp_path: Path) -> None:
     listed = RunList.of("mine", [table("relaxation", 60.0), table("drag", 200.0, speed_mm_s=20.0, dwell_s=10.0)])
     write_campaign(secret, tmp_path / "mine", runs=listed)
     found = choose_runs(tmp_path / "mine").experiments
-    assert [one.kind for one in found] == ["relaxation", "drag"]
-    assert [one.insertion_dwell_s for one in found] == [60.0, 10.0]
+    assert [experiment.kind for experiment in found] == ["relaxation", "drag"]
+    assert [experiment.insertion_dwell_s for experiment in found] == [60.0, 10.0]
     assert (found[1].run.info.header.start_time - found[0].run.info.header.start_time).total_seconds() == 140.0
     with pytest.raises(ValueError, match="no runs of kind motion"):
         RunList.of("mine", [table("motion", 0.0)])

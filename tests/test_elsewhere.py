@@ -40,7 +40,7 @@ def turning(folder: Path, from_s: float, **given: object) -> Path:
 
 def shape(found: Diagnosis) -> str:
     assert found.unknown is not None
-    return found.unknown.shape
+    return found.unknown.dependence
 
 
 def dies_away(found: Diagnosis) -> tuple[float, float, float]:
@@ -61,7 +61,7 @@ def unknown_without_a_rival(found: Diagnosis) -> bool:
 def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path) -> None:
     found = step(tmp_path, "sepiolite", 1.0)
     assert unknown_without_a_rival(found), found.ranking
-    assert any("cannot be told from friction that changes along the way" in one for one in found.cannot_answer)
+    assert any("cannot be told from friction that changes along the way" in one for one in found.limitations)
     way, before, after = dies_away(found)
     # Published over the same stretch: 0.0034 without, 0.0013 with one exponential over about 210 µm; 1 is 1000 mN here.
     assert way == pytest.approx(0.21, abs=0.03)
@@ -96,8 +96,8 @@ def test_a_speed_that_is_not_kept_is_neither_a_lag_nor_a_wrong_scale(tmp_path: P
     assert "straight line at" in " ".join(event.message for event in runs[0].events)
     best, *others = score_model_classes(position_errors([Experiment(run) for run in runs]))
     assert best.effect == "velocity_ripple"
-    assert 2 * pi * RADIUS_MM * best.shape == pytest.approx(72, abs=1.0)
-    assert max(one.held_out for one in others) < 0.1
+    assert 2 * pi * RADIUS_MM * best.shape_value == pytest.approx(72, abs=1.0)
+    assert max(one.held_out_share for one in others) < 0.1
 
 
 def test_a_command_is_not_made_where_there_is_one(tmp_path: Path) -> None:

@@ -25,22 +25,24 @@ def changed(path: Path, group: str, **attributes: str) -> str:
 
 
 def test_of_two_specimens_the_one_with_most_runs_is_diagnosed(campaign: Path) -> None:
-    other = changed(campaign / "010-drag.h5", "entry/specimen", name="ileum")
-    found = choose_runs(campaign)
-    assert found.specimen == "jejunum"
-    assert {one.what: one.reason for one in found.left_out}[other].startswith("it is of specimen ileum; most runs")
-    assert [one.file for one in choose_runs(campaign, "ileum").experiments] == [other]
+    name = changed(campaign / "010-drag.h5", "entry/specimen", name="ileum")
+    selection = choose_runs(campaign)
+    assert selection.specimen == "jejunum"
+    assert {exclusion.what: exclusion.reason for exclusion in selection.left_out}[name].startswith(
+        "it is of specimen ileum; most runs"
+    )
+    assert [experiment.file for experiment in choose_runs(campaign, "ileum").experiments] == [name]
 
 
 def test_runs_of_another_sensor_are_left_out_and_told(campaign: Path) -> None:
     paths = sorted(campaign.glob("*.h5"))
     for place, path in enumerate(paths):
         changed(path, "entry", sensor_serial="old" if place < 3 else "new", calibration_id=f"c{place % 2}")
-    found = choose_runs(campaign)
-    reasons = {one.what: one.reason for one in found.left_out}
+    selection = choose_runs(campaign)
+    reasons = {exclusion.what: exclusion.reason for exclusion in selection.left_out}
     assert set(reasons) == {path.name for path in paths[:3]}
     assert set(reasons.values()) == {"it was measured with force sensor old, most runs with new"}
-    assert any("calibration changes during the campaign (c0, c1)" in one for one in found.remarks)
+    assert any("calibration changes during the campaign (c0, c1)" in name for name in selection.remarks)
 
 
 def test_runs_marked_bad_count_for_nothing(campaign: Path) -> None:
@@ -53,6 +55,6 @@ def test_runs_marked_bad_count_for_nothing(campaign: Path) -> None:
 def test_runs_that_note_no_contact_age_are_used_and_told(campaign: Path) -> None:
     with h5py.File(campaign / "010-drag.h5", "r+") as file:
         del file["entry"].attrs["insertion_dwell_s"]
-    found = choose_runs(campaign)
-    assert any(one.startswith("1 of ") and "60 s are assumed" in one for one in found.remarks)
-    assert choose_runs([read_run(path) for path in sorted(campaign.glob("*.h5"))]).remarks == found.remarks
+    selection = choose_runs(campaign)
+    assert any(name.startswith("1 of ") and "60 s are assumed" in name for name in selection.remarks)
+    assert choose_runs([read_run(path) for path in sorted(campaign.glob("*.h5"))]).remarks == selection.remarks

@@ -22,7 +22,7 @@ def campaign(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "text"),
     [
         (["--without", "stribek"], "did you mean stribeck?"),
         (["--tolerance", "-1"], "--tolerance -1: a tolerance is a force in mN from 0 on"),
@@ -35,11 +35,11 @@ def campaign(tmp_path: Path) -> Path:
     ],
 )
 def test_what_cannot_be_asked_for_is_told_in_one_sentence(
-    arguments: list[str], told: str, campaign: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], text: str, campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gap", "diagnose", str(campaign), "--quiet", *arguments]) == 2
     said = capsys.readouterr()
-    assert told in said.err
+    assert text in said.err
     assert len(said.err.strip().splitlines()) == 1
     assert said.out == ""
 
@@ -75,7 +75,7 @@ def test_what_is_no_model_cannot_be_evaluated(
 
 def test_options_have_the_engines_defaults() -> None:
     assert diagnosis_options((), None).tolerance_mN == DiagnosisOptions().tolerance_mN
-    assert diagnosis_options(("folds", "folds"), 0.0) == DiagnosisOptions(without=("folds",), tolerance_mN=0.0)
+    assert diagnosis_options(("folds", "folds"), 0.0) == DiagnosisOptions(excluded=("folds",), tolerance_mN=0.0)
     with pytest.raises(SettingsError):
         diagnosis_options(("",), None)
 

@@ -27,25 +27,25 @@ def study() -> Study:
 @pytest.fixture(scope="module")
 def broken_away(study: Study) -> Design:
     effect = catalogue()["breakaway"]
-    return linearise(study, study.start, [Candidate(effect, effect.defaults)])
+    return linearise(study, study.initial_z, [Candidate(effect, effect.defaults)])
 
 
 def test_what_an_effect_adds_is_doubted_block_by_block(broken_away: Design) -> None:
     random = np.random.default_rng(8)
-    for before, after in zip(broken_away.parts, inflate_by_form_error(broken_away).parts, strict=True):
+    for before, after in zip(broken_away.runs, inflate_by_form_error(broken_away).runs, strict=True):
         sure, doubted = before.whitening, after.whitening
         own = sure.noise_root @ np.column_stack(
             (sure.noise_root.T, sure.run_effects @ sure.run_effects.T @ sure.noise_root.T)
         )
         blocks = sure.noise_root.shape[0]
-        covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_ERROR_SD * before.added) ** 2)
+        covariance = own[:, :blocks] + own[:, blocks:] + np.diag((FORM_ERROR_SD * before.effect_force) ** 2)
         values = random.standard_normal(blocks)
         assert np.sum(doubted.whiten(values) ** 2) == pytest.approx(values @ np.linalg.solve(covariance, values))
-        assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_ERROR_SD * before.added))
+        assert after.motion_sd == pytest.approx(np.hypot(before.motion_sd, FORM_ERROR_SD * before.effect_force))
 
 
 def test_beside_nothing_nothing_is_doubted(study: Study) -> None:
-    nominal = linearise(study, study.start)
+    nominal = linearise(study, study.initial_z)
     for before, after in zip(nominal.grams, inflate_by_form_error(nominal).grams, strict=True):
         assert after == pytest.approx(before, rel=1e-9, abs=1e-9)
 
@@ -54,13 +54,15 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
     """A quarter of the effect, this way and that from block to block, against a wave where it does nothing."""
     doubted = inflate_by_form_error(broken_away)
     sure, unsure = np.zeros(2), np.zeros(2)
-    for before, after in zip(broken_away.parts, doubted.parts, strict=True):
-        bent = FORM_ERROR_SD * before.added * np.sign(np.sin(np.arange(before.added.size)))
-        elsewhere = np.where(np.abs(before.added) < 0.1, 3.0 * np.sin(np.arange(before.added.size) / 9.0), 0.0)
+    for before, after in zip(broken_away.runs, doubted.runs, strict=True):
+        bent = FORM_ERROR_SD * before.effect_force * np.sign(np.sin(np.arange(before.effect_force.size)))
+        elsewhere = np.where(
+            np.abs(before.effect_force) < 0.1, 3.0 * np.sin(np.arange(before.effect_force.size) / 9.0), 0.0
+        )
         both = np.column_stack((bent, elsewhere))
         sure += np.sum(before.whitening.whiten(both) ** 2, axis=0)
         unsure += np.sum(after.whitening.whiten(both) ** 2, axis=0)
-    blocks = sum(broken_away.blocks)
+    blocks = sum(broken_away.block_counts)
     assert sure[0] > 2 * unsure[0]
     assert unsure[0] < blocks
     assert unsure[1] > 0.9 * sure[1]
@@ -72,10 +74,10 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
 )
 def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, strong: str, weak: str) -> None:
     """What the strong one's foreign form leaves is larger than the weak one, and is not called an effect."""
-    told = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL)
-    assert (told.verdict, set(told.effects)) == (Verdict.SEVERAL, {strong, weak})
+    diagnosis = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL)
+    assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {strong, weak})
 
 
 def test_an_effect_is_named_beside_hum_that_is_louder(tmp_path: Path) -> None:
-    told = diagnose(hidden(tmp_path, 43, "mains_hum", "tissue_ageing"), MODEL)
-    assert (told.verdict, set(told.effects)) == (Verdict.SEVERAL, {"mains_hum", "tissue_ageing"})
+    diagnosis = diagnose(hidden(tmp_path, 43, "mains_hum", "tissue_ageing"), MODEL)
+    assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {"mains_hum", "tissue_ageing"})

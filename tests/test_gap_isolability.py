@@ -32,10 +32,10 @@ def drags() -> Isolability:
 
 def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> None:
     blanks = dragrig.isolability(plan({"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 20.0}))
-    shown = {one.effect for one in blanks.effects if one.least is not None}
+    shown = {visibility.effect for visibility in blanks.effects if visibility.smallest is not None}
     assert {"payload_inertia", "arm_compliance", "force_drift", "mains_hum", "servo_lag"} <= shown
-    assert {"stribeck", "folds", "extra_relaxation", "wall_lift_off"} <= set(blanks.unseen)
-    assert {"stribeck", "folds", "wall_lift_off"} <= {one.effect for one in drags.of_channel("force")}
+    assert {"stribeck", "folds", "extra_relaxation", "wall_lift_off"} <= set(blanks.invisible)
+    assert {"stribeck", "folds", "wall_lift_off"} <= {visibility.effect for visibility in drags.of_channel("force")}
     assert blanks.pair("payload_inertia", "stribeck") is None
     assert blanks.pair("payload_inertia", "servo_lag") is None
 
@@ -55,28 +55,32 @@ def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
 
 def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
     twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=SLOW)
-    before, after = ({one.effect: one for one in found.of_channel("force")} for found in (drags, twice))
+    before, after = (
+        {visibility.effect: visibility for visibility in isolability.of_channel("force")}
+        for isolability in (drags, twice)
+    )
     for name in ("stribeck", "wall_lift_off", "adhesion"):
         assert after[name].d_prime > 1.2 * before[name].d_prime
-        assert (after[name].least or 0) < (before[name].least or 0)
+        assert (after[name].smallest or 0) < (before[name].smallest or 0)
     # The smallest size is where d′ comes to what is found nearly always.
-    one = before["adhesion"]
-    assert one.least is not None
-    assert one.least * one.d_prime / one.usual == pytest.approx(DETECTABLE_D_PRIME, rel=0.3)
+    visibility = before["adhesion"]
+    assert visibility.smallest is not None
+    assert visibility.smallest * visibility.d_prime / visibility.usual == pytest.approx(DETECTABLE_D_PRIME, rel=0.3)
 
 
 def test_angles_are_shares_and_pairs_come_closest_first(drags: Isolability) -> None:
     assert drags.pairs
-    assert all(0 <= one.sin2 <= min(one.typical_sin2) + 1e-9 <= 1 + 1e-9 for one in drags.pairs)
-    assert [one.sin2 for one in drags.pairs] == sorted(one.sin2 for one in drags.pairs)
-    assert all(one.separation <= min(each.d_prime for each in drags.effects if each.effect in one.effects) * 1.5
-               for one in drags.pairs if one.effects == ("stribeck", "adhesion"))  # fmt: skip
+    assert all(0 <= pair.sin2 <= min(pair.typical_sin2) + 1e-9 <= 1 + 1e-9 for pair in drags.pairs)
+    assert [pair.sin2 for pair in drags.pairs] == sorted(pair.sin2 for pair in drags.pairs)
+    d_primes = {visibility.effect: visibility.d_prime for visibility in drags.effects}
+    assert all(pair.separation <= min(d_primes[effect] for effect in pair.effects if effect in d_primes) * 1.5
+               for pair in drags.pairs if pair.effects == ("stribeck", "adhesion"))  # fmt: skip
 
 
 def test_near_ones_stand_together() -> None:
     names = ("a", "b", "c", "d")
     near = {frozenset("ac"): 0.1, frozenset("bd"): 0.05}
-    sin2 = {frozenset((one, other)): 0.9 for one in names for other in names if one != other} | near
+    sin2 = {frozenset((name, label)): 0.9 for name in names for label in names if name != label} | near
     order = order_by_similarity(names, sin2)
     assert sorted(order) == list(names)
     assert abs(order.index("a") - order.index("c")) == 1
@@ -99,11 +103,11 @@ def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest
 def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(to_toml(plan(DRAGS)), "utf-8")
-    names = [part for name in SLOW for part in ("--without", name)]
+    names = [label for name in SLOW for label in ("--without", name)]
     assert main(["gap", "isolability", str(file), "--quiet", *names]) == 0
-    said = capsys.readouterr().out
-    assert "3 drag runs" in said
-    assert "adhesion" in said
+    text = capsys.readouterr().out
+    assert "3 drag runs" in text
+    assert "adhesion" in text
     assert main(["gap", "isolability", "papr", "--quiet"]) == 2
     assert "paper" in capsys.readouterr().err
     assert main(["gap", "isolability", "paper", "--without", "stribek"]) == 2

@@ -1,7 +1,7 @@
 """Weights that are learnt from campaigns whose hidden effects are known, and the file that they are kept in."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +32,12 @@ def lessons(seed: int, count: int = 60) -> list[TrainingCase]:
             wrong: random.uniform(0.5, 0.9),
         }
         tried = tuple(
-            HypothesisSummary((name,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
+            HypothesisSummary((name,), squares, squares, 5.0, llr=0.5 * (LOUD - squares), chi2_without=LOUD)
             for name, squares in ((name, NOISE + share * (LOUD - NOISE)) for name, share in left.items())
         )
         hidden = frozenset[str]() if outside else frozenset({right})
         made.append(TrainingCase(DecisionInputs(BLOCKS, LOUD, tried), hidden, outside))
-    quiet = HypothesisSummary(("folds",), NOISE - 10, NOISE - 12, 1.0, gain=5.0, left=NOISE)
+    quiet = HypothesisSummary(("folds",), NOISE - 10, NOISE - 12, 1.0, llr=5.0, chi2_without=NOISE)
     made += [TrainingCase(DecisionInputs(BLOCKS, NOISE, (quiet,)), frozenset())] * 10
     return made
 
@@ -48,33 +48,33 @@ def learnt(made: list[TrainingCase]) -> Calibration:
 
 
 def test_what_was_learnt_holds_on_other_campaigns() -> None:
-    found = learnt(lessons(1))
+    calibration = learnt(lessons(1))
     right = 0
     fresh = lessons(2)
-    for one in fresh:
-        judged = classify(one.evidence, DEFAULT_TOLERANCE_MN, found)
-        verdict = "unknown" if one.outside else "effect" if one.effects else "no_gap"
-        right += judged.verdict.value == verdict and set(judged.effects) == one.effects
+    for case in fresh:
+        classification = classify(case.inputs, DEFAULT_TOLERANCE_MN, calibration)
+        verdict = "unknown" if case.outside else "effect" if case.effects else "no_gap"
+        right += classification.verdict.value == verdict and set(classification.effects) == case.effects
     assert right >= 0.95 * len(fresh)
 
 
 def test_probabilities_are_as_often_right_as_they_say() -> None:
-    found = learnt(lessons(1, 200))
-    told = [(classify(one.evidence, DEFAULT_TOLERANCE_MN, found), one) for one in lessons(3, 200)]
-    chances = [max(judged.probabilities.values()) for judged, _ in told]
-    right = [set(judged.effects) == one.effects for judged, one in told]
+    calibration = learnt(lessons(1, 200))
+    told = [(classify(case.inputs, DEFAULT_TOLERANCE_MN, calibration), case) for case in lessons(3, 200)]
+    chances = [max(classification.probabilities.values()) for classification, _ in told]
+    right = [set(classification.effects) == case.effects for classification, case in told]
     assert np.mean(chances) == pytest.approx(np.mean(right), abs=0.05)
 
 
 def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
     """However few campaigns teach it, and even where these teach the contrary."""
     astray = []
-    for one in lessons(4):
+    for case in lessons(4):
         best, worst = (
-            sorted(one.evidence.tried, key=lambda tried: tried.gain)[::-1][:2] if one.effects else (None, None)
+            sorted(case.inputs.hypotheses, key=lambda tried: tried.llr)[::-1][:2] if case.effects else (None, None)
         )
         if best is not None and worst is not None:
-            astray.append(replace(one, effects=frozenset(worst.effects)))
+            astray.append(replace(case, effects=frozenset(worst.effects)))
     weights = fit_weights(astray, DEFAULT_TOLERANCE_MN)
     assert all(weight >= 0 for name, weight in weights.items() if name.startswith(("plain", "flexible")))
     assert all(weight <= 0 for name, weight in weights.items() if name.startswith(("behind", "left", "nameless")))
@@ -90,10 +90,10 @@ def exam(folder: Path, made: list[TrainingCase]) -> Path:
     (folder / "said").mkdir(parents=True)
     (folder / "exam.json").write_text('{"cases": 70, "seed": 5, "mix": "learning"}', "utf-8")
     answers = {}
-    for number, one in enumerate(made):
-        verdict = "unknown" if one.outside else "effect" if one.effects else "no_gap"
-        answers[f"{number:04d}"] = {"verdict": verdict, "effects": sorted(one.effects), "size": [one.size]}
-        said = {"evidence": asdict(one.evidence)}
+    for number, case in enumerate(made):
+        verdict = "unknown" if case.outside else "effect" if case.effects else "no_gap"
+        answers[f"{number:04d}"] = {"verdict": verdict, "effects": sorted(case.effects), "size": [case.size]}
+        said = {"evidence": case.inputs.document()}
         (folder / "said" / f"{number:04d}.json").write_text(json.dumps(said), "utf-8")
     (folder / "answers.json").write_text(json.dumps(answers), "utf-8")
     return folder
@@ -101,22 +101,26 @@ def exam(folder: Path, made: list[TrainingCase]) -> Path:
 
 def test_an_exam_becomes_a_file_that_is_as_good_as_what_was_learnt(tmp_path: Path) -> None:
     made = lessons(1)
-    found = dragrig.gap_calibrate([exam(tmp_path / "learnt", made)])
-    assert (found.seeds, found.cases) == ((5,), len(made))
+    calibration = dragrig.gap_calibrate([exam(tmp_path / "learnt", made)])
+    assert (calibration.seeds, calibration.cases) == ((5,), len(made))
     made_by = "dragrig gap blind --cases 70 --seed 5 --mix learning --out learnt"
-    assert found.command == f"{made_by}; dragrig gap calibrate learnt"
-    assert found.weights == learnt(made).weights
-    assert Calibration.model_validate_json(found.model_dump_json()) == found
+    assert calibration.command == f"{made_by}; dragrig gap calibrate learnt"
+    assert calibration.weights == learnt(made).weights
+    assert Calibration.model_validate_json(calibration.model_dump_json()) == calibration
 
 
 def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:
     made = lessons(6)
     taught = [learnt(made[1::2]), learnt(made[::2])]
     in_turn = cross_validate(made, DEFAULT_TOLERANCE_MN, folds=2)
-    assert in_turn == tuple(classify(one.evidence, DEFAULT_TOLERANCE_MN, taught[at % 2]) for at, one in enumerate(made))
+    assert in_turn == tuple(classify(case.inputs, DEFAULT_TOLERANCE_MN, taught[at % 2]) for at, case in enumerate(made))
     rates = {one.name: one for one in dragrig.gap_cross_validate([exam(tmp_path / "learnt", made)], folds=2)}
-    quiet = [said for said, one in zip(in_turn, made, strict=True) if not one.effects and not one.outside]
-    right = sum(said.verdict is Verdict.NO_GAP for said in quiet)
+    quiet = [
+        classification
+        for classification, case in zip(in_turn, made, strict=True)
+        if not case.effects and not case.outside
+    ]
+    right = sum(classification.verdict is Verdict.NO_GAP for classification in quiet)
     assert (rates["none, no gap"].held, rates["none, no gap"].count) == (right, len(quiet))
     assert rates["full size, right name"].share > 0.9
     assert "full size, right channel" not in rates

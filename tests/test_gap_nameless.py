@@ -36,58 +36,58 @@ def study() -> Study:
 
 @pytest.fixture(scope="module")
 def nominal(study: Study) -> Design:
-    return linearise(study, study.start)
+    return linearise(study, study.initial_z)
 
 
 def planted(study: Study, design: Design, law: Law, seed: int = 5) -> Design:
     """The same campaign with nothing in it but noise and a force [mN]."""
     random = np.random.default_rng(seed)
 
-    def run(part: RunDesign, sight: RunData) -> RunDesign:
-        noise = part.whitening.noise_root @ random.standard_normal(part.residual.size)
-        return replace(part, residual=noise + law(sight))
+    def run(run_design: RunDesign, run_data: RunData) -> RunDesign:
+        noise = run_design.whitening.noise_root @ random.standard_normal(run_design.residual.size)
+        return replace(run_design, residual=noise + law(run_data))
 
-    return replace(design, parts=tuple(run(*one) for one in zip(design.parts, study.sights, strict=True)))
-
-
-def in_the_gut(sight: RunData) -> bool:
-    return sight.experiment.contact is Contact.SLIDING and sight.experiment.kind == "drag"
+    return replace(design, runs=tuple(run(*pair) for pair in zip(design.runs, study.runs, strict=True)))
 
 
-def creeping(sight: RunData) -> FloatArray:
+def in_the_gut(run: RunData) -> bool:
+    return run.experiment.contact is Contact.SLIDING and run.experiment.kind == "drag"
+
+
+def creeping(run: RunData) -> FloatArray:
     """What gives way while the stage moves, and comes back once it stands."""
-    time = sight.coordinates.time_s
-    start, stop = sight.experiment.motion.breaks_s[[1, -2]].tolist()
+    time = run.coordinates.time_s
+    start, stop = run.experiment.motion.breaks_s[[1, -2]].tolist()
     grown = 1.0 - np.exp(-np.clip(time - start, 0.0, stop - start) / 0.5)
     return np.asarray(20.0 * grown * np.exp(-np.maximum(time - stop, 0.0) / 0.8))
 
 
 LAWS: dict[str, Law] = {
-    "speed": lambda one: 15.0 * one.coordinates.speed_mm_s / 60.0,
-    "speed in the gut": lambda one: (
-        in_the_gut(one) * 12.0 * np.exp(-(((np.log(one.coordinates.speed_mm_s + 1e-9) - 1.6) / 0.4) ** 2))
+    "speed": lambda run: 15.0 * run.coordinates.speed_mm_s / 60.0,
+    "speed in the gut": lambda run: (
+        in_the_gut(run) * 12.0 * np.exp(-(((np.log(run.coordinates.speed_mm_s + 1e-9) - 1.6) / 0.4) ** 2))
     ),
-    "place in the gut": lambda one: in_the_gut(one) * 15.0 * np.exp(-(((one.coordinates.position_mm - 12) / 2.0) ** 2)),
+    "place in the gut": lambda run: in_the_gut(run) * 15.0 * np.exp(-(((run.coordinates.position_mm - 12) / 2.0) ** 2)),
     "time since start and stop": creeping,
-    "swing in all runs": lambda one: 12.0 * np.sin(2 * np.pi * one.coordinates.session_s / PERIOD_S),
+    "swing in all runs": lambda run: 12.0 * np.sin(2 * np.pi * run.coordinates.session_s / PERIOD_S),
 }
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nominal: Design) -> None:
-    best, *others = fit_nonparametric_laws(planted(study, nominal, LAWS[law]), study.sights, PERIOD_S)
-    assert best.law == law
-    assert all(one.squares > best.squares + 20 for one in others)
-    assert 3.0 < best.changed_mN < 20.0
+    best, *others = fit_nonparametric_laws(planted(study, nominal, LAWS[law]), study.runs, PERIOD_S)
+    assert best.name == law
+    assert all(one.chi2 > best.chi2 + 20 for one in others)
+    assert 3.0 < best.change_mN < 20.0
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_alone_is_no_law(seed: int, study: Study, nominal: Design) -> None:
     noise = planted(study, nominal, lambda _: 0.0, seed)
-    laws = {one.law: one for one in fit_nonparametric_laws(noise, study.sights, PERIOD_S)}
+    laws = {law.name: law for law in fit_nonparametric_laws(noise, study.runs, PERIOD_S)}
     assert set(laws) >= {*LAWS, *EFFECTS_OF_LAW}
-    blocks = sum(nominal.blocks)
-    assert all(one.squares > blocks - 4 * np.sqrt(2 * blocks) for one in laws.values())
+    blocks = sum(nominal.block_counts)
+    assert all(law.chi2 > blocks - 4 * np.sqrt(2 * blocks) for law in laws.values())
 
 
 BLOCKS, NOISE, LOUD = 8000, 8010.0, 20_000.0
@@ -95,8 +95,8 @@ BLOCKS, NOISE, LOUD = 8000, 8010.0, 20_000.0
 
 def case(effect: str, squares: float, law: str, left: float) -> DecisionInputs:
     """An effect that leaves so many squares in any form, and a law that leaves others."""
-    tried = HypothesisSummary((effect,), squares, squares, 5.0, gain=0.5 * (LOUD - squares), left=LOUD)
-    return DecisionInputs(BLOCKS, LOUD, (tried,), nameless=(NonparametricLaw(law, left, 5.0),))
+    tried = HypothesisSummary((effect,), squares, squares, 5.0, llr=0.5 * (LOUD - squares), chi2_without=LOUD)
+    return DecisionInputs(BLOCKS, LOUD, (tried,), laws=(NonparametricLaw(law, left, 5.0),))
 
 
 def test_a_name_that_explains_less_than_any_speed_law_is_not_given() -> None:
@@ -118,14 +118,14 @@ def test_an_effect_that_is_such_a_law_stays_named(law: str) -> None:
 
 
 def test_a_law_opens_a_gap_that_no_effect_sees_unless_it_is_too_small_to_matter() -> None:
-    seen = DecisionInputs(BLOCKS, NOISE + 400.0, (), nameless=(NonparametricLaw("speed", NOISE, 5.0),))
+    seen = DecisionInputs(BLOCKS, NOISE + 400.0, (), laws=(NonparametricLaw("speed", NOISE, 5.0),))
     assert classify(seen, DEFAULT_TOLERANCE_MN).verdict is Verdict.UNKNOWN
     assert classify(seen, 6.0).verdict is Verdict.NO_GAP
 
 
 def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it() -> None:
-    found = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
-    assert nonparametric_law_text(found) == (
+    inputs = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
+    assert nonparametric_law_text(inputs) == (
         "A force that depends on the speed alone, in the gut, in whatever way, explains 97% of it; "
         "wall lift-off, in any form, 50%."
     )
@@ -136,20 +136,20 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
 def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
     quiet = diagnose(choose_runs(CAMPAIGN), MODEL).where
     assert not any(quiet.location("channel").shares.values())
-    judged = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
-    told = describe_unexplained_gap(quiet, (), judged, None, case("folds", 19_000.0, "speed", NOISE))
-    assert told is not None
-    assert told.lives_in == "It is too small beside noise and the scatter of repeats to say where it is."
-    assert told.shape.startswith("A force that depends on the speed alone")
+    classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
+    gap = describe_unexplained_gap(quiet, (), classification, None, case("folds", 19_000.0, "speed", NOISE))
+    assert gap is not None
+    assert gap.location == "It is too small beside noise and the scatter of repeats to say where it is."
+    assert gap.dependence.startswith("A force that depends on the speed alone")
 
 
 def test_every_law_has_words(study: Study, nominal: Design) -> None:
-    for one in fit_nonparametric_laws(nominal, study.sights, PERIOD_S):
-        assert "A force " in nonparametric_law_text(case("folds", 19_000.0, one.law, NOISE))
+    for law in fit_nonparametric_laws(nominal, study.runs, PERIOD_S):
+        assert "A force " in nonparametric_law_text(case("folds", 19_000.0, law.name, NOISE))
 
 
 @pytest.mark.parametrize(
-    ("effect", "seed", "said"),
+    ("effect", "seed", "text"),
     [
         ("foam_resonance", 31, "depends on the speed alone, in the gut"),
         ("current_crosstalk", 32, "depends on the speed alone, in all runs"),
@@ -159,11 +159,11 @@ def test_every_law_has_words(study: Study, nominal: Design) -> None:
     ],
 )
 def test_what_resembles_an_effect_but_is_another_law_is_unknown(
-    effect: str, seed: int, said: str, tmp_path: Path
+    effect: str, seed: int, text: str, tmp_path: Path
 ) -> None:
-    told = diagnose(hidden(tmp_path, seed, effect), MODEL)
-    assert (told.verdict, told.effects) == (Verdict.UNKNOWN, ())
-    assert told.unknown is not None
-    assert said in told.unknown.shape
-    there, _, elsewhere = told.unknown.lives_in.partition("; not in ")
+    diagnosis = diagnose(hidden(tmp_path, seed, effect), MODEL)
+    assert (diagnosis.verdict, diagnosis.effects) == (Verdict.UNKNOWN, ())
+    assert diagnosis.unknown is not None
+    assert text in diagnosis.unknown.dependence
+    there, _, elsewhere = diagnosis.unknown.location.partition("; not in ")
     assert not any(kind in there and kind in elsewhere for kind in ("relaxation", "blank", "Coulomb", "drag"))

@@ -30,19 +30,19 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def found() -> NextExperiment:
-    found = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
-    assert found is not None
-    return found
+def next_experiment() -> NextExperiment:
+    next_experiment = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
+    assert next_experiment is not None
+    return next_experiment
 
 
-def test_what_is_recommended_keeps_its_promise(found: NextExperiment) -> None:
+def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) -> None:
     # Tack needs the closed gut: an open one tells it from friction that falls with speed.
-    assert found.runs[0].step.kind == "coulomb"
-    first = found.runs[0]
+    assert next_experiment.runs[0].step.kind == "coulomb"
+    first = next_experiment.runs[0]
     assert first.after.d_prime > 1.5 * first.before.d_prime
     before = dragrig.isolability(plan(DRAGS), without=OTHERS).pair(*BETWEEN)
-    more = plan_of_next_runs(found)
+    more = plan_of_next_runs(next_experiment)
     both = Plan(name="both", steps=(*plan(DRAGS).steps, *more.steps))
     after = dragrig.isolability(both, without=OTHERS).pair(*BETWEEN)
     assert before is not None
@@ -51,13 +51,13 @@ def test_what_is_recommended_keeps_its_promise(found: NextExperiment) -> None:
     assert after.separation > 1.5 * before.separation
 
 
-def test_a_run_that_is_not_needed_is_told_as_such(found: NextExperiment) -> None:
-    assert not any(one.surer for one in found.runs)
+def test_a_run_that_is_not_needed_is_told_as_such(next_experiment: NextExperiment) -> None:
+    assert not any(run.optional for run in next_experiment.runs)
     settled = dragrig.next_experiment("paper", between=("folds", "hyperelastic_wall"), minutes=5.0)
     assert settled is not None
-    assert all(one.surer for one in settled.runs)
-    assert settled.why.startswith("What is likely is told apart well enough already.")
-    assert "already" not in found.why
+    assert all(run.optional for run in settled.runs)
+    assert settled.reason.startswith("What is likely is told apart well enough already.")
+    assert "already" not in next_experiment.reason
 
 
 def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path) -> None:
@@ -68,31 +68,31 @@ def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path)
     first, second, *_ = dragrig.diagnose(tmp_path / "few").ranking
     assert first.probability < 0.9
     assert second.hypothesis == "unknown"
-    found = dragrig.next_experiment(tmp_path / "few", minutes=5.0)
-    assert found is not None
-    assert found.minutes > 4.0
-    assert not any(one.surer for one in found.runs)
+    next_experiment = dragrig.next_experiment(tmp_path / "few", minutes=5.0)
+    assert next_experiment is not None
+    assert next_experiment.minutes > 4.0
+    assert not any(run.optional for run in next_experiment.runs)
 
 
-def test_rig_time_and_limits_are_kept(found: NextExperiment) -> None:
-    assert 0 < found.minutes <= 5.0
-    checked = dragrig.check(plan_of_next_runs(found))
+def test_rig_time_and_limits_are_kept(next_experiment: NextExperiment) -> None:
+    assert 0 < next_experiment.minutes <= 5.0
+    checked = dragrig.check(plan_of_next_runs(next_experiment))
     assert not checked.findings
     # A plan's orders and prompts change no run, so that it takes as long as was said.
-    assert checked.duration_s / 60 == pytest.approx(found.minutes, rel=1e-6)
+    assert checked.duration_s / 60 == pytest.approx(next_experiment.minutes, rel=1e-6)
     slow = RigLimits(travel_mm=20.0, speed_mm_s=10.0, accel_mm_s2=400.0)
-    kept = [one.run.profile.extremes() for one in full_grid(SPECIMEN) if slow.allow(one)]
+    kept = [candidate.run.profile.extremes() for candidate in full_grid(SPECIMEN) if slow.allow(candidate)]
     assert kept
-    assert all(one.speed_mm_s <= 10 and one.highest_mm <= 20 for one in kept)
+    assert all(extremes.speed_mm_s <= 10 and extremes.highest_mm <= 20 for extremes in kept)
     assert len(short_grid(SPECIMEN)) < len(full_grid(SPECIMEN))
 
 
-def test_the_plan_file_is_run(found: NextExperiment, tmp_path: Path) -> None:
+def test_the_plan_file_is_run(next_experiment: NextExperiment, tmp_path: Path) -> None:
     file = tmp_path / "next.toml"
-    assert save_next_plan(found, file) == file
+    assert save_next_plan(next_experiment, file) == file
     made = dragrig.simulate(file)
     kinds = [run.info.kind for run in made if run.info.kind != "return"]
-    wanted = [one.step.kind for one in found.runs for _ in range(one.step.repeats)]
+    wanted = [next_run.step.kind for next_run in next_experiment.runs for _ in range(next_run.step.repeats)]
     assert sorted(kinds) == sorted(wanted)
 
 
@@ -106,21 +106,23 @@ def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
         PlanStep(kind="drag", parameters={"speed_mm_s": 20.0, **settings}),
         PlanStep(kind="relaxation", parameters={"shear_strain": 2.0, "hold_s": 20.0}),
     ]
-    made = plan_of_next_runs(NextExperiment(tuple(NextRun(one, 1.0, contest, contest) for one in steps), 9, "Because."))
-    assert [one.kind for one in made.steps] == ["relaxation", "coulomb", "drag", "motion"]
-    assert [bool(one.prompt) for one in made.steps] == [True, True, True, False]
+    made = plan_of_next_runs(
+        NextExperiment(tuple(NextRun(step, 1.0, contest, contest) for step in steps), 9, "Because.")
+    )
+    assert [step.kind for step in made.steps] == ["relaxation", "coulomb", "drag", "motion"]
+    assert [bool(step.prompt) for step in made.steps] == [True, True, True, False]
     assert made.steps[2].parameters["speed_mm_s"] == [5.0, 20.0]
 
 
-def test_a_diagnosis_tells_it_in_text_page_and_json(found: NextExperiment) -> None:
-    told = replace(STRIBECK, next_experiment=found)
-    said = json.loads(json.dumps(diagnosis_json(told), allow_nan=False))["next_experiment"]
+def test_a_diagnosis_tells_it_in_text_page_and_json(next_experiment: NextExperiment) -> None:
+    diagnosis = replace(STRIBECK, next_experiment=next_experiment)
+    said = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["next_experiment"]
     assert said["protocol"] == "coulomb"
     assert said["speed_mm_s"] > 0
-    assert said["why"] == found.why
+    assert said["why"] == next_experiment.reason
     assert set(said["between"]) == set(BETWEEN)
-    assert any(found.why in part for part in diagnosis_parts(told) if isinstance(part, str))
-    assert "What to run next" in diagnosis_page(told)
+    assert any(next_experiment.reason in part for part in diagnosis_parts(diagnosis) if isinstance(part, str))
+    assert "What to run next" in diagnosis_page(diagnosis)
     assert "What to run next" not in diagnosis_page(STRIBECK)
 
 

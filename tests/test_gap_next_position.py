@@ -37,9 +37,9 @@ def found_in(runs: tuple[Run, ...]) -> PositionAnalysis:
     return analyse_position(choose_runs(runs).experiments, list(catalogue().values()))
 
 
-def margin(found: PositionAnalysis, truth: str) -> float:
+def margin(position: PositionAnalysis, truth: str) -> float:
     """By how much the truth explains more than any other effect."""
-    shares = {one.effect: one.held_out for one in found.families}
+    shares = {model_class.effect: model_class.held_out_share for model_class in position.model_classes}
     return shares.pop(truth) - max(shares.values())
 
 
@@ -49,15 +49,15 @@ def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effe
     thin = dragrig.simulate(plan(THIN), effects=[effect])
     advised = told(thin).next_experiment
     assert advised is not None
-    (one,) = advised.runs
-    assert not one.surer
-    assert {one.after.truth, one.after.rival} == {"encoder_scale", "velocity_ripple"}
-    assert one.after.left > one.before.left + 0.05
+    (run,) = advised.runs
+    assert not run.optional
+    assert {run.after.truth, run.after.rival} == {"encoder_scale", "velocity_ripple"}
+    assert run.after.remaining_share > run.before.remaining_share + 0.05
     more = dragrig.simulate(plan_of_next_runs(advised), effects=[effect])
     again = dragrig.simulate(plan({**THIN, "repeats": 2}, seed=9), effects=[effect])
     with_it, repeated = found_in((*thin, *more)), found_in((*thin, *again))
-    assert with_it.families[0].effect == truth
-    assert with_it.families[0].held_out > 0.99
+    assert with_it.model_classes[0].effect == truth
+    assert with_it.model_classes[0].held_out_share > 0.99
     assert margin(with_it, truth) > max(0.05, 2 * margin(repeated, truth))
 
 
@@ -73,31 +73,31 @@ def test_what_is_told_apart_already_is_said_to_be() -> None:
     settled = told(dragrig.simulate(plan(FULL), effects=["velocity_ripple"]))
     assert settled.effects == ("velocity_ripple",)
     assert settled.next_experiment is not None
-    assert all(one.surer for one in settled.next_experiment.runs)
-    assert settled.next_experiment.why.startswith("What is likely is told apart well enough already.")
+    assert all(run.optional for run in settled.next_experiment.runs)
+    assert settled.next_experiment.reason.startswith("What is likely is told apart well enough already.")
 
 
 def test_what_no_run_tells_apart_is_said() -> None:
     lag = told(dragrig.simulate(plan({**FULL, "travel_mm": 10.0}), effects=["servo_lag:lag_s=0.01,frequency_hz=60"]))
     assert {*lag.effects, *lag.confusable_with} >= {"servo_lag", "channel_latency"}
     assert lag.next_experiment is None
-    assert any(one.startswith("No run that was compared would tell") for one in lag.cannot_answer)
+    assert any(name.startswith("No run that was compared would tell") for name in lag.limitations)
 
 
 def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> None:
     unnamed = told(dragrig.simulate(plan(FULL), effects=MIXED))
     assert unnamed.verdict is Verdict.UNKNOWN
     assert unnamed.next_experiment is not None
-    (one,) = unnamed.next_experiment.runs
-    assert one.settings["accel_mm_s2"] == 2000.0
-    assert "no run so far comes near its" in unnamed.next_experiment.why
-    assert "acceleration" in unnamed.next_experiment.why
-    ways = [one.step.model_copy(update={"repeats": 1}) for one in motion_grid(Specimen(name="jejunum"))]
+    (run,) = unnamed.next_experiment.runs
+    assert run.settings["accel_mm_s2"] == 2000.0
+    assert "no run so far comes near its" in unnamed.next_experiment.reason
+    assert "acceleration" in unnamed.next_experiment.reason
+    ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
     covered = told(dragrig.simulate(everything, effects=MIXED))
     assert covered.verdict is Verdict.UNKNOWN
     assert covered.next_experiment is None
-    assert NO_NEW_MOTION in covered.cannot_answer
+    assert NO_NEW_MOTION in covered.limitations
 
 
 def test_the_more_doubtful_question_comes_first() -> None:
@@ -106,5 +106,5 @@ def test_the_more_doubtful_question_comes_first() -> None:
     assert both.verdict is Verdict.SEVERAL
     assert "encoder_scale" in both.effects
     assert both.next_experiment is not None
-    (one,) = both.next_experiment.runs
-    assert "stribeck" in {one.after.truth, one.after.rival}
+    (run,) = both.next_experiment.runs
+    assert "stribeck" in {run.after.truth, run.after.rival}

@@ -21,8 +21,8 @@ SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY = 1839364650, 269666675
 @pytest.mark.parametrize("seed", [SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY])
 def test_what_another_programme_sums_coarsely_is_not_seen_as_a_gap(seed: int, tmp_path: Path) -> None:
     write_campaign(draw_campaign(seed, rough=True), tmp_path)
-    told = diagnose(thinned(choose_runs(tmp_path)), MODEL)
-    assert (told.verdict, told.effects) == (Verdict.NO_GAP, ())
+    diagnosis = diagnose(thinned(choose_runs(tmp_path)), MODEL)
+    assert (diagnosis.verdict, diagnosis.effects) == (Verdict.NO_GAP, ())
 
 
 def test_midpoints_over_the_contact_come_to_its_force_where_they_are_many() -> None:

@@ -41,7 +41,7 @@ def text(diagnosis: Diagnosis) -> str:
 
 
 def words(html: str) -> str:
-    found: list[str] = []
+    names: list[str] = []
 
     class Reader(HTMLParser):
         hidden = False
@@ -51,17 +51,17 @@ def words(html: str) -> str:
 
         def handle_data(self, data: str) -> None:
             if not self.hidden:
-                found.append(data)
+                names.append(data)
 
     Reader().feed(html)
-    return " ".join(" ".join(found).replace("\u00a0", " ").split())
+    return " ".join(" ".join(names).replace("\u00a0", " ").split())
 
 
 def test_what_was_left_out_of_the_search_is_not_called_inseparable() -> None:
-    asked = DecisionInputs(blocks=8000, squares=20_000.0, without=("adhesion",))
-    said = text(replace(STRIBECK, confusable_with=("adhesion",), evidence=asked))
-    assert f"Left out of the search, and hardly told from it: {display_name('adhesion')}" in " ".join(said.split())
-    assert "with these runs" not in said
+    inputs = DecisionInputs(block_count=8000, chi2=20_000.0, excluded=("adhesion",))
+    sentence = text(replace(STRIBECK, confusable_with=("adhesion",), decision_inputs=inputs))
+    assert f"Left out of the search, and hardly told from it: {display_name('adhesion')}" in " ".join(sentence.split())
+    assert "with these runs" not in sentence
 
 
 FIRST = {
@@ -82,13 +82,13 @@ def test_the_verdict_comes_first_in_plain_words(verdict: str) -> None:
 
 
 def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
-    for said in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
-        assert "Adhesion and film depletion cannot be told from it with these runs." in said
-        assert "No relaxation is held long enough" in said
-        assert "018-drag.h5" in said
-        assert "the gut slipped off the foam" in said
-        assert "Calibrated on 400 simulated campaigns" in said
-        assert "An effect above 2.1 mN would have been seen." in said
+    for sentence in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
+        assert "Adhesion and film depletion cannot be told from it with these runs." in sentence
+        assert "No relaxation is held long enough" in sentence
+        assert "018-drag.h5" in sentence
+        assert "the gut slipped off the foam" in sentence
+        assert "Calibrated on 400 simulated campaigns" in sentence
+        assert "An effect above 2.1 mN would have been seen." in sentence
     assert "cannot be told" not in text(NO_GAP)
     assert "Something is left beside them that no effect" in text(TOGETHER)
     assert "4.1 mN · x / 40 mm" in text(UNKNOWN)
@@ -97,9 +97,9 @@ def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
 
 def test_probabilities_that_nothing_calibrated_are_not_passed_off_as_chances() -> None:
     bare = replace(STRIBECK, calibration="")
-    for said in (text(bare), words(diagnosis_page(bare))):
-        assert "not calibrated" in said
-        assert "nine were right" not in said
+    for sentence in (text(bare), words(diagnosis_page(bare))):
+        assert "not calibrated" in sentence
+        assert "nine were right" not in sentence
 
 
 def test_a_verdict_is_never_certain() -> None:
@@ -109,12 +109,12 @@ def test_a_verdict_is_never_certain() -> None:
 
 
 def test_how_much_stands_beside_what_the_paper_prints() -> None:
-    said = text(STRIBECK)
-    assert "99.3 % of the gap closes (95 %: 98.5 % to 99.8 %)." in said
-    assert re.search(r"ratio +0\.410 +0\.312 to 0\.508", said)
-    assert re.search(r"Eq\. 15 +before +0\.7000 +0\.4000\n +after +0\.9800 +0\.9700", said)
-    assert re.search(r"correlation² +before +0\.8000 +-", said)
-    assert re.search(r"the paper.* 0\.8769 +0\.1666", said)
+    sentence = text(STRIBECK)
+    assert "99.3 % of the gap closes (95 %: 98.5 % to 99.8 %)." in sentence
+    assert re.search(r"ratio +0\.410 +0\.312 to 0\.508", sentence)
+    assert re.search(r"Eq\. 15 +before +0\.7000 +0\.4000\n +after +0\.9800 +0\.9700", sentence)
+    assert re.search(r"correlation² +before +0\.8000 +-", sentence)
+    assert re.search(r"the paper.* 0\.8769 +0\.1666", sentence)
     html = words(diagnosis_page(STRIBECK))
     assert "0.8769 0.1666" in html
     assert "quoted" in html
@@ -135,23 +135,23 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
 
 def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
     beyond = replace(shrink(), closed=1.01, closed_95ci=(1.0, 1.05))
-    said = shrink_sentences(beyond)[1]
+    sentence = shrink_sentences(beyond)[1]
     assert (
-        said
+        sentence
         == "The whole gap closes (101 %; 95 %: 100 % to 105 %): less is left than noise and scatter of repeats make."
     )
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
-    for said in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
-        assert re.search(r"protocol +drag 90 %, coulomb 10 % ", said)
-        assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", said)
-        assert re.search(r"session +nothing stands out ", said)
+    for sentence in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
+        assert re.search(r"protocol +drag 90 %, coulomb 10 % ", sentence)
+        assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", sentence)
+        assert re.search(r"session +nothing stands out ", sentence)
         assert "strain" not in text(STRIBECK).split("Which")[0]
-        assert "above all a function of speed, which accounts for 71 %" in said
+        assert "above all a function of speed, which accounts for 71 %" in sentence
     assert "No place stands out" in text(NO_GAP)
-    one = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
-    here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(one,)))
+    location = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
+    here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(location,)))
     assert "at 2 mm/s: 79 %" in text(here)
 
 
@@ -178,7 +178,7 @@ def test_a_page_escapes_what_comes_from_files() -> None:
 
 
 def test_a_page_without_views_or_model_says_so_by_silence() -> None:
-    html = diagnosis_page(replace(STRIBECK, views=(), model=None))
+    html = diagnosis_page(replace(STRIBECK, traces=(), model=None))
     assert html.count('role="img"') == 2
     assert "dragrig gap evaluate" not in html
     assert "dragrig gap evaluate mine.toml" in diagnosis_page(STRIBECK, model="mine.toml")
@@ -264,15 +264,17 @@ class Report(Strict):
 
 @CASES
 def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
-    said = json.dumps(diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False)
-    read = Report.model_validate_json(said)
+    sentence = json.dumps(
+        diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False
+    )
+    read = Report.model_validate_json(sentence)
     assert read.model == "amended.toml"
     assert read.campaign.used_for_fit[:2] == ["id-0", "001-drag.h5"]
     assert sum(one.probability for one in read.ranking) == pytest.approx(1.0, abs=1e-6)
     assert read.effects == list(diagnosis.effects)
     assert set(read.effects) <= set(catalogue())
     truth = {"verdict": diagnosis.verdict.value, "effects": list(diagnosis.effects)}
-    assert not score_exam([("made up", truth, json.loads(said))]).missed
+    assert not score_exam([("made up", truth, json.loads(sentence))]).missed
 
 
 def test_json_tells_parameters_with_their_unit() -> None:
@@ -287,7 +289,7 @@ def test_json_tells_parameters_with_their_unit() -> None:
 def test_json_knows_no_nan_and_no_infinity() -> None:
     ill = replace(
         STRIBECK,
-        would_have_seen_mN=inf,
+        detection_limit_mN=inf,
         ranking=(
             RankedHypothesis("stribeck", nan, (replace(STRIBECK.ranking[0].parameters[0], standard_error=nan),), nan),
         ),
@@ -310,12 +312,12 @@ def test_rounded_probabilities_still_sum_to_one(given: list[float]) -> None:
     told = round_probabilities(given)
     assert sum(told) == pytest.approx(1.0, abs=1e-9)
     assert all(abs(a - b / sum(given)) <= 2e-6 for a, b in zip(told, given, strict=True))
-    assert all(0 <= one <= 1 for one in told)
+    assert all(0 <= value <= 1 for value in told)
 
 
 def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind() -> None:
-    chosen = representative_runs(STRIBECK.views)
-    assert [one.label for one in chosen] == [
+    chosen = representative_runs(STRIBECK.traces)
+    assert [traces.label for traces in chosen] == [
         "drag at 0.5 mm/s", "drag at 10 mm/s", "drag at 60 mm/s",
         "relaxation at 200 %", "blank run at 40 mm/s", "Coulomb friction at 0.5 mm/s",
     ]  # fmt: skip

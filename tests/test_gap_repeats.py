@@ -58,16 +58,16 @@ def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -
     """Else a stiffer run is a misfit of the effect, and the fit gives it up for the specimen's own stiffness."""
     relaxing = prepare_study(choose_runs(CAMPAIGN), MODEL, EFFECTS)
     candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].defaults)
-    plain, stiffer = (linearise(relaxing, relaxing.start, chosen) for chosen in ((), (candidate,)))
+    plain, stiffer = (linearise(relaxing, relaxing.initial_z, chosen) for chosen in ((), (candidate,)))
     seen = 0
-    for sight, one, other in zip(relaxing.sights, plain.parts, stiffer.parts, strict=True):
-        before, after = one.whitening.run_effects, other.whitening.run_effects
-        if sight.experiment.kind != "relaxation":
+    for run, run_design, other in zip(relaxing.runs, plain.runs, stiffer.runs, strict=True):
+        before, after = run_design.whitening.run_effects, other.whitening.run_effects
+        if run.experiment.kind != "relaxation":
             assert np.array_equal(before, after)
             continue
-        share = np.linalg.norm(other.added) / np.linalg.norm(one.predicted)
+        share = np.linalg.norm(other.effect_force) / np.linalg.norm(run_design.predicted)
         stiff = -len(relaxing.problem.variation_sds)
-        more = one.whitening.whiten_noise(relaxing.problem.variation_sds[0] * other.added)
+        more = run_design.whitening.whiten_noise(relaxing.problem.variation_sds[0] * other.effect_force)
         assert after[:, stiff] == pytest.approx(before[:, stiff] + more)
         assert share > 0.01
         seen += 1
@@ -75,8 +75,8 @@ def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -
 
 
 def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) -> None:
-    alike = {sight.file: first for sight, first in zip(study.sights, study.problem.representatives, strict=True)}
-    own = [sight.file for sight in study.sights if sight.experiment.insertion_dwell_s == DWELL_S]
+    alike = {run.file: first for run, first in zip(study.runs, study.problem.representatives, strict=True)}
+    own = [run.file for run in study.runs if run.experiment.insertion_dwell_s == DWELL_S]
     assert (len(own), len(alike)) == (1, 6)
     assert list(alike.values()).count(alike[own[0]]) == 1
     repeats = [name for name in alike if name.startswith("again-") and name not in own]
@@ -84,8 +84,8 @@ def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) ->
 
 
 def test_every_run_is_laid_out_as_it_would_be_alone(study: Study) -> None:
-    together = linearise(study, study.start + 0.1, dictionary=True)
-    for number in range(len(study.sights)):
-        alone = linearise(study.of_runs([number]), study.start + 0.1, dictionary=True)
-        assert np.array_equal(together.parts[number].columns, alone.parts[0].columns)
+    together = linearise(study, study.initial_z + 0.1, dictionary=True)
+    for number in range(len(study.runs)):
+        alone = linearise(study.with_runs([number]), study.initial_z + 0.1, dictionary=True)
+        assert np.array_equal(together.runs[number].columns, alone.runs[0].columns)
         assert np.array_equal(together.grams[number], alone.grams[0])

@@ -34,18 +34,18 @@ def runs_at(speeds: list[float]) -> list[RunInfo]:
 @given(st.lists(st.sampled_from([0.5, 1.0, 2.0, 5.0, 60.0]), max_size=80), st.integers(5, 40))
 def test_conditions_are_all_there_and_none_is_crowded_out(speeds: list[float], most: int) -> None:
     runs = runs_at(speeds)
-    kept = spread_over_session(runs, most)
-    assert len(kept) == min(len(runs), most)
-    assert [one.header.order for one in kept] == sorted(one.header.order for one in kept)
-    whole, some = Counter(speeds), Counter(one.header.protocol["speed_mm_s"] for one in kept)
+    infos = spread_over_session(runs, most)
+    assert len(infos) == min(len(runs), most)
+    assert [info.header.order for info in infos] == sorted(info.header.order for info in infos)
+    whole, some = Counter(speeds), Counter(info.header.protocol["speed_mm_s"] for info in infos)
     assert set(some) == set(whole)
     fewest = min((some[speed] for speed in whole if some[speed] < whole[speed]), default=0)
     assert all(some[speed] <= fewest + 1 for speed in whole if some[speed] < whole[speed])
 
 
 def test_a_condition_is_seen_from_its_first_run_to_its_last() -> None:
-    kept = spread_over_session(runs_at([1.0] * 400), 20)
-    orders = [one.header.order for one in kept]
+    infos = spread_over_session(runs_at([1.0] * 400), 20)
+    orders = [info.header.order for info in infos]
     assert (orders[0], orders[-1]) == (0, 399)
     assert max(after - before for before, after in pairwise(orders)) <= 22
 
@@ -55,10 +55,12 @@ def test_a_long_campaign_is_read_in_part_and_says_so(tmp_path: Path) -> None:
     for copy in range(13):
         for path in paths:
             shutil.copy(path, tmp_path / f"{copy:02d}-{path.name}")
-    found = choose_runs(tmp_path)
-    assert len(found.experiments) == MAX_RUNS
-    assert any(one.startswith(f"of {13 * len(paths)} runs {MAX_RUNS} are diagnosed") for one in found.remarks)
+    selection = choose_runs(tmp_path)
+    assert len(selection.experiments) == MAX_RUNS
+    assert any(name.startswith(f"of {13 * len(paths)} runs {MAX_RUNS} are diagnosed") for name in selection.remarks)
     again = choose_runs([read_run(path) for path in sorted(tmp_path.glob("*.h5"))])
-    assert again.remarks[-1] == found.remarks[-1]
-    assert {one.file for one in again.experiments} == {one.file for one in found.experiments}
-    assert not any("are diagnosed" in one for one in choose_runs(CAMPAIGN).remarks)
+    assert again.remarks[-1] == selection.remarks[-1]
+    assert {experiment.file for experiment in again.experiments} == {
+        experiment.file for experiment in selection.experiments
+    }
+    assert not any("are diagnosed" in name for name in choose_runs(CAMPAIGN).remarks)

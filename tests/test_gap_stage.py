@@ -52,8 +52,10 @@ def with_force(runs: list[Run], more: Callable[[FloatArray, FloatArray], FloatAr
     """Add to the recorded motor force what depends on velocity and time."""
     changed = []
     for run in runs:
-        one = Experiment(run)
-        force = np.asarray(run.trace.channels["motor_force"]) + more(one.velocity(one.time_s), one.time_s)
+        experiment = Experiment(run)
+        force = np.asarray(run.trace.channels["motor_force"]) + more(
+            experiment.velocity(experiment.time_s), experiment.time_s
+        )
         channels = {**run.trace.channels, "motor_force": force.astype(np.float32)}
         changed.append(replace(run, trace=replace(run.trace, channels=channels)))
     return changed
@@ -71,8 +73,8 @@ def drifting(runs: list[Run]) -> list[Run]:
     return with_force(runs, lambda velocity, time_s: 0.0 * velocity + 3.0 * time_s)
 
 
-def hypotheses(found: Diagnosis) -> set[str]:
-    return {one.hypothesis for one in found.ranking}
+def hypotheses(diagnosis: Diagnosis) -> set[str]:
+    return {hypothesis.hypothesis for hypothesis in diagnosis.ranking}
 
 
 @pytest.fixture(scope="module")
@@ -88,40 +90,40 @@ def own(tmp_path: Path) -> Path:
 
 
 def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
-    found = dragrig.diagnose(blanks, nominal="drive")
-    assert found.verdict is Verdict.NO_GAP
-    assert {"direction_asymmetry", "stribeck", "channel_latency"} <= hypotheses(found)
-    assert not hypotheses(found) & NOT_OF_A_STAGE
-    assert found.would_have_seen_mN < 10.0
-    told = " ".join(found.cannot_answer)
-    assert "no amended model" in told
-    assert "one way" not in told
-    assert "gut" not in told
+    diagnosis = dragrig.diagnose(blanks, nominal="drive")
+    assert diagnosis.verdict is Verdict.NO_GAP
+    assert {"direction_asymmetry", "stribeck", "channel_latency"} <= hypotheses(diagnosis)
+    assert not hypotheses(diagnosis) & NOT_OF_A_STAGE
+    assert diagnosis.detection_limit_mN < 10.0
+    text = " ".join(diagnosis.limitations)
+    assert "no amended model" in text
+    assert "one way" not in text
+    assert "gut" not in text
 
 
 @pytest.mark.parametrize("asymmetry", [-0.1, 0.05, 0.2])
 def test_friction_that_differs_with_direction_is_named_with_its_size(asymmetry: float, blanks: list[Run]) -> None:
-    found = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive")
-    assert found.verdict is Verdict.EFFECT
-    assert found.effects == ("direction_asymmetry",)
-    assert found.confusable_with == ()
-    (size,) = found.ranking[0].parameters
+    diagnosis = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive")
+    assert diagnosis.verdict is Verdict.EFFECT
+    assert diagnosis.effects == ("direction_asymmetry",)
+    assert diagnosis.confusable_with == ()
+    (size,) = diagnosis.ranking[0].parameters
     assert size.interval is not None
     assert size.interval[0] < asymmetry < size.interval[1]
     assert size.standard_error < 0.002
-    assert found.where.location("channel").shares["motor_force"] > 0.95
-    assert found.model is None
-    assert found.shrink is not None
-    assert found.shrink.closed is not None
-    assert found.shrink.closed > 0.95
-    assert {one.channel for one in found.views} == {"motor_force"}
+    assert diagnosis.where.location("channel").shares["motor_force"] > 0.95
+    assert diagnosis.model is None
+    assert diagnosis.shrink is not None
+    assert diagnosis.shrink.closed is not None
+    assert diagnosis.shrink.closed > 0.95
+    assert {traces.channel for traces in diagnosis.traces} == {"motor_force"}
 
 
 def test_runs_of_one_direction_say_that_they_cannot_tell(blanks: list[Run]) -> None:
     forwards = [run for run in asymmetric(blanks, 0.1) if run.trace.position[-1] > run.trace.position[0]]
-    found = dragrig.diagnose(forwards, nominal="drive")
-    assert "direction_asymmetry" not in found.effects
-    assert any("one way" in one for one in found.cannot_answer)
+    diagnosis = dragrig.diagnose(forwards, nominal="drive")
+    assert "direction_asymmetry" not in diagnosis.effects
+    assert any("one way" in name for name in diagnosis.limitations)
 
 
 def test_turning_round_within_a_run_is_no_effect(tmp_path: Path) -> None:
@@ -135,8 +137,8 @@ def test_turning_round_within_a_run_is_no_effect(tmp_path: Path) -> None:
     plan.write_text(f'name = "turns"\n{step}')
     runs = dragrig.simulate(str(plan), assignments=["rig.simulated.seed=3", "rig.sampling.rate_hz=1000"])
     assert dragrig.diagnose(runs, nominal="drive").verdict is Verdict.NO_GAP
-    found = dragrig.diagnose(asymmetric(runs, 0.08), nominal="drive")
-    assert found.effects == ("direction_asymmetry",)
+    diagnosis = dragrig.diagnose(asymmetric(runs, 0.08), nominal="drive")
+    assert diagnosis.effects == ("direction_asymmetry",)
 
 
 def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,29 +172,29 @@ def test_a_model_of_ones_own_is_tried_with_effects_of_the_sensor(own: Path, blan
     foreign = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own)
     assert foreign.verdict is Verdict.UNKNOWN
     assert foreign.unknown is not None
-    assert "motor force of blank runs" in foreign.unknown.lives_in
+    assert "motor force of blank runs" in foreign.unknown.location
     assert foreign.model is None
     assert not hypotheses(foreign) & {"direction_asymmetry", "stribeck"}
-    assert any("only effects of sensor and acquisition" in one for one in foreign.cannot_answer)
+    assert any("only effects of sensor and acquisition" in name for name in foreign.limitations)
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "told"),
+    ("before", "after", "text"),
     [
         ('"motor_force"', '"position"', "sledge predicts position and no force in mN"),
         ('1e-3 * values["mass_g"]', 'heavy(values["mass_g"])', "NaN or infinity for motor_force"),
     ],
 )
 def test_a_model_that_is_no_use_is_told_in_one_sentence(
-    before: str, after: str, told: str, own: Path, blanks: list[Run]
+    before: str, after: str, text: str, own: Path, blanks: list[Run]
 ) -> None:
     heavy = "heavy = lambda mass_g: float('nan') if mass_g > 1100 else 1e-3 * mass_g\n"
     own.write_text(heavy + OWN.replace(before, after), "utf-8")
-    with pytest.raises(AnalysisError, match=told):
+    with pytest.raises(AnalysisError, match=text):
         dragrig.diagnose(blanks, nominal=own)
 
 
 def test_a_capsules_campaign_may_be_of_blank_runs_alone(blanks: list[Run]) -> None:
-    found = dragrig.diagnose(blanks)
-    assert found.verdict is Verdict.NO_GAP
-    assert "peristalsis" not in hypotheses(found)
+    diagnosis = dragrig.diagnose(blanks)
+    assert diagnosis.verdict is Verdict.NO_GAP
+    assert "peristalsis" not in hypotheses(diagnosis)

@@ -14,80 +14,80 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
 
-def moving(one: ResidualBlocks, *kinds: str) -> FloatArray:
-    inside = (one.phase != Phase.REST) & (one.phase != Phase.HOLD)
-    return np.asarray(inside * (one.kind in kinds), dtype=np.float64)
+def moving(run: ResidualBlocks, *kinds: str) -> FloatArray:
+    inside = (run.phase != Phase.REST) & (run.phase != Phase.HOLD)
+    return np.asarray(inside * (run.kind in kinds), dtype=np.float64)
 
 
-def lift_off(one: ResidualBlocks) -> FloatArray:
-    return -30.0 * moving(one, "drag") * (one.speed_mm_s > 25.0)
+def lift_off(run: ResidualBlocks) -> FloatArray:
+    return -30.0 * moving(run, "drag") * (run.speed_mm_s > 25.0)
 
 
-def stribeck(one: ResidualBlocks) -> FloatArray:
-    return 30.0 * moving(one, "drag", "coulomb") * np.exp(-one.speed_mm_s / 3.0)
+def stribeck(run: ResidualBlocks) -> FloatArray:
+    return 30.0 * moving(run, "drag", "coulomb") * np.exp(-run.speed_mm_s / 3.0)
 
 
-def tether(one: ResidualBlocks) -> FloatArray:
-    return 0.8 * np.maximum(one.position_mm - 20.0, 0.0) * moving(one, "drag")
+def tether(run: ResidualBlocks) -> FloatArray:
+    return 0.8 * np.maximum(run.position_mm - 20.0, 0.0) * moving(run, "drag")
 
 
-def folds(one: ResidualBlocks) -> FloatArray:
-    return 8.0 * moving(one, "drag") * np.sin(2 * np.pi * one.position_mm / 6.0 + one.session_s)
+def folds(run: ResidualBlocks) -> FloatArray:
+    return 8.0 * moving(run, "drag") * np.sin(2 * np.pi * run.position_mm / 6.0 + run.session_s)
 
 
-def ageing(one: ResidualBlocks) -> FloatArray:
-    return 20.0 * (one.session_s / 3000.0 - 0.5) * (one.kind in {"drag", "relaxation"}) * (one.phase != Phase.REST)
+def ageing(run: ResidualBlocks) -> FloatArray:
+    return 20.0 * (run.session_s / 3000.0 - 0.5) * (run.kind in {"drag", "relaxation"}) * (run.phase != Phase.REST)
 
 
-def pulses(one: ResidualBlocks) -> FloatArray:
-    return 8.0 * np.cos(2 * np.pi * (one.session_s + one.time_s) / 4.3) * (one.kind == "drag")
+def pulses(run: ResidualBlocks) -> FloatArray:
+    return 8.0 * np.cos(2 * np.pi * (run.session_s + run.time_s) / 4.3) * (run.kind == "drag")
 
 
-def creep(one: ResidualBlocks) -> FloatArray:
-    return 40.0 * one.strain * np.exp(-(one.time_s - 1.2) / 6.0) * (one.phase == Phase.HOLD)
+def creep(run: ResidualBlocks) -> FloatArray:
+    return 40.0 * run.strain * np.exp(-(run.time_s - 1.2) / 6.0) * (run.phase == Phase.HOLD)
 
 
-def stiffening(one: ResidualBlocks) -> FloatArray:
-    return 15.0 * one.strain**2 * np.exp(-np.maximum(one.time_s - 1.2, 0.0)) * (one.phase != Phase.REST)
+def stiffening(run: ResidualBlocks) -> FloatArray:
+    return 15.0 * run.strain**2 * np.exp(-np.maximum(run.time_s - 1.2, 0.0)) * (run.phase != Phase.REST)
 
 
-def ringing(one: ResidualBlocks) -> FloatArray:
-    changing = (one.phase == Phase.ACCELERATE) | (one.phase == Phase.DECELERATE)
-    return np.asarray(60.0 * changing * (one.speed_mm_s / 60.0) * (one.strain == 0.0))
+def ringing(run: ResidualBlocks) -> FloatArray:
+    changing = (run.phase == Phase.ACCELERATE) | (run.phase == Phase.DECELERATE)
+    return np.asarray(60.0 * changing * (run.speed_mm_s / 60.0) * (run.strain == 0.0))
 
 
 def test_a_gap_at_high_speed_is_found_there() -> None:
-    found = localise(campaign(1, lift_off))
-    assert found.present
-    speed = found.location("speed_mm_s")
+    location = localise(campaign(1, lift_off))
+    assert location.present
+    speed = location.location("speed_mm_s")
     assert (speed.low, speed.high) == (30.0, 60.0)
     assert speed.share > 0.95
     assert speed.p < 0.01
-    assert found.location("channel").shares["force"] > 0.95
-    assert found.location("protocol").shares["drag"] > 0.95
-    phases = found.location("phase").shares
+    assert location.location("channel").shares["force"] > 0.95
+    assert location.location("protocol").shares["drag"] > 0.95
+    phases = location.location("phase").shares
     assert phases["rest"] + phases["hold"] < 0.02
-    assert found.location("session").p > 0.05
+    assert location.location("session").p > 0.05
 
 
 def test_a_gap_late_in_the_stroke_is_found_there() -> None:
     position = localise(campaign(1, tether)).location("position")
     assert (position.low, position.high) == (28.0, 40.0)
     assert position.p < 0.01
-    standing_out = [one.p < 0.05 for one in position.bins]
+    standing_out = [axis_bin.p < 0.05 for axis_bin in position.bins]
     assert not any(standing_out[:5])
     assert all(standing_out[8:])
 
 
 def test_a_gap_in_the_position_channel_is_told_from_one_in_the_force() -> None:
-    found = localise(campaign(1, lambda one: 0.03 * moving(one, "drag", "blank", "coulomb"), channel="position"))
-    assert found.location("channel").shares["position"] > 0.95
-    assert next(one for one in found.location("channel").bins if one.name == "position").p < 0.01
+    location = localise(campaign(1, lambda run: 0.03 * moving(run, "drag", "blank", "coulomb"), channel="position"))
+    assert location.location("channel").shares["position"] > 0.95
+    assert next(axis_bin for axis_bin in location.location("channel").bins if axis_bin.name == "position").p < 0.01
 
 
 def test_a_disturbance_is_found_in_its_band() -> None:
-    found = localise(campaign(1, lambda one: 10.0 * np.cos(2 * np.pi * 0.2 * one.time_s)))
-    band = found.location("band_hz")
+    location = localise(campaign(1, lambda run: 10.0 * np.cos(2 * np.pi * 0.2 * run.time_s)))
+    band = location.location("band_hz")
     assert (band.low, band.high) == (0.1, 0.3)
     assert band.p < 0.01
 
@@ -118,10 +118,10 @@ def test_hum_is_seen_in_the_powers_of_the_whole_trace() -> None:
     shown = band_powers(noise + 6.0 * np.sin(2 * np.pi * 50.0 * time), 500.0)
     assert shown[6] - expected[6] == pytest.approx(18.0, rel=0.05)
     power = BandPowers(shown, expected)
-    hummed = [replace(one, bands=power, residual=one.residual + 1.0) for one in campaign(1) if one.channel == "force"]
-    found = localise(hummed, present=True)
-    assert (found.location("band_hz").low, found.location("band_hz").high) == (30.0, 100.0)
-    assert found.domain_scores["frequency"] > 0.4
+    hummed = [replace(run, bands=power, residual=run.residual + 1.0) for run in campaign(1) if run.channel == "force"]
+    location = localise(hummed, present=True)
+    assert (location.location("band_hz").low, location.location("band_hz").high) == (30.0, 100.0)
+    assert location.domain_scores["frequency"] > 0.4
 
 
 def test_powers_add_up_to_the_variance() -> None:
@@ -132,22 +132,22 @@ def test_powers_add_up_to_the_variance() -> None:
 
 def test_noise_is_nowhere_and_its_p_values_are_what_they_say() -> None:
     campaigns = [localise(campaign(seed), seed=seed) for seed in range(40)]
-    assert sum(one.present for one in campaigns) <= 5
-    assert all(share == 0.0 for one in campaigns if not one.present for share in shares_of(one))
+    assert sum(location.present for location in campaigns) <= 5
+    assert all(share == 0.0 for location in campaigns if not location.present for share in shares_of(location))
     for axis in ("protocol", "speed_mm_s", "session", "strain"):
-        p = np.array([one.location(axis).least_p for one in campaigns])
+        p = np.array([location.location(axis).min_p for location in campaigns])
         assert 0.25 < np.mean(p < 0.5) < 0.75
     for axis in ("channel", "protocol", "phase", "speed_mm_s", "position", "session", "band_hz"):
-        assert np.mean([one.location(axis).least_p < 0.05 for one in campaigns]) < 0.15
+        assert np.mean([location.location(axis).min_p < 0.05 for location in campaigns]) < 0.15
 
 
-def shares_of(found: GapLocation) -> list[float]:
-    return [one.share for location in found.locations for one in location.bins]
+def shares_of(where: GapLocation) -> list[float]:
+    return [axis_bin.share for location in where.locations for axis_bin in location.bins]
 
 
 def test_shares_along_an_axis_sum_to_1_or_are_all_0() -> None:
-    found = localise(campaign(1, stribeck))
-    sums = {one.name: sum(each.share for each in one.bins) for one in found.locations}
+    location = localise(campaign(1, stribeck))
+    sums = {one.name: sum(axis_bin.share for axis_bin in one.bins) for one in location.locations}
     assert sums.pop("strain") == 0.0
     assert sums.pop("band_hz") == 0.0
     assert list(sums.values()) == pytest.approx([1.0] * len(sums))
@@ -155,8 +155,8 @@ def test_shares_along_an_axis_sum_to_1_or_are_all_0() -> None:
 
 
 def test_every_run_counts_alike_however_long_it_is() -> None:
-    found = localise(campaign(1, lambda one: 200.0 * moving(one, "drag") * np.isin(one.speed_mm_s, (0.5, 60.0))))
-    share = {one.low: one.share for one in found.location("speed_mm_s").bins}
+    location = localise(campaign(1, lambda run: 200.0 * moving(run, "drag") * np.isin(run.speed_mm_s, (0.5, 60.0))))
+    share = {axis_bin.low: axis_bin.share for axis_bin in location.location("speed_mm_s").bins}
     in_motion = (80.0 / 84.0) / (0.82 / 4.82)
     assert share[0.5] / share[60.0] == pytest.approx(in_motion, rel=0.05)
 
@@ -188,18 +188,18 @@ def test_blocks_that_do_not_fit_together_are_refused() -> None:
 
 
 def test_a_named_effect_says_where_it_acts_when_no_block_stands_out() -> None:
-    noise = campaign(1, lambda one: 0.0 * one.time_s)
-    quiet = [replace(one, residual=0.5 * one.residual) for one in noise]
-    found = localise(quiet, present=True)
-    assert not any(found.location("channel").shares.values())
-    added = [np.full_like(one.residual, 2.0 * (one.kind == "relaxation") * (one.channel == "force")) for one in quiet]
-    shown = attribute_to_effects(found, quiet, added)
+    noise = campaign(1, lambda run: 0.0 * run.time_s)
+    quiet = [replace(run, residual=0.5 * run.residual) for run in noise]
+    location = localise(quiet, present=True)
+    assert not any(location.location("channel").shares.values())
+    added = [np.full_like(run.residual, 2.0 * (run.kind == "relaxation") * (run.channel == "force")) for run in quiet]
+    shown = attribute_to_effects(location, quiet, added)
     assert shown.location("channel").shares["force"] == pytest.approx(1.0)
     assert shown.location("protocol").shares["relaxation"] == pytest.approx(1.0)
-    assert shown.p == found.p
+    assert shown.p == location.p
 
 
 def test_what_stands_out_is_not_asked_of_the_effect() -> None:
     loud = campaign(1, tether)
-    found = localise(loud, present=True)
-    assert attribute_to_effects(found, loud, [np.zeros_like(one.residual) for one in loud]) is found
+    location = localise(loud, present=True)
+    assert attribute_to_effects(location, loud, [np.zeros_like(run.residual) for run in loud]) is location

@@ -141,7 +141,7 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     selection = with_position(stribeck, tmp_path / "other", *ENCODERS[encoder])
     moved = [one for one in selection.experiments if one.follows_command]
     assert len(moved) == len(selection.experiments)
-    assert not any(one.strays for one in position_errors(selection.experiments))
+    assert not any(one.has_position_error for one in position_errors(selection.experiments))
 
 
 @pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
@@ -155,7 +155,7 @@ def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, e
     """Every wobble that counts as a turn has a contact of its own, which costs time and memory without end."""
     selection = hidden(tmp_path / "lag", 14, "servo_lag")
     before, after = selection.experiments, with_position(selection, tmp_path / "other", *ENCODERS[encoder]).experiments
-    assert any(one.strays for one in position_errors(after))
+    assert any(one.has_position_error for one in position_errors(after))
     straying = [(one, other) for one, other in zip(before, after, strict=True) if not other.follows_command]
     assert len(straying) > len(before) / 2
     for one, other in straying:

@@ -204,7 +204,7 @@ def test_a_diagnosis_is_shown_with_all_that_it_says(diagnose: DiagnosePage) -> N
     results.show_told(diagnosis_view(STRIBECK))
     assert "0.93" in results.verdict.text()
     assert results.hypotheses.item(0, 3).text() == "the verdict"
-    assert results.runs.count() == len(STRIBECK.views)
+    assert results.runs.count() == len(STRIBECK.traces)
     for at in range(results.runs.count()):
         results.runs.setCurrentIndex(at)
         assert len(results.above._lines) == 3

@@ -78,12 +78,12 @@ class RigLimits:
 
     def allow(self, trial: CandidateRun) -> bool:
         """Whether a trial keeps within them."""
-        found = trial.run.profile.extremes()
+        extremes = trial.run.profile.extremes()
         return (
-            found.highest_mm <= self.travel_mm + 1e-6
-            and found.lowest_mm >= -1e-6
-            and found.speed_mm_s <= self.speed_mm_s * (1 + 1e-9)
-            and found.acceleration_mm_s2 <= self.accel_mm_s2 * (1 + 1e-9)
+            extremes.highest_mm <= self.travel_mm + 1e-6
+            and extremes.lowest_mm >= -1e-6
+            and extremes.speed_mm_s <= self.speed_mm_s * (1 + 1e-9)
+            and extremes.acceleration_mm_s2 <= self.accel_mm_s2 * (1 + 1e-9)
             and (not self.kinds or trial.step.kind in self.kinds)
         )
 
@@ -127,12 +127,12 @@ def motion_grid(specimen: Specimen, *, whole: bool = False) -> tuple[CandidateRu
     """
     if whole:
         tried = product(MOTION_SPEEDS_MM_S, MOTION_ACCELERATIONS_MM_S2, MOTION_TRAVELS_MM)
-        grid = [one for one in tried if one[0] ** 2 / one[1] < one[2]]
+        grid = [pair for pair in tried if pair[0] ** 2 / pair[1] < pair[2]]
     else:
-        grid = [*((*one, STROKE_MM) for one in SHORT_MOTION_GRID), (20.0, 400.0, SHORT_STROKE_MM)]
+        grid = [*((*pair, STROKE_MM) for pair in SHORT_MOTION_GRID), (20.0, 400.0, SHORT_STROKE_MM)]
     steps = [_stroke("blank", speed, travel, accel_mm_s2=accel) for speed, accel, travel in grid]
     return _candidate_runs(
-        [one.model_copy(update={"repeats": MOTION_REPEATS}) for one in (*steps, _reversal(20.0))], specimen
+        [step.model_copy(update={"repeats": MOTION_REPEATS}) for step in (*steps, _reversal(20.0))], specimen
     )
 
 
@@ -174,23 +174,23 @@ SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
 class PairSeparation:
     """How far a contest is decided: how sure a diagnosis can be of its truth, and how much that matters."""
 
-    contest: ModelPair
+    pair: ModelPair
     log_odds: float
     weight: float
 
-    def worth(self, enough: float) -> float:
+    def value(self, decided: float) -> float:
         """Return what it counts; what is certain enough counts no further."""
-        return self.weight * min(self.log_odds, enough)
+        return self.weight * min(self.log_odds, decided)
 
 
 class SeparationModel(Protocol[SeenT_contra]):
     """Runs with the questions that are asked of them; `SeenT_contra` is what is seen of a run."""
 
-    def with_run(self, seen: SeenT_contra) -> Self:
+    def with_run(self, observation: SeenT_contra) -> Self:
         """Add a run."""
         ...
 
-    def answers(self) -> Sequence[PairSeparation]:
+    def separations(self) -> Sequence[PairSeparation]:
         """Return how far each question is answered, in their order."""
         ...
 
@@ -201,9 +201,9 @@ class ExperimentBudget:
 
     Attributes
     ----------
-    enough
+    decided_log_odds
         Log odds beyond which a contest is decided.
-    spent_whole
+    use_all_time
         Whether time that is left once all is decided is spent on making it surer.
     limits
         Of the rig; what the campaign's own runs say unless given.
@@ -211,8 +211,8 @@ class ExperimentBudget:
 
     minutes: float = float("inf")
     runs: int = 1
-    enough: float = DECIDED_LOG_ODDS
-    spent_whole: bool = False
+    decided_log_odds: float = DECIDED_LOG_ODDS
+    use_all_time: bool = False
     limits: RigLimits | None = None
 
 
@@ -228,32 +228,32 @@ def greedy_search(
     tried
         Runs that may be made, each with what would be seen of it.
     """
-    found = _greedy_selection(field, tried, budget)
-    if not found and all(one.log_odds >= budget.enough for one in field.answers()):
+    pairs = _greedy_selection(field, tried, budget)
+    if not pairs and all(separation.log_odds >= budget.decided_log_odds for separation in field.separations()):
         # All is answered well enough already; what would make it surer still is told all the same.
-        more = _merged_repeats(_greedy_selection(field, tried, replace(budget, enough=UNBOUNDED)))
-        return tuple(replace(one, surer=True) for one in more)
-    return _merged_repeats(found)
+        more = _merged_repeats(_greedy_selection(field, tried, replace(budget, decided_log_odds=UNBOUNDED)))
+        return tuple(replace(run, optional=True) for run in more)
+    return _merged_repeats(pairs)
 
 
 def _greedy_selection(
     field: SeparationModel[SeenT_contra], tried: Sequence[tuple[CandidateRun, SeenT_contra]], budget: ExperimentBudget
 ) -> list[tuple[CandidateRun, ModelPair, ModelPair]]:
     chosen: list[tuple[CandidateRun, ModelPair, ModelPair]] = []
-    spent, fitted, enough = 0.0, set[Fixture](), budget.enough
-    now = field.answers()
+    spent, fitted, enough = 0.0, set[Fixture](), budget.decided_log_odds
+    now = field.separations()
     while len(chosen) < budget.runs:
         best, most = None, 0.0
         for trial, seen in tried:
             if spent + trial.minutes > budget.minutes:
                 continue
             after = field.with_run(seen)
-            then = after.answers()
+            then = after.separations()
             gain = sum(_log_odds_gains(now, then, enough))
             by_hand = 0.0 if trial.run.fixture in fitted else FIXTURE_CHANGE_MIN
             if gain > MIN_LOG_ODDS_GAIN and gain / (trial.minutes + by_hand) > most:
                 best, most = (trial, after, then), gain / (trial.minutes + by_hand)
-        if best is None and budget.spent_whole and enough < UNBOUNDED:
+        if best is None and budget.use_all_time and enough < UNBOUNDED:
             enough = UNBOUNDED
             continue
         if best is None:
@@ -266,7 +266,7 @@ def _greedy_selection(
 
 
 def _log_odds_gains(before: Sequence[PairSeparation], after: Sequence[PairSeparation], enough: float) -> list[float]:
-    return [then.worth(enough) - now.worth(enough) for now, then in zip(before, after, strict=True)]
+    return [then.value(enough) - now.value(enough) for now, then in zip(before, after, strict=True)]
 
 
 def _most_improved_pair(
@@ -275,20 +275,20 @@ def _most_improved_pair(
     """Return the contest that a run decides most, before and after."""
     gains = _log_odds_gains(before, after, enough)
     place = gains.index(max(gains))
-    return before[place].contest, after[place].contest
+    return before[place].pair, after[place].pair
 
 
 def _merged_repeats(chosen: Sequence[tuple[CandidateRun, ModelPair, ModelPair]]) -> tuple[NextRun, ...]:
     """Make repeats of what was chosen several times."""
-    found: dict[int, NextRun] = {}
+    merged: dict[int, NextRun] = {}
     for trial, before, after in chosen:
-        known = found.get(id(trial))
+        known = merged.get(id(trial))
         if known is None:
-            found[id(trial)] = NextRun(trial.step, trial.minutes, before, after)
+            merged[id(trial)] = NextRun(trial.step, trial.minutes, before, after)
             continue
         step = known.step.model_copy(update={"repeats": known.step.repeats + trial.step.repeats})
-        found[id(trial)] = replace(known, step=step, minutes=known.minutes + trial.minutes, after=after)
-    return tuple(found.values())
+        merged[id(trial)] = replace(known, step=step, minutes=known.minutes + trial.minutes, after=after)
+    return tuple(merged.values())
 
 
 TIME_TO_NEXT_RUN_S = 120.0
@@ -303,7 +303,7 @@ def study_of_candidates(study: Study, trials: Sequence[CandidateRun]) -> Study:
 
     Raises `AnalysisError` where the nominal model cannot be prepared for them.
     """
-    last = max(study.sights, key=lambda one: one.session_start_s)
+    last = max(study.runs, key=lambda run: run.session_start_s)
     experiments = candidate_experiments(last.experiment, trials)
     evidence = tuple(prepare_channels(experiments, study.problem.nominal, MAX_BLOCK_MM))
     count = len(evidence)
@@ -315,7 +315,7 @@ def study_of_candidates(study: Study, trials: Sequence[CandidateRun]) -> Study:
         noises=(study.problem.noises[0],) * count,
         zero_sds=(max(study.problem.zero_sds),) * count,
     )
-    return replace(study, problem=problem, sights=tuple(map(RunData, evidence, starts)))
+    return replace(study, problem=problem, runs=tuple(map(RunData, evidence, starts)))
 
 
 def candidate_experiments(last: Experiment, trials: Sequence[CandidateRun]) -> list[Experiment]:
@@ -325,9 +325,9 @@ def candidate_experiments(last: Experiment, trials: Sequence[CandidateRun]) -> l
 
 def campaign_specimen(study: Study) -> Specimen:
     """Return the specimen as the campaign's runs note it."""
-    one = study.sights[0].experiment
-    name = str(one.run.info.header.specimen.get("name") or "specimen")
-    return Specimen(name=name, wall_thickness_mm=one.wall_thickness_mm)
+    experiment = study.runs[0].experiment
+    name = str(experiment.run.info.header.specimen.get("name") or "specimen")
+    return Specimen(name=name, wall_thickness_mm=experiment.wall_thickness_mm)
 
 
 def _candidate_experiment(trial: CandidateRun, after: Experiment, number: int) -> Experiment:
@@ -369,33 +369,37 @@ PROMPTS = {
 SWEPT_SETTING = "speed_mm_s"
 
 
-def plan_of_next_runs(found: NextExperiment, name: str = "next") -> Plan:
+def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next") -> Plan:
     """Return a plan of the runs, those of one fixture together so that hands are needed as seldom as can be.
 
     Strokes that differ in their speed alone become one step with its speeds in random order.
     """
-    steps = sorted((one.step for one in found.runs), key=lambda step: KIND_ORDER.index(step.kind))
-    return Plan(name=name, description=found.why, seed=1, steps=tuple(_with_prompts(_merged_sweeps(steps))))
+    steps = sorted((run.step for run in next_experiment.runs), key=lambda step: KIND_ORDER.index(step.kind))
+    return Plan(
+        name=name, description=next_experiment.reason, seed=1, steps=tuple(_with_prompts(_merged_sweeps(steps)))
+    )
 
 
 def _merged_sweeps(steps: Sequence[PlanStep]) -> Iterator[PlanStep]:
     groups: dict[tuple[object, ...], list[PlanStep]] = {}
-    for one in steps:
-        rest = tuple(sorted((key, str(value)) for key, value in one.parameters.items() if key != SWEPT_SETTING))
-        groups.setdefault((one.kind, one.repeats, one.wait_s, SWEPT_SETTING in one.parameters, rest), []).append(one)
+    for step in steps:
+        rest = tuple(sorted((key, str(value)) for key, value in step.parameters.items() if key != SWEPT_SETTING))
+        groups.setdefault((step.kind, step.repeats, step.wait_s, SWEPT_SETTING in step.parameters, rest), []).append(
+            step
+        )
     for alike in groups.values():
         first = alike[0]
         if len(alike) == 1 or SWEPT_SETTING not in first.parameters:
             yield from alike
             continue
-        speeds = [one.parameters[SWEPT_SETTING] for one in alike]
+        speeds = [step.parameters[SWEPT_SETTING] for step in alike]
         update = {"parameters": {**first.parameters, SWEPT_SETTING: speeds}, "order": RunOrder.RANDOM_WITHIN_REPEAT}
         yield first.model_copy(update=update)
 
 
 def _with_prompts(steps: Iterator[PlanStep]) -> Iterator[PlanStep]:
     before = ""
-    for one in steps:
-        fixture = "drag" if one.kind == "motion" else one.kind
-        yield one if fixture == before else one.model_copy(update={"prompt": PROMPTS[fixture]})
+    for step in steps:
+        fixture = "drag" if step.kind == "motion" else step.kind
+        yield step if fixture == before else step.model_copy(update={"prompt": PROMPTS[fixture]})
         before = fixture

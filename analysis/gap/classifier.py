@@ -57,20 +57,25 @@ class Classification:
     residual_unknown: bool
 
 
-def classify(found: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
+def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
     """Weigh the hypotheses and name what earns its place."""
     weights = calibration or shipped_calibration()
-    force = _force_posterior(found, tolerance_mN, weights)
-    judged = (
-        _classify_with_position(found, force) if found.position or found.strays else _classify_with_lines(found, force)
+    force = _force_posterior(inputs, tolerance_mN, weights)
+    classification = (
+        _classify_with_position(inputs, force)
+        if inputs.position or inputs.has_position_error
+        else _classify_with_lines(inputs, force)
     )
-    return replace(judged, confusable_with=(*judged.confusable_with, *_excluded_aliases(judged.effects, found.without)))
+    return replace(
+        classification,
+        confusable_with=(*classification.confusable_with, *_excluded_aliases(classification.effects, inputs.excluded)),
+    )
 
 
 def _excluded_aliases(effects: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
     """Return what was left out of the search although it is hardly told from what was found."""
-    alike = {other for one in effects for other in confusable_effects(one)}
-    return tuple(one for one in without if one in alike)
+    alike = {name for label in effects for name in confusable_effects(label)}
+    return tuple(label for label in without if label in alike)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,52 +83,58 @@ class _ForcePosterior:
     """Probabilities of the force's explanations; what is missing to 1 is `no_gap`."""
 
     unknown: float
-    named: Mapping[tuple[str, ...], float]
+    probabilities: Mapping[tuple[str, ...], float]
     left_over: frozenset[tuple[str, ...]]
 
     @property
-    def best(self) -> tuple[str, ...]:
+    def most_likely(self) -> tuple[str, ...]:
         """The likeliest explanation."""
-        return max(self.named, key=lambda one: self.named[one], default=())
+        return max(self.probabilities, key=lambda names: self.probabilities[names], default=())
 
     @property
-    def members(self) -> tuple[str, ...]:
+    def effects(self) -> tuple[str, ...]:
         """All effects of the explanations, those of the likeliest first."""
-        ordered = sorted(self.named, key=lambda one: -self.named[one])
-        return tuple(dict.fromkeys(name for one in ordered for name in one))
+        ordered = sorted(self.probabilities, key=lambda names: -self.probabilities[names])
+        return tuple(dict.fromkeys(name for names in ordered for name in names))
 
     def marginal(self, name: str) -> float:
         """Probability of all explanations that an effect is a part of."""
-        return sum(each for one, each in self.named.items() if name in one)
+        return sum(value for names, value in self.probabilities.items() if name in names)
 
     @property
-    def all_named(self) -> float:
+    def total(self) -> float:
         """Probability of all explanations together."""
-        return sum(self.named.values())
+        return sum(self.probabilities.values())
 
 
-def _force_posterior(found: DecisionInputs, tolerance_mN: float, weights: Calibration) -> _ForcePosterior:
-    tried = hypothesis_features(found, tolerance_mN)
+def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calibration) -> _ForcePosterior:
+    tried = hypothesis_features(inputs, tolerance_mN)
     gate = weights.gate
-    over = found.excess / max(found.blocks, 1)
-    gain = largest_llr(found, tolerance_mN)
+    over = inputs.excess / max(inputs.block_count, 1)
+    gain = largest_llr(inputs, tolerance_mN)
     left_alone = _logistic((over - gate.least_left) / gate.left_width)
     gap = max(_logistic((gain - gate.least_gain) / gate.gain_width), left_alone)
     if not tried:
         # What explains the gap is too small to matter, and so is the gap.
-        small = max((one.share for one in hypothesis_features(found, 0.0)), default=0.0)
+        small = max((hypothesis.share for hypothesis in hypothesis_features(inputs, 0.0)), default=0.0)
         gap *= 1.0 - small
     gap = min(max(gap, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
-    shares = _softmax([weights.utility(one.features) for one in tried])
+    shares = _softmax([weights.utility(hypothesis.features) for hypothesis in tried])
     # What was not tried and looks the same is as likely, each of it.
-    kept = {one.effects: 1.0 / (1 + one.untold) for one in found.tried}
-    named = {one.effects: gap * each * kept[one.effects] for one, each in zip(tried, shares[:-1], strict=True)}
-    return _ForcePosterior(gap - sum(named.values()), named, frozenset(_leaving_residual(found, tried)))
+    kept = {summary.effects: 1.0 / (1 + summary.untried_lookalikes) for summary in inputs.hypotheses}
+    named = {
+        hypothesis.effects: gap * value * kept[hypothesis.effects]
+        for hypothesis, value in zip(tried, shares[:-1], strict=True)
+    }
+    return _ForcePosterior(gap - sum(named.values()), named, frozenset(_leaving_residual(inputs, tried)))
 
 
-def _leaving_residual(found: DecisionInputs, tried: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:
+def _leaving_residual(inputs: DecisionInputs, tried: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:
     """Return the explanations that leave something that no other one named would leave."""
-    left = {one.effects: (one.flexible - found.blocks) / max(found.blocks, 1) for one in found.tried}
+    left = {
+        hypothesis.effects: (hypothesis.chi2_with_form_error - inputs.block_count) / max(inputs.block_count, 1)
+        for hypothesis in inputs.hypotheses
+    }
     return [
         one.effects for one in tried if left[one.effects] > MIN_LEFT_OVER_EXCESS and one.share < MAX_EXPLAINED_SHARE
     ]
@@ -132,80 +143,87 @@ def _leaving_residual(found: DecisionInputs, tried: Sequence[HypothesisFeatures]
 def _softmax(utilities: Sequence[float]) -> list[float]:
     """Return probabilities of hypotheses, and last that of the unknown, whose utility is 0."""
     highest = max((*utilities, 0.0))
-    weights = [exp(one - highest) for one in (*utilities, 0.0)]
-    within = [min(max(one / sum(weights), MIN_PROBABILITY / len(weights)), MAX_PROBABILITY) for one in weights]
-    return [one / sum(within) for one in within]
+    weights = [exp(value - highest) for value in (*utilities, 0.0)]
+    within = [min(max(value / sum(weights), MIN_PROBABILITY / len(weights)), MAX_PROBABILITY) for value in weights]
+    return [value / sum(within) for value in within]
 
 
-def mains_hum_present(mains_gain: float, line_gain: float) -> bool:
+def mains_hum_present(mains_llr: float, line_llr: float) -> bool:
     """Return whether a line at the mains' frequency is one of the mains, the strongest elsewhere being what it is."""
-    return mains_gain > MIN_MAINS_LLR and _mains_dominates(mains_gain, line_gain)
+    return mains_llr > MIN_MAINS_LLR and _mains_dominates(mains_llr, line_llr)
 
 
-def _mains_dominates(mains_gain: float, line_gain: float) -> bool:
+def _mains_dominates(mains_llr: float, line_llr: float) -> bool:
     """Return whether the mains' frequency is louder than others: where all are loud, it is no finding."""
-    return line_gain <= 0.5 * mains_gain
+    return line_llr <= 0.5 * mains_llr
 
 
-def _classify_with_lines(found: DecisionInputs, force: _ForcePosterior) -> Classification:
-    seen = _logistic((found.mains_gain - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
-    hum = 0.0 if "mains_hum" in found.without else seen
-    if not _mains_dominates(found.mains_gain, found.line_gain):
+def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
+    seen = _logistic((inputs.mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
+    hum = 0.0 if "mains_hum" in inputs.excluded else seen
+    if not _mains_dominates(inputs.mains_llr, inputs.line_llr):
         hum = min(hum, 0.2)
-    foreign = _other_line_probability(found)
-    if "mains_hum" in found.without:
+    foreign = _other_line_probability(inputs)
+    if "mains_hum" in inputs.excluded:
         foreign = max(foreign, seen)
     if hum > 0.5:
-        beside = force.all_named > 0.5
-        named = {(*one, "mains_hum"): each for one, each in force.named.items()} if beside else {}
-        alone = min(hum, MAX_PROBABILITY) * (1.0 - force.all_named if beside else 1.0)
+        beside = force.total > 0.5
+        named = {(*names, "mains_hum"): value for names, value in force.probabilities.items()} if beside else {}
+        alone = min(hum, MAX_PROBABILITY) * (1.0 - force.total if beside else 1.0)
         return _classification({**named, ("mains_hum",): alone}, 1.0 - min(hum, MAX_PROBABILITY), 0.0, force)
-    if foreign > 0.5 and foreign > force.all_named:
+    if foreign > 0.5 and foreign > force.total:
         return _classification({}, foreign, 1.0 - foreign, force)
-    return _classification(force.named, force.unknown, 1.0 - force.unknown - force.all_named, force)
+    return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total, force)
 
 
-def _has_clear_llr(name: str, found: DecisionInputs) -> bool:
+def _has_clear_llr(name: str, inputs: DecisionInputs) -> bool:
     """Return whether an effect takes much away, alone or beside those taken up before it."""
-    return max((one.gain for one in found.tried if one.effects[-1] == name), default=0.0) > MIN_LLR_BESIDE_POSITION
+    return (
+        max((hypothesis.llr for hypothesis in inputs.hypotheses if hypothesis.effects[-1] == name), default=0.0)
+        > MIN_LLR_BESIDE_POSITION
+    )
 
 
-def _other_line_probability(found: DecisionInputs) -> float:
+def _other_line_probability(inputs: DecisionInputs) -> float:
     """Return how likely a line is that is not the mains'."""
-    return _logistic((found.line_gain - 0.02 * found.mains_gain - MIN_OTHER_LINE_LLR) / OTHER_LINE_LLR_WIDTH)
+    return _logistic((inputs.line_llr - 0.02 * inputs.mains_llr - MIN_OTHER_LINE_LLR) / OTHER_LINE_LLR_WIDTH)
 
 
-def unknown_because_of_line(found: DecisionInputs, judged: Classification) -> bool:
+def unknown_because_of_line(inputs: DecisionInputs, classification: Classification) -> bool:
     """Return whether it is a line that no effect of the catalogue explains which made a verdict `unknown`."""
-    return judged.verdict is Verdict.UNKNOWN and not found.strays and _other_line_probability(found) > 0.5
+    return (
+        classification.verdict is Verdict.UNKNOWN
+        and not inputs.has_position_error
+        and _other_line_probability(inputs) > 0.5
+    )
 
 
-def _classify_with_position(found: DecisionInputs, force: _ForcePosterior) -> Classification:
+def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
     beside = tuple(
         name
-        for name in force.members
-        if _has_clear_llr(name, found) and force.marginal(name) > MIN_POSTERIOR_BESIDE_POSITION
+        for name in force.effects
+        if _has_clear_llr(name, inputs) and force.marginal(name) > MIN_POSTERIOR_BESIDE_POSITION
     )
     sure = min((force.marginal(name) for name in beside), default=1.0)
-    alternatives = {beside: sure} if beside else _confusable_group(found, force)
+    alternatives = {beside: sure} if beside else _confusable_group(inputs, force)
     alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
-    hum = ("mains_hum",) if found.mains_gain > MIN_MAINS_LLR and "mains_hum" not in found.without else ()
-    share = found.position[0][1] if found.position else 0.0
+    hum = ("mains_hum",) if inputs.mains_llr > MIN_MAINS_LLR and "mains_hum" not in inputs.excluded else ()
+    share = inputs.position[0][1] if inputs.position else 0.0
     named = min(max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY)
-    rivals = {name: exp(-POSITION_RIVAL_SLOPE * max(share - each, 0.0)) for name, each in found.position}
+    rivals = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
     whole = sum(rivals.values())
     families = {(name, *hum): alone * named * weight / whole for name, weight in rivals.items() if alone > 0.0}
-    for others, each in alternatives.items():
-        families |= {(name, *others, *hum): each * named * weight / whole for name, weight in rivals.items()}
+    for others, value in alternatives.items():
+        families |= {(name, *others, *hum): value * named * weight / whole for name, weight in rivals.items()}
     return _classification(families, 1.0 - named if families else 1.0, 0.0, force)
 
 
-def _confusable_group(found: DecisionInputs, force: _ForcePosterior) -> dict[tuple[str, ...], float]:
+def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tuple[str, ...], float]:
     """Return effects that are hardly told from each other, one of which acts, with their probabilities; else none."""
-    for name in force.members:
-        group = [name, *sorted(confusable_effects(name) & set(force.members))]
+    for name in force.effects:
+        group = [name, *sorted(confusable_effects(name) & set(force.effects))]
         shares: dict[tuple[str, ...], float] = {
-            (one,): force.marginal(one) for one in group if _has_clear_llr(one, found)
+            (label,): force.marginal(label) for label in group if _has_clear_llr(label, inputs)
         }
         if len(shares) > 1 and MIN_POSTERIOR_BESIDE_POSITION < sum(shares.values()) <= 1.0:
             return shares
@@ -219,25 +237,25 @@ def _classification(
     named = _prefer_subset(named)
     whole = sum(named.values()) + unknown + no_gap
     probabilities = {NO_GAP: no_gap / whole, UNKNOWN: unknown / whole}
-    probabilities |= {"+".join(one): each / whole for one, each in named.items()}
-    effects = max(named, key=lambda one: named[one], default=())
+    probabilities |= {"+".join(names): value / whole for names, value in named.items()}
+    effects = max(named, key=lambda names: named[names], default=())
     if not effects or named[effects] < max(unknown, no_gap):
         verdict = Verdict.NO_GAP if no_gap >= unknown else Verdict.UNKNOWN
         return Classification(verdict, (), probabilities, (), residual_unknown=False)
     least = CONFUSABLE_RATIO * named[effects]
-    others = [one for one, each in named.items() if each > least and not set(effects) <= set(one)]
-    confusable = tuple(dict.fromkeys(name for one in others for name in one if name not in effects))
+    others = [names for names, value in named.items() if value > least and not set(effects) <= set(names)]
+    confusable = tuple(dict.fromkeys(name for names in others for name in names if name not in effects))
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
     return Classification(verdict, effects, probabilities, confusable, effects in force.left_over)
 
 
 def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str, ...], float]:
     """Let a part of the likeliest explanation that is nearly as likely on its own be the likelier one."""
-    best = max(named, key=lambda one: named[one], default=())
-    parts = [one for one in named if set(one) < set(best) and named[one] * PARSIMONY_RATIO > named[best]]
+    best = max(named, key=lambda names: named[names], default=())
+    parts = [names for names in named if set(names) < set(best) and named[names] * PARSIMONY_RATIO > named[best]]
     if not parts:
         return named
-    part, moved = max(parts, key=lambda one: named[one]), named[best] * (1.0 - 1.0 / PARSIMONY_RATIO)
+    part, moved = max(parts, key=lambda names: named[names]), named[best] * (1.0 - 1.0 / PARSIMONY_RATIO)
     return {**named, best: named[best] - moved, part: named[part] + moved}
 
 
@@ -276,7 +294,7 @@ class TrainingCase:
         The smallest size of the hidden effects; small ones teach nothing about when a gap is seen.
     """
 
-    evidence: DecisionInputs
+    inputs: DecisionInputs
     effects: frozenset[str]
     outside: bool = False
     size: float = 1.0
@@ -287,10 +305,10 @@ class _LabelledChoice:
     """Features of the hypotheses of one campaign, shape `(H, F)`, and which is right (H where none is)."""
 
     features: FloatArray
-    right: int
+    correct: int
 
 
-def fit_weights(lessons: Sequence[TrainingCase], tolerance_mN: float) -> dict[str, float]:
+def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str, float]:
     """Return the weights that make the right choices most probable: penalised maximum likelihood.
 
     Raises
@@ -301,29 +319,31 @@ def fit_weights(lessons: Sequence[TrainingCase], tolerance_mN: float) -> dict[st
     from scipy.optimize import minimize
 
     weighed = [
-        (one, hypothesis_features(one.evidence, tolerance_mN)) for one in lessons if _is_informative(one, tolerance_mN)
+        (case, hypothesis_features(case.inputs, tolerance_mN)) for case in cases if _is_informative(case, tolerance_mN)
     ]
-    tried = [(one, found) for one, found in weighed if found]
+    tried = [(case, hypotheses) for case, hypotheses in weighed if hypotheses]
     if not tried:
         raise ValueError("There is no campaign among these whose force teaches which effect it is")
-    names = sorted({name for _, found in tried for one in found for name in one.features})
+    names = sorted({name for _, hypotheses in tried for hypothesis in hypotheses for name in hypothesis.features})
     choices = []
-    for lesson, found in tried:
-        rows = [[one.features.get(name, 0.0) for name in names] for one in found]
-        choices.append(_LabelledChoice(np.array(rows), _correct_choice(lesson, [one.effects for one in found])))
+    for lesson, hypotheses in tried:
+        rows = [[hypothesis.features.get(name, 0.0) for name in names] for hypothesis in hypotheses]
+        choices.append(
+            _LabelledChoice(np.array(rows), _correct_choice(lesson, [hypothesis.effects for hypothesis in hypotheses]))
+        )
     ridge = np.array([EFFECT_RIDGE if name.startswith(EFFECT_FEATURE) else FEATURE_RIDGE for name in names])
 
     def loss(weights: FloatArray) -> tuple[float, FloatArray]:
         total, slope = 0.5 * float(np.sum(ridge * weights**2)), ridge * weights
-        for one in choices:
-            utilities = np.append(one.features @ weights, 0.0)
+        for choice in choices:
+            utilities = np.append(choice.features @ weights, 0.0)
             shares = np.exp(utilities - utilities.max())
             shares /= shares.sum()
-            total -= float(np.log(shares[one.right] + 1e-300))
+            total -= float(np.log(shares[choice.correct] + 1e-300))
             pulled = shares[:-1].copy()
-            if one.right < len(pulled):
-                pulled[one.right] -= 1.0
-            slope = slope + one.features.T @ pulled
+            if choice.correct < len(pulled):
+                pulled[choice.correct] -= 1.0
+            slope = slope + choice.features.T @ pulled
         return total, slope
 
     bounds = [_weight_bounds(name) for name in names]
@@ -338,16 +358,16 @@ def _weight_bounds(feature: str) -> tuple[float | None, float | None]:
     ) else None
 
 
-def fit_gate(lessons: Sequence[TrainingCase], tolerance_mN: float, least_size: float = 0.2) -> GapGate:
+def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float = 0.2) -> GapGate:
     """Return the thresholds that tell campaigns with a gap from those without most probably."""
     from scipy.optimize import minimize
 
     rows = [
-        (*_gate_inputs(one.evidence, tolerance_mN), bool(one.effects or one.outside))
-        for one in lessons
-        if not one.evidence.strays
-        and not one.effects & EFFECTS_OUTSIDE_FORCE
-        and (not one.effects or one.size >= least_size)
+        (*_gate_inputs(case.inputs, tolerance_mN), bool(case.effects or case.outside))
+        for case in cases
+        if not case.inputs.has_position_error
+        and not case.effects & EFFECTS_OUTSIDE_FORCE
+        and (not case.effects or case.size >= min_size)
     ]
     gain, left, there = (np.array(column) for column in zip(*rows, strict=True))
 
@@ -360,8 +380,8 @@ def fit_gate(lessons: Sequence[TrainingCase], tolerance_mN: float, least_size: f
         within = np.clip(seen, 1e-3, 1.0 - 1e-3)
         return -float(np.sum(np.log(np.where(there, within, 1.0 - within)))) + 0.5 * float(np.sum(steps**2))
 
-    found = minimize(loss, np.zeros(4), method="Nelder-Mead", options={"maxiter": 2000})
-    return _gate_at(np.asarray(found.x, dtype=np.float64))
+    solution = minimize(loss, np.zeros(4), method="Nelder-Mead", options={"maxiter": 2000})
+    return _gate_at(np.asarray(solution.x, dtype=np.float64))
 
 
 def _gate_at(steps: FloatArray) -> GapGate:
@@ -376,41 +396,43 @@ def _gate_values(gate: GapGate) -> tuple[float, ...]:
     return gate.least_gain, gate.gain_width, gate.least_left, gate.left_width
 
 
-def _gate_inputs(found: DecisionInputs, tolerance_mN: float) -> tuple[float, float]:
-    return largest_llr(found, tolerance_mN), found.excess / max(found.blocks, 1)
+def _gate_inputs(inputs: DecisionInputs, tolerance_mN: float) -> tuple[float, float]:
+    return largest_llr(inputs, tolerance_mN), inputs.excess / max(inputs.block_count, 1)
 
 
 def _logistic_array(values: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -40.0, 40.0))))
 
 
-def _is_informative(one: TrainingCase, tolerance_mN: float) -> bool:
+def _is_informative(case: TrainingCase, tolerance_mN: float) -> bool:
     """Whether it is the force that is to be explained, and anything explains some of it."""
-    of_force = one.effects - EFFECTS_OUTSIDE_FORCE
-    tried = [each.gain for each in one.evidence.tried if each.changed_mN >= tolerance_mN]
-    return (bool(of_force) or (one.outside and not one.evidence.strays)) and max(tried, default=0.0) > MIN_TRAINING_LLR
+    of_force = case.effects - EFFECTS_OUTSIDE_FORCE
+    tried = [hypothesis.llr for hypothesis in case.inputs.hypotheses if hypothesis.change_mN >= tolerance_mN]
+    return (bool(of_force) or (case.outside and not case.inputs.has_position_error)) and max(
+        tried, default=0.0
+    ) > MIN_TRAINING_LLR
 
 
-def _correct_choice(lesson: TrainingCase, tried: Sequence[tuple[str, ...]]) -> int:
+def _correct_choice(case: TrainingCase, hypotheses: Sequence[tuple[str, ...]]) -> int:
     """Return which explanation has just the hidden effects, else the most of them and no other, else none."""
-    hidden = lesson.effects - EFFECTS_OUTSIDE_FORCE
-    if lesson.outside:
-        return len(tried)
-    fitting = [number for number, one in enumerate(tried) if set(one) <= hidden]
-    return max(fitting, key=lambda number: len(tried[number]), default=len(tried))
+    hidden = case.effects - EFFECTS_OUTSIDE_FORCE
+    if case.outside:
+        return len(hypotheses)
+    fitting = [number for number, names in enumerate(hypotheses) if set(names) <= hidden]
+    return max(fitting, key=lambda number: len(hypotheses[number]), default=len(hypotheses))
 
 
 CROSS_VALIDATION_FOLDS = 10
 
 
 def cross_validate(
-    lessons: Sequence[TrainingCase], tolerance_mN: float, folds: int = CROSS_VALIDATION_FOLDS
+    cases: Sequence[TrainingCase], tolerance_mN: float, folds: int = CROSS_VALIDATION_FOLDS
 ) -> tuple[Classification, ...]:
     """Judge each campaign with thresholds and weights that all but its own part of them teach.
 
     Parameters
     ----------
-    lessons
+    cases
         Campaigns whose hidden effects are known.
     tolerance_mN
         What an effect must change to matter.
@@ -422,14 +444,14 @@ def cross_validate(
     ValueError
         When there are fewer campaigns than parts, fewer than two parts, or the others teach nothing.
     """
-    if not 2 <= folds <= len(lessons):
-        raise ValueError(f"{len(lessons)} campaigns cannot be divided into {folds} parts")
+    if not 2 <= folds <= len(cases):
+        raise ValueError(f"{len(cases)} campaigns cannot be divided into {folds} parts")
     learnt = [
-        _trained([one for at, one in enumerate(lessons) if at % folds != fold], tolerance_mN) for fold in range(folds)
+        _trained([case for at, case in enumerate(cases) if at % folds != fold], tolerance_mN) for fold in range(folds)
     ]
-    return tuple(classify(one.evidence, tolerance_mN, learnt[at % folds]) for at, one in enumerate(lessons))
+    return tuple(classify(case.inputs, tolerance_mN, learnt[at % folds]) for at, case in enumerate(cases))
 
 
-def _trained(lessons: Sequence[TrainingCase], tolerance_mN: float) -> Calibration:
-    gate, weights = fit_gate(lessons, tolerance_mN), fit_weights(lessons, tolerance_mN)
-    return Calibration(version=0, command="", seeds=(), cases=len(lessons), gate=gate, weights=weights)
+def _trained(cases: Sequence[TrainingCase], tolerance_mN: float) -> Calibration:
+    gate, weights = fit_gate(cases, tolerance_mN), fit_weights(cases, tolerance_mN)
+    return Calibration(version=0, command="", seeds=(), cases=len(cases), gate=gate, weights=weights)

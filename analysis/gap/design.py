@@ -33,165 +33,165 @@ from dragrig.sim_backend.effects.run_state import RunState
 
 @dataclass(frozen=True, eq=False)
 class Study(ABC):
-    """The force of a campaign's runs, ready to be explained; what a nominal model is to it, a subclass says.
+    """The force of a campaign's runs, prepared for a diagnosis; subclasses adapt a nominal model.
 
     Attributes
     ----------
     problem
-        Evidence, noise and priors.
-    sights
-        The runs.
+        Block data, noise and priors.
+    runs
+        Data of each run.
     effects
-        Candidates of the force channel.
+        Candidate effects on the force channel.
     """
 
     problem: JointProblem
-    sights: tuple[RunData, ...]
+    runs: tuple[RunData, ...]
     effects: tuple[Effect, ...]
 
     @abstractmethod
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return what effects see of a run, and the gain of the channel that shows it."""
+        """Return the state of a run that effects act on, and the gain of the force sensor."""
 
     def scenes(self, z: FloatArray) -> Iterator[tuple[RunState, float]]:
-        """Give `scene` of each run in turn; that of a repeat shares all but its place in the session with the first."""
+        """Yield `scene` of each run; repeats share all but their place in the session with the first."""
         first: dict[int, tuple[RunState, float]] = {}
-        for number, (sight, like) in enumerate(zip(self.sights, self.problem.representatives, strict=True)):
-            if like == number:
+        for number, (run, first_run) in enumerate(zip(self.runs, self.problem.representatives, strict=True)):
+            if first_run == number:
                 first[number] = self.scene(number, z)
                 yield first[number]
                 continue
-            scene, gain = first[like]
-            order = sight.experiment.run.info.header.order
-            yield replace(scene, session_start_s=sight.session_start_s, order=order), gain
+            scene, gain = first[first_run]
+            order = run.experiment.run.info.header.order
+            yield replace(scene, session_start_s=run.session_start_s, order=order), gain
 
     @abstractmethod
-    def open_questions(self) -> Iterator[str]:
-        """Say what these runs and this model leave open, a sentence each."""
+    def limitations(self) -> Iterator[str]:
+        """Yield what these runs and this model cannot answer, a sentence each."""
 
     @property
     def chain(self) -> EffectChain:
-        """Effects that the nominal model has already; none unless said."""
+        """Effects that the nominal model already contains; none by default."""
         return EffectChain()
 
     @property
-    def start(self) -> FloatArray:
-        """Nominal parameters in units of their priors that a diagnosis starts from: what is known before any run."""
-        return np.zeros(len(self.names))
+    def initial_z(self) -> FloatArray:
+        """Nominal parameters, in prior standard deviations, from which a diagnosis starts: the prior mean."""
+        return np.zeros(len(self.parameter_names))
 
-    def details(self, number: int, scene: RunState) -> FloatArray:
-        """Return what each detail of the model that may be off changes, shape `(D, n)`; none unless said."""
+    def model_errors(self, number: int, scene: RunState) -> FloatArray:
+        """Return the change of the force by each model error direction, shape `(D, n)`; none by default."""
         del number
         return np.zeros((0, scene.time_s.size))
 
-    def doubts(self, z: FloatArray) -> list[FloatArray]:
-        """Return what is not known of each run's block means beside its noise, one standard deviation, shape `(B,)`."""
+    def prediction_sds(self, z: FloatArray) -> list[FloatArray]:
+        """Return the uncertainty of each run's predicted block means beside noise, one standard deviation, `(B,)`."""
         return self.problem.uncertainties(z)
 
-    def counted(self, number: int, motion_sd: FloatArray) -> BoolArray | None:
-        """Return the blocks of a run that say how large a gap is, shape `(B,)`; None, all of them, unless said.
+    def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray | None:
+        """Return which blocks count for the size of a gap, shape `(B,)`; None, all of them, by default.
 
         Parameters
         ----------
         motion_sd
-            What the motion leaves uncertain of each block [mN], shape `(B,)`.
+            Uncertainty of each block from the measured motion [mN], shape `(B,)`.
         """
         del number, motion_sd
         return None
 
-    def simulator(self, z: FloatArray) -> FrictionModelSettings | None:
-        """Return the friction model that effects may be added to for the simulator; None unless there is one."""
+    def amended_settings(self, z: FloatArray) -> FrictionModelSettings | None:
+        """Return the friction model to which found effects can be added; None by default."""
         del z
         return None
 
-    def untold(self, design: "Design") -> int:
-        """Return how many effects that cannot be tried may look like a design's candidates; 0 unless said."""
+    def untried_lookalikes(self, design: "Design") -> int:
+        """Return how many effects that could not be tried may look like a design's candidates; 0 by default."""
         del design
         return 0
 
     @property
     def channel(self) -> str:
-        """The force that is explained."""
+        """Name of the force channel that is explained."""
         return self.problem.channels[0].channel
 
-    def of_runs(self, kept: Sequence[int]) -> Self:
-        """Return the study of some of the runs, in their order; noise and priors stay as all runs give them."""
+    def with_runs(self, indices: Sequence[int]) -> Self:
+        """Return the study of some of the runs; noise and priors stay those of all runs."""
         return replace(
-            self, problem=problem_of_runs(self.problem, kept), sights=tuple(self.sights[one] for one in kept)
+            self, problem=problem_of_runs(self.problem, indices), runs=tuple(self.runs[index] for index in indices)
         )
 
     @cached_property
-    def names(self) -> tuple[str, ...]:
+    def parameter_names(self) -> tuple[str, ...]:
         """Names of the nominal parameters."""
-        return tuple(one.name for one in self.problem.nominal.parameters)
+        return tuple(parameter.name for parameter in self.problem.nominal.parameters)
 
     @cached_property
-    def shapes(self) -> tuple[EffectVariant, ...]:
-        """Every shape of every candidate."""
+    def variants(self) -> tuple[EffectVariant, ...]:
+        """Dictionary of all variants of all candidate effects."""
         return variants_of(self.effects)
 
     @cached_property
     def modulations(self) -> tuple[FloatArray, ...]:
-        """Smooth functions that a foreign form may differ by, for each run, shape `(K, B)`."""
-        return smooth_modulations(self.sights)
+        """Smooth functions by which a real effect may deviate from the catalogue, per run, shape `(K, B)`."""
+        return smooth_modulations(self.runs)
 
     def values(self, z: FloatArray) -> Mapping[str, float]:
-        """Return nominal parameters in units of their priors as values by name."""
-        return dict(zip(self.names, self.problem.scales.values(z).tolist(), strict=True))
+        """Return nominal parameters by name from `z`, in prior standard deviations."""
+        return dict(zip(self.parameter_names, self.problem.scales.values(z).tolist(), strict=True))
 
 
-def problem_of_runs(problem: JointProblem, kept: Sequence[int]) -> JointProblem:
-    """Return a problem with some of its evidence, in that order."""
+def problem_of_runs(problem: JointProblem, indices: Sequence[int]) -> JointProblem:
+    """Return the problem restricted to some runs, in that order."""
     return replace(
         problem,
-        channels=tuple(problem.channels[one] for one in kept),
-        noises=tuple(problem.noises[one] for one in kept),
-        zero_sds=tuple(problem.zero_sds[one] for one in kept),
+        channels=tuple(problem.channels[index] for index in indices),
+        noises=tuple(problem.noises[index] for index in indices),
+        zero_sds=tuple(problem.zero_sds[index] for index in indices),
     )
 
 
 ANGLE_SECANT_SD = 0.6
-"""Half its width, in prior standard deviations of the contact angle."""
+"""Half width of the secant, in prior standard deviations of the contact angle."""
 WALL_PLACES = (Location.WALL, Location.SPECIMEN)
-"""What acts there is stiffness where a capsule sticks, and differs from run to run as the wall's stiffness does."""
+"""Effects here act as stiffness where the capsule sticks, and scatter from run to run with the wall's stiffness."""
 MODULATION_PRIOR_SD = 0.2
-"""Prior of each modulation: how much a real effect differs from the catalogue's form, relative."""
+"""Prior of each modulation: relative deviation of a real effect from the catalogue's form."""
 
 
 class ColumnKind(StrEnum):
-    """What a column of a design is."""
+    """Kind of a column of a design."""
 
     NOMINAL = "nominal"
-    DETAIL = "detail"
+    MODEL_ERROR = "detail"
     EFFECT = "effect"
-    FOREIGN = "foreign"
-    SHAPE = "shape"
+    MODULATION = "foreign"
+    VARIANT = "shape"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDesign:
-    """One run of a design.
+    """Rows of a design that belong to one run.
 
     Attributes
     ----------
     residual
-        Measured less predicted block means [mN], shape `(B,)`.
+        Measured minus predicted block means [mN], shape `(B,)`.
     columns
-        What changes it, not whitened, shape `(B, C)`.
-    added
-        What the candidates add beside effects of the nominal model, shape `(B,)`.
+        Derivatives of the prediction, not whitened, shape `(B, C)`.
+    effect_force
+        Force of the candidates, without effects of the nominal model, shape `(B,)`.
     predicted
-        Nominal prediction, shape `(B,)`.
+        Prediction of the nominal model, shape `(B,)`.
     repeat_sd, motion_sd
-        What repeats differ by, and what the motion and a programme's steps leave uncertain, one standard deviation,
-        shape `(B,)`.
+        Scatter between repeats, and uncertainty from motion and integration steps, one standard deviation, shape
+        `(B,)`.
     whitening
-        What makes its blocks independent.
+        Transformation that makes its blocks independent with unit variance.
     """
 
     residual: FloatArray
     columns: FloatArray
-    added: FloatArray
+    effect_force: FloatArray
     predicted: FloatArray
     repeat_sd: FloatArray
     motion_sd: FloatArray
@@ -200,78 +200,78 @@ class RunDesign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A campaign around a point.
+    """A campaign, linearised around a point.
 
     Attributes
     ----------
     z, candidates
-        The point: nominal parameters in units of their priors, and effects.
-    parts
-        The runs.
-    kinds
-        What each of `C` columns is.
+        The point: nominal parameters in prior standard deviations, and candidate effects.
+    runs
+        Rows of each run.
+    column_kinds
+        Kind of each of the `C` columns.
     prior_mean, prior_precision
-        Of the columns' coefficients, shape `(C,)`; shapes have none, for they are tried one by one.
+        Prior of the columns' coefficients, shape `(C,)`; 0 for variants, which are tried one at a time.
     grams
-        Gram matrix of residual and columns, whitened, for each run, shape `(1 + C, 1 + C)`; the residual comes first.
-    blocks
+        Gram matrix of residual (first) and columns, whitened, for each run, shape `(1 + C, 1 + C)`.
+    block_counts
         Number of blocks of each run.
-    shapes
-        The dictionary, in the order of the columns of `Part.SHAPE`.
+    variants
+        The dictionary, in the order of the columns of kind `VARIANT`.
     """
 
     z: FloatArray
     candidates: tuple[Candidate, ...]
-    parts: tuple[RunDesign, ...]
-    kinds: tuple[ColumnKind, ...]
+    runs: tuple[RunDesign, ...]
+    column_kinds: tuple[ColumnKind, ...]
     prior_mean: FloatArray
     prior_precision: FloatArray
     grams: tuple[FloatArray, ...]
-    blocks: tuple[int, ...]
-    shapes: tuple[EffectVariant, ...]
+    block_counts: tuple[int, ...]
+    variants: tuple[EffectVariant, ...]
 
     @property
     def log_det(self) -> float:
-        """Logarithm of the determinant of all runs' covariances, which depend on what is predicted."""
-        whitenings = [one.whitening for one in self.parts]
-        noise = sum(2 * float(np.log(np.diag(one.noise_root)).sum()) for one in whitenings)
-        return noise - sum(2 * float(np.log1p(-one.shrinkage).sum()) for one in whitenings)
+        """Log determinant of all runs' covariances, which depend on the prediction."""
+        whitenings = [run.whitening for run in self.runs]
+        noise = sum(2 * float(np.log(np.diag(whitening.noise_root)).sum()) for whitening in whitenings)
+        return noise - sum(2 * float(np.log1p(-whitening.shrinkage).sum()) for whitening in whitenings)
 
-    def of(self, *wanted: ColumnKind) -> IndexArray:
-        """Return which columns are of these kinds."""
-        return np.array([index for index, kind in enumerate(self.kinds) if kind in wanted], dtype=np.intp)
+    def columns_of(self, *kinds: ColumnKind) -> IndexArray:
+        """Return the indices of the columns of these kinds."""
+        return np.array([index for index, kind in enumerate(self.column_kinds) if kind in kinds], dtype=np.intp)
 
-    def columns(self, part: ColumnKind) -> list[FloatArray]:
+    def run_columns(self, kind: ColumnKind) -> list[FloatArray]:
         """Return the columns of a kind for each run, shape `(B, c)`."""
-        wanted = self.of(part)
-        return [one.columns[:, wanted] for one in self.parts]
+        indices = self.columns_of(kind)
+        return [run.columns[:, indices] for run in self.runs]
 
     @property
     def whitenings(self) -> tuple[Whitening, ...]:
-        """What makes each run's blocks independent."""
-        return tuple(one.whitening for one in self.parts)
+        """Whitening of each run."""
+        return tuple(run.whitening for run in self.runs)
 
-    def kept(self, *wanted: ColumnKind) -> "Design":
-        """Return the design with the columns of these kinds alone, so that little of it stays in memory."""
-        columns = self.of(*wanted)
+    def with_columns(self, *kinds: ColumnKind) -> "Design":
+        """Return the design with the columns of these kinds alone, to save memory."""
+        columns = self.columns_of(*kinds)
         rows = np.concatenate(([0], 1 + columns))
         return replace(
             self,
-            parts=tuple(replace(one, columns=one.columns[:, columns]) for one in self.parts),
-            kinds=tuple(self.kinds[one] for one in columns.tolist()),
+            runs=tuple(replace(run, columns=run.columns[:, columns]) for run in self.runs),
+            column_kinds=tuple(self.column_kinds[index] for index in columns.tolist()),
             prior_mean=self.prior_mean[columns],
             prior_precision=self.prior_precision[columns],
-            grams=tuple(one[np.ix_(rows, rows)] for one in self.grams),
-            shapes=self.shapes if ColumnKind.SHAPE in wanted else (),
+            grams=tuple(gram[np.ix_(rows, rows)] for gram in self.grams),
+            variants=self.variants if ColumnKind.VARIANT in kinds else (),
         )
 
-    def total(self, runs: Sequence[int] | None = None) -> FloatArray:
-        """Sum the Gram matrices of some runs, of all unless said."""
-        chosen = range(len(self.grams)) if runs is None else runs
-        whole = np.zeros_like(self.grams[0])
-        for one in chosen:
-            whole += self.grams[one]
-        return whole
+    def total_gram(self, runs: Sequence[int] | None = None) -> FloatArray:
+        """Return the sum of the Gram matrices of some runs, by default of all."""
+        indices = range(len(self.grams)) if runs is None else runs
+        total = np.zeros_like(self.grams[0])
+        for index in indices:
+            total += self.grams[index]
+        return total
 
 
 def linearise(
@@ -279,109 +279,109 @@ def linearise(
     z: FloatArray,
     candidates: Sequence[Candidate] = (),
     *,
-    near: Design | None = None,
-    foreign: bool = False,
+    reference: Design | None = None,
+    modulated: bool = False,
     dictionary: bool = False,
 ) -> Design:
     """Linearise a campaign around a point.
 
     Parameters
     ----------
-    near
-        The campaign around a point nearby, whose derivatives by nuisances and whose doubts are taken over; computed
-        anew unless given.
-    foreign
-        Whether the candidates' contributions may be modulated.
+    reference
+        Design around a nearby point whose derivatives and uncertainties are reused; default: computed anew.
+    modulated
+        Whether to add columns for modulations of the candidates' forces.
     dictionary
-        Whether every shape of every effect is a column too.
+        Whether to add a column for each variant of each effect.
     """
     problem = study.problem
     predictions = problem.predictions(z)
-    uncertainties = study.doubts(z) if near is None else [one.motion_sd for one in near.parts]
-    whitenings = problem.whitenings(predictions, uncertainties, None if near is None else near.whitenings)
-    by_nominal = _nominal_derivatives(study, z) if near is None else near.columns(ColumnKind.NOMINAL)
-    kept_details = None if near is None else near.columns(ColumnKind.DETAIL)
-    parts, grams, known = [], [], dict[int, FloatArray]()
+    uncertainties = study.prediction_sds(z) if reference is None else [run.motion_sd for run in reference.runs]
+    whitenings = problem.whitenings(predictions, uncertainties, None if reference is None else reference.whitenings)
+    by_nominal = _nominal_derivatives(study, z) if reference is None else reference.run_columns(ColumnKind.NOMINAL)
+    reference_model_errors = None if reference is None else reference.run_columns(ColumnKind.MODEL_ERROR)
+    run_designs, grams, signatures_by_run = [], [], dict[int, FloatArray]()
     wall = _wall_effects(chain_with(candidates, study.chain))
-    for number, (sight, (scene, gain)) in enumerate(zip(study.sights, study.scenes(z), strict=True)):
-        alone = [added_force(chain_with([one], study.chain), scene, gain) for one in candidates]
-        before = added_force(study.chain, scene, gain)
-        together = (
-            added_force(chain_with(candidates, study.chain), scene, gain) if len(alone) > 1 else sum(alone, before * 0)
+    for number, (run_data, (scene, gain)) in enumerate(zip(study.runs, study.scenes(z), strict=True)):
+        separate = [added_force(chain_with([candidate], study.chain), scene, gain) for candidate in candidates]
+        nominal_effects = added_force(study.chain, scene, gain)
+        combined = (
+            added_force(chain_with(candidates, study.chain), scene, gain)
+            if len(separate) > 1
+            else sum(separate, nominal_effects * 0)
         )
-        more = sight.of_blocks(together if alone else before)
-        beside = sight.of_blocks(together - before) if alone else 0.0 * more
-        if kept_details is None:
-            details = gain * sight.of_blocks(study.details(number, scene))
+        effects = run_data.block_means(combined if separate else nominal_effects)
+        candidate_force = run_data.block_means(combined - nominal_effects) if separate else 0.0 * effects
+        if reference_model_errors is None:
+            model_errors = gain * run_data.block_means(study.model_errors(number, scene))
         else:
-            details = kept_details[number].T
-        rows = [details]
-        rows.append(sight.of_blocks(parameter_derivatives(candidates, study.chain, scene, gain)))
-        if foreign:
-            rows += [study.modulations[number] * sight.of_blocks(one - before) for one in alone]
+            model_errors = reference_model_errors[number].T
+        rows = [model_errors]
+        rows.append(run_data.block_means(parameter_derivatives(candidates, study.chain, scene, gain)))
+        if modulated:
+            rows += [study.modulations[number] * run_data.block_means(values - nominal_effects) for values in separate]
         if dictionary:
-            like = problem.representatives[number]
-            shown = signatures(study.shapes, scene, gain, known.get(like))
-            known.setdefault(like, shown)
-            rows.append(sight.of_blocks(shown))
+            first_run = problem.representatives[number]
+            variant_signatures = signatures(study.variants, scene, gain, signatures_by_run.get(first_run))
+            signatures_by_run.setdefault(first_run, variant_signatures)
+            rows.append(run_data.block_means(variant_signatures))
         whitening = whitenings[number]
-        if wall.effects and sight.acquisition.contact is Contact.STICKING:
-            stiff = sight.of_blocks(added_force(wall, scene, gain))
+        if wall.effects and run_data.acquisition.contact is Contact.STICKING:
+            stiff = run_data.block_means(added_force(wall, scene, gain))
             whitening = problem.with_stiffness(number, predictions[number], stiff, whitening)
-        residual = sight.evidence.blocks.mean - predictions[number].total - more
-        columns = np.column_stack((by_nominal[number], *(one.T for one in rows)))
+        residual = run_data.block_data.blocks.mean - predictions[number].total - effects
+        columns = np.column_stack((by_nominal[number], *(values.T for values in rows)))
         varying = problem.variation_sds[:, None] * predictions[number].varying
         spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
-        parts.append(RunDesign(residual, columns, beside, predictions[number].total, *spread, whitening))
+        run_designs.append(RunDesign(residual, columns, candidate_force, predictions[number].total, *spread, whitening))
         white = whitening.whiten(np.column_stack((residual, columns)))
         grams.append(white.T @ white)
-    priors = _column_priors(z, len(details), candidates, len(study.modulations[0]) if foreign else 0)
-    shapes = study.shapes if dictionary else ()
-    kinds, mean, precision = zip(*priors, *[(ColumnKind.SHAPE, 0.0, 0.0)] * len(shapes), strict=True)
+    priors = _column_priors(z, len(model_errors), candidates, len(study.modulations[0]) if modulated else 0)
+    variants = study.variants if dictionary else ()
+    kinds, mean, precision = zip(*priors, *[(ColumnKind.VARIANT, 0.0, 0.0)] * len(variants), strict=True)
     return Design(
         z=z,
         candidates=tuple(candidates),
-        parts=tuple(parts),
-        kinds=kinds,
+        runs=tuple(run_designs),
+        column_kinds=kinds,
         prior_mean=np.array(mean),
         prior_precision=np.array(precision),
         grams=tuple(grams),
-        blocks=tuple(len(one.residual) for one in parts),
-        shapes=shapes,
+        block_counts=tuple(len(run.residual) for run in run_designs),
+        variants=variants,
     )
 
 
 def _wall_effects(chain: EffectChain) -> EffectChain:
-    """Return what of a chain acts on the wall itself."""
     return chain.only(lambda effect: effect.location in WALL_PLACES)
 
 
 def _nominal_derivatives(study: Study, z: FloatArray) -> list[FloatArray]:
-    """Return the derivatives of block means by `z`; by a secant where they jump.
+    """Return the derivatives of block means by `z`; a secant for the contact angle.
 
-    With the contact angle the moment changes at which friction jumps, when a bend of the motion comes to the equator. A
-    tangent leaves these jumps out, and a fit that follows it stops beside the minimum.
+    With the contact angle, the moments shift at which friction jumps (when a bend of the motion reaches the equator). A
+    tangent misses these jumps, and a fit that follows it stops beside the minimum.
     """
-    found = study.problem.derivatives(z, without=(ANGLE_PARAMETER,))
-    if ANGLE_PARAMETER not in study.names:
-        return found
-    column = study.names.index(ANGLE_PARAMETER)
+    derivatives = study.problem.derivatives(z, without=(ANGLE_PARAMETER,))
+    if ANGLE_PARAMETER not in study.parameter_names:
+        return derivatives
+    column = study.parameter_names.index(ANGLE_PARAMETER)
     sides = []
     for side in (1.0, -1.0):
-        turned = z.copy()
-        turned[column] += side * ANGLE_SECANT_SD
-        sides.append(study.problem.predictions(turned))
-    for one, more, less in zip(found, *sides, strict=True):
-        one[:, column] = (more.total - less.total) / (2 * ANGLE_SECANT_SD)
-    return found
+        shifted = z.copy()
+        shifted[column] += side * ANGLE_SECANT_SD
+        sides.append(study.problem.predictions(shifted))
+    for derivative, above, below in zip(derivatives, *sides, strict=True):
+        derivative[:, column] = (above.total - below.total) / (2 * ANGLE_SECANT_SD)
+    return derivatives
 
 
 def _column_priors(
-    z: FloatArray, details: int, candidates: Sequence[Candidate], modulations: int
+    z: FloatArray, model_errors: int, candidates: Sequence[Candidate], modulations: int
 ) -> list[tuple[ColumnKind, float, float]]:
     priors = [(ColumnKind.NOMINAL, -value, 1.0) for value in z.tolist()]
-    priors += [(ColumnKind.DETAIL, 0.0, 1.0)] * details
-    for one in candidates:
-        priors += [(ColumnKind.EFFECT, 0.0, sd**-2) for sd in one.prior_sds().tolist()]
-    priors += [(ColumnKind.FOREIGN, 0.0, MODULATION_PRIOR_SD**-2)] * (modulations * len(candidates))
+    priors += [(ColumnKind.MODEL_ERROR, 0.0, 1.0)] * model_errors
+    for candidate in candidates:
+        priors += [(ColumnKind.EFFECT, 0.0, sd**-2) for sd in candidate.prior_sds().tolist()]
+    priors += [(ColumnKind.MODULATION, 0.0, MODULATION_PRIOR_SD**-2)] * (modulations * len(candidates))
     return priors

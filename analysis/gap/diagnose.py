@@ -64,7 +64,7 @@ def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: Spe
 
     Hum that is taken for white noise makes short blocks noisier than noise, and long ones less noisy.
     """
-    if not mains_hum_present(lines.mains.gain, lines.other.gain):
+    if not mains_hum_present(lines.mains.llr, lines.other.llr):
         return study
     noise = estimate_noise(experiments, study.channel, lines.mains.amplitude, lines.mains.frequency_hz)
     noises = tuple(noise for _ in study.problem.noises)
@@ -76,89 +76,102 @@ MAX_FURTHER_LAWS = 3
 
 
 def decision_inputs(
-    found: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, without: tuple[str, ...]
+    search: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, excluded: tuple[str, ...]
 ) -> DecisionInputs:
-    """Return what a verdict is made of; `without` are the effects that were not to be considered."""
-    untold = found.study.untold
-    tried = [replace(_single_summary(one, found.squares), untold=untold(one.design)) for one in found.singles]
-    joint = [(one, one.together) for one in found.steps if one.together is not None]
-    tried += [replace(_joint_summary(*one), untold=untold(one[1].design)) for one in joint]
+    """Return what a verdict is made of; `excluded` are the effects that were not to be considered."""
+    untold = search.study.untried_lookalikes
+    tried = [
+        replace(_single_summary(fit, search.chi2), untried_lookalikes=untold(fit.design)) for fit in search.singles
+    ]
+    joint = [(step, step.fit) for step in search.steps if step.fit is not None]
+    tried += [replace(_joint_summary(*pair), untried_lookalikes=untold(pair[1].design)) for pair in joint]
     return DecisionInputs(
-        blocks=found.blocks,
-        squares=found.squares,
-        tried=tuple(tried),
-        mains_gain=lines.mains.gain,
-        line_gain=lines.other.gain,
-        position=tuple((one.effect, one.held_out) for one in position.families) if position.present else (),
-        strays=position.present,
-        without=without,
-        nameless=fit_nonparametric_laws(found.nominal, found.study.sights, _swing_period_s(found.singles)),
+        block_count=search.block_count,
+        chi2=search.chi2,
+        hypotheses=tuple(tried),
+        mains_llr=lines.mains.llr,
+        line_llr=lines.other.llr,
+        position=tuple((model_class.effect, model_class.held_out_share) for model_class in position.model_classes)
+        if position.has_position_error
+        else (),
+        has_position_error=position.has_position_error,
+        excluded=excluded,
+        laws=fit_nonparametric_laws(search.nominal, search.study.runs, _swing_period_s(search.singles)),
     )
 
 
 def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
     """Return the period of what swings on the session's clock; 0 where nothing does."""
-    swinging = (each for one in singles for each in one.point.candidates if is_periodic_in_session(each.effect))
-    return next((value for each in swinging for name, value in each.values.items() if name.startswith("period")), 0.0)
+    swinging = (
+        candidate
+        for fit in singles
+        for candidate in fit.parameters.candidates
+        if is_periodic_in_session(candidate.effect)
+    )
+    return next(
+        (value for candidate in swinging for name, value in candidate.values.items() if name.startswith("period")), 0.0
+    )
 
 
-def _single_summary(one: HypothesisFit, squares: float) -> HypothesisSummary:
-    gain = 0.5 * (squares - (one.flexible if _has_periodic_effect(one) else one.plain))
-    return replace(_summary_of_fit(one), gain=gain, left=squares)
+def _single_summary(fit: HypothesisFit, squares: float) -> HypothesisSummary:
+    gain = 0.5 * (squares - (fit.chi2_with_form_error if _has_periodic_effect(fit) else fit.chi2))
+    return replace(_summary_of_fit(fit), llr=gain, chi2_without=squares)
 
 
-def _joint_summary(step: SelectionStep, one: HypothesisFit) -> HypothesisSummary:
+def _joint_summary(step: SelectionStep, fit: HypothesisFit) -> HypothesisSummary:
     return replace(
-        _summary_of_fit(one),
-        gain=step.gain,
-        left=step.left,
-        rival_gain=step.rival_gain,
+        _summary_of_fit(fit),
+        llr=step.llr,
+        chi2_without=step.chi2_without,
+        rival_llr=step.rival_llr,
         laws=step.laws[:MAX_FURTHER_LAWS],
     )
 
 
-def _summary_of_fit(one: HypothesisFit) -> HypothesisSummary:
+def _summary_of_fit(fit: HypothesisFit) -> HypothesisSummary:
     return HypothesisSummary(
-        effects=one.effects,
-        plain=one.plain,
-        flexible=one.flexible,
-        changed_mN=one.changed_mN,
-        periodic=_has_periodic_effect(one),
-        elsewhere=one.elsewhere,
-        at_limit=any(each.at_limit for each in one.point.candidates),
+        effects=fit.effects,
+        chi2=fit.chi2,
+        chi2_with_form_error=fit.chi2_with_form_error,
+        change_mN=fit.change_mN,
+        periodic=_has_periodic_effect(fit),
+        excess_elsewhere=fit.excess_elsewhere,
+        at_limit=any(candidate.at_limit for candidate in fit.parameters.candidates),
     )
 
 
-def _has_periodic_effect(one: HypothesisFit) -> bool:
-    return any(is_periodic_in_session(each.effect) for each in one.point.candidates)
+def _has_periodic_effect(fit: HypothesisFit) -> bool:
+    return any(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
 
 
 def hypothesis_parameters(
-    name: str, one: HypothesisFit | None, position: PositionAnalysis, lines: SpectralLines
+    name: str, fit: HypothesisFit | None, position: PositionAnalysis, lines: SpectralLines
 ) -> tuple[EstimatedQuantity, ...]:
     """Return the parameters of a hypothesis with their errors; none for what has none."""
-    found: list[EstimatedQuantity] = []
-    if one is not None:
-        solution = fit_columns(one.design, one.design.total(), ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT)
+    quantities: list[EstimatedQuantity] = []
+    if fit is not None:
+        solution = fit_columns(
+            fit.design, fit.design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT
+        )
         errors = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
-        own = errors[np.searchsorted(solution.columns, one.design.of(ColumnKind.EFFECT))].tolist()
-        several = len(one.point.candidates) > 1
-        for candidate in one.point.candidates:
-            mine, own = own[: len(candidate.fitted)], own[len(candidate.fitted) :]
-            found += _quantities(candidate, mine, several)
+        own = errors[np.searchsorted(solution.columns, fit.design.columns_of(ColumnKind.EFFECT))].tolist()
+        several = len(fit.parameters.candidates) > 1
+        for candidate in fit.parameters.candidates:
+            mine, own = own[: len(candidate.fitted_parameters)], own[len(candidate.fitted_parameters) :]
+            quantities += _quantities(candidate, mine, several)
     moved = position.candidate
     if moved is not None and moved.effect.id in name.split("+"):
-        found += _quantities(moved, position.standard_errors, "+" in name)
+        quantities += _quantities(moved, position.standard_errors, "+" in name)
     if name == "mains_hum":
-        found.append(_quantity("amplitude_mN", "mN", lines.mains.amplitude, 0.5 * lines.mains.amplitude**0.5))
-        found.append(_quantity("frequency_hz", "Hz", lines.mains.frequency_hz, 0.5))
-    return tuple(found)
+        quantities.append(_quantity("amplitude_mN", "mN", lines.mains.amplitude, 0.5 * lines.mains.amplitude**0.5))
+        quantities.append(_quantity("frequency_hz", "Hz", lines.mains.frequency_hz, 0.5))
+    return tuple(quantities)
 
 
 def _quantities(candidate: Candidate, errors: Sequence[float], several: bool) -> Iterator[EstimatedQuantity]:
-    for one, error in zip(candidate.fitted, errors, strict=True):
-        name = f"{candidate.effect.id}.{one.name}" if several else one.name
-        yield _quantity(name, one.unit, candidate.values[one.name], error)
+    for parameter, error in zip(candidate.fitted_parameters, errors, strict=True):
+        name = f"{candidate.effect.id}.{parameter.name}" if several else parameter.name
+        yield _quantity(name, parameter.unit, candidate.values[parameter.name], error)
 
 
 def _quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuantity:
@@ -168,25 +181,25 @@ def _quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuan
 
 def traces_of_runs(gaps: Sequence[RunGap]) -> tuple[RunTraces, ...]:
     """Return each run as it was measured and as both models have it."""
-    return tuple(_traces_of_run(one) for one in gaps)
+    return tuple(_traces_of_run(gap) for gap in gaps)
 
 
-def _traces_of_run(one: RunGap) -> RunTraces:
-    sight, at = one.sight, one.sight.coordinates
-    kind, value = sight.condition
-    measured = sight.evidence.blocks.mean
+def _traces_of_run(gap: RunGap) -> RunTraces:
+    run, at = gap.run, gap.run.coordinates
+    kind, value = run.condition
+    measured = run.block_data.blocks.mean
     label = f"{value:g} × strain" if kind == "relaxation" else f"{value:g} mm/s"
     return RunTraces(
-        file=sight.file,
+        file=run.file,
         kind=kind,
         label=label,
-        channel=sight.evidence.channel,
+        channel=run.block_data.channel,
         unit="mN",
         time_s=at.time_s,
         position_mm=at.position_mm,
         measured=measured,
-        before=measured - one.before,
-        after=measured - one.after,
+        before=measured - gap.before,
+        after=measured - gap.after,
     )
 
 
@@ -199,38 +212,40 @@ def amended_model(
     chosen: HypothesisFit | None,
     position: PositionAnalysis,
     lines: SpectralLines,
-    judged: Classification,
-    found: ForceSearchResult,
+    classification: Classification,
+    search: ForceSearchResult,
     shrink: GapReduction | None,
     specimen: str,
 ) -> FrictionModelSettings | None:
     """Return this specimen's friction model with the effects that were named; None where none was or can be."""
-    if not judged.effects:
+    if not classification.effects:
         return None
-    z = found.nominal.z if chosen is None else chosen.point.z
-    settings = study.simulator(z)
+    z = search.nominal.z if chosen is None else chosen.parameters.z
+    settings = study.amended_settings(z)
     if settings is None:
         return None
     effects = list(settings.effects)
     if chosen is not None:
-        effects += [one.settings for one in chosen.point.candidates]
-    if position.candidate is not None and position.candidate.effect.id in judged.effects:
+        effects += [candidate.settings for candidate in chosen.parameters.candidates]
+    if position.candidate is not None and position.candidate.effect.id in classification.effects:
         effects.append(position.candidate.settings)
-    if HUM_EFFECT in judged.effects:
+    if HUM_EFFECT in classification.effects:
         hum = {"amplitude_mN": lines.mains.amplitude, "frequency_hz": lines.mains.frequency_hz}
         effects.append(EffectSettings(id=HUM_EFFECT, parameters=hum))
     rounded = [
-        EffectSettings(id=one.id, parameters={name: _rounded_value(value) for name, value in one.parameters.items()})
-        for one in effects
+        EffectSettings(
+            id=effect.id, parameters={name: _rounded_value(value) for name, value in effect.parameters.items()}
+        )
+        for effect in effects
     ]
     diagnosed = DiagnosisSummary(
         specimen=specimen,
-        verdict=judged.verdict.value,
-        effects=judged.effects,
-        probability=_rounded_value(judged.probabilities.get("+".join(judged.effects), 0.0)),
-        runs=len(study.sights),
+        verdict=classification.verdict.value,
+        effects=classification.effects,
+        probability=_rounded_value(classification.probabilities.get("+".join(classification.effects), 0.0)),
+        runs=len(study.runs),
         promised=None if shrink is None or shrink.closed is None else _rounded_value(shrink.closed),
-        nominal=_rounded_values(study, found.nominal.z),
+        nominal=_rounded_values(study, search.nominal.z),
     )
     return settings.model_copy(
         update={
@@ -266,7 +281,7 @@ class DiagnosisOptions:
 
     Attributes
     ----------
-    without
+    excluded
         Effects that are not to be considered.
     tolerance_mN
         What an effect must add, root mean square where it acts, to matter.
@@ -276,7 +291,7 @@ class DiagnosisOptions:
         Thresholds and weights of the verdict; the shipped ones unless given.
     """
 
-    without: tuple[str, ...] = ()
+    excluded: tuple[str, ...] = ()
     tolerance_mN: float = DEFAULT_TOLERANCE_MN
     next_runs: ExperimentBudget = field(default_factory=ExperimentBudget)
     calibration: Calibration | None = None
@@ -299,23 +314,29 @@ def diagnose(
     asked = options or DiagnosisOptions()
     began = perf_counter()
     progress(0, DIAGNOSIS_STEPS)
-    effects = [one for one in catalogue().values() if one.id not in asked.without]
+    effects = [effect for effect in catalogue().values() if effect.id not in asked.excluded]
     known = known_effects(nominal)
     selection = correct_known_motion(selection, known)
     position = analyse_position(selection.experiments, effects)
     progress(1, DIAGNOSIS_STEPS)
     study = prepare_study(
-        _with_trusted_motion(selection, position), nominal, [one for one in effects if _acts_on_force(one)]
+        _with_trusted_motion(selection, position), nominal, [effect for effect in effects if _acts_on_force(effect)]
     )
     lines = lines_beyond_known(_without_slow_lines(find_spectral_lines(selection.experiments, study.channel)), known)
     prepared = perf_counter()
     heard = add_hum_to_noise(study, selection.experiments, lines)
-    found = search_effects(heard, *MIN_LLR_AND_SHARE_WITH_MOTION_ERROR) if position.present else search_effects(heard)
+    search = (
+        search_effects(heard, *MIN_LLR_AND_SHARE_WITH_MOTION_ERROR)
+        if position.has_position_error
+        else search_effects(heard)
+    )
     progress(4, DIAGNOSIS_STEPS)
-    evidence = decision_inputs(found, position, lines, asked.without)
-    judged = classify(evidence, asked.tolerance_mN, _calibration_for(study, asked))
+    evidence = decision_inputs(search, position, lines, asked.excluded)
+    classification = classify(evidence, asked.tolerance_mN, _calibration_for(study, asked))
     explained = perf_counter()
-    diagnosis = _assembled_diagnosis(selection, nominal, asked, study, found, position, lines, judged, evidence)
+    diagnosis = _assembled_diagnosis(
+        selection, nominal, asked, study, search, position, lines, classification, evidence
+    )
     progress(DIAGNOSIS_STEPS, DIAGNOSIS_STEPS)
     timings = {
         "reading and position": prepared - began,
@@ -331,54 +352,56 @@ def _acts_on_force(effect: Effect) -> bool:
 
 def _without_slow_lines(lines: SpectralLines) -> SpectralLines:
     """Leave out what may be slow noise."""
-    slow = lines.other.frequency_hz <= SLOW_LINE_HZ and lines.other.gain < MIN_SLOW_LINE_LLR
-    return SpectralLines(lines.mains, replace(lines.other, gain=0.0) if slow else lines.other)
+    slow = lines.other.frequency_hz <= SLOW_LINE_HZ and lines.other.llr < MIN_SLOW_LINE_LLR
+    return SpectralLines(lines.mains, replace(lines.other, llr=0.0) if slow else lines.other)
 
 
 def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) -> RunSelection:
     """Let the motion be the command's where only the record of the position is wrong."""
-    if not position.recorded_wrongly:
+    if not position.is_recording_error:
         return selection
-    return replace(selection, experiments=tuple(replace(one, trusts_command=True) for one in selection.experiments))
+    return replace(
+        selection, experiments=tuple(replace(experiment, trusts_command=True) for experiment in selection.experiments)
+    )
 
 
-def _calibration_for(study: Study, asked: DiagnosisOptions) -> Calibration:
-    weights = asked.calibration or shipped_calibration()
-    return weights if isinstance(study, CapsuleStudy) else weights.of_any_rig
+def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
+    weights = options.calibration or shipped_calibration()
+    return weights if isinstance(study, CapsuleStudy) else weights.with_hand_set_weights
 
 
-def _named_fit(found: ForceSearchResult, judged: Classification) -> HypothesisFit | None:
+def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the explanation that has the effects of the force that were named."""
-    named = {name for name in judged.effects if name != MAINS_HUM}
-    tried = [*found.singles, *(one.together for one in found.steps if one.together is not None)]
-    fitting = [one for one in tried if set(one.effects) <= named]
-    return max(fitting, key=lambda one: len(one.effects), default=None)
+    named = {name for name in classification.effects if name != MAINS_HUM}
+    tried = [*search.singles, *(step.fit for step in search.steps if step.fit is not None)]
+    fitting = [fit for fit in tried if set(fit.effects) <= named]
+    return max(fitting, key=lambda fit: len(fit.effects), default=None)
 
 
 def _assembled_diagnosis(
     selection: RunSelection,
     nominal: NominalModel,
-    asked: DiagnosisOptions,
+    options: DiagnosisOptions,
     study: Study,
-    found: ForceSearchResult,
+    search: ForceSearchResult,
     position: PositionAnalysis,
     lines: SpectralLines,
-    judged: Classification,
+    classification: Classification,
     evidence: DecisionInputs,
 ) -> Diagnosis:
-    chosen = _named_fit(found, judged)
-    hum = lines.mains if MAINS_HUM in judged.effects else replace(lines.mains, amplitude=0.0)
-    swing = lines.other if unknown_because_of_line(evidence, judged) else None
-    blocks = [*force_residual_blocks(study, found.nominal, asked.tolerance_mN, swing or hum)]
+    chosen = _named_fit(search, classification)
+    hum = lines.mains if MAINS_HUM in classification.effects else replace(lines.mains, amplitude=0.0)
+    swing = lines.other if unknown_because_of_line(evidence, classification) else None
+    blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, swing or hum)]
     blocks += position_residual_blocks(position.runs)
-    where = localise(blocks, present=judged.verdict is not Verdict.NO_GAP)
+    where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
     where = attribute_to_effects(where, blocks, _named_force(study, chosen, hum))
-    shrink, views = _held_out_reduction(study, found, chosen, position, judged)
-    files = tuple(one.file for one in study.sights)
+    shrink, views = _held_out_reduction(study, search, chosen, position, classification)
+    files = tuple(run.file for run in study.runs)
     of_force = classify(
-        replace(evidence, position=(), strays=False), asked.tolerance_mN, _calibration_for(study, asked)
+        replace(evidence, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
     )
-    next_run = recommend_next_run(study, found, position, judged, of_force, asked.next_runs)
+    next_run = recommend_next_run(study, search, position, classification, of_force, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
         nominal=nominal.name,
@@ -386,22 +409,22 @@ def _assembled_diagnosis(
         used_for_fit=files,
         held_out=files if len(files) > 1 else (),
         left_out=selection.left_out,
-        verdict=judged.verdict,
-        effects=judged.effects,
-        ranking=tuple(_ranked_hypotheses(found, position, lines, judged)),
-        confusable_with=judged.confusable_with,
-        residual_unknown=judged.residual_unknown,
-        would_have_seen_mN=detection_limit(study, found.nominal),
-        tolerance_mN=asked.tolerance_mN,
+        verdict=classification.verdict,
+        effects=classification.effects,
+        ranking=tuple(_ranked_hypotheses(search, position, lines, classification)),
+        confusable_with=classification.confusable_with,
+        residual_unknown=classification.residual_unknown,
+        detection_limit_mN=detection_limit(study, search.nominal),
+        tolerance_mN=options.tolerance_mN,
         where=where,
         shrink=shrink,
-        unknown=describe_unexplained_gap(where, blocks, judged, swing, evidence),
-        model=amended_model(study, chosen, position, lines, judged, found, shrink, selection.specimen),
-        views=views,
-        cannot_answer=(*study.open_questions(), *reasons_for_no_run(study, position, judged, next_run)),
+        unknown=describe_unexplained_gap(where, blocks, classification, swing, evidence),
+        model=amended_model(study, chosen, position, lines, classification, search, shrink, selection.specimen),
+        traces=views,
+        limitations=(*study.limitations(), *reasons_for_no_run(study, position, classification, next_run)),
         remarks=selection.remarks,
         calibration=CALIBRATION_NOTE,
-        evidence=evidence,
+        decision_inputs=evidence,
         next_experiment=next_run,
     )
 
@@ -409,55 +432,57 @@ def _assembled_diagnosis(
 def _named_force(study: Study, chosen: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:
     """Return what the named effects add to the force, block by block, of hum its root mean square."""
     if chosen is not None:
-        return [part.added for part in chosen.design.parts]
-    return [np.full(one.coordinates.width_s.size, hum.amplitude / np.sqrt(2.0)) for one in study.sights]
+        return [run.effect_force for run in chosen.design.runs]
+    return [np.full(run_data.coordinates.width_s.size, hum.amplitude / np.sqrt(2.0)) for run_data in study.runs]
 
 
 def _held_out_reduction(
     study: Study,
-    found: ForceSearchResult,
+    search: ForceSearchResult,
     chosen: HypothesisFit | None,
     position: PositionAnalysis,
-    judged: Classification,
+    classification: Classification,
 ) -> tuple[GapReduction | None, tuple[RunTraces, ...]]:
-    left = predict_held_out(found, chosen)
+    left = predict_held_out(search, chosen)
     if left is None:
         return None, ()
-    design = found.nominal if chosen is None else chosen.design
+    design = search.nominal if chosen is None else chosen.design
     gaps: list[RunGap] = []
-    for number, sight in enumerate(study.sights):
+    for number, run in enumerate(study.runs):
         gaps.append(
             gap_of_run(
-                sight,
+                run,
                 study.problem.noises[number],
-                found.nominal.parts[number].motion_sd,
-                (left.before[number], found.nominal.parts[number].whitening),
-                (left.after[number], design.parts[number].whitening),
+                search.nominal.runs[number].motion_sd,
+                (left.before[number], search.nominal.runs[number].whitening),
+                (left.after[number], design.runs[number].whitening),
                 study.problem.zero_sds[number],
-                study.counted(number, found.nominal.parts[number].motion_sd),
+                study.informative_blocks(number, search.nominal.runs[number].motion_sd),
             )
         )
     shrink = reduction_over_runs(gaps)
-    if position.candidate is not None and position.candidate.effect.id in judged.effects and chosen is None:
+    if position.candidate is not None and position.candidate.effect.id in classification.effects and chosen is None:
         shrink = position_gap_reduction(position, shrink)
     return shrink, traces_of_runs(gaps)
 
 
 def _ranked_hypotheses(
-    found: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, judged: Classification
+    search: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, classification: Classification
 ) -> Iterator[RankedHypothesis]:
-    explained = {"+".join(one.effects): one for one in found.singles}
-    explained |= {"+".join(one.together.effects): one.together for one in found.steps if one.together is not None}
+    explained = {"+".join(fit.effects): fit for fit in search.singles}
+    explained |= {"+".join(step.fit.effects): step.fit for step in search.steps if step.fit is not None}
     known = (
-        [one.effect for one in found.ranked] + [one.effect for one in position.families] + [MAINS_HUM, NO_GAP, UNKNOWN]
+        [ranked.effect for ranked in search.ranked]
+        + [model_class.effect for model_class in position.model_classes]
+        + [MAINS_HUM, NO_GAP, UNKNOWN]
     )
-    whole = {**dict.fromkeys(known, 0.0), **judged.probabilities}
+    whole = {**dict.fromkeys(known, 0.0), **classification.probabilities}
     sums = sum(whole.values())
     for name, probability in sorted(whole.items(), key=lambda pair: -pair[1]):
-        one = explained.get(name)
+        fit = explained.get(name)
         yield RankedHypothesis(
             name,
             probability / sums,
-            hypothesis_parameters(name, one, position, lines),
-            None if one is None else held_out_improvement(found, one),
+            hypothesis_parameters(name, fit, position, lines),
+            None if fit is None else held_out_improvement(search, fit),
         )

@@ -47,7 +47,7 @@ class AxisLocation:
         As in the report.
     bins
         All of them, whose shares sum to 1 or are all 0.
-    covered
+    covered_share
         Part of the whole excess that lies on this axis; where it is small there are no shares.
     low, high
         The narrowest neighbouring bins that have most of the excess; None without a gap and where bins have no order.
@@ -55,32 +55,34 @@ class AxisLocation:
         Their part.
     p
         Chance that they stand out so without a gap.
-    least_p
+    min_p
         The smallest p-value on the axis.
     """
 
     name: str
     bins: tuple[AxisBin, ...]
-    covered: float
+    covered_share: float
     low: float | None
     high: float | None
     share: float
     p: float
-    least_p: float
+    min_p: float
 
     @property
     def shares(self) -> Mapping[str, float]:
         """Shares of the bins that have a name."""
-        return {one.name: one.share for one in self.bins if one.name}
+        return {axis_bin.name: axis_bin.share for axis_bin in self.bins if axis_bin.name}
 
     def document(self) -> Mapping[str, object]:
         """Return it as the report has it."""
         if self.shares:
             return {name: round(share, 4) for name, share in self.shares.items()}
-        bins = [{"low": one.low, "high": one.high, "share": round(one.share, 4), "p": round(one.p, 4)}
-                for one in self.bins]  # fmt: skip
+        bins = [
+            {"low": bin_.low, "high": bin_.high, "share": round(bin_.share, 4), "p": round(bin_.p, 4)}
+            for bin_ in self.bins
+        ]
         return {
-            "covered": round(min(self.covered, 1.0), 4),
+            "covered": round(min(self.covered_share, 1.0), 4),
             "low": self.low,
             "high": self.high,
             "share": round(self.share, 4),
@@ -138,14 +140,18 @@ class GapLocation:
 
     def location(self, name: str) -> AxisLocation:
         """Return an axis by name; raises `KeyError` for one that there is not."""
-        found = {one.name: one for one in self.locations}
-        return found[name]
+        locations = {location.name: location for location in self.locations}
+        return locations[name]
 
     def document(self) -> Mapping[str, object]:
         """Return it as the report's `where`."""
-        named = {one.name: {each.name: round(each.p, 4) for each in one.bins} for one in self.locations if one.shares}
+        named = {
+            location.name: {axis_bin.name: round(axis_bin.p, 4) for axis_bin in location.bins}
+            for location in self.locations
+            if location.shares
+        }
         return {
-            **{one.name: one.document() for one in self.locations},
+            **{location.name: location.document() for location in self.locations},
             "domain": self.domain,
             "domain_scores": {name: round(score, 4) for name, score in self.domain_scores.items()},
             "p": round(self.p, 4),
@@ -166,14 +172,14 @@ class ModelPair:
         Effects; an empty rival stands for no effect at all.
     d_prime
         d′ between them with the first one there and the second one taking as much of it as it can.
-    left
+    remaining_share
         Share of the first one's squares that the second one leaves.
     """
 
     truth: str
     rival: str
     d_prime: float
-    left: float
+    remaining_share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +194,7 @@ class NextRun:
         Rig time with rests and ways back, of all repeats.
     before, after
         The contest that it decides most, without it and with it.
-    surer
+    optional
         Whether all is answered well enough without it.
     """
 
@@ -196,7 +202,7 @@ class NextRun:
     minutes: float
     before: ModelPair
     after: ModelPair
-    surer: bool = False
+    optional: bool = False
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -212,20 +218,20 @@ class NextExperiment:
     ----------
     runs
         The best first.
-    tried
+    compared
         How many settings were compared.
-    why
+    reason
         Why, in plain words.
     """
 
     runs: tuple[NextRun, ...]
-    tried: int
-    why: str
+    compared: int
+    reason: str
 
     @property
     def minutes(self) -> float:
         """Rig time of all of them."""
-        return sum(one.minutes for one in self.runs)
+        return sum(run.minutes for run in self.runs)
 
 
 class Verdict(StrEnum):
@@ -323,20 +329,20 @@ class UnexplainedGap:
 
     Attributes
     ----------
-    lives_in
+    location
         A sentence: where it is.
-    shape
+    dependence
         A sentence: what it depends on.
     expression
         A sparse expression that holds up on runs that took no part; empty where none does.
-    held_out
+    held_out_share
         Share of the excess that the expression explains there.
     """
 
-    lives_in: str
-    shape: str
+    location: str
+    dependence: str
     expression: str = ""
-    held_out: float | None = None
+    held_out_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,15 +359,15 @@ class Diagnosis:
         Effects that these runs cannot tell from them, near-aliases that were left out of the search among them.
     residual_unknown
         Whether something is left beside effects that clearly earn their place.
-    would_have_seen_mN
+    detection_limit_mN
         Smallest effect that these runs would have shown.
-    cannot_answer
+    limitations
         Questions that these runs say nothing about, a sentence each.
     next_experiment
         The run that would separate the leading hypotheses best per minute; None where none is recommended.
     model
         The amended model; None where nothing was named or the nominal model is not the friction model.
-    evidence
+    decision_inputs
         What the verdict was made of, to learn from.
     """
 
@@ -376,16 +382,16 @@ class Diagnosis:
     ranking: tuple[RankedHypothesis, ...]
     confusable_with: tuple[str, ...]
     residual_unknown: bool
-    would_have_seen_mN: float
+    detection_limit_mN: float
     tolerance_mN: float
     where: GapLocation
     shrink: GapReduction | None
     unknown: UnexplainedGap | None = None
     model: FrictionModelSettings | None = None
-    views: tuple[RunTraces, ...] = ()
-    cannot_answer: tuple[str, ...] = ()
+    traces: tuple[RunTraces, ...] = ()
+    limitations: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     calibration: str = ""
-    evidence: DecisionInputs | None = None
+    decision_inputs: DecisionInputs | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
     next_experiment: NextExperiment | None = None

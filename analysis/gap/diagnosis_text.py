@@ -24,19 +24,19 @@ UNCALIBRATED_NOTE = "The probabilities are not calibrated: take them for an orde
 
 def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return the verdict in plain words, with its probability; the first sentence is the answer."""
-    said = f"({probability_text(verdict_probability(diagnosis))})"
+    text = f"({probability_text(verdict_probability(diagnosis))})"
     match diagnosis.verdict:
         case Verdict.NO_GAP:
-            return (f"No gap {said}: {_detection_limit_clause(diagnosis)}.",)
+            return (f"No gap {text}: {_detection_limit_clause(diagnosis)}.",)
         case Verdict.UNKNOWN:
-            found = diagnosis.unknown
-            first = f"A gap that no effect of the catalogue explains {said}."
-            told = () if found is None else (as_sentence(found.lives_in), as_sentence(found.shape))
+            gap = diagnosis.unknown
+            first = f"A gap that no effect of the catalogue explains {text}."
+            told = () if gap is None else (as_sentence(gap.location), as_sentence(gap.dependence))
             return tuple(one for one in (first, *told, *_law_sentences(diagnosis)) if one)
         case Verdict.SEVERAL:
-            first = f"{capitalise(join_names([display_name(one) for one in diagnosis.effects]))} act together {said}."
+            first = f"{capitalise(join_names([display_name(name) for name in diagnosis.effects]))} act together {text}."
         case Verdict.EFFECT:
-            first = f"{capitalise(join_names([display_name(one) for one in diagnosis.effects]))} {said}."
+            first = f"{capitalise(join_names([display_name(name) for name in diagnosis.effects]))} {text}."
     return first, *_confusable_sentences(diagnosis), *_residual_sentences(diagnosis)
 
 
@@ -61,21 +61,21 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
     if shrink.closed is None or not isfinite(shrink.closed):
         sizes = f"Root mean square of the residual{runs}: {before}; {floor}."
         return sizes, "That is hardly above them, so that no share of a gap can be said to close."
-    said, interval = percent_text(shrink.closed), ""
+    text, interval = percent_text(shrink.closed), ""
     if shrink.closed_95ci is not None:
         low, high = shrink.closed_95ci
         interval = f"95 %: {percent_text(low)} to {percent_text(high)}"
     if shrink.closed > 1:
-        exactly = "; ".join(one for one in (said, interval) if one)
+        exactly = "; ".join(name for name in (text, interval) if name)
         return sizes, f"The whole gap closes ({exactly}): less is left than noise and scatter of repeats make."
-    closed = f"{said} of the gap closes" + (f" ({interval})" if interval else "")
+    closed = f"{text} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
 
 
 def verdict_probability(diagnosis: Diagnosis) -> float:
     """Return the probability of the verdict; NaN where the ranking does not hold it."""
-    found = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
-    return float("nan") if found is None else found.probability
+    hypothesis = next((entry for entry in diagnosis.ranking if is_stated_verdict(entry, diagnosis)), None)
+    return float("nan") if hypothesis is None else hypothesis.probability
 
 
 def is_stated_verdict(ranked: RankedHypothesis, diagnosis: Diagnosis) -> bool:
@@ -90,7 +90,7 @@ def display_name(hypothesis: str) -> str:
     if hypothesis in NAMES_WITHOUT_EFFECT:
         return NAMES_WITHOUT_EFFECT[hypothesis]
     known = catalogue()
-    names = [known[one].name if one in known else one.replace("_", " ") for one in hypothesis.split("+")]
+    names = [known[name].name if name in known else name.replace("_", " ") for name in hypothesis.split("+")]
     return join_names(names)
 
 
@@ -152,19 +152,19 @@ def as_sentence(text: str) -> str:
 
 
 def _detection_limit_clause(diagnosis: Diagnosis) -> str:
-    least = diagnosis.would_have_seen_mN
+    least = diagnosis.detection_limit_mN
     if not isfinite(least):
         return "how small an effect these runs would have shown is not known"
     return f"an effect above {force_text(least)} would have been seen"
 
 
 def _confusable_sentences(diagnosis: Diagnosis) -> Iterator[str]:
-    left_out = () if diagnosis.evidence is None else diagnosis.evidence.without
+    left_out = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
     it = "it" if len(diagnosis.effects) == 1 else "them"
-    alike = [display_name(one) for one in diagnosis.confusable_with if one not in left_out]
+    alike = [display_name(name) for name in diagnosis.confusable_with if name not in left_out]
     if alike:
         yield f"{capitalise(join_names(alike))} cannot be told from {it} with these runs."
-    untried = [display_name(one) for one in diagnosis.confusable_with if one in left_out]
+    untried = [display_name(name) for name in diagnosis.confusable_with if name in left_out]
     if untried:
         yield f"Left out of the search, and hardly told from {it}: {join_names(untried)}."
 
@@ -174,20 +174,22 @@ def _residual_sentences(diagnosis: Diagnosis) -> Iterator[str]:
         return
     it = "it" if len(diagnosis.effects) == 1 else "them"
     yield f"Something is left beside {it} that no effect of the catalogue explains."
-    found = diagnosis.unknown
-    if found is not None:
-        yield from (one for one in (as_sentence(found.lives_in), as_sentence(found.shape)) if one)
+    gap = diagnosis.unknown
+    if gap is not None:
+        yield from (name for name in (as_sentence(gap.location), as_sentence(gap.dependence)) if name)
         yield from _law_sentences(diagnosis)
 
 
 def _law_sentences(diagnosis: Diagnosis) -> Iterator[str]:
-    found = diagnosis.unknown
-    if found is None or not found.expression:
+    gap = diagnosis.unknown
+    if gap is None or not gap.expression:
         return
     share = (
-        "" if found.held_out is None else f" explains {percent_text(found.held_out)} of it on runs that took no part"
+        ""
+        if gap.held_out_share is None
+        else f" explains {percent_text(gap.held_out_share)} of it on runs that took no part"
     )
-    yield f"What describes it best, {found.expression},{share or ' holds up on runs that took no part'}."
+    yield f"What describes it best, {gap.expression},{share or ' holds up on runs that took no part'}."
 
 
 MIN_SHOWN_SHARE = 0.01
@@ -230,9 +232,9 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
         return ()
     alone = where.runs == 1
     return tuple(
-        AxisText(_axis_name(one), text, float("nan") if alone else one.least_p)
-        for one in where.locations
-        if (text := _axis_text(one, alone=alone))
+        AxisText(_axis_name(location), text, float("nan") if alone else location.min_p)
+        for location in where.locations
+        if (text := _axis_text(location, alone=alone))
     )
 
 
@@ -255,7 +257,7 @@ def _axis_name(location: AxisLocation) -> str:
 
 
 def _axis_text(location: AxisLocation, *, alone: bool) -> str:
-    named = sorted(location.shares.items(), key=lambda one: -one[1])
+    named = sorted(location.shares.items(), key=lambda pair: -pair[1])
     if named:
         return ", ".join(f"{name} {100 * share:.0f} %" for name, share in named if share >= MIN_SHOWN_SHARE)
     if location.low is None or location.high is None or location.share < MIN_SHOWN_SHARE:
@@ -281,29 +283,29 @@ def run_text(step: PlanStep) -> str:
         case "relaxation":
             strain, hold = settings["shear_strain"], settings["hold_s"]
             assert isinstance(strain, float)  # noqa: S101  # the grid's own
-            said = f"a relaxation at {100 * strain:g} % strain, held for {hold:g} s"
+            text = f"a relaxation at {100 * strain:g} % strain, held for {hold:g} s"
         case "motion":
             strokes = settings["strokes"]
             assert isinstance(strokes, list | tuple)  # noqa: S101
             first = strokes[0]
-            said = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
+            text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
         case kind:
             what = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            said = f"{what} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
+            text = f"{what} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
             if settings.get("accel_mm_s2", 400.0) != 400.0:
-                said += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
+                text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
     if step.kind == "drag" and step.wait_s != 60.0:
-        said += f" after {step.wait_s:g} s of rest"
+        text += f" after {step.wait_s:g} s of rest"
     if step.repeats == 1:
-        return said
-    return f"{said}, twice" if step.repeats == 2 else f"{said}, {step.repeats} times"
+        return text
+    return f"{text}, twice" if step.repeats == 2 else f"{text}, {step.repeats} times"
 
 
 def recommendation_reason(run: NextRun, tried: int) -> str:
     """Say why a run is recommended, with numbers, and that it need not be where that is so."""
-    said = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
+    text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
     return (
-        f"{'What is likely is told apart well enough already. ' if run.surer else ''}{said} "
+        f"{'What is likely is told apart well enough already. ' if run.optional else ''}{text} "
         f"in {run.minutes:.1f} min of rig time, more per minute than any other of {tried} runs that were compared."
     )
 
@@ -319,7 +321,8 @@ def separation_text(before: ModelPair, after: ModelPair) -> str:
     if not after.rival:
         return f"would show a smaller {display_name(after.truth)}: its {grows}"
     truth, rival = display_name(after.truth), display_name(after.rival)
-    said = f"separates {truth} from {rival}: {grows}"
-    if before.left > MAX_QUOTED_SHARE:
-        return said
-    return f"{said}, and what {rival} leaves of {truth} from {percent_text(before.left)} to {percent_text(after.left)}"
+    text = f"separates {truth} from {rival}: {grows}"
+    if before.remaining_share > MAX_QUOTED_SHARE:
+        return text
+    shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
+    return f"{text}, and what {rival} leaves of {truth} {shares}"

@@ -23,13 +23,13 @@ class BandPowers:
 
     Attributes
     ----------
-    shown
+    residual
         What the residual has [the channel's unit squared], shape `(bands,)`.
     expected
         What noise has.
     """
 
-    shown: FloatArray
+    residual: FloatArray
     expected: FloatArray
 
 
@@ -57,7 +57,7 @@ class ResidualBlocks:
         Measured less model [the channel's unit], shape `(B,)`.
     noise_sd
         What it is expected to be without a gap: noise, repeatability and tolerance in one standard deviation.
-    width_s
+    duration_s
         Durations of the blocks.
     time_s
         Their middles, from the first sample on.
@@ -69,7 +69,7 @@ class ResidualBlocks:
         The steady phase by frequency, from the whole trace; from the blocks where it is missing.
     origin_mm
         Where on the rig the run begins.
-    level_mN
+    force_mN
         The force that was measured, shape `(B,)`, where it is at hand.
     explained
         What an effect that is known to be there adds to the residual [the channel's unit], shape `(B,)`: it is looked
@@ -85,22 +85,22 @@ class ResidualBlocks:
     session_s: float
     residual: FloatArray
     noise_sd: FloatArray
-    width_s: FloatArray
+    duration_s: FloatArray
     time_s: FloatArray
     phase: PhaseArray
     position_mm: FloatArray
     bands: BandPowers | None = None
-    level_mN: FloatArray | None = None
+    force_mN: FloatArray | None = None
     explained: FloatArray | None = None
     origin_mm: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""
-        level = self.residual if self.level_mN is None else self.level_mN
-        arrays = (self.residual, self.noise_sd, self.width_s, self.time_s, self.phase, self.position_mm, level)
-        if len({one.shape for one in arrays}) != 1 or self.residual.ndim != 1 or not self.residual.size:
+        level = self.residual if self.force_mN is None else self.force_mN
+        arrays = (self.residual, self.noise_sd, self.duration_s, self.time_s, self.phase, self.position_mm, level)
+        if len({values.shape for values in arrays}) != 1 or self.residual.ndim != 1 or not self.residual.size:
             raise ValueError(f"Blocks of run {self.run_id} differ in their number, or there are none")
-        if not (np.isfinite(self.residual).all() and (self.noise_sd > 0).all() and (self.width_s > 0).all()):
+        if not (np.isfinite(self.residual).all() and (self.noise_sd > 0).all() and (self.duration_s > 0).all()):
             raise ValueError(f"Blocks of run {self.run_id} need finite residuals, positive noise and positive widths")
 
     @property
@@ -112,7 +112,7 @@ class ResidualBlocks:
     @property
     def weight(self) -> FloatArray:
         """Each block's part of the run's duration, shape `(B,)`."""
-        return np.asarray(self.width_s / self.width_s.sum())
+        return np.asarray(self.duration_s / self.duration_s.sum())
 
     @property
     def excess(self) -> FloatArray:
@@ -150,9 +150,9 @@ def band_excess(blocks: ResidualBlocks) -> FloatArray:
         return nothing
     share = float(blocks.weight[steady].sum())
     if blocks.bands is not None:
-        expected = float(np.average(blocks.noise_sd[steady] ** 2, weights=blocks.width_s[steady]))
-        return np.asarray(share * (blocks.bands.shown - blocks.bands.expected) / expected)
-    step = float(np.median(blocks.width_s[steady]))
+        expected = float(np.average(blocks.noise_sd[steady] ** 2, weights=blocks.duration_s[steady]))
+        return np.asarray(share * (blocks.bands.residual - blocks.bands.expected) / expected)
+    step = float(np.median(blocks.duration_s[steady]))
     time, value = blocks.time_s[steady], blocks.deviation[steady]
     count = int((time[-1] - time[0]) / step + 1e-6) + 1
     if count < MIN_SPECTRUM_BLOCKS:
@@ -194,9 +194,9 @@ class ExcessAxis:
         Lower and upper end of each bin, shape `(J, 2)`.
     energy
         Excess of each run in each bin, in units of the expected mean square, shape `(R, J)`.
-    time
+    duration
         Part of each run's duration in each bin, shape `(R, J)`.
-    against
+    basis
         What the excess in a bin is compared with.
     """
 
@@ -204,8 +204,8 @@ class ExcessAxis:
     labels: tuple[str, ...]
     edges: FloatArray
     energy: FloatArray
-    time: FloatArray
-    against: ComparisonBasis
+    duration: FloatArray
+    basis: ComparisonBasis
 
     @property
     def ordered(self) -> bool:
@@ -224,25 +224,25 @@ class CampaignResiduals:
     def of(cls, blocks: Sequence[ResidualBlocks]) -> "CampaignResiduals":
         """Gather channels by run."""
         by_run: dict[str, list[ResidualBlocks]] = {}
-        for one in blocks:
-            by_run.setdefault(one.run_id, []).append(one)
+        for run in blocks:
+            by_run.setdefault(run.run_id, []).append(run)
         names = sorted(by_run, key=lambda name: (by_run[name][0].kind, by_run[name][0].session_s, name))
         return cls(tuple(names), tuple(tuple(by_run[name]) for name in names))
 
     @property
-    def first(self) -> tuple[ResidualBlocks, ...]:
+    def first_channels(self) -> tuple[ResidualBlocks, ...]:
         """One channel of each run, for what belongs to the run as a whole."""
         return tuple(channels[0] for channels in self.blocks)
 
     @property
     def energy(self) -> FloatArray:
         """Excess of each run, shape `(R,)`."""
-        return np.array([sum(float(one.excess.sum()) for one in channels) for channels in self.blocks])
+        return np.array([sum(float(blocks.excess.sum()) for blocks in channels) for channels in self.blocks])
 
     @property
-    def stratum(self) -> IndexArray:
+    def kind_index(self) -> IndexArray:
         """Number of each run's kind, rising, shape `(R,)`."""
-        return np.asarray(np.unique([one.kind for one in self.first], return_inverse=True)[1])
+        return np.asarray(np.unique([blocks.kind for blocks in self.first_channels], return_inverse=True)[1])
 
 
 def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
@@ -260,40 +260,40 @@ def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
 
 
 def _channel_axis(runs: CampaignResiduals) -> ExcessAxis:
-    names = [one.channel for channels in runs.blocks for one in channels]
+    names = [blocks.channel for channels in runs.blocks for blocks in channels]
     labels = tuple(dict.fromkeys((*CHANNELS, *names)))
     energy, time = np.zeros((2, len(runs.ids), len(labels)))
     for row, channels in enumerate(runs.blocks):
-        for one in channels:
-            energy[row, labels.index(one.channel)] += one.excess.sum()
-            time[row, labels.index(one.channel)] = 1.0
+        for blocks in channels:
+            energy[row, labels.index(blocks.channel)] += blocks.excess.sum()
+            time[row, labels.index(blocks.channel)] = 1.0
     return ExcessAxis("channel", labels, _no_edges(labels), energy, time, ComparisonBasis.REST)
 
 
 def _protocol_axis(runs: CampaignResiduals) -> ExcessAxis:
-    kinds = [one.kind for one in runs.first]
+    kinds = [blocks.kind for blocks in runs.first_channels]
     labels = tuple(dict.fromkeys((*PROTOCOLS, *kinds)))
     member = np.array(kinds)[:, None] == np.array(labels)
     return _whole_run_axis("protocol", labels, _no_edges(labels), runs, member)
 
 
 def _phase_axis(runs: CampaignResiduals) -> ExcessAxis:
-    energy, time = _excess_within_runs(runs, lambda one: one.phase.astype(np.intp), len(PHASE_NAMES))
+    energy, time = _excess_within_runs(runs, lambda blocks: blocks.phase.astype(np.intp), len(PHASE_NAMES))
     return ExcessAxis("phase", PHASE_NAMES, _no_edges(PHASE_NAMES), energy, time, ComparisonBasis.REST)
 
 
 def _speed_axis(runs: CampaignResiduals) -> ExcessAxis:
-    moves = np.array([one.contact is not Contact.STICKING for one in runs.first])
-    return _axis_by_value("speed_mm_s", runs, np.array([one.speed_mm_s for one in runs.first]), moves)
+    moves = np.array([blocks.contact is not Contact.STICKING for blocks in runs.first_channels])
+    return _axis_by_value("speed_mm_s", runs, np.array([blocks.speed_mm_s for blocks in runs.first_channels]), moves)
 
 
 def _strain_axis(runs: CampaignResiduals) -> ExcessAxis:
-    sticks = np.array([one.contact is Contact.STICKING for one in runs.first])
-    return _axis_by_value("strain", runs, np.array([one.strain for one in runs.first]), sticks)
+    sticks = np.array([blocks.contact is Contact.STICKING for blocks in runs.first_channels])
+    return _axis_by_value("strain", runs, np.array([blocks.strain for blocks in runs.first_channels]), sticks)
 
 
 def _session_axis(runs: CampaignResiduals) -> ExcessAxis:
-    start = np.array([one.session_s for one in runs.first])
+    start = np.array([blocks.session_s for blocks in runs.first_channels])
     edges = np.linspace(float(start.min()), float(start.max()), SESSION_BINS + 1)
     index = np.clip(np.searchsorted(edges, start, side="right") - 1, 0, SESSION_BINS - 1)
     member = index[:, None] == np.arange(SESSION_BINS)
@@ -301,20 +301,22 @@ def _session_axis(runs: CampaignResiduals) -> ExcessAxis:
 
 
 def _position_axis(runs: CampaignResiduals) -> ExcessAxis:
-    longest = max((float(np.abs(one.position_mm).max()) for one in runs.first if _moves(one)), default=0.0)
+    longest = max(
+        (float(np.abs(blocks.position_mm).max()) for blocks in runs.first_channels if _moves(blocks)), default=0.0
+    )
     edges = np.linspace(0.0, max(round(longest, 1), 0.1), POSITION_BINS + 1)
 
-    def index(one: ResidualBlocks) -> IndexArray:
-        found = np.clip(np.searchsorted(edges, np.abs(one.position_mm), side="right") - 1, 0, POSITION_BINS - 1)
-        under_way = (one.phase != Phase.REST) & (one.phase != Phase.HOLD)
-        return np.asarray(np.where(under_way & _moves(one), found, -1))
+    def index(blocks: ResidualBlocks) -> IndexArray:
+        result = np.clip(np.searchsorted(edges, np.abs(blocks.position_mm), side="right") - 1, 0, POSITION_BINS - 1)
+        under_way = (blocks.phase != Phase.REST) & (blocks.phase != Phase.HOLD)
+        return np.asarray(np.where(under_way & _moves(blocks), result, -1))
 
     energy, time = _excess_within_runs(runs, index, POSITION_BINS)
     return ExcessAxis("position", (), np.stack((edges[:-1], edges[1:]), axis=1), energy, time, ComparisonBasis.REST)
 
 
 def _band_axis(runs: CampaignResiduals) -> ExcessAxis:
-    energy = np.array([sum((band_excess(one) for one in channels), start=_NO_BANDS) for channels in runs.blocks])
+    energy = np.array([sum((band_excess(blocks) for blocks in channels), start=_NO_BANDS) for channels in runs.blocks])
     edges = np.stack((BANDS_HZ[:-1], BANDS_HZ[1:]), axis=1)
     return ExcessAxis("band_hz", (), edges, energy, np.ones_like(energy), ComparisonBasis.NOISE)
 
@@ -322,17 +324,17 @@ def _band_axis(runs: CampaignResiduals) -> ExcessAxis:
 _NO_BANDS = np.zeros(len(BANDS_HZ) - 1)
 
 
-def _moves(one: ResidualBlocks) -> bool:
-    return one.contact is not Contact.STICKING
+def _moves(blocks: ResidualBlocks) -> bool:
+    return blocks.contact is not Contact.STICKING
 
 
 def _no_edges(labels: tuple[str, ...]) -> FloatArray:
     return np.full((len(labels), 2), np.nan)
 
 
-def _axis_by_value(name: str, runs: CampaignResiduals, value: FloatArray, taking_part: BoolArray) -> ExcessAxis:
-    levels = np.unique(value[taking_part & (value > 0)])
-    member = (value[:, None] == levels) & taking_part[:, None]
+def _axis_by_value(name: str, runs: CampaignResiduals, value: FloatArray, included: BoolArray) -> ExcessAxis:
+    levels = np.unique(value[included & (value > 0)])
+    member = (value[:, None] == levels) & included[:, None]
     return _whole_run_axis(name, (), np.stack((levels, levels), axis=1), runs, member)
 
 
@@ -350,11 +352,11 @@ def _excess_within_runs(
     """Return excess and part of the duration of each run by bin; an index of −1 is in no bin."""
     energy, time = np.zeros((2, len(runs.ids), count))
     for row, channels in enumerate(runs.blocks):
-        for one in channels:
-            index = index_of(one)
+        for blocks in channels:
+            index = index_of(blocks)
             inside = index >= 0
-            energy[row] += np.bincount(index[inside], one.excess[inside], count)
-            time[row] += np.bincount(index[inside], one.weight[inside], count) / len(channels)
+            energy[row] += np.bincount(index[inside], blocks.excess[inside], count)
+            time[row] += np.bincount(index[inside], blocks.weight[inside], count) / len(channels)
     return energy, time
 
 
@@ -376,13 +378,13 @@ class Significance:
     windows: npt.NDArray[np.intp]
     p: FloatArray
 
-    def of(self, first: int, last: int) -> float:
+    def of_window(self, first: int, last: int) -> float:
         """Return the p-value of a window; 1 for the whole axis, which nothing stands out from."""
-        found = np.flatnonzero((self.windows == (first, last)).all(axis=1))
-        return float(self.p[found[0]]) if found.size else 1.0
+        result = np.flatnonzero((self.windows == (first, last)).all(axis=1))
+        return float(self.p[result[0]]) if result.size else 1.0
 
     @property
-    def least(self) -> float:
+    def min_p(self) -> float:
         """The smallest of them, which is the axis' own."""
         return float(self.p.min(initial=1.0))
 
@@ -399,7 +401,7 @@ def permutation_test(axis: ExcessAxis, stratum: IndexArray, generator: np.random
         return Significance(windows, np.zeros(0))
     bins = np.arange(axis.energy.shape[1])[:, None]
     inside = ((bins >= windows[:, 0]) & (bins <= windows[:, 1])).astype(np.float64)
-    if axis.against is ComparisonBasis.RUNS:
+    if axis.basis is ComparisonBasis.RUNS:
         kinds = np.zeros_like(stratum) if axis.name == "protocol" else stratum
         statistic = _permutation_statistic(axis, inside, kinds, generator)
     else:
@@ -420,7 +422,7 @@ def largest_excess_p(blocks: Sequence[ResidualBlocks]) -> float:
     """
     from scipy.special import chdtrc
 
-    largest = max(1 + float(one.excess.sum()) for one in blocks)
+    largest = max(1 + float(run.excess.sum()) for run in blocks)
     return min(1.0, len(blocks) * float(chdtrc(1, largest)))
 
 
@@ -428,7 +430,7 @@ def _windows(axis: ExcessAxis) -> IndexArray:
     """Return windows that leave something outside; bins of no run are none."""
     count = axis.energy.shape[1]
     if not axis.ordered:
-        used = np.flatnonzero(axis.time.any(axis=0))
+        used = np.flatnonzero(axis.duration.any(axis=0))
         return np.stack((used, used), axis=1) if used.size > 1 else np.zeros((0, 2), dtype=np.intp)
     first, last = np.triu_indices(count)
     kept = last - first < count - 1
@@ -439,8 +441,8 @@ def _permutation_statistic(
     axis: ExcessAxis, inside: FloatArray, stratum: IndexArray, generator: np.random.Generator
 ) -> FloatArray:
     """Return standardised sums over each window, shape `(1 + PERMUTATIONS, K)`, the first as found."""
-    part = axis.time.sum(axis=1) > 0
-    member = (axis.time @ inside)[part]
+    part = axis.duration.sum(axis=1) > 0
+    member = (axis.duration @ inside)[part]
     amplitude = _signed_root(axis.energy.sum(axis=1))[part]
     kinds = np.unique(stratum[part], return_inverse=True)[1]
     if not kinds.size:
@@ -454,10 +456,10 @@ def _permutation_statistic(
 
 def _sign_flip_statistic(axis: ExcessAxis, inside: FloatArray, generator: np.random.Generator) -> FloatArray:
     """Return statistics of what each window has more than the rest of its run, shape `(1 + PERMUTATIONS, K)`."""
-    time, energy = axis.time @ inside, axis.energy @ inside
-    if axis.against is ComparisonBasis.NOISE:
+    time, energy = axis.duration @ inside, axis.energy @ inside
+    if axis.basis is ComparisonBasis.NOISE:
         return _sign_flip_sums(_signed_root(energy), generator)
-    rest_time, rest_energy = axis.time @ (1 - inside), axis.energy @ (1 - inside)
+    rest_time, rest_energy = axis.duration @ (1 - inside), axis.energy @ (1 - inside)
     both = (time > 0) & (rest_time > 0)
     safe = np.where(both, time, 1.0), np.where(both, rest_time, 1.0)
     more = _signed_root(energy / safe[0]) - np.maximum(_signed_root(rest_energy / safe[1]), 0.0)

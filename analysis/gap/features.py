@@ -6,8 +6,9 @@ from functools import cache
 from math import log, sqrt
 from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from dragrig.sim_backend.effects.base import confusable_effects
 
@@ -18,17 +19,17 @@ class NonparametricLaw:
 
     Attributes
     ----------
-    law
+    name
         What it is a function of.
-    squares
+    chi2
         Whitened squares that remain, and what so many free values cost: twice the logarithm of the evidence.
-    changed_mN
+    change_mN
         By how much it changes what is predicted: root mean square where it does.
     """
 
-    law: str
-    squares: float
-    changed_mN: float
+    name: Annotated[str, Field(alias="law")]
+    chi2: Annotated[float, Field(alias="squares")]
+    change_mN: Annotated[float, Field(alias="changed_mN")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,41 +40,41 @@ class HypothesisSummary:
     ----------
     effects
         Their ids, in the order in which they were taken up.
-    plain, flexible
+    chi2, chi2_with_form_error
         Whitened squares that remain as they are, and when each may have a foreign form.
-    changed_mN
+    change_mN
         By how much they change what is predicted, the nominal parameters refitted: root mean square where they act.
     periodic
         Whether one of them is periodic on the session's clock, whose phase may be lost from run to run.
-    gain
+    llr
         Half the squares that the last of them takes away; beside others, where these do little (`doubting`).
-    left
+    chi2_without
         Squares that remain without the last one, the form of the others in the same doubt.
-    rival_gain
+    rival_llr
         What the best other effect takes away in its place; 0 where there is no other.
     laws
         Beside the others: the laws without a name that leave least in the place of the last of them.
-    elsewhere
+    excess_elsewhere
         What is left in runs where they add nothing, in standard deviations of chance.
     at_limit
         Whether one of them is as large as it can be, and would be larger.
-    untold
+    untried_lookalikes
         How many effects, which the nominal model leaves no place for and which were therefore not tried, may look the
         same in these runs.
     """
 
     effects: tuple[str, ...]
-    plain: float
-    flexible: float
-    changed_mN: float
+    chi2: Annotated[float, Field(alias="plain")]
+    chi2_with_form_error: Annotated[float, Field(alias="flexible")]
+    change_mN: Annotated[float, Field(alias="changed_mN")]
     periodic: bool = False
-    gain: float = 0.0
-    left: float = 0.0
-    rival_gain: float = 0.0
+    llr: Annotated[float, Field(alias="gain")] = 0.0
+    chi2_without: Annotated[float, Field(alias="left")] = 0.0
+    rival_llr: Annotated[float, Field(alias="rival_gain")] = 0.0
     laws: tuple[NonparametricLaw, ...] = ()
-    elsewhere: float = 0.0
+    excess_elsewhere: Annotated[float, Field(alias="elsewhere")] = 0.0
     at_limit: bool = False
-    untold: int = 0
+    untried_lookalikes: Annotated[int, Field(alias="untold")] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,36 +83,41 @@ class DecisionInputs:
 
     Attributes
     ----------
-    blocks, squares
+    block_count, chi2
         Of the force: number of blocks, and whitened squares that the nominal model leaves.
-    tried
+    hypotheses
         Explanations of the force.
-    mains_gain, line_gain
+    mains_llr, line_llr
         Log likelihood ratios of lines at the mains' frequency and elsewhere.
     position
         Families of position errors with the share each explains, the best first.
-    strays
+    has_position_error
         Whether there are such errors at all.
-    without
+    excluded
         Effects that were not to be considered.
-    nameless
+    laws
         Laws of one coordinate that bear no name, the best first.
     """
 
-    blocks: int
-    squares: float
-    tried: tuple[HypothesisSummary, ...] = ()
-    mains_gain: float = 0.0
-    line_gain: float = 0.0
+    block_count: Annotated[int, Field(alias="blocks")]
+    chi2: Annotated[float, Field(alias="squares")]
+    hypotheses: Annotated[tuple[HypothesisSummary, ...], Field(alias="tried")] = ()
+    mains_llr: Annotated[float, Field(alias="mains_gain")] = 0.0
+    line_llr: Annotated[float, Field(alias="line_gain")] = 0.0
     position: tuple[tuple[str, float], ...] = ()
-    strays: bool = False
-    without: tuple[str, ...] = ()
-    nameless: tuple[NonparametricLaw, ...] = ()
+    has_position_error: Annotated[bool, Field(alias="strays")] = False
+    excluded: Annotated[tuple[str, ...], Field(alias="without")] = ()
+    laws: Annotated[tuple[NonparametricLaw, ...], Field(alias="nameless")] = ()
 
     @property
     def excess(self) -> float:
-        """Squares above noise that the nominal model leaves."""
-        return self.squares - self.blocks
+        """Chi-square above its expectation that the nominal model leaves."""
+        return self.chi2 - self.block_count
+
+    def document(self) -> dict[str, object]:
+        """Return it as a gap report and an exam's answers store it, under the keys of their format."""
+        document: dict[str, object] = TypeAdapter(DecisionInputs).dump_python(self, by_alias=True)
+        return document
 
 
 HAND_SET_WEIGHTS = MappingProxyType(
@@ -178,7 +184,7 @@ class Calibration(BaseModel):
     weights: Mapping[str, float]
 
     @property
-    def of_any_rig(self) -> "Calibration":
+    def with_hand_set_weights(self) -> "Calibration":
         """The same thresholds with weights set by hand: campaigns of a gut teach little of a stage alone."""
         return self.model_copy(update={"weights": HAND_SET_WEIGHTS})
 
@@ -254,49 +260,56 @@ class HypothesisFeatures:
     share: float
 
 
-def hypothesis_features(found: DecisionInputs, tolerance_mN: float) -> tuple[HypothesisFeatures, ...]:
+def hypothesis_features(inputs: DecisionInputs, tolerance_mN: float) -> tuple[HypothesisFeatures, ...]:
     """Return the explanations that change the force by more than what does not matter, and are no larger than can be.
 
     What would have to be larger than it can be is something else that resembles it, unless that leaves next to nothing.
     Several are not thought of where one of them resembles an effect that was left out of the search.
     """
-    tried = [one for one in found.tried if one.changed_mN >= tolerance_mN and _is_admissible(one, found)]
-    best = max((one.gain for one in tried if len(one.effects) == 1), default=0.0)
-    return tuple(_features_of(one, found, best) for one in tried)
+    tried = [
+        hypothesis
+        for hypothesis in inputs.hypotheses
+        if hypothesis.change_mN >= tolerance_mN and _is_admissible(hypothesis, inputs)
+    ]
+    best = max((hypothesis.llr for hypothesis in tried if len(hypothesis.effects) == 1), default=0.0)
+    return tuple(_features_of(hypothesis, inputs, best) for hypothesis in tried)
 
 
-def _is_admissible(one: HypothesisSummary, found: DecisionInputs) -> bool:
+def _is_admissible(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
     return (
-        not one.at_limit or explained_share(one.plain, found) > AT_LIMIT_MIN_SHARE
-    ) and not _replaces_excluded_effect(one, found)
+        not hypothesis.at_limit or explained_share(hypothesis.chi2, inputs) > AT_LIMIT_MIN_SHARE
+    ) and not _replaces_excluded_effect(hypothesis, inputs)
 
 
-def _replaces_excluded_effect(one: HypothesisSummary, found: DecisionInputs) -> bool:
+def _replaces_excluded_effect(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
     """Return whether several effects may do together what a single one does that was left out of the search."""
-    alike = {other for name in one.effects for other in confusable_effects(name)}
-    return len(one.effects) > 1 and bool(alike & set(found.without))
+    alike = {label for name in hypothesis.effects for label in confusable_effects(name)}
+    return len(hypothesis.effects) > 1 and bool(alike & set(inputs.excluded))
 
 
-def chance_chi2(found: DecisionInputs) -> float:
+def chance_chi2(inputs: DecisionInputs) -> float:
     """Return squares above the number of blocks that may be chance."""
-    return max(CHANCE_SIGMAS * sqrt(2.0 * found.blocks), NOISE_UNCERTAINTY * found.blocks)
+    return max(CHANCE_SIGMAS * sqrt(2.0 * inputs.block_count), NOISE_UNCERTAINTY * inputs.block_count)
 
 
-def explained_share(squares: float, found: DecisionInputs) -> float:
+def explained_share(chi2: float, inputs: DecisionInputs) -> float:
     """Return the share of the excess that is explained when so many squares remain, chance not counted as left."""
-    gained = max(found.squares - squares, 0.0)
-    return gained / max(gained + _remaining_chi2(squares, found), 1.0)
+    gained = max(inputs.chi2 - chi2, 0.0)
+    return gained / max(gained + _remaining_chi2(chi2, inputs), 1.0)
 
 
-def _remaining_chi2(squares: float, found: DecisionInputs) -> float:
+def _remaining_chi2(chi2: float, inputs: DecisionInputs) -> float:
     """Return the squares that remain above what may be chance."""
-    return max(squares - found.blocks - chance_chi2(found), 0.0)
+    return max(chi2 - inputs.block_count - chance_chi2(inputs), 0.0)
 
 
-def _features_of(one: HypothesisSummary, found: DecisionInputs, best: float) -> HypothesisFeatures:
-    flexible = explained_share(one.flexible, found)
-    plain = flexible if one.periodic else explained_share(one.plain, found)
-    by_form, clear = _softened_log_odds(flexible), _clipped_log(found.excess / chance_chi2(found), *CLEAR_EXCESS_RANGE)
+def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr: float) -> HypothesisFeatures:
+    flexible = explained_share(hypothesis.chi2_with_form_error, inputs)
+    plain = flexible if hypothesis.periodic else explained_share(hypothesis.chi2, inputs)
+    by_form, clear = (
+        _softened_log_odds(flexible),
+        _clipped_log(inputs.excess / chance_chi2(inputs), *CLEAR_EXCESS_RANGE),
+    )
     features = {
         "known": 1.0,
         "known, in a clear gap": clear,
@@ -306,21 +319,23 @@ def _features_of(one: HypothesisSummary, found: DecisionInputs, best: float) -> 
         "flexible": by_form,
         "flexible, below half": min(by_form, 0.0),
         "flexible, in a clear gap": clear * by_form,
-        "left elsewhere": log(1.0 + max(one.elsewhere, 0.0)),
+        "left elsewhere": log(1.0 + max(hypothesis.excess_elsewhere, 0.0)),
         "left, much": 0.0
-        if ABRUPT_EFFECTS & set(one.effects)
-        else _clipped_log(_remaining_chi2(one.flexible, found) / found.blocks, *REMAINING_CHI2_RANGE),
+        if ABRUPT_EFFECTS & set(hypothesis.effects)
+        else _clipped_log(
+            _remaining_chi2(hypothesis.chi2_with_form_error, inputs) / inputs.block_count, *REMAINING_CHI2_RANGE
+        ),
     }
-    features |= _nonparametric_features(one, found)
+    features |= _nonparametric_features(hypothesis, inputs)
     features |= {
-        f"{EFFECT_FEATURE}{one.effects[0]}": 1.0,
-        **{f"{FURTHER_EFFECT_FEATURE}{name}": 1.0 for name in one.effects[1:]},
+        f"{EFFECT_FEATURE}{hypothesis.effects[0]}": 1.0,
+        **{f"{FURTHER_EFFECT_FEATURE}{name}": 1.0 for name in hypothesis.effects[1:]},
     }
-    if len(one.effects) == 1:
-        features["behind"] = (best - one.gain) / (1.0 + FORM_LOSS * best)
+    if len(hypothesis.effects) == 1:
+        features["behind"] = (best_llr - hypothesis.llr) / (1.0 + FORM_LOSS * best_llr)
     else:
-        features |= _further_effect_features(one, found)
-    return HypothesisFeatures(one.effects, features, 0.5 * (plain + flexible))
+        features |= _further_effect_features(hypothesis, inputs)
+    return HypothesisFeatures(hypothesis.effects, features, 0.5 * (plain + flexible))
 
 
 def gap_weight(effect: str) -> float:
@@ -328,20 +343,24 @@ def gap_weight(effect: str) -> float:
     return ABRUPT_WEIGHT if effect in ABRUPT_EFFECTS else 1.0
 
 
-def largest_llr(found: DecisionInputs, tolerance_mN: float) -> float:
+def largest_llr(inputs: DecisionInputs, tolerance_mN: float) -> float:
     """Return half the squares that the best explanation takes away, with a name or without, of those that matter."""
-    named = [one.gain * gap_weight(one.effects[-1]) for one in found.tried if one.changed_mN >= tolerance_mN]
-    nameless = [0.5 * (found.squares - one.squares) for one in found.nameless if one.changed_mN >= tolerance_mN]
+    named = [
+        hypothesis.llr * gap_weight(hypothesis.effects[-1])
+        for hypothesis in inputs.hypotheses
+        if hypothesis.change_mN >= tolerance_mN
+    ]
+    nameless = [0.5 * (inputs.chi2 - law.chi2) for law in inputs.laws if law.change_mN >= tolerance_mN]
     return max((*named, *nameless, 0.0))
 
 
-def _nonparametric_features(one: HypothesisSummary, found: DecisionInputs) -> dict[str, float]:
+def _nonparametric_features(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> dict[str, float]:
     """Return by how much a law without a name does better, or worse, than the effects in any form."""
-    squares = min(_chi2_of_laws(found.nameless, one.effects), default=found.squares)
-    gain, nameless = (0.5 * max(found.squares - each, 0.0) for each in (one.flexible, squares))
+    squares = min(_chi2_of_laws(inputs.laws, hypothesis.effects), default=inputs.chi2)
+    gain, nameless = (0.5 * max(inputs.chi2 - value, 0.0) for value in (hypothesis.chi2_with_form_error, squares))
     over = _clipped_log((nameless + NONPARAMETRIC_CHANCE_LLR) / (gain + NONPARAMETRIC_CHANCE_LLR), 0.1, 10.0)
-    fewer = (_remaining_chi2(one.flexible, found) + chance_chi2(found)) / (
-        _remaining_chi2(min(squares, found.squares), found) + chance_chi2(found)
+    fewer = (_remaining_chi2(hypothesis.chi2_with_form_error, inputs) + chance_chi2(inputs)) / (
+        _remaining_chi2(min(squares, inputs.chi2), inputs) + chance_chi2(inputs)
     )
     return {
         "nameless": over,
@@ -352,22 +371,26 @@ def _nonparametric_features(one: HypothesisSummary, found: DecisionInputs) -> di
 
 def _chi2_of_laws(laws: Iterable[NonparametricLaw], effects: Sequence[str]) -> list[float]:
     """Return the squares that laws without a name leave, of those that none of the effects is."""
-    return [law.squares for law in laws if not EFFECTS_OF_LAW.get(law.law, frozenset()) & set(effects)]
+    return [law.chi2 for law in laws if not EFFECTS_OF_LAW.get(law.name, frozenset()) & set(effects)]
 
 
-def _further_effect_features(one: HypothesisSummary, found: DecisionInputs) -> dict[str, float]:
+def _further_effect_features(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> dict[str, float]:
     """Return what tells a further effect from what a foreign form of those before leaves."""
-    *before, last = one.effects
+    *before, last = hypothesis.effects
     alike = any({name, last} in CONFUSABLE_PAIRS for name in before)
-    by_law = 0.5 * (one.left - min(_chi2_of_laws(one.laws, [last]), default=one.left))
-    over_law = _clipped_log(one.gain / max(by_law, NONPARAMETRIC_CHANCE_LLR), 0.1, 1.0) if one.laws else 0.0
+    by_law = 0.5 * (
+        hypothesis.chi2_without - min(_chi2_of_laws(hypothesis.laws, [last]), default=hypothesis.chi2_without)
+    )
+    over_law = (
+        _clipped_log(hypothesis.llr / max(by_law, NONPARAMETRIC_CHANCE_LLR), 0.1, 1.0) if hypothesis.laws else 0.0
+    )
     return {
         "further": 1.0,
-        "third": float(len(one.effects) > 2),
-        "further: share of excess": _clipped_log(2 * one.gain / max(found.excess, 1.0), 1e-3, 1.0),
-        "further: over its rival": _clipped_log(one.gain / max(one.rival_gain, 1.0), 0.3, 5.0),
+        "third": float(len(hypothesis.effects) > 2),
+        "further: share of excess": _clipped_log(2 * hypothesis.llr / max(inputs.excess, 1.0), 1e-3, 1.0),
+        "further: over its rival": _clipped_log(hypothesis.llr / max(hypothesis.rival_llr, 1.0), 0.3, 5.0),
         "further: worse than a law": over_law,
-        "further: gain": _clipped_log(one.gain, *FURTHER_LLR_RANGE),
+        "further: gain": _clipped_log(hypothesis.llr, *FURTHER_LLR_RANGE),
         "further: alike": float(alike),
     }
 

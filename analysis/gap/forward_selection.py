@@ -37,7 +37,7 @@ class ForceSearchResult:
     ----------
     nominal
         The nominal model refitted, with the dictionary.
-    squares
+    chi2
         Whitened squares that it leaves.
     ranked
         The best shape of each effect against it.
@@ -49,34 +49,34 @@ class ForceSearchResult:
 
     study: Study
     nominal: Design
-    squares: float
+    chi2: float
     ranked: tuple[RankedEffect, ...]
     singles: tuple[HypothesisFit, ...]
     steps: tuple["SelectionStep", ...]
 
     @property
-    def blocks(self) -> int:
+    def block_count(self) -> int:
         """Number of blocks: what the squares of noise come to."""
-        return sum(self.nominal.blocks)
+        return sum(self.nominal.block_counts)
 
     @cached_property
     def excess(self) -> float:
         """Squares above noise that the nominal model leaves."""
-        return self.squares - self.blocks
+        return self.chi2 - self.block_count
 
-    def share(self, squares: float) -> float:
+    def explained_share(self, chi2: float) -> float:
         """Return the share of the excess that is explained when so many squares remain."""
-        return 1.0 - (squares - self.blocks) / max(self.excess, 1.0)
+        return 1.0 - (chi2 - self.block_count) / max(self.excess, 1.0)
 
-    def merit(self, one: HypothesisFit) -> float:
+    def merit(self, fit: HypothesisFit) -> float:
         """Return how well an explanation does: its share as it is, and with a foreign form.
 
         What is periodic in time may have lost its phase from run to run, and counts as the latter alone.
         """
-        plain, flexible = self.share(one.plain), self.share(one.flexible)
+        plain, flexible = self.explained_share(fit.chi2), self.explained_share(fit.chi2_with_form_error)
         return (
             flexible
-            if any(is_periodic_in_session(each.effect) for each in one.point.candidates)
+            if any(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
             else 0.5 * (plain + flexible)
         )
 
@@ -89,24 +89,24 @@ class SelectionStep:
     ----------
     effect
         Which.
-    gain
+    llr
         Half the squares that it takes away beside the others, which may have foreign forms.
-    rival_gain
+    rival_llr
         What the next best takes away in its place.
-    left
+    chi2_without
         Squares that remain without it.
     laws
         What laws without a name leave in its place, the best first.
-    together
+    fit
         The refit; None where the gain was not worth one.
     """
 
     effect: str
-    gain: float
-    rival_gain: float
-    left: float
+    llr: float
+    rival_llr: float
+    chi2_without: float
     laws: tuple[NonparametricLaw, ...]
-    together: HypothesisFit | None
+    fit: HypothesisFit | None
 
 
 FORM_ERROR_SD = 0.25
@@ -119,16 +119,16 @@ def inflate_by_form_error(design: Design) -> Design:
     A foreign form leaves most where an effect is largest, and there a second one can hardly be told from it; where the
     first does little, the same force cannot be its own.
     """
-    pairs = zip(design.parts, design.grams, strict=True)
-    found = [_inflated_run(part) if part.added.any() else (part, gram) for part, gram in pairs]
-    return replace(design, parts=tuple(one for one, _ in found), grams=tuple(gram for _, gram in found))
+    pairs = zip(design.runs, design.grams, strict=True)
+    items = [_inflated_run(run) if run.effect_force.any() else (run, gram) for run, gram in pairs]
+    return replace(design, runs=tuple(run_design for run_design, _ in items), grams=tuple(gram for _, gram in items))
 
 
-def _inflated_run(part: RunDesign) -> tuple[RunDesign, FloatArray]:
-    sd = FORM_ERROR_SD * np.abs(part.added)
-    whitening = part.whitening.with_form_error(sd)
-    white = whitening.whiten(np.column_stack((part.residual, part.columns)))
-    return replace(part, motion_sd=np.hypot(part.motion_sd, sd), whitening=whitening), white.T @ white
+def _inflated_run(run: RunDesign) -> tuple[RunDesign, FloatArray]:
+    sd = FORM_ERROR_SD * np.abs(run.effect_force)
+    whitening = run.whitening.with_form_error(sd)
+    white = whitening.whiten(np.column_stack((run.residual, run.columns)))
+    return replace(run, motion_sd=np.hypot(run.motion_sd, sd), whitening=whitening), white.T @ white
 
 
 MAX_EFFECTS = 3
@@ -138,48 +138,52 @@ OTHER_DOMAIN_SHARE = 0.2
 """Beside the best further effect, one of another kind is tried that takes away this share of what it does."""
 
 
-def forward_selection(found: ForceSearchResult) -> list[SelectionStep]:
+def forward_selection(search: ForceSearchResult) -> list[SelectionStep]:
     """Take up one effect after another beside the best single one."""
     steps: list[SelectionStep] = []
-    before: HypothesisFit | None = found.singles[0]
+    before: HypothesisFit | None = search.singles[0]
     while before is not None and len(before.effects) < MAX_EFFECTS:
-        tried = _selection_steps(found, before)
+        tried = _selection_steps(search, before)
         steps += tried
-        before = tried[0].together if tried else None
+        before = tried[0].fit if tried else None
     return steps
 
 
-def _selection_steps(found: ForceSearchResult, before: HypothesisFit) -> list[SelectionStep]:
+def _selection_steps(search: ForceSearchResult, before: HypothesisFit) -> list[SelectionStep]:
     """Try the best further effect beside those before, and the best of those that act on something else."""
-    point = before.point
-    _, design, taken = fit_hypothesis(found.study, point, found.nominal, before.design, everything=True)
+    point = before.parameters
+    _, design, taken = fit_hypothesis(search.study, point, search.nominal, before.design, all_variants=True)
     doubted = inflate_by_form_error(design)
-    projected = project_dictionary(doubted, doubted.total(), *NUISANCES)
+    projected = project_dictionary(doubted, doubted.total_gram(), *NUISANCES)
     for number in range(len(taken)):
         projected = projected.without((taken[number],))
-    own = {one.effect.id for one in point.candidates}
-    everything = rank_with_free_phases(doubted, rank_effects(projected, doubted.shapes))
-    ranked = [one for one in everything if one.effect not in own]
+    own = {candidate.effect.id for candidate in point.candidates}
+    everything = rank_with_free_phases(doubted, rank_effects(projected, doubted.variants))
+    ranked = [best for best in everything if best.effect not in own]
     steps = []
-    for one in (*ranked[:1], *_best_of_other_domain(ranked, doubted, point)):
-        rival = max((each.gain for each in ranked if each is not one), default=0.0)
-        together = refit_with_effect(found.study, design, one, found.nominal) if one.gain > MIN_FURTHER_LLR else None
-        steps.append(SelectionStep(one.effect, one.gain, rival, projected.squares, (), together))
-    if all(one.together is None for one in steps):
+    for best in (*ranked[:1], *_best_of_other_domain(ranked, doubted, point)):
+        rival = max((entry.llr for entry in ranked if entry is not best), default=0.0)
+        together = refit_with_effect(search.study, design, best, search.nominal) if best.llr > MIN_FURTHER_LLR else None
+        steps.append(SelectionStep(best.effect, best.llr, rival, projected.chi2, (), together))
+    if all(step.fit is None for step in steps):
         return steps
-    beside = np.sort(np.concatenate((doubted.of(*NUISANCES), doubted.of(ColumnKind.SHAPE)[list(taken)])))
-    laws = fit_nonparametric_laws(doubted, found.study.sights, beside=beside)
-    return [replace(one, laws=laws) for one in steps]
+    beside = np.sort(
+        np.concatenate((doubted.columns_of(*NUISANCES), doubted.columns_of(ColumnKind.VARIANT)[list(taken)]))
+    )
+    laws = fit_nonparametric_laws(doubted, search.study.runs, nuisance_columns=beside)
+    return [replace(step, laws=laws) for step in steps]
 
 
 def _best_of_other_domain(
     ranked: Sequence[RankedEffect], design: Design, point: ParameterPoint
 ) -> tuple[RankedEffect, ...]:
     """Return the best of what is neither a function of the same as the best one nor as those before."""
-    domains = {one.effect.id: one.effect.coordinate for one in design.shapes}
-    seen = {one.effect.coordinate for one in point.candidates} | {domains[one.effect] for one in ranked[:1]}
-    others = [one for one in ranked[1:] if domains[one.effect] not in seen]
-    return tuple(one for one in others[:1] if one.gain > OTHER_DOMAIN_SHARE * ranked[0].gain)
+    domains = {variant.effect.id: variant.effect.coordinate for variant in design.variants}
+    seen = {candidate.effect.coordinate for candidate in point.candidates} | {
+        domains[best.effect] for best in ranked[:1]
+    }
+    others = [best for best in ranked[1:] if domains[best.effect] not in seen]
+    return tuple(best for best in others[:1] if best.llr > OTHER_DOMAIN_SHARE * ranked[0].llr)
 
 
 NOMINAL_STEPS = 2
@@ -191,44 +195,48 @@ MIN_SINGLE_LLR = 7.0
 """Half squares below this are noise for any candidate."""
 
 
-def search_effects(study: Study, least_gain: float = MIN_SINGLE_LLR, least_share: float = 0.0) -> ForceSearchResult:
+def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: float = 0.0) -> ForceSearchResult:
     """Try every effect on the force of a campaign.
 
     Parameters
     ----------
-    least_gain, least_share
+    min_llr, min_share
         An effect is refitted only if it takes away so many half squares beforehand, and this share of the excess.
     """
-    first = gauss_newton_step(linearise(study, study.start))
+    first = gauss_newton_step(linearise(study, study.initial_z))
     second = linearise(study, first.z)
     start = gauss_newton(study, gauss_newton_step(second), NOMINAL_STEPS, second)
-    nominal = linearise(study, start.z, dictionary=True, near=second)
-    projected = project_dictionary(nominal, nominal.total(), *NUISANCES)
-    ranked = rank_with_free_phases(nominal, rank_effects(projected, nominal.shapes))
-    found = ForceSearchResult(study, nominal, projected.squares, ranked, (), ())
-    least = max(least_gain, MIN_SHARE_OF_BEST * ranked[0].gain, 0.5 * least_share * found.excess) if ranked else 0.0
-    likely = [one for one in ranked[:SHORTLIST] if one.gain > least]
-    singles = [refit_with_effect(study, nominal, one, nominal) for one in likely]
-    singles.sort(key=found.merit, reverse=True)
-    singles[:1] = [_relinearised(study, one, nominal) for one in singles[:1]]
-    found = replace(found, singles=tuple(singles))
+    nominal = linearise(study, start.z, dictionary=True, reference=second)
+    projected = project_dictionary(nominal, nominal.total_gram(), *NUISANCES)
+    ranked = rank_with_free_phases(nominal, rank_effects(projected, nominal.variants))
+    search = ForceSearchResult(study, nominal, projected.chi2, ranked, (), ())
+    least = max(min_llr, MIN_SHARE_OF_BEST * ranked[0].llr, 0.5 * min_share * search.excess) if ranked else 0.0
+    likely = [best for best in ranked[:SHORTLIST] if best.llr > least]
+    singles = [refit_with_effect(study, nominal, best, nominal) for best in likely]
+    singles.sort(key=search.merit, reverse=True)
+    singles[:1] = [_relinearised(study, fit, nominal) for fit in singles[:1]]
+    search = replace(search, singles=tuple(singles))
     if not singles:
-        return found
-    found = replace(found, steps=tuple(forward_selection(found)))
-    return replace(found, singles=(*singles, *_refit_second_alone(found)))
+        return search
+    search = replace(search, steps=tuple(forward_selection(search)))
+    return replace(search, singles=(*singles, *_refit_second_alone(search)))
 
 
-def _refit_second_alone(found: ForceSearchResult) -> list[HypothesisFit]:
+def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
     """Refit what was taken up second on its own: it may have made the first superfluous."""
-    tried = {one.effects[0] for one in found.singles}
-    seconds = {one.effect for one in found.steps if one.together is not None and len(one.together.effects) == 2}
-    ranked = [one for one in found.ranked if one.effect in seconds - tried]
-    return [refit_with_effect(found.study, found.nominal, one, found.nominal) for one in ranked]
+    tried = {fit.effects[0] for fit in search.singles}
+    seconds = {step.effect for step in search.steps if step.fit is not None and len(step.fit.effects) == 2}
+    ranked = [best for best in search.ranked if best.effect in seconds - tried]
+    return [refit_with_effect(search.study, search.nominal, best, search.nominal) for best in ranked]
 
 
-def _relinearised(study: Study, one: HypothesisFit, nominal: Design) -> HypothesisFit:
+def _relinearised(study: Study, fit: HypothesisFit, nominal: Design) -> HypothesisFit:
     """Refit once more with derivatives taken where the fit came to, which may be far from where they were taken."""
-    fresh = linearise(study, one.point.z, one.point.candidates)
-    tried = [fit_hypothesis(study, point, nominal, fresh)[0] for point in (gauss_newton_step(fresh), one.point)]
-    again = min(tried, key=lambda each: each.plain)
-    return replace(again, flexible=min(again.flexible, one.flexible)) if all_periodic_in_session(one) else again
+    fresh = linearise(study, fit.parameters.z, fit.parameters.candidates)
+    tried = [fit_hypothesis(study, point, nominal, fresh)[0] for point in (gauss_newton_step(fresh), fit.parameters)]
+    again = min(tried, key=lambda hypothesis: hypothesis.chi2)
+    return (
+        replace(again, chi2_with_form_error=min(again.chi2_with_form_error, fit.chi2_with_form_error))
+        if all_periodic_in_session(fit)
+        else again
+    )

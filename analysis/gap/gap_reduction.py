@@ -51,68 +51,70 @@ class RunGap:
         Steady force of a drag that was predicted; None for other runs.
     steady
         The one that was measured.
-    width_s
+    duration_s
         Duration of each block as far as it counts, shape `(B,)`.
-    floor
+    floor_mean_square
         Mean square of noise, and of what the motion leaves uncertain.
     """
 
-    sight: RunData
+    run: RunData
     before: FloatArray
     after: FloatArray
-    floor: float
-    white: float
+    floor_mean_square: float
+    within_block_sd: float
     steady: tuple[float, float, float] | None
-    width_s: FloatArray
+    duration_s: FloatArray
 
     @property
-    def squares(self) -> FloatArray:
+    def sums(self) -> FloatArray:
         """Duration, and mean squares before, after and of the floor times duration, shape `(4,)`."""
-        width = self.width_s
+        width = self.duration_s
         duration = float(width.sum())
-        before, after = (float(width @ one**2) + duration * self.white**2 for one in (self.before, self.after))
-        return np.array([duration, before, after, self.floor * duration])
+        before, after = (
+            float(width @ values**2) + duration * self.within_block_sd**2 for values in (self.before, self.after)
+        )
+        return np.array([duration, before, after, self.floor_mean_square * duration])
 
 
 def gap_of_run(
-    sight: RunData,
+    run: RunData,
     noise: NoiseModel,
     motion_sd: FloatArray,
     before: tuple[FloatArray, Whitening],
     after: tuple[FloatArray, Whitening],
     zero_sd: float,
-    counted: BoolArray | None = None,
+    informative: BoolArray | None = None,
 ) -> RunGap:
     """Compare residuals of a run, each with what whitens it, shapes `(B,)`.
 
     What the run differs by from its repeats is no gap: its own factors, as the model with the effect has them and no
     further than repeats scatter, are taken off both, and its zero as each model has it. Of the blocks those count that
-    are `counted`, all unless said.
+    are `informative`, all unless said.
     """
-    width = sight.coordinates.width_s
-    if counted is not None and counted.any():
-        width = np.where(counted, width, 0.0)
+    width = run.coordinates.width_s
+    if informative is not None and informative.any():
+        width = np.where(informative, width, 0.0)
     share = width / width.sum()
     floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
     scatter = run_factor_force(*after, zero_sd)
     cleared = [
         residual - scatter - run_zero_offset(residual - scatter, white, zero_sd) for residual, white in (before, after)
     ]
-    within = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / sight.evidence.blocks.samples)), 0.0)))
-    return RunGap(sight, cleared[0], cleared[1], floor, within, _steady_forces(sight, cleared[0], cleared[1]), width)
+    within = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))
+    return RunGap(run, cleared[0], cleared[1], floor, within, _steady_forces(run, cleared[0], cleared[1]), width)
 
 
 def run_factor_force(
-    residual: FloatArray, whitening: Whitening, zero_sd: float, furthest: float = np.inf
+    residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float = np.inf
 ) -> FloatArray:
     """Return what the run's own factors make of it [mN], shape `(B,)`, none beyond so many standard deviations."""
     own = whitening.run_effects
     precision = np.eye(own.shape[1]) + own.T @ own
-    found = np.linalg.solve(precision, own.T @ whitening.whiten_noise(residual))
-    found = np.clip(found, -furthest, furthest)
+    result = np.linalg.solve(precision, own.T @ whitening.whiten_noise(residual))
+    result = np.clip(result, -max_sigmas, max_sigmas)
     if zero_sd > 0:
-        found[0] = 0.0
-    return np.asarray(whitening.noise_root @ (own @ found))
+        result[0] = 0.0
+    return np.asarray(whitening.noise_root @ (own @ result))
 
 
 def run_zero_offset(residual: FloatArray, whitening: Whitening, zero_sd: float) -> float:
@@ -126,17 +128,19 @@ def run_zero_offset(residual: FloatArray, whitening: Whitening, zero_sd: float) 
 
 def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
     """Return how far the gap shrinks over runs, with an interval by resampling whole runs."""
-    rows = np.array([one.squares for one in gaps])
+    rows = np.array([gap.sums for gap in gaps])
     closed = _closed_share(rows.sum(axis=0))
     interval = None
     if closed is not None and len(gaps) > 2:
         drawn = np.random.default_rng(seed).integers(len(gaps), size=(BOOTSTRAP_SAMPLES, len(gaps)))
-        resampled = [one for one in (_closed_share(rows[index].sum(axis=0), 1.0) for index in drawn) if one is not None]
+        resampled = [
+            value for value in (_closed_share(rows[index].sum(axis=0), 1.0) for index in drawn) if value is not None
+        ]
         if len(resampled) > BOOTSTRAP_SAMPLES // 2:
             low, high = np.quantile(resampled, (0.025, 0.975)).tolist()
             interval = (min(low, closed), max(high, closed))
     duration, before, after, floor = rows.sum(axis=0).tolist()
-    points = [(one.sight.condition[1], *one.steady) for one in gaps if one.steady is not None]
+    points = [(gap.run.condition[1], *gap.steady) for gap in gaps if gap.steady is not None]
     sides = _split_at_boundary(points)
     both = all(len(side) >= 1 for side in sides)
     return GapReduction(
@@ -148,7 +152,7 @@ def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
         boundary_mm_s=PAPER_BOUNDARY_MM_S if both else None,
         r2_eq15=_r2_before_after(sides, "eq15"),
         r2_corr=_r2_before_after(sides, "corr"),
-        runs=tuple(one.sight.file for one in gaps),
+        runs=tuple(gap.run.file for gap in gaps),
     )
 
 
@@ -159,14 +163,14 @@ def _closed_share(sums: FloatArray, least: float = MIN_GAP_OVER_FLOOR) -> float 
     return 1.0 - (after - floor) / (before - floor)
 
 
-def _steady_forces(sight: RunData, before: FloatArray, after: FloatArray) -> tuple[float, float, float] | None:
+def _steady_forces(run: RunData, before: FloatArray, after: FloatArray) -> tuple[float, float, float] | None:
     """Return measured steady force of a drag and what the models make of it, before and after."""
-    inside = sight.coordinates.phase == Phase.STEADY
-    if sight.experiment.kind != "drag" or not inside.any():
+    inside = run.coordinates.phase == Phase.STEADY
+    if run.experiment.kind != "drag" or not inside.any():
         return None
-    width = sight.coordinates.width_s[inside]
-    measured = float(width @ sight.evidence.blocks.mean[inside] / width.sum())
-    missed = [float(width @ one[inside] / width.sum()) for one in (before, after)]
+    width = run.coordinates.width_s[inside]
+    measured = float(width @ run.block_data.blocks.mean[inside] / width.sum())
+    missed = [float(width @ values[inside] / width.sum()) for values in (before, after)]
     return measured, measured - missed[0], measured - missed[1]
 
 
@@ -175,7 +179,7 @@ SteadyPoint = tuple[float, float, float, float]
 
 def _split_at_boundary(points: Sequence[SteadyPoint]) -> tuple[list[SteadyPoint], list[SteadyPoint]]:
     highest = PAPER_BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
-    return [one for one in points if one[0] <= highest], [one for one in points if one[0] > highest]
+    return [pair for pair in points if pair[0] <= highest], [pair for pair in points if pair[0] > highest]
 
 
 def _r2_before_after(sides: tuple[list[SteadyPoint], list[SteadyPoint]], form: str) -> R2BeforeAfter:
@@ -199,72 +203,74 @@ MAX_SCATTER_SIGMAS = 6.0
 
 def nominal_residuals(design: Design) -> list[FloatArray]:
     """Return what the nominal model leaves of each run when it is fitted to all of them, shape `(B,)` [mN]."""
-    solution = fit_columns(design, design.total(), ColumnKind.NOMINAL, ColumnKind.DETAIL)
-    return [one.residual - one.columns[:, solution.columns] @ solution.found for one in design.parts]
+    solution = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    return [run.residual - run.columns[:, solution.columns] @ solution.coefficients for run in design.runs]
 
 
 def force_residual_blocks(
     study: Study, design: Design, tolerance_mN: float, line: SpectralLine
 ) -> list[ResidualBlocks]:
     """Return the force's residuals; noise that is a line counts as a gap."""
-    found = []
-    for number, (sight, left) in enumerate(zip(study.sights, nominal_residuals(design), strict=True)):
-        part, noise = design.parts[number], study.problem.noises[number]
-        blocks, at = sight.evidence.blocks, sight.coordinates
+    result = []
+    for number, (run, left) in enumerate(zip(study.runs, nominal_residuals(design), strict=True)):
+        run_design, noise = design.runs[number], study.problem.noises[number]
+        blocks, at = run.block_data.blocks, run.coordinates
         white = np.sqrt(max(noise.white**2 - line.amplitude**2 / 2, (MIN_NOISE_SHARE * noise.white) ** 2))
         # What swings at any other frequency is not of one frequency alone, and is nearly all of the slow noise.
-        slow = noise.slow if line.mains or not line.amplitude else MIN_NOISE_SHARE * noise.slow
-        spread = white**2 / blocks.samples + slow**2 + part.motion_sd**2 + tolerance_mN**2
+        slow = noise.slow if line.is_mains or not line.amplitude else MIN_NOISE_SHARE * noise.slow
+        spread = white**2 / blocks.samples + slow**2 + run_design.motion_sd**2 + tolerance_mN**2
         zero_sd = study.problem.zero_sds[number]
-        rest = left - run_factor_force(left, part.whitening, zero_sd, MAX_SCATTER_SIGMAS)
-        residual = rest - run_zero_offset(rest, part.whitening, zero_sd)
-        found.append(
+        rest = left - run_factor_force(left, run_design.whitening, zero_sd, MAX_SCATTER_SIGMAS)
+        residual = rest - run_zero_offset(rest, run_design.whitening, zero_sd)
+        result.append(
             ResidualBlocks(
-                run_id=sight.experiment.run.info.header.run_id,
+                run_id=run.experiment.run.info.header.run_id,
                 channel=study.channel,
-                kind=sight.experiment.kind,
-                contact=sight.experiment.contact,
+                kind=run.experiment.kind,
+                contact=run.experiment.contact,
                 speed_mm_s=float(at.top_speed_mm_s[0]),
-                strain=sight.experiment.shear_strain,
-                session_s=sight.session_start_s,
+                strain=run.experiment.shear_strain,
+                session_s=run.session_start_s,
                 residual=residual,
                 noise_sd=np.sqrt(spread),
-                width_s=at.width_s,
+                duration_s=at.width_s,
                 time_s=at.time_s,
                 phase=at.phase.astype(np.uint8),
                 position_mm=at.position_mm,
-                level_mN=part.predicted,
-                origin_mm=origin_of(sight.experiment),
+                force_mN=run_design.predicted,
+                origin_mm=origin_of(run.experiment),
             )
         )
-    return found
+    return result
 
 
 def position_residual_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlocks]:
     """Return the position errors; an encoder's count is what does not matter."""
-    found = []
-    for one in runs:
-        width = np.gradient(one.time_s)
-        experiment = one.experiment
-        found.append(
+    blocks = []
+    for run in runs:
+        width = np.gradient(run.time_s)
+        experiment = run.experiment
+        blocks.append(
             ResidualBlocks(
                 run_id=experiment.run.info.header.run_id,
                 channel="position",
                 kind=experiment.kind,
                 contact=experiment.contact,
-                speed_mm_s=one.top_speed_mm_s,
+                speed_mm_s=run.top_speed_mm_s,
                 strain=experiment.shear_strain,
-                session_s=one.session_s,
-                residual=one.error_mm,
-                noise_sd=np.full_like(one.error_mm, np.linalg.norm([one.quantisation_mm, one.count_mm, one.noise_mm])),
-                width_s=np.maximum(width, 1e-6),
-                time_s=one.time_s,
-                phase=commanded_phase(experiment, one.time_s).astype(np.uint8),
-                position_mm=one.command_mm,
+                session_s=run.session_s,
+                residual=run.error_mm,
+                noise_sd=np.full_like(
+                    run.error_mm, np.linalg.norm([run.quantisation_mm, run.encoder_count_mm, run.noise_mm])
+                ),
+                duration_s=np.maximum(width, 1e-6),
+                time_s=run.time_s,
+                phase=commanded_phase(experiment, run.time_s).astype(np.uint8),
+                position_mm=run.command_mm,
                 origin_mm=origin_of(experiment),
             )
         )
-    return found
+    return blocks
 
 
 HELD_OUT_FOLDS = 4
@@ -279,126 +285,126 @@ class HeldOutResiduals:
     ----------
     before, after
         Residual block means of each run [mN].
-    squares_before, squares_after
+    chi2_before, chi2_after
         Their whitened squares.
-    agreed
+    agreeing_share
         Share of the folds whose own choice was the same effect.
     """
 
     before: tuple[FloatArray, ...]
     after: tuple[FloatArray, ...]
-    squares_before: FloatArray
-    squares_after: FloatArray
-    agreed: float
+    chi2_before: FloatArray
+    chi2_after: FloatArray
+    agreeing_share: float
 
 
 def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
     """Return the runs of each fold: whole conditions, those of a kind dealt out in the order of speed or strain."""
-    conditions = sorted({one.condition for one in study.sights})
+    conditions = sorted({run.condition for run in study.runs})
     dealt: dict[tuple[str, float], int] = {}
     counts: dict[str, int] = {}
     for kind, value in conditions:
         counts[kind] = counts.get(kind, -1) + 1
         dealt[kind, value] = counts[kind] % HELD_OUT_FOLDS
     members: list[list[int]] = [[] for _ in range(HELD_OUT_FOLDS)]
-    for number, one in enumerate(study.sights):
-        members[dealt[one.condition]].append(number)
+    for number, run in enumerate(study.runs):
+        members[dealt[run.condition]].append(number)
     return tuple(tuple(one) for one in members if one)
 
 
-def predict_held_out(found: ForceSearchResult, chosen: HypothesisFit | None) -> HeldOutResiduals | None:
+def predict_held_out(search: ForceSearchResult, chosen: HypothesisFit | None) -> HeldOutResiduals | None:
     """Predict every run from fits to the others; None where there are too few runs.
 
     In each fold the choice of the effect is made anew from its own runs. Where it is another one than `chosen` has,
     the fold is predicted with that.
     """
-    study, nominal = found.study, found.nominal
+    study, nominal = search.study, search.nominal
     folds = folds_by_condition(study)
-    if len(study.sights) < MIN_RUNS or len(folds) < 2:
+    if len(study.runs) < MIN_RUNS or len(folds) < 2:
         return None
-    runs = range(len(study.sights))
+    runs = range(len(study.runs))
     before: dict[int, FloatArray] = {}
     after: dict[int, FloatArray] = {}
     agreed = 0
     for fold in folds:
-        others = [one for one in runs if one not in fold]
-        coefficients = _fit_to_runs(nominal, others, (ColumnKind.NOMINAL, ColumnKind.DETAIL))
-        before |= {one: _run_residual(nominal, one, *coefficients) for one in fold}
+        others = [index for index in runs if index not in fold]
+        coefficients = _fit_to_runs(nominal, others, (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR))
+        before |= {index: _run_residual(nominal, index, *coefficients) for index in fold}
         own = _best_effect(nominal, others)
         same = chosen is not None and (own is None or own.effect in chosen.effects or len(chosen.effects) > 1)
         agreed += same
         if chosen is not None and same:
             coefficients = _fit_to_runs(
-                chosen.design, others, (ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT)
+                chosen.design, others, (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT)
             )
-            after |= {one: _run_residual(chosen.design, one, *coefficients) for one in fold}
+            after |= {index: _run_residual(chosen.design, index, *coefficients) for index in fold}
         elif chosen is not None and own is not None:
             coefficients = _fit_with_variants(nominal, others, own)
-            after |= {one: _run_residual(nominal, one, *coefficients) for one in fold}
+            after |= {index: _run_residual(nominal, index, *coefficients) for index in fold}
     if not after:
         after = before
     design = nominal if chosen is None else chosen.design
     return HeldOutResiduals(
-        tuple(before[one] for one in runs),
-        tuple(after[one] for one in runs),
+        tuple(before[index] for index in runs),
+        tuple(after[index] for index in runs),
         _whitened_chi2(nominal, before),
         _whitened_chi2(design, after),
         agreed / len(folds),
     )
 
 
-def held_out_improvement(found: ForceSearchResult, one: HypothesisFit) -> float | None:
+def held_out_improvement(search: ForceSearchResult, fit: HypothesisFit) -> float | None:
     """Return the share of the excess that an explanation takes away on runs that took no part in its fit.
 
     None where there are too few runs, or no excess beyond chance.
     """
-    folds = folds_by_condition(found.study)
-    if len(found.study.sights) < MIN_RUNS or len(folds) < 2:
+    folds = folds_by_condition(search.study)
+    if len(search.study.runs) < MIN_RUNS or len(folds) < 2:
         return None
     without = with_it = 0.0
     for fold in folds:
-        others = [number for number in range(len(found.study.sights)) if number not in fold]
+        others = [number for number in range(len(search.study.runs)) if number not in fold]
         without += _predicted_chi2(
-            found.nominal, fold, *_fit_to_runs(found.nominal, others, (ColumnKind.NOMINAL, ColumnKind.DETAIL))
+            search.nominal, fold, *_fit_to_runs(search.nominal, others, (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR))
         )
         with_it += _predicted_chi2(
-            one.design,
+            fit.design,
             fold,
-            *_fit_to_runs(one.design, others, (ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT)),
+            *_fit_to_runs(fit.design, others, (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT)),
         )
-    excess = without - found.blocks
-    return 1.0 - (with_it - found.blocks) / excess if excess > np.sqrt(2 * found.blocks) else None
+    excess = without - search.block_count
+    return 1.0 - (with_it - search.block_count) / excess if excess > np.sqrt(2 * search.block_count) else None
 
 
 def _fit_to_runs(design: Design, runs: Sequence[int], parts: tuple[ColumnKind, ...]) -> tuple[IndexArray, FloatArray]:
-    solution = fit_columns(design, design.total(runs), *parts)
-    return solution.columns, solution.found
+    solution = fit_columns(design, design.total_gram(runs), *parts)
+    return solution.columns, solution.coefficients
 
 
-def _run_residual(design: Design, run: int, columns: IndexArray, found: FloatArray) -> FloatArray:
-    part = design.parts[run]
-    return np.asarray(part.residual - part.columns[:, columns] @ found)
+def _run_residual(design: Design, run: int, columns: IndexArray, result: FloatArray) -> FloatArray:
+    run_design = design.runs[run]
+    return np.asarray(run_design.residual - run_design.columns[:, columns] @ result)
 
 
-def _predicted_chi2(design: Design, runs: Sequence[int], columns: IndexArray, found: FloatArray) -> float:
-    total, rows = design.total(runs), 1 + columns
-    return float(total[0, 0] - 2 * total[0, rows] @ found + found @ total[np.ix_(rows, rows)] @ found)
+def _predicted_chi2(design: Design, runs: Sequence[int], columns: IndexArray, result: FloatArray) -> float:
+    total, rows = design.total_gram(runs), 1 + columns
+    return float(total[0, 0] - 2 * total[0, rows] @ result + result @ total[np.ix_(rows, rows)] @ result)
 
 
 def _whitened_chi2(design: Design, residuals: Mapping[int, FloatArray]) -> FloatArray:
-    parts = enumerate(design.parts)
-    return np.array([float(np.sum(part.whitening.whiten(residuals[number]) ** 2)) for number, part in parts])
+    parts = enumerate(design.runs)
+    return np.array([float(np.sum(run.whitening.whiten(residuals[number]) ** 2)) for number, run in parts])
 
 
 def _best_effect(design: Design, runs: Sequence[int]) -> RankedEffect | None:
-    ranked = rank_effects(project_dictionary(design, design.total(runs), *NUISANCES), design.shapes)
+    ranked = rank_effects(project_dictionary(design, design.total_gram(runs), *NUISANCES), design.variants)
     return ranked[0] if ranked else None
 
 
 def _fit_with_variants(design: Design, runs: Sequence[int], own: RankedEffect) -> tuple[IndexArray, FloatArray]:
-    shapes = design.of(ColumnKind.SHAPE)[list(own.shapes)]
-    columns = np.concatenate((design.of(ColumnKind.NOMINAL, ColumnKind.DETAIL), shapes))
-    total, rows = design.total(runs), 1 + columns
+    shapes = design.columns_of(ColumnKind.VARIANT)[list(own.variants)]
+    columns = np.concatenate((design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), shapes))
+    total, rows = design.total_gram(runs), 1 + columns
     precision, mean = design.prior_precision[columns], design.prior_mean[columns]
     whole = total[np.ix_(rows, rows)] + np.diag(precision + 1e-10 * np.diag(total)[rows])
     return columns, np.linalg.solve(whole, total[rows, 0] + precision * mean)
@@ -421,23 +427,23 @@ def evaluate(selection: RunSelection, model: FrictionModelSettings) -> GapReduct
     before = bare.model_copy(update=dict(model.diagnosed.nominal)) if model.diagnosed else bare
     first = _capsule_study(selection, before)
     second = _on_same_blocks(_capsule_study(selection, model), first)
-    start = np.zeros(len(first.names))
-    one, other = linearise(first, start), linearise(second, start)
+    start = np.zeros(len(first.parameter_names))
+    design, other = linearise(first, start), linearise(second, start)
     gaps = [
         gap_of_run(
-            sight,
+            run,
             first.problem.noises[number],
-            other.parts[number].motion_sd,
-            (one.parts[number].residual, one.parts[number].whitening),
-            (other.parts[number].residual, other.parts[number].whitening),
+            other.runs[number].motion_sd,
+            (design.runs[number].residual, design.runs[number].whitening),
+            (other.runs[number].residual, other.runs[number].whitening),
             first.problem.zero_sds[number],
         )
-        for number, sight in enumerate(first.sights)
+        for number, run in enumerate(first.runs)
     ]
     shrink = reduction_over_runs(gaps)
-    moved = [one for one in active_effects(model) if isinstance(one.effect, MotorEffect | EncoderEffect)]
+    moved = [active for active in active_effects(model) if isinstance(active.effect, MotorEffect | EncoderEffect)]
     errors = position_errors(selection.experiments)
-    if len(moved) == 1 and len(model.effects) == 1 and any(one.strays for one in errors):
+    if len(moved) == 1 and len(model.effects) == 1 and any(run_errors.has_position_error for run_errors in errors):
         return closed_share_in_position(Candidate(moved[0].effect, moved[0].values), errors, shrink)
     return shrink
 
@@ -456,4 +462,4 @@ def _on_same_blocks(study: CapsuleStudy, other: CapsuleStudy) -> CapsuleStudy:
         noises=other.problem.noises,
         zero_sds=other.problem.zero_sds,
     )
-    return replace(study, problem=problem, sights=run_data_of(evidence))
+    return replace(study, problem=problem, runs=run_data_of(evidence))

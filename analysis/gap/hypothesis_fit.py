@@ -49,7 +49,7 @@ def free_phase_llr(design: Design, nuisances: LeastSquaresFit, pair: Sequence[in
     gain, runs
         The runs in which the shapes are seen; without any such thing the gain is about their number.
     """
-    rows = (1 + design.of(ColumnKind.SHAPE)[list(pair)]).tolist()
+    rows = (1 + design.columns_of(ColumnKind.VARIANT)[list(pair)]).tolist()
     columns = 1 + nuisances.columns
     gain, runs = 0.0, 0
     for gram in design.grams:
@@ -58,7 +58,7 @@ def free_phase_llr(design: Design, nuisances: LeastSquaresFit, pair: Sequence[in
         strength = float(np.trace(own))
         if strength <= 1.0:
             continue
-        along = of_pair[:, 0] - of_pair[:, columns] @ nuisances.found
+        along = of_pair[:, 0] - of_pair[:, columns] @ nuisances.coefficients
         gain += 0.5 * float(along @ np.linalg.solve(own + 1e-6 * strength * np.eye(2), along))
         runs += 1
     return gain, runs
@@ -72,33 +72,33 @@ class CommonPhaseFit:
     ----------
     candidate
         The effect with the period and phase that explain most.
-    gain
+    llr
         Half the squares that any form of this period takes away, given by its first harmonics.
     """
 
     candidate: Candidate
-    gain: float
+    llr: float
 
 
-def fit_common_phase(study: Study, design: Design, shape: EffectVariant) -> CommonPhaseFit:
+def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> CommonPhaseFit:
     """Look for the period, near that of a shape, and the form that tie the runs of a session together."""
-    last_s = max(float(one.coordinates.session_s.max()) for one in study.sights)
-    near = shape.values[_period_name(shape)]
+    last_s = max(float(run.coordinates.session_s.max()) for run in study.runs)
+    near = variant.values[_period_name(variant)]
     # The strongest may be the first overtone of what repeats.
-    longest = next(one for one in shape.effect.shapes if one.name == _period_name(shape)).high
+    longest = next(parameter for parameter in variant.effect.shapes if parameter.name == _period_name(variant)).high
     residuals = _whitened_residuals(study, design)
     periods = np.concatenate(
-        [_strongest_periods(residuals, _period_grid(one, last_s)) for one in (near, 2 * near) if one <= longest]
+        [_strongest_periods(residuals, _period_grid(value, last_s)) for value in (near, 2 * near) if value <= longest]
     )
     gains = _llr_of_periods(residuals, periods, TIED_HARMONICS)
     best = int(gains.argmax())
-    forms = _periodic_variants(shape, float(periods[best]))
+    forms = _periodic_variants(variant, float(periods[best]))
     gram, product = np.zeros(len(forms)), np.zeros(len(forms))
-    for one in residuals:
-        rows = [signature(form, one.scene, one.gain) for form in forms]
-        white = one.part.whitening.whiten(one.sight.of_blocks(np.array(rows)).T)
+    for residual in residuals:
+        rows = [signature(form, residual.scene, residual.sensor_gain) for form in forms]
+        white = residual.design.whitening.whiten(residual.run.block_means(np.array(rows)).T)
         gram += np.sum(white**2, axis=0)
-        product += one.white @ white
+        product += residual.values @ white
     taken = np.where(product > 0, product**2 / np.maximum(gram, 1e-12), 0.0)
     chosen = int(taken.argmax())
     form = forms[chosen]
@@ -110,23 +110,23 @@ def fit_common_phase(study: Study, design: Design, shape: EffectVariant) -> Comm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WhitenedResidual:
-    sight: RunData
-    part: RunDesign
+    run: RunData
+    design: RunDesign
     scene: RunState
-    gain: float
-    white: FloatArray
+    sensor_gain: float
+    values: FloatArray
 
 
 def _whitened_residuals(study: Study, design: Design) -> list[_WhitenedResidual]:
     """Return what nuisances leave of the runs in a closed gut, whitened."""
-    nuisances = fit_columns(design, design.total(), *NUISANCES)
-    found = []
-    for number, (sight, part) in enumerate(zip(study.sights, design.parts, strict=True)):
+    nuisances = fit_columns(design, design.total_gram(), *NUISANCES)
+    residuals = []
+    for number, (run, run_design) in enumerate(zip(study.runs, design.runs, strict=True)):
         scene, gain = study.scene(number, design.z)
         if scene.gut_closed:
-            left = part.residual - part.columns[:, nuisances.columns] @ nuisances.found
-            found.append(_WhitenedResidual(sight, part, scene, gain, part.whitening.whiten(left)))
-    return found
+            left = run_design.residual - run_design.columns[:, nuisances.columns] @ nuisances.coefficients
+            residuals.append(_WhitenedResidual(run, run_design, scene, gain, run_design.whitening.whiten(left)))
+    return residuals
 
 
 def _strongest_periods(residuals: Sequence[_WhitenedResidual], periods_s: FloatArray) -> FloatArray:
@@ -137,41 +137,44 @@ def _strongest_periods(residuals: Sequence[_WhitenedResidual], periods_s: FloatA
 
 def _llr_of_periods(residuals: Sequence[_WhitenedResidual], periods_s: FloatArray, harmonics: int) -> FloatArray:
     """Return half the squares that each period takes away with so many harmonics, over all runs."""
-    found = [_harmonic_products(_harmonic_rows(one, periods_s, harmonics), one, harmonics) for one in residuals]
-    grams, along = (np.sum([one[part] for one in found], axis=0) for part in (0, 1))
+    pairs = [
+        _harmonic_products(_harmonic_rows(residual, periods_s, harmonics), residual, harmonics)
+        for residual in residuals
+    ]
+    grams, along = (np.sum([pair[index] for pair in pairs], axis=0) for index in (0, 1))
     return _llr_of_products(grams, along)
 
 
-def _harmonic_rows(one: _WhitenedResidual, periods_s: FloatArray, harmonics: int) -> FloatArray:
+def _harmonic_rows(residual: _WhitenedResidual, periods_s: FloatArray, harmonics: int) -> FloatArray:
     """Return cosines and sines of the session's time, shape `(periods · 2 H, B)`."""
-    angle = 2 * np.pi * one.scene.session_s / periods_s[:, None]
+    angle = 2 * np.pi * residual.scene.session_s / periods_s[:, None]
     waves = [turn(number * angle) for number in range(1, harmonics + 1) for turn in (np.cos, np.sin)]
-    return one.sight.of_blocks(np.stack(waves, axis=1).reshape(-1, angle.shape[1]))
+    return residual.run.block_means(np.stack(waves, axis=1).reshape(-1, angle.shape[1]))
 
 
-def _harmonic_products(rows: FloatArray, one: _WhitenedResidual, harmonics: int) -> tuple[FloatArray, FloatArray]:
-    white = one.part.whitening.whiten(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
-    return white @ white.transpose(0, 2, 1), white @ one.white
+def _harmonic_products(rows: FloatArray, residual: _WhitenedResidual, harmonics: int) -> tuple[FloatArray, FloatArray]:
+    white = residual.design.whitening.whiten(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
+    return white @ white.transpose(0, 2, 1), white @ residual.values
 
 
 def _llr_of_products(grams: FloatArray, along: FloatArray) -> FloatArray:
     size = np.trace(grams, axis1=1, axis2=2)[:, None, None] / grams.shape[1]
-    found = np.linalg.solve(grams + (1e-6 * size + 1e-12) * np.eye(grams.shape[1]), along[:, :, None])[:, :, 0]
-    return np.asarray(0.5 * np.sum(found * along, axis=1))
+    result = np.linalg.solve(grams + (1e-6 * size + 1e-12) * np.eye(grams.shape[1]), along[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * np.sum(result * along, axis=1))
 
 
-def _periodic_variants(shape: EffectVariant, period_s: float) -> list[EffectVariant]:
-    effect, phase = shape.effect, shape.effect.phase
-    others = [one for one in effect.shapes if one.name != _period_name(shape)]
+def _periodic_variants(variant: EffectVariant, period_s: float) -> list[EffectVariant]:
+    effect, phase = variant.effect, variant.effect.phase
+    others = [parameter for parameter in effect.shapes if parameter.name != _period_name(variant)]
     grid = SHARPNESSES if others else (0.0,)
     turns = np.linspace(-np.pi, np.pi, PHASE_STEPS, endpoint=False)
     return [
         EffectVariant(
             effect,
             {
-                **shape.values,
-                _period_name(shape): period_s,
-                **{one.name: value for one in others},
+                **variant.values,
+                _period_name(variant): period_s,
+                **{parameter.name: value for parameter in others},
                 **({phase.name: float(turn)} if phase is not None else {}),
             },
         )
@@ -180,14 +183,14 @@ def _periodic_variants(shape: EffectVariant, period_s: float) -> list[EffectVari
     ]
 
 
-def _period_name(shape: EffectVariant) -> str:
-    return next(one.name for one in shape.effect.shapes if one.name.startswith("period"))
+def _period_name(variant: EffectVariant) -> str:
+    return next(parameter.name for parameter in variant.effect.shapes if parameter.name.startswith("period"))
 
 
-def _period_grid(period_s: float, session_s: float, width: float = 0.05, most: int = 300) -> FloatArray:
+def _period_grid(period_s: float, session_s: float, width: float = 0.05, max_count: int = 300) -> FloatArray:
     """Return periods about one, near enough to each other for a phase to hold through a session."""
     step = 0.15 * period_s**2 / max(session_s, period_s)
-    count = int(np.clip(2 * width * period_s / step, 3, most))
+    count = int(np.clip(2 * width * period_s / step, 3, max_count))
     return np.linspace(period_s * (1 - width), period_s * (1 + width), count)
 
 
@@ -206,59 +209,64 @@ class HypothesisFit:
 
     Attributes
     ----------
-    point
+    parameters
         Nominal parameters and effects.
-    plain
+    chi2
         Whitened squares that remain, and the logarithm of the covariance's determinant over the nominal model's.
-    flexible
+    chi2_with_form_error
         Those that remain when each effect may have a foreign form: modulated, with further shapes of its own.
-    changed_mN
+    change_mN
         By how much the prediction changes, the nominal parameters refitted: root mean square where it does.
-    elsewhere
+    excess_elsewhere
         What is left in runs where they add nothing, in standard deviations of chance.
     design
         The campaign around the point, without modulations and further shapes.
     """
 
-    point: ParameterPoint
-    plain: float
-    flexible: float
-    changed_mN: float
-    elsewhere: float
+    parameters: ParameterPoint
+    chi2: float
+    chi2_with_form_error: float
+    change_mN: float
+    excess_elsewhere: float
     design: Design
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Their ids."""
-        return tuple(one.effect.id for one in self.point.candidates)
+        return tuple(candidate.effect.id for candidate in self.parameters.candidates)
 
 
 def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nominal: Design) -> HypothesisFit:
     """Refit an effect beside those of a design, from the shape that was ranked first."""
-    z, amplitude = joint_fit(design, ranked.shapes)
-    shape = design.shapes[ranked.shapes[0]]
+    z, amplitude = joint_fit(design, ranked.variants)
+    shape = design.variants[ranked.variants[0]]
     if not is_periodic_in_session(shape.effect):
-        candidate = ranked.candidate(design.shapes, amplitude)
+        candidate = ranked.candidate(design.variants, amplitude)
         start = ParameterPoint(z, (*design.candidates, candidate))
-        found = fit_hypothesis(study, gauss_newton(study, start, GAUSS_NEWTON_STEPS, design), nominal, design)[0]
+        fit = fit_hypothesis(study, gauss_newton(study, start, GAUSS_NEWTON_STEPS, design), nominal, design)[0]
         before = (
-            fit_columns(design, design.total(), ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT).squares
+            fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT).chi2
             + design.log_det
             - nominal.log_det
         )
-        if found.plain < before:
-            return found
+        if fit.chi2 < before:
+            return fit
         # The steps went astray, as with a period that lost its phase; where they began is no worse than without it.
         calm = ParameterPoint(design.z, start.candidates)
-        others = [fit_hypothesis(study, one, nominal, design)[0] for one in (start, calm)]
-        return min((found, *others), key=lambda one: one.plain)
+        others = [fit_hypothesis(study, point, nominal, design)[0] for point in (start, calm)]
+        return min((fit, *others), key=lambda hypothesis: hypothesis.chi2)
     together = fit_common_phase(study, design, shape)
     start = ParameterPoint(design.z, (*design.candidates, together.candidate))
     tried = [start, gauss_newton(study, start, GAUSS_NEWTON_STEPS, design)]
-    found = min((fit_hypothesis(study, one, nominal, design)[0] for one in tried), key=lambda one: one.plain)
-    before = project_dictionary(design, design.total(), *NUISANCES).squares + design.log_det - nominal.log_det
+    fit = min(
+        (fit_hypothesis(study, point, nominal, design)[0] for point in tried), key=lambda hypothesis: hypothesis.chi2
+    )
+    before = project_dictionary(design, design.total_gram(), *NUISANCES).chi2 + design.log_det - nominal.log_det
     return replace(
-        found, flexible=min(found.flexible, before - 2 * max(together.gain - PERIOD_SEARCH_LLR, ranked.gain))
+        fit,
+        chi2_with_form_error=min(
+            fit.chi2_with_form_error, before - 2 * max(together.llr - PERIOD_SEARCH_LLR, ranked.llr)
+        ),
     )
 
 
@@ -266,46 +274,51 @@ def fit_hypothesis(
     study: Study,
     point: ParameterPoint,
     nominal: Design,
-    near: Design | None = None,
+    reference: Design | None = None,
     *,
-    everything: bool = False,
+    all_variants: bool = False,
 ) -> tuple[HypothesisFit, Design, tuple[int, ...]]:
     """Return what a point explains, its design, and the further shapes of its own effects that were taken."""
-    own = {one.effect.id for one in point.candidates}
-    shown = study if everything else replace(study, effects=tuple(one for one in study.effects if one.id in own))
-    design = linearise(shown, point.z, point.candidates, near=near, foreign=True, dictionary=True)
-    total = design.total()
-    plain = fit_columns(design, total, ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT)
+    own = {candidate.effect.id for candidate in point.candidates}
+    shown = (
+        study if all_variants else replace(study, effects=tuple(effect for effect in study.effects if effect.id in own))
+    )
+    design = linearise(shown, point.z, point.candidates, reference=reference, modulated=True, dictionary=True)
+    total = design.total_gram()
+    plain = fit_columns(design, total, ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT)
     flexible, taken = _add_own_variants(design, total, own)
     more_det = design.log_det - nominal.log_det
-    kept = design.kept(ColumnKind.NOMINAL, ColumnKind.DETAIL, ColumnKind.EFFECT)
-    found = HypothesisFit(
-        point=point,
-        plain=plain.squares + more_det,
-        flexible=flexible + more_det,
-        changed_mN=_rms_change(study, design, nominal),
-        elsewhere=_excess_elsewhere(design, plain),
+    kept = design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT)
+    fit = HypothesisFit(
+        parameters=point,
+        chi2=plain.chi2 + more_det,
+        chi2_with_form_error=flexible + more_det,
+        change_mN=_rms_change(study, design, nominal),
+        excess_elsewhere=_excess_elsewhere(design, plain),
         design=kept,
     )
-    return found, design, taken
+    return fit, design, taken
 
 
 def _rms_change(study: Study, design: Design, nominal: Design) -> float:
     """Return by how much two designs predict another force, root mean square where they do [mN]."""
     more = np.concatenate(
-        [one.predicted + one.added - two.predicted for one, two in zip(design.parts, nominal.parts, strict=True)]
+        [
+            run.predicted + run.effect_force - run_design.predicted
+            for run, run_design in zip(design.runs, nominal.runs, strict=True)
+        ]
     )
-    weights = np.concatenate([one.coordinates.width_s for one in study.sights])
+    weights = np.concatenate([run_data.coordinates.width_s for run_data in study.runs])
     return rms_where_active(more, weights)
 
 
 def _excess_elsewhere(design: Design, plain: LeastSquaresFit) -> float:
     """Return the excess in runs that an explanation does not reach, where another effect must act."""
-    fitted = np.append(1.0, -plain.found)
+    fitted = np.append(1.0, -plain.coefficients)
     rows = np.append(0, 1 + plain.columns)
     squares, blocks = 0.0, 0
-    for part, gram, count in zip(design.parts, design.grams, design.blocks, strict=True):
-        if float(np.sum(part.whitening.whiten(part.added) ** 2)) < MIN_EFFECT_CHI2:
+    for run, gram, count in zip(design.runs, design.grams, design.block_counts, strict=True):
+        if float(np.sum(run.whitening.whiten(run.effect_force) ** 2)) < MIN_EFFECT_CHI2:
             squares += float(fitted @ gram[np.ix_(rows, rows)] @ fitted)
             blocks += count
     return (squares - blocks) / max(float(np.sqrt(2.0 * blocks)), NOISE_UNCERTAINTY / CHANCE_SIGMAS * blocks, 1.0)
@@ -314,21 +327,21 @@ def _excess_elsewhere(design: Design, plain: LeastSquaresFit) -> float:
 def _add_own_variants(design: Design, total: FloatArray, own: set[str]) -> tuple[float, tuple[int, ...]]:
     """Add further shapes of the same effects one by one; return the squares that remain and the shapes."""
     projected = project_dictionary(design, total, *NUISANCES)
-    squares = projected.squares
+    squares = projected.chi2
     taken: tuple[int, ...] = ()
     for _ in range(MAX_OWN_VARIANTS):
-        ranked = [one for one in rank_effects(projected, design.shapes) if one.effect in own]
-        if not ranked or ranked[0].gain < MIN_OWN_LLR:
+        ranked = [best for best in rank_effects(projected, design.variants) if best.effect in own]
+        if not ranked or ranked[0].llr < MIN_OWN_LLR:
             break
-        taken = (*taken, *ranked[0].shapes)
-        squares -= 2 * ranked[0].gain
-        projected = projected.without(ranked[0].shapes)
+        taken = (*taken, *ranked[0].variants)
+        squares -= 2 * ranked[0].llr
+        projected = projected.without(ranked[0].variants)
     return squares, taken
 
 
-def all_periodic_in_session(one: HypothesisFit) -> bool:
+def all_periodic_in_session(fit: HypothesisFit) -> bool:
     """Whether all effects of an explanation are periodic on the session's clock."""
-    return all(is_periodic_in_session(each.effect) for each in one.point.candidates)
+    return all(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
 
 
 def is_periodic_in_session(effect: Effect) -> bool:
@@ -338,26 +351,26 @@ def is_periodic_in_session(effect: Effect) -> bool:
 
 def rank_with_free_phases(design: Design, ranked: tuple[RankedEffect, ...]) -> tuple[RankedEffect, ...]:
     """Let what is periodic in time have a phase of its own in every run, then look for a period that ties them."""
-    pairs = _quadrature_pairs(design.shapes)
+    pairs = _quadrature_pairs(design.variants)
     if not pairs:
         return ranked
-    nuisances = fit_columns(design, design.total(), *NUISANCES)
+    nuisances = fit_columns(design, design.total_gram(), *NUISANCES)
     tried = [(*free_phase_llr(design, nuisances, pair), pair) for pair in pairs]
-    gain, runs, pair = max(tried, key=lambda one: one[0] - one[1])
-    effect = design.shapes[pair[0]].effect.id
-    tied = next((one for one in ranked if one.effect == effect), None)
+    gain, runs, pair = max(tried, key=lambda item: item[0] - item[1])
+    effect = design.variants[pair[0]].effect.id
+    tied = next((best for best in ranked if best.effect == effect), None)
     # The largest of so many periods is above what one of them has by chance.
     beyond = gain - runs - 2 * np.sqrt(2 * runs * np.log(len(pairs)))
-    if tied is None or beyond <= tied.gain:
+    if tied is None or beyond <= tied.llr:
         return ranked
-    free = RankedEffect(effect, beyond, tied.per_unit, pair, np.array([0.5, 0.5]))
-    return tuple(sorted((free if one.effect == effect else one for one in ranked), key=lambda one: -one.gain))
+    free = RankedEffect(effect, beyond, tied.d_prime_per_unit, pair, np.array([0.5, 0.5]))
+    return tuple(sorted((free if best.effect == effect else best for best in ranked), key=lambda best: -best.llr))
 
 
 def _quadrature_pairs(shapes: Sequence[EffectVariant]) -> list[tuple[int, int]]:
     """Return the pairs of shapes that are periodic in the session's time."""
     return [
         (number, number + 1)
-        for number, one in enumerate(shapes)
-        if is_periodic_in_session(one.effect) and not one.quarter and one.effect.phase is not None
+        for number, variant in enumerate(shapes)
+        if is_periodic_in_session(variant.effect) and not variant.is_quadrature and variant.effect.phase is not None
     ]

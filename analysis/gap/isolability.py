@@ -59,23 +59,23 @@ def required_d_prime(effect: str) -> float:
 def detection_limit(study: Study, design: Design) -> float:
     """Return the force [mN], root mean square where an effect acts, from which on most effects would be seen."""
     sizes = []
-    ranked = rank_effects(project_dictionary(design, design.total(), *NUISANCES), design.shapes)
-    for one in ranked:
-        rms = variant_rms(study, design, one.shapes[0])
-        if one.per_unit > 0 and rms > 0:
-            sizes.append(required_d_prime(one.effect) / one.per_unit * rms)
+    ranked = rank_effects(project_dictionary(design, design.total_gram(), *NUISANCES), design.variants)
+    for best in ranked:
+        rms = variant_rms(study, design, best.variants[0])
+        if best.d_prime_per_unit > 0 and rms > 0:
+            sizes.append(required_d_prime(best.effect) / best.d_prime_per_unit * rms)
     return (
         float(np.quantile(sizes, DETECTED_SHARE))
         if sizes
-        else float(np.median([one.white for one in study.problem.noises]))
+        else float(np.median([noise.white for noise in study.problem.noises]))
     )
 
 
 def variant_rms(study: Study, design: Design, shape: int) -> float:
     """Return the root mean square [mN] of a shape of the dictionary where it acts; 0 where it does nowhere."""
-    column = design.of(ColumnKind.SHAPE)[shape]
-    weights = np.concatenate([one.coordinates.width_s for one in study.sights])
-    more = np.concatenate([part.columns[:, column] for part in design.parts])
+    column = design.columns_of(ColumnKind.VARIANT)[shape]
+    weights = np.concatenate([run.coordinates.width_s for run in study.runs])
+    more = np.concatenate([run_design.columns[:, column] for run_design in design.runs])
     return rms_where_active(more, weights)
 
 
@@ -88,8 +88,8 @@ class VariantColumns:
     """One shape of an effect; what is periodic has two columns a quarter of a period apart."""
 
     effect: str
-    shapes: tuple[int, ...]
-    one_sided: bool
+    variants: tuple[int, ...]
+    one_signed: bool
     d_prime: float
 
 
@@ -99,70 +99,72 @@ class SignatureAngles:
 
     Attributes
     ----------
-    forms
+    variants
         Those that leave anything beside nuisances.
     cos2
         Share of each form's squares that each other form takes away, phases averaged over, shape `(F, F)`.
     """
 
-    forms: tuple[VariantColumns, ...]
+    variants: tuple[VariantColumns, ...]
     cos2: FloatArray
 
     @classmethod
     def of(cls, design: Design) -> "SignatureAngles":
         """Compute them from a design with its dictionary."""
-        gram = project_dictionary(design, design.total(), *NUISANCES).gram
-        forms = tuple(_variant_columns(design.shapes, gram))
+        gram = project_dictionary(design, design.total_gram(), *NUISANCES).gram
+        forms = tuple(_variant_columns(design.variants, gram))
         basis = _orthonormal_basis(forms, gram)
         products = basis @ gram @ basis.T
-        starts = np.concatenate(([0], np.cumsum([len(one.shapes) for one in forms])[:-1])).astype(np.intp)
+        starts = np.concatenate(([0], np.cumsum([len(variant.variants) for variant in forms])[:-1])).astype(np.intp)
         if not forms:
             return cls((), np.zeros((0, 0)))
-        counts = np.array([len(one.shapes) for one in forms], dtype=np.float64)
+        counts = np.array([len(variant.variants) for variant in forms], dtype=np.float64)
         squares = np.add.reduceat(np.add.reduceat(products**2, starts, axis=0), starts, axis=1) / counts[:, None]
-        one_sided = np.array([one.one_sided for one in forms])
+        one_sided = np.array([variant.one_signed for variant in forms])
         opposed = products[np.ix_(starts, starts)] < 0
         squares[opposed & one_sided[:, None] & one_sided[None, :]] = 0.0
         for number, form in enumerate(forms):
-            if is_periodic_in_session(design.shapes[form.shapes[0]].effect):
-                free = _free_phase_shares(design, form.shapes, basis)
+            if is_periodic_in_session(design.variants[form.variants[0]].effect):
+                free = _free_phase_shares(design, form.variants, basis)
                 squares[:, number] = np.maximum(squares[:, number], np.add.reduceat(free, starts) / counts)
         return cls(forms, np.clip(squares, 0.0, 1.0))
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
         """Effects that are seen, in the catalogue's order."""
-        return tuple(dict.fromkeys(one.effect for one in self.forms))
+        return tuple(dict.fromkeys(variant.effect for variant in self.variants))
 
-    def of_effect(self, name: str) -> list[int]:
+    def variants_of_effect(self, name: str) -> list[int]:
         """Return the numbers of an effect's forms."""
-        return [number for number, one in enumerate(self.forms) if one.effect == name]
+        return [number for number, variant in enumerate(self.variants) if variant.effect == name]
 
-    def sin2(self, truth: str, rival: str) -> FloatArray:
+    def sin2(self, effect: str, rival: str) -> FloatArray:
         """Return what the best of a rival's forms leaves of each form of an effect, shape `(forms,)`."""
-        return np.asarray(1.0 - self.cos2[np.ix_(self.of_effect(truth), self.of_effect(rival))].max(axis=1))
+        return np.asarray(
+            1.0 - self.cos2[np.ix_(self.variants_of_effect(effect), self.variants_of_effect(rival))].max(axis=1)
+        )
 
     def d_primes(self, name: str) -> FloatArray:
         """Return d′ of an effect's forms at the usual size, shape `(forms,)`."""
-        return np.array([self.forms[one].d_prime for one in self.of_effect(name)])
+        return np.array([self.variants[index].d_prime for index in self.variants_of_effect(name)])
 
 
 def _variant_columns(shapes: Sequence[EffectVariant], gram: FloatArray) -> list[VariantColumns]:
-    found = []
-    for _, group in groupby(enumerate(shapes), key=lambda pair: (pair[1].effect.id, pair[1].twin)):
+    variants = []
+    for _, group in groupby(enumerate(shapes), key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):
         index = tuple(number for number, _ in group)
         strength = float(np.mean(np.diag(gram)[list(index)]))
         if strength > MIN_SIGNATURE_CHI2:
             first = shapes[index[0]]
-            found.append(VariantColumns(first.effect.id, index, first.signed, float(np.sqrt(strength))))
-    return found
+            variants.append(VariantColumns(first.effect.id, index, first.one_signed, float(np.sqrt(strength))))
+    return variants
 
 
 def _orthonormal_basis(forms: Sequence[VariantColumns], gram: FloatArray) -> FloatArray:
     """Return what makes the columns of each form orthonormal, shape `(columns of all forms, S)`."""
     rows = []
-    for one in forms:
-        index = list(one.shapes)
+    for variant in forms:
+        index = list(variant.variants)
         own = gram[np.ix_(index, index)]
         root = np.linalg.cholesky(own + 1e-9 * np.trace(own) * np.eye(len(index)))
         made = np.zeros((len(index), len(gram)))
@@ -176,23 +178,23 @@ def _free_phase_shares(design: Design, pair: Sequence[int], basis: FloatArray) -
 
     What is periodic in time may lose its phase from run to run; a diagnosis allows for it, and so may be misled by it.
     """
-    nuisances, shapes = 1 + design.of(*NUISANCES), 1 + design.of(ColumnKind.SHAPE)
+    nuisances, shapes = 1 + design.columns_of(*NUISANCES), 1 + design.columns_of(ColumnKind.VARIANT)
     own = shapes[list(pair)]
-    total = design.total()
+    total = design.total_gram()
     gram = total[np.ix_(nuisances, nuisances)]
     whole = gram + np.diag(design.prior_precision[nuisances - 1] + RELATIVE_RIDGE * np.diag(gram))
-    grams = [one for one in design.grams if np.trace(one[np.ix_(own, own)]) > MIN_SIGNATURE_CHI2]
-    by_nuisance = np.concatenate([one[np.ix_(nuisances, own)] for one in grams], axis=1)
+    grams = [values for values in design.grams if np.trace(values[np.ix_(own, own)]) > MIN_SIGNATURE_CHI2]
+    by_nuisance = np.concatenate([values[np.ix_(nuisances, own)] for values in grams], axis=1)
     taken = np.linalg.solve(whole, by_nuisance)
-    each = np.zeros((by_nuisance.shape[1],) * 2)
-    for place, one in enumerate(grams):
+    array = np.zeros((by_nuisance.shape[1],) * 2)
+    for place, values in enumerate(grams):
         at = slice(2 * place, 2 * place + 2)
-        each[at, at] = one[np.ix_(own, own)]
-    each -= by_nuisance.T @ taken
-    across = np.concatenate([one[np.ix_(shapes, own)] for one in grams], axis=1)
+        array[at, at] = values[np.ix_(own, own)]
+    array -= by_nuisance.T @ taken
+    across = np.concatenate([values[np.ix_(shapes, own)] for values in grams], axis=1)
     along = basis @ (across - total[np.ix_(shapes, nuisances)] @ taken)
-    each += 1e-9 * np.trace(each) / len(each) * np.eye(len(each))
-    return np.asarray(np.sum(along * np.linalg.solve(each, along.T).T, axis=1))
+    array += 1e-9 * np.trace(array) / len(array) * np.eye(len(array))
+    return np.asarray(np.sum(along * np.linalg.solve(array, along.T).T, axis=1))
 
 
 def order_by_similarity(names: Sequence[str], sin2: Mapping[frozenset[str], float]) -> tuple[str, ...]:
@@ -203,7 +205,7 @@ def order_by_similarity(names: Sequence[str], sin2: Mapping[frozenset[str], floa
         return tuple(names)
     apart = np.array([np.sqrt(sin2[frozenset(pair)]) for pair in combinations(names, 2)])
     order: list[int] = leaves_list(linkage(apart, "average", optimal_ordering=True)).tolist()
-    return tuple(names[one] for one in order)
+    return tuple(names[index] for index in order)
 
 
 CONFUSED_SIN2 = 0.17
@@ -224,9 +226,9 @@ class Visibility:
         Where it is seen: `force`, `position`, or `spectrum` for a line that block means take out.
     d_prime
         At its usual size, median over its shapes: the norm of its whitened signature once nuisances are taken out.
-    usual, least, unit
+    usual, smallest, unit
         The usual size, and the smallest that would be seen, median over its shapes; None where no run shows it.
-    least_mN
+    smallest_mN
         Root mean square of the smallest where it acts; None in the position.
     """
 
@@ -234,9 +236,9 @@ class Visibility:
     channel: str
     d_prime: float
     usual: float
-    least: float | None
+    smallest: float | None
     unit: str
-    least_mN: float | None = None
+    smallest_mN: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,35 +302,43 @@ class Isolability:
 
     def of_channel(self, channel: str) -> tuple[Visibility, ...]:
         """Return the effects of a channel that runs show, in their order."""
-        return tuple(one for one in self.effects if one.channel == channel and one.least is not None)
+        return tuple(
+            visibility
+            for visibility in self.effects
+            if visibility.channel == channel and visibility.smallest is not None
+        )
 
     @property
-    def unseen(self) -> tuple[str, ...]:
+    def invisible(self) -> tuple[str, ...]:
         """Effects that no run shows at their usual size."""
-        return tuple(one.effect for one in self.effects if one.least is None or one.d_prime < DETECTABLE_D_PRIME)
+        return tuple(
+            visibility.effect
+            for visibility in self.effects
+            if visibility.smallest is None or visibility.d_prime < DETECTABLE_D_PRIME
+        )
 
     @property
     def confused(self) -> tuple[EffectPair, ...]:
         """Pairs that these runs hardly tell apart, the closest first."""
-        return tuple(one for one in self.pairs if one.confused)
+        return tuple(pair for pair in self.pairs if pair.confused)
 
-    def pair(self, one: str, other: str) -> EffectPair | None:
+    def pair(self, name: str, label: str) -> EffectPair | None:
         """Return two effects' pair; None where they are not of one channel."""
-        return next((each for each in self.pairs if set(each.effects) == {one, other}), None)
+        return next((pair for pair in self.pairs if set(pair.effects) == {name, label}), None)
 
     def summary(self) -> Mapping[str, float]:
         """Return what two plans are compared by, of the force's effects."""
-        pairs = [one for one in self.pairs if one.channel == "force"]
+        pairs = [pair for pair in self.pairs if pair.channel == "force"]
         seen = self.of_channel("force")
-        ratios = [one.least / abs(one.usual) for one in seen if one.least is not None]
+        ratios = [visibility.smallest / abs(visibility.usual) for visibility in seen if visibility.smallest is not None]
         return {
             "pairs": len(pairs),
-            "confused": sum(one.confused for one in pairs),
-            "below_half": sum(one.sin2 < 0.5 for one in pairs),
-            "least_sin2": min((one.sin2 for one in pairs), default=float("nan")),
-            "median_sin2": median([one.sin2 for one in pairs]) if pairs else float("nan"),
-            "least_d_prime": min((one.separation for one in pairs), default=float("nan")),
-            "median_d_prime": median([one.separation for one in pairs]) if pairs else float("nan"),
+            "confused": sum(pair.confused for pair in pairs),
+            "below_half": sum(pair.sin2 < 0.5 for pair in pairs),
+            "least_sin2": min((pair.sin2 for pair in pairs), default=float("nan")),
+            "median_sin2": median([pair.sin2 for pair in pairs]) if pairs else float("nan"),
+            "least_d_prime": min((pair.separation for pair in pairs), default=float("nan")),
+            "median_d_prime": median([pair.separation for pair in pairs]) if pairs else float("nan"),
             "median_least_over_usual": median(ratios) if ratios else float("nan"),
             "largest_least_over_usual": max(ratios, default=float("nan")),
         }
@@ -348,8 +358,8 @@ TRIAL_PHASE_RAD = 0.7
 class _PositionTrial:
     """One shape of an effect: the largest error over what is noticed, and the share that each free form leaves."""
 
-    ratio: float
-    left: Mapping[str, float]
+    error_ratio: float
+    remaining_shares: Mapping[str, float]
 
 
 def position_isolability(
@@ -357,49 +367,54 @@ def position_isolability(
 ) -> tuple[tuple[Visibility, ...], tuple[EffectPair, ...]]:
     """Return how clearly runs show each effect of the position, and how far apart these are."""
     runs = position_errors(experiments)
-    acting = [one for one in effects if isinstance(one, MotorEffect | EncoderEffect)]
+    acting = [effect for effect in effects if isinstance(effect, MotorEffect | EncoderEffect)]
     tried = {
         one.id: [_position_trial(candidate, runs) for candidate in _trial_candidates(one)] if runs else []
         for one in acting
     }
     visible = tuple(_position_visibility(one, tried[one.id]) for one in acting)
-    shown = tuple(one.effect for one in visible if one.least is not None)
+    shown = tuple(visibility.effect for visibility in visible if visibility.smallest is not None)
     return visible, tuple(_position_pair(pair, tried) for pair in effect_pairs(shown))
 
 
 def _trial_candidates(effect: Effect) -> Iterator[Candidate]:
-    grid = list(product(*(one.start_values for one in effect.shapes)))
+    grid = list(product(*(parameter.start_values for parameter in effect.shapes)))
     chosen = np.unique(np.linspace(0, len(grid) - 1, min(MAX_VARIANTS, len(grid))).round().astype(int)).tolist()
     phase = {} if effect.phase is None else {effect.phase.name: TRIAL_PHASE_RAD}
     for place in chosen:
-        shapes = {one.name: value for one, value in zip(effect.shapes, grid[place], strict=True)}
+        shapes = {parameter.name: value for parameter, value in zip(effect.shapes, grid[place], strict=True)}
         yield Candidate(effect, {**effect.defaults, **shapes, **phase})
 
 
 def _position_trial(candidate: Candidate, runs: Sequence[PositionErrors]) -> _PositionTrial:
-    errors = [predicted_position_error(candidate, one) for one in runs]
-    clearest = max(float(np.sqrt(np.mean(more**2))) / one.least_mm for one, more in zip(runs, errors, strict=True))
-    strays = [replace(one, error_mm=one.error_mm + more) for one, more in zip(runs, errors, strict=True)]
-    return _PositionTrial(clearest, {one.effect: 1.0 - one.held_out for one in score_model_classes(strays)})
+    errors = [predicted_position_error(candidate, run) for run in runs]
+    clearest = max(float(np.sqrt(np.mean(more**2))) / run.detectable_mm for run, more in zip(runs, errors, strict=True))
+    strays = [replace(run, error_mm=run.error_mm + more) for run, more in zip(runs, errors, strict=True)]
+    return _PositionTrial(
+        clearest, {model_class.effect: 1.0 - model_class.held_out_share for model_class in score_model_classes(strays)}
+    )
 
 
 def _position_visibility(effect: Effect, tried: Sequence[_PositionTrial]) -> Visibility:
     size, unit = effect.size.default, effect.size.unit
-    ratios = [one.ratio for one in tried if one.ratio > 0]
+    ratios = [trial.error_ratio for trial in tried if trial.error_ratio > 0]
     if not ratios:
         return Visibility(effect.id, "position", 0.0, size, None, unit)
     return Visibility(
-        effect.id, "position", DETECTABLE_D_PRIME * median(ratios), size, median(size / one for one in ratios), unit
+        effect.id, "position", DETECTABLE_D_PRIME * median(ratios), size, median(size / value for value in ratios), unit
     )
 
 
 def _position_pair(pair: tuple[str, str], tried: Mapping[str, Sequence[_PositionTrial]]) -> EffectPair:
-    one, other = pair
-    left = [[min(max(each.left[rival], 0.0), 1.0) for each in tried[truth]] for truth, rival in (pair, (other, one))]
+    name, label = pair
+    left = [
+        [min(max(trial.remaining_shares[rival], 0.0), 1.0) for trial in tried[truth]]
+        for truth, rival in (pair, (label, name))
+    ]
     shifts = [
         median(
-            DETECTABLE_D_PRIME * each.ratio * float(np.sqrt(share))
-            for each, share in zip(tried[truth], shares, strict=True)
+            DETECTABLE_D_PRIME * trial.error_ratio * float(np.sqrt(share))
+            for trial, share in zip(tried[truth], shares, strict=True)
         )
         for truth, shares in zip(pair, left, strict=True)
     ]
@@ -415,7 +430,7 @@ ISOLABILITY_STEPS = 4
 def isolate(
     selection: RunSelection,
     nominal: NominalModel,
-    without: Sequence[str] = (),
+    excluded: Sequence[str] = (),
     *,
     source: str = "",
     planned: bool = False,
@@ -426,7 +441,7 @@ def isolate(
 
     Parameters
     ----------
-    without
+    excluded
         Effects that are not to be considered.
 
     Raises
@@ -434,29 +449,31 @@ def isolate(
     AnalysisError
         Where the model predicts nothing of these runs.
     """
-    effects = [one for one in catalogue().values() if one.id not in without]
+    effects = [effect for effect in catalogue().values() if effect.id not in excluded]
     progress(0, ISOLABILITY_STEPS)
-    study = prepare_study(selection, nominal, [one for one in effects if _acts_on_force(one)])
-    point = gauss_newton_step(linearise(study, study.start))
+    study = prepare_study(selection, nominal, [effect for effect in effects if _acts_on_force(effect)])
+    point = gauss_newton_step(linearise(study, study.initial_z))
     progress(1, ISOLABILITY_STEPS)
     design = linearise(study, point.z, dictionary=True)
     progress(2, ISOLABILITY_STEPS)
     angles = SignatureAngles.of(design)
     pairs = [_force_pair(angles, pair) for pair in effect_pairs(angles.effects)]
-    order = order_by_similarity(angles.effects, {frozenset(one.effects): one.sin2 for one in pairs})
+    order = order_by_similarity(
+        angles.effects, {frozenset(effect_pair.effects): effect_pair.sin2 for effect_pair in pairs}
+    )
     seen = {name: _force_visibility(study, design, angles, name) for name in order}
-    hidden = [_invisible(one) for one in study.effects if one.id not in seen]
+    hidden = [_invisible(effect) for effect in study.effects if effect.id not in seen]
     progress(3, ISOLABILITY_STEPS)
-    lines = [_line_visibility(one, selection, study.channel) for one in effects if one.id == MAINS_HUM]
+    lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.id == MAINS_HUM]
     in_position, more = position_isolability(selection.experiments, effects)
     progress(ISOLABILITY_STEPS, ISOLABILITY_STEPS)
     return Isolability(
         source=source,
         planned=planned,
-        runs=dict(Counter(one.kind for one in selection.experiments)),
+        runs=dict(Counter(experiment.kind for experiment in selection.experiments)),
         duration_s=duration_s,
         effects=(*seen.values(), *hidden, *lines, *in_position),
-        pairs=tuple(sorted((*pairs, *more), key=lambda one: one.sin2)),
+        pairs=tuple(sorted((*pairs, *more), key=lambda effect_pair: effect_pair.sin2)),
         remarks=tuple(_isolability_remarks(selection, planned=planned)),
     )
 
@@ -466,8 +483,8 @@ def _acts_on_force(effect: Effect) -> bool:
 
 
 def _force_pair(angles: SignatureAngles, pair: tuple[str, str]) -> EffectPair:
-    one, other = pair
-    left = angles.sin2(one, other), angles.sin2(other, one)
+    label, other = pair
+    left = angles.sin2(label, other), angles.sin2(other, label)
     apart = [float(np.median(angles.d_primes(name) * np.sqrt(share))) for name, share in zip(pair, left, strict=True)]
     sin2 = float(min(left[0].min(), left[1].min()))
     typical = float(np.median(left[0])), float(np.median(left[1]))
@@ -477,17 +494,17 @@ def _force_pair(angles: SignatureAngles, pair: tuple[str, str]) -> EffectPair:
 
 
 def _force_visibility(study: Study, design: Design, angles: SignatureAngles, name: str) -> Visibility:
-    size = next(one for one in study.effects if one.id == name).size
-    forms = [angles.forms[one] for one in angles.of_effect(name)]
-    found = [_smallest_visible(study, design, one, required_d_prime(name)) for one in forms]
-    share, least_mN = median(one[0] for one in found), median(one[1] for one in found)
-    d_prime = median(one.d_prime for one in forms)
+    size = next(effect for effect in study.effects if effect.id == name).size
+    forms = [angles.variants[index] for index in angles.variants_of_effect(name)]
+    pairs = [_smallest_visible(study, design, variant, required_d_prime(name)) for variant in forms]
+    share, least_mN = median(pair[0] for pair in pairs), median(pair[1] for pair in pairs)
+    d_prime = median(variant.d_prime for variant in forms)
     return Visibility(name, "force", d_prime, size.default, share * abs(size.default), size.unit, least_mN)
 
 
 def _smallest_visible(study: Study, design: Design, form: VariantColumns, d_prime: float) -> tuple[float, float]:
     """Return the smallest size, with such a d′, over the usual one, and its root mean square [mN]."""
-    rms = variant_rms(study, design, form.shapes[0])
+    rms = variant_rms(study, design, form.variants[0])
     share = max(d_prime / form.d_prime, DEFAULT_TOLERANCE_MN / rms if rms > 0 else 0.0)
     return share, share * rms
 
@@ -529,31 +546,33 @@ def _isolability_remarks(selection: RunSelection, *, planned: bool) -> Iterator[
 KIND_NAMES = {"coulomb": "Coulomb"}
 
 
-def isolability_sentences(found: Isolability) -> tuple[str, ...]:
+def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
     """Return what matters most, the first sentence first."""
-    return tuple(_sentences(found))
+    return tuple(_sentences(isolability))
 
 
-def smallest_visible_text(one: Visibility) -> str:
+def smallest_visible_text(visibility: Visibility) -> str:
     """Spell the smallest size that would be seen, with its unit."""
-    if one.least is None:
+    if visibility.smallest is None:
         return "not at all"
-    unit = "" if one.unit == "1" else f" {one.unit}"
-    return f"{one.least:.2g}{unit}"
+    unit = "" if visibility.unit == "1" else f" {visibility.unit}"
+    return f"{visibility.smallest:.2g}{unit}"
 
 
-def pair_text(one: EffectPair) -> str:
+def pair_text(pair: EffectPair) -> str:
     """Name two effects and say how far apart they are."""
-    return f"{join_names([display_name(name) for name in one.effects])} (sin² {one.sin2:.2f}, d′ {one.separation:.0f})"
-
-
-def _sentences(found: Isolability) -> Iterator[str]:
-    made = "would make" if found.planned else "are"
-    counts = join_names(
-        [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in found.runs.items()]
+    return (
+        f"{join_names([display_name(name) for name in pair.effects])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
     )
-    time = "" if found.duration_s is None else f" in {found.duration_s / 60:.1f} min of rig time"
-    confused = found.confused
+
+
+def _sentences(isolability: Isolability) -> Iterator[str]:
+    made = "would make" if isolability.planned else "are"
+    counts = join_names(
+        [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in isolability.runs.items()]
+    )
+    time = "" if isolability.duration_s is None else f" in {isolability.duration_s / 60:.1f} min of rig time"
+    confused = isolability.confused
     if confused:
         yield (
             f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly told apart "
@@ -561,13 +580,13 @@ def _sentences(found: Isolability) -> Iterator[str]:
         )
     else:
         yield "These runs tell every two effects of the catalogue apart."
-    yield f"These {made} {counts}{time}." if not found.planned else f"The plan {made} {counts}{time}."
-    if found.unseen:
-        names = join_names([display_name(effect) for effect in found.unseen])
+    yield f"These {made} {counts}{time}." if not isolability.planned else f"The plan {made} {counts}{time}."
+    if isolability.invisible:
+        names = join_names([display_name(effect) for effect in isolability.invisible])
         yield f"{capitalise(names)} would not be seen at the usual size."
-    force = [one for one in found.of_channel("force") if one.least is not None]
+    force = [visibility for visibility in isolability.of_channel("force") if visibility.smallest is not None]
     if force:
-        weakest = max(force, key=lambda one: (one.least or 0.0) / abs(one.usual))
+        weakest = max(force, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
         yield (
             f"The least visible is {display_name(weakest.effect)}: from {smallest_visible_text(weakest)} on, "
             f"where it usually is {weakest.usual:g}."

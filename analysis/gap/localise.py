@@ -46,11 +46,11 @@ class BlockTable:
     @classmethod
     def of(cls, blocks: Sequence[ResidualBlocks]) -> "BlockTable":
         """Stack the blocks."""
-        number = {name: index for index, name in enumerate(dict.fromkeys(one.run_id for one in blocks))}
+        number = {name: index for index, name in enumerate(dict.fromkeys(run.run_id for run in blocks))}
         return cls(
-            np.concatenate([np.full(one.residual.size, number[one.run_id]) for one in blocks]),
-            np.concatenate([one.weight for one in blocks]),
-            np.concatenate([one.deviation for one in blocks]),
+            np.concatenate([np.full(run.residual.size, number[run.run_id]) for run in blocks]),
+            np.concatenate([run.weight for run in blocks]),
+            np.concatenate([run.deviation for run in blocks]),
         )
 
 
@@ -58,7 +58,7 @@ class BlockTable:
 class DomainCoordinate:
     """What a domain knows of each block: a bin, and how the residual is scaled in it."""
 
-    bin: IndexArray
+    bins: IndexArray
     scale: FloatArray
 
 
@@ -68,7 +68,7 @@ def cross_predicted_share(table: BlockTable, coordinate: DomainCoordinate) -> fl
     In each bin the residual is a factor times the scale; the factor comes by least squares from the other runs.
     """
     runs = int(table.run.max()) + 1
-    cell = np.unique(coordinate.bin * runs + table.run, return_inverse=True)
+    cell = np.unique(coordinate.bins * runs + table.run, return_inverse=True)
     keys = cell[0]
     product = np.bincount(cell[1], table.weight * coordinate.scale * table.deviation)
     square = np.bincount(cell[1], table.weight * coordinate.scale**2)
@@ -83,15 +83,15 @@ def cross_predicted_share(table: BlockTable, coordinate: DomainCoordinate) -> fl
 
 def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[DomainCoordinate, ...]]:
     """Return what is tried for each domain that runs can predict."""
-    group = _per_block(blocks, [_group_index(blocks, one) for one in blocks])
+    group = _per_block(blocks, [_group_index(blocks, run) for run in blocks])
     ones = np.ones(group.size)
-    strain = np.concatenate([np.full(one.residual.size, one.strain or 1.0) for one in blocks])
-    phase = np.concatenate([one.phase.astype(np.intp) for one in blocks])
-    speed = _per_block(blocks, np.unique([one.speed_mm_s for one in blocks], return_inverse=True)[1].tolist())
-    position = np.concatenate([_position_bins(one) for one in blocks])
-    time = np.concatenate([_time_bins(one) for one in blocks])
+    strain = np.concatenate([np.full(run.residual.size, run.strain or 1.0) for run in blocks])
+    phase = np.concatenate([run.phase.astype(np.intp) for run in blocks])
+    speed = _per_block(blocks, np.unique([run.speed_mm_s for run in blocks], return_inverse=True)[1].tolist())
+    position = np.concatenate([_position_bins(run) for run in blocks])
+    time = np.concatenate([_time_bins(run) for run in blocks])
     neighbours = [_per_block(blocks, _session_pairs(blocks, shift)) for shift in (0, 1)]
-    sheared = _per_block(blocks, [int(one.contact is Contact.STICKING) for one in blocks]) > 0
+    sheared = _per_block(blocks, [int(run.contact is Contact.STICKING) for run in blocks]) > 0
     return {
         CONSTANT_DOMAIN: (DomainCoordinate(_combined_index(group, phase), ones),),
         "speed": (DomainCoordinate(_combined_index(group, phase, speed), np.where(sheared, 0.0, 1.0)),),
@@ -107,36 +107,36 @@ def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[D
 
 def _per_block(blocks: Sequence[ResidualBlocks], number: Sequence[int]) -> IndexArray:
     """Return a number of each run for each of its blocks."""
-    return np.concatenate([np.full(one.residual.size, value) for one, value in zip(blocks, number, strict=True)])
+    return np.concatenate([np.full(run.residual.size, value) for run, value in zip(blocks, number, strict=True)])
 
 
-def _group_index(blocks: Sequence[ResidualBlocks], one: ResidualBlocks) -> int:
-    names = list(dict.fromkeys((other.channel, other.kind) for other in blocks))
-    return names.index((one.channel, one.kind))
+def _group_index(blocks: Sequence[ResidualBlocks], run: ResidualBlocks) -> int:
+    names = list(dict.fromkeys((run_blocks.channel, run_blocks.kind) for run_blocks in blocks))
+    return names.index((run.channel, run.kind))
 
 
 def _session_pairs(blocks: Sequence[ResidualBlocks], shift: int) -> list[int]:
     """Return the number of the pair of neighbours in the session that a run belongs to, within its kind."""
     ranks = []
-    for one in blocks:
-        before = sum(o.kind == one.kind and o.channel == one.channel and o.session_s < one.session_s for o in blocks)
+    for run in blocks:
+        before = sum(o.kind == run.kind and o.channel == run.channel and o.session_s < run.session_s for o in blocks)
         ranks.append((before + shift) // 2)
     return ranks
 
 
-def _position_bins(one: ResidualBlocks) -> IndexArray:
+def _position_bins(blocks: ResidualBlocks) -> IndexArray:
     """Return the bin along the stroke; rests and holds are apart, as they say nothing of the stroke."""
-    along = 2 + np.floor(np.abs(one.position_mm) / POSITION_BIN_MM).astype(np.intp)
-    return np.where(one.phase == Phase.REST, 0, np.where(one.phase == Phase.HOLD, 1, along))
+    along = 2 + np.floor(np.abs(blocks.position_mm) / POSITION_BIN_MM).astype(np.intp)
+    return np.where(blocks.phase == Phase.REST, 0, np.where(blocks.phase == Phase.HOLD, 1, along))
 
 
-def _time_bins(one: ResidualBlocks) -> IndexArray:
+def _time_bins(blocks: ResidualBlocks) -> IndexArray:
     """Return the bin of the time since the last start or stop, on a logarithmic scale; the rest has one of its own."""
-    held = one.phase == Phase.HOLD
-    begun = one.phase != Phase.REST
-    start = one.time_s[begun][0] if begun.any() else 0.0
-    stop = one.time_s[held][0] if held.any() else np.inf
-    since = np.where(held, one.time_s - stop, one.time_s - start)
+    held = blocks.phase == Phase.HOLD
+    begun = blocks.phase != Phase.REST
+    start = blocks.time_s[begun][0] if begun.any() else 0.0
+    stop = blocks.time_s[held][0] if held.any() else np.inf
+    since = np.where(held, blocks.time_s - stop, blocks.time_s - start)
     bins = np.searchsorted(np.geomspace(0.01, 300.0, TIME_BINS), np.maximum(since, 0.0))
     return np.where(begun, 1 + bins + held * (TIME_BINS + 2), 0)
 
@@ -144,8 +144,8 @@ def _time_bins(one: ResidualBlocks) -> IndexArray:
 def _combined_index(*parts: IndexArray) -> IndexArray:
     """Return one number for each combination."""
     joined = parts[0]
-    for part in parts[1:]:
-        joined = joined * (int(part.max()) + 1) + part
+    for values in parts[1:]:
+        joined = joined * (int(values.max()) + 1) + values
     return np.asarray(joined)
 
 
@@ -170,7 +170,7 @@ def best_periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[float, float
 
 def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
     """Return the wave numbers per mm that are tried: the usual ones, and shorter waves as far as blocks show them."""
-    steady = [np.abs(one.position_mm[one.phase == Phase.STEADY]) for one in blocks]
+    steady = [np.abs(run.position_mm[run.phase == Phase.STEADY]) for run in blocks]
     steady = [one for one in steady if one.size >= MIN_SINE_BLOCKS and np.ptp(one) > 0]
     if not steady:
         return WAVENUMBERS_PER_MM
@@ -183,34 +183,34 @@ def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
 
 def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, FloatArray]:
     """Return that part for a sine of each of `trial_wavenumbers` in position, and of `FREQUENCIES_HZ` in time."""
-    total = sum(float((one.weight * one.deviation**2).sum()) for one in blocks)
+    total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
     waves = trial_wavenumbers(blocks)
     in_position, in_time = np.zeros(waves.size), np.zeros(FREQUENCIES_HZ.size)
     if total <= 0:
         return in_position, in_time
-    for one in blocks:
-        steady, begun = one.phase == Phase.STEADY, one.phase != Phase.REST
-        in_position += _sine_power(one, np.abs(one.position_mm), steady, waves)
-        in_time += _sine_power(one, one.time_s, begun, FREQUENCIES_HZ)
+    for run in blocks:
+        steady, begun = run.phase == Phase.STEADY, run.phase != Phase.REST
+        in_position += _sine_power(run, np.abs(run.position_mm), steady, waves)
+        in_time += _sine_power(run, run.time_s, begun, FREQUENCIES_HZ)
     return in_position / total, in_time / total
 
 
 def best_wavenumber(blocks: Sequence[ResidualBlocks]) -> float:
     """Return the wave number per mm of which a sine accounts for most, told as exactly as runs tell it."""
-    waves, found = trial_wavenumbers(blocks), periodic_shares(blocks)[0]
-    at = int(found.argmax())
+    waves, result = trial_wavenumbers(blocks), periodic_shares(blocks)[0]
+    at = int(result.argmax())
     low, high = waves[max(at - 1, 0)], waves[min(at + 1, waves.size - 1)]
     near = np.linspace(low, high, REFINEMENT_POINTS)
-    moving = [(one, one.phase == Phase.STEADY) for one in blocks]
-    taken = np.sum([_sine_power(one, np.abs(one.position_mm), steady, near) for one, steady in moving], axis=0)
+    moving = [(run, run.phase == Phase.STEADY) for run in blocks]
+    taken = np.sum([_sine_power(run, np.abs(run.position_mm), steady, near) for run, steady in moving], axis=0)
     return float(near[int(taken.argmax())])
 
 
-def _sine_power(one: ResidualBlocks, coordinate: FloatArray, inside: BoolArray, rates: FloatArray) -> FloatArray:
+def _sine_power(blocks: ResidualBlocks, coordinate: FloatArray, inside: BoolArray, rates: FloatArray) -> FloatArray:
     """Return the squares that a sine of each rate accounts for, beyond a straight line, in a part of a run."""
     if np.count_nonzero(inside) < MIN_SINE_BLOCKS:
         return np.zeros_like(rates)
-    at, deviation, weight = coordinate[inside], one.deviation[inside], one.weight[inside]
+    at, deviation, weight = coordinate[inside], blocks.deviation[inside], blocks.weight[inside]
     root = np.sqrt(weight)
     line = np.linalg.qr(np.stack((root, root * (at - at.mean())), axis=1))[0]
     left = root * deviation
@@ -235,31 +235,31 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     """Return which part of the residuals' squares each domain accounts for, 0 to 1."""
     table = BlockTable.of(blocks)
     seen = domain_coordinates(blocks)
-    scores = {name: max(cross_predicted_share(table, one) for one in seen[name]) for name in seen}
+    scores = {name: max(cross_predicted_share(table, coordinate) for coordinate in seen[name]) for name in seen}
     in_position, in_time = best_periodic_shares(blocks)
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
     scores["session"] = max(scores["session"], scores[CONSTANT_DOMAIN] + in_time)
-    total = sum(float((one.weight * one.deviation**2).sum()) for one in blocks)
-    fast = sum(_fast_excess(one) for one in blocks)
+    total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
+    fast = sum(_fast_excess(run) for run in blocks)
     scores["frequency"] = fast / (total + fast) if fast > 0 else 0.0
-    scores["transient"] = sum(_transient_excess(one) for one in blocks) / total if total > 0 else 0.0
+    scores["transient"] = sum(_transient_excess(run) for run in blocks) / total if total > 0 else 0.0
     return {name: float(np.clip(scores[name], 0.0, 1.0)) for name in DOMAINS}
 
 
-def _fast_excess(one: ResidualBlocks) -> float:
-    return float(np.maximum(band_excess(one)[np.array(BANDS_HZ[:-1]) >= FAST_HZ], 0.0).sum())
+def _fast_excess(blocks: ResidualBlocks) -> float:
+    return float(np.maximum(band_excess(blocks)[np.array(BANDS_HZ[:-1]) >= FAST_HZ], 0.0).sum())
 
 
-def _transient_excess(one: ResidualBlocks) -> float:
+def _transient_excess(blocks: ResidualBlocks) -> float:
     """Return the excess while the velocity changes and shortly after, above what the run has elsewhere."""
-    changing = (one.phase == Phase.ACCELERATE) | (one.phase == Phase.DECELERATE)
+    changing = (blocks.phase == Phase.ACCELERATE) | (blocks.phase == Phase.DECELERATE)
     if not changing.any():
         return 0.0
-    changes = one.time_s[changing]
-    after = one.time_s[:, None] - changes
+    changes = blocks.time_s[changing]
+    after = blocks.time_s[:, None] - changes
     near = ((after >= 0) & (after < TRANSIENT_S)).any(axis=1)
-    elsewhere = one.excess[~near].sum() / max(float(one.weight[~near].sum()), 1e-9)
-    return max(float(one.excess[near].sum() - max(elsewhere, 0.0) * one.weight[near].sum()), 0.0)
+    elsewhere = blocks.excess[~near].sum() / max(float(blocks.weight[~near].sum()), 1e-9)
+    return max(float(blocks.excess[near].sum() - max(elsewhere, 0.0) * blocks.weight[near].sum()), 0.0)
 
 
 MAIN_SHARE = 0.8
@@ -299,8 +299,12 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
     runs = CampaignResiduals.of(blocks)
     generator = np.random.default_rng(seed)
     axes = excess_axes(runs)
-    found = [permutation_test(axis, runs.stratum, generator) for axis in axes]
-    tests = [largest_excess_p(blocks), overall_p(runs.energy, generator), *(one.least for one in found if one.p.size)]
+    found = [permutation_test(axis, runs.kind_index, generator) for axis in axes]
+    tests = [
+        largest_excess_p(blocks),
+        overall_p(runs.energy, generator),
+        *(significance.min_p for significance in found if significance.p.size),
+    ]
     p = min(1.0, len(tests) * min(tests))
     there = p < ALPHA if present is None else present
     whole = float(np.maximum(runs.energy, 0.0).sum())
@@ -309,7 +313,9 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
         present=there,
         p=p,
         rms=_root_of_excess(float(runs.energy.mean())),
-        locations=tuple(_axis_location(axis, one, whole, there) for axis, one in zip(axes, found, strict=True)),
+        locations=tuple(
+            _axis_location(axis, significance, whole, there) for axis, significance in zip(axes, found, strict=True)
+        ),
         cells=_phase_cells(blocks),
         domain=_main_domain(scores, MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0),
         domain_scores=scores,
@@ -330,21 +336,21 @@ def _axis_location(axis: ExcessAxis, tested: Significance, whole: float, there: 
     energy *= there and covered >= MIN_COVERED_SHARE
     total = float(energy.sum())
     shares = energy / total if total > 0 else np.zeros_like(energy)
-    time = axis.time.sum(axis=0)
+    time = axis.duration.sum(axis=0)
     rms = np.sqrt(np.maximum(np.divide(axis.energy.sum(axis=0), time, out=np.zeros_like(time), where=time > 0), 0.0))
     bins = tuple(
         _axis_bin(axis, number, float(shares[number]), float(rms[number]), tested) for number in range(shares.size)
     )
     if not axis.ordered or total <= 0:
-        return AxisLocation(axis.name, bins, covered, None, None, 0.0, 1.0, tested.least)
+        return AxisLocation(axis.name, bins, covered, None, None, 0.0, 1.0, tested.min_p)
     first, last = _narrowest_window(shares)
     low, high = float(axis.edges[first, 0]), float(axis.edges[last, 1])
     share = float(shares[first : last + 1].sum())
-    return AxisLocation(axis.name, bins, covered, low, high, share, tested.of(first, last), tested.least)
+    return AxisLocation(axis.name, bins, covered, low, high, share, tested.of_window(first, last), tested.min_p)
 
 
 def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, tested: Significance) -> AxisBin:
-    p = tested.of(number, number)
+    p = tested.of_window(number, number)
     if not axis.ordered:
         return AxisBin(axis.labels[number], None, None, share, rms, p)
     low, high = axis.edges[number].tolist()
@@ -363,18 +369,18 @@ def _narrowest_window(shares: FloatArray) -> tuple[int, int]:
 
 def _phase_cells(blocks: Sequence[ResidualBlocks]) -> tuple[PhaseCell, ...]:
     excess: dict[tuple[str, str, int], FloatArray] = {}
-    for one in blocks:
-        for phase in np.unique(one.phase).tolist():
-            inside = one.phase == phase
-            key = one.channel, one.kind, phase
-            more = np.array([one.excess[inside].sum(), one.weight[inside].sum()])
+    for run in blocks:
+        for phase in np.unique(run.phase).tolist():
+            inside = run.phase == phase
+            key = run.channel, run.kind, phase
+            more = np.array([run.excess[inside].sum(), run.weight[inside].sum()])
             excess[key] = excess.get(key, np.zeros(2)) + more
-    places = dict.fromkeys((one.channel, one.kind) for one in blocks)
+    places = dict.fromkeys((run.channel, run.kind) for run in blocks)
     return tuple(
-        PhaseCell(channel, kind, name, _root_of_excess(float(found[0] / found[1])) if found is not None else None)
+        PhaseCell(channel, kind, name, _root_of_excess(float(result[0] / result[1])) if result is not None else None)
         for channel, kind in places
         for phase, name in enumerate(PHASE_NAMES)
-        for found in [excess.get((channel, kind, phase))]
+        for result in [excess.get((channel, kind, phase))]
     )
 
 
@@ -383,7 +389,7 @@ def _root_of_excess(energy: float) -> float:
 
 
 def attribute_to_effects(
-    found: GapLocation, blocks: Sequence[ResidualBlocks], added: Sequence[FloatArray]
+    location: GapLocation, blocks: Sequence[ResidualBlocks], added: Sequence[FloatArray]
 ) -> GapLocation:
     """Return shares of what named effects add, where the residuals of the campaign have no excess to share out.
 
@@ -392,25 +398,25 @@ def attribute_to_effects(
 
     Parameters
     ----------
-    found
+    location
         What the residuals say.
     blocks
         They.
     added
         What the effects add, block by block, to each of the first of these [the channel's unit].
     """
-    if not found.present or any(found.location("channel").shares.values()):
-        return found
-    shown = [replace(one, explained=more) for one, more in zip(blocks, added, strict=False)]
-    where = localise([*shown, *blocks[len(shown) :]], present=True, seed=found.seed)
-    pairs = zip(found.locations, where.locations, strict=True)
-    return replace(where, p=found.p, locations=tuple(_with_residual_p(*pair) for pair in pairs))
+    if not location.present or any(location.location("channel").shares.values()):
+        return location
+    shown = [replace(run, explained=more) for run, more in zip(blocks, added, strict=False)]
+    where = localise([*shown, *blocks[len(shown) :]], present=True, seed=location.seed)
+    pairs = zip(location.locations, where.locations, strict=True)
+    return replace(where, p=location.p, locations=tuple(_with_residual_p(*pair) for pair in pairs))
 
 
-def _with_residual_p(found: AxisLocation, shown: AxisLocation) -> AxisLocation:
-    bins = tuple(_bin_with_residual_p(*pair) for pair in zip(found.bins, shown.bins, strict=True))
-    return replace(shown, bins=bins, p=found.p, least_p=found.least_p)
+def _with_residual_p(location: AxisLocation, shown: AxisLocation) -> AxisLocation:
+    bins = tuple(_bin_with_residual_p(*pair) for pair in zip(location.bins, shown.bins, strict=True))
+    return replace(shown, bins=bins, p=location.p, min_p=location.min_p)
 
 
-def _bin_with_residual_p(found: AxisBin, shown: AxisBin) -> AxisBin:
-    return replace(shown, p=found.p)
+def _bin_with_residual_p(axis_bin: AxisBin, shown: AxisBin) -> AxisBin:
+    return replace(shown, p=axis_bin.p)

@@ -72,8 +72,8 @@ def _wall_law_columns(scene: RunState) -> Iterator[FloatArray]:
     bent = {power: _strain_power_by_element(scene, power) for power in LAW_POWERS}
     for power in LAW_POWERS:
         yield LAW_SHAPE_SD * np.sum(bent[power], axis=0)
-    for one in bent[1]:
-        yield ELEMENT_SHAPE_SD * one
+    for values in bent[1]:
+        yield ELEMENT_SHAPE_SD * values
 
 
 def _strain_power_by_element(scene: RunState, power: int) -> list[FloatArray]:
@@ -89,17 +89,17 @@ def _strain_power_by_element(scene: RunState, power: int) -> list[FloatArray]:
         return [np.asarray(sides * wall.resistance(one) + rubbing * wall.side_force(other)) for one, other in pairs]
     if sheared is not None:
         factor = (sheared.target_strain - REFERENCE_STRAIN) ** power
-        return [np.asarray(factor * one) for one in _sheared_force_by_element(sheared)]
+        return [np.asarray(factor * values) for values in _sheared_force_by_element(sheared)]
     return [np.zeros_like(scene.time_s)] * ELEMENTS
 
 
 def _sheared_force_by_element(sheared: ShearedWall) -> list[FloatArray]:
-    found = [np.asarray(one * sheared.area_mm2) for one in sheared.stresses]
+    result = [np.asarray(values * sheared.area_mm2) for values in sheared.stresses]
     step = 1e-3
     for rate, modulus in zip(sheared.rates, sheared.moduli[:2], strict=True):
         changed = sheared.branch(rate * (1 - step)) - sheared.branch(rate * (1 + step))
-        found.append(np.asarray(sheared.area_mm2 * modulus * changed / (2 * step)))
-    return found
+        result.append(np.asarray(sheared.area_mm2 * modulus * changed / (2 * step)))
+    return result
 
 
 def _quadrature_error(scene: RunState) -> FloatArray:
@@ -140,8 +140,8 @@ def empirical_priors(problem: JointProblem) -> JointProblem:
     stage that cannot be, where the next one no longer holds.
     """
     values = problem.scales.values(solve_joint(problem).z)
-    measured = np.concatenate([one.blocks.mean for one in problem.channels])
-    by_value = np.concatenate([one.sensitivities(values) for one in problem.channels], axis=1)
+    measured = np.concatenate([data.blocks.mean for data in problem.channels])
+    by_value = np.concatenate([data.sensitivities(values) for data in problem.channels], axis=1)
     size = np.sqrt(np.mean(measured**2))
     parameters = []
     for parameter, value, slope in zip(problem.nominal.parameters, values.tolist(), by_value, strict=True):

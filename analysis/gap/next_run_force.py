@@ -53,7 +53,7 @@ class AssumedEffect:
 class PairQuestion:
     """A contest to be decided: an effect that may be there against a rival, with how much it matters."""
 
-    truth: AssumedEffect
+    assumed: AssumedEffect
     rival: str
     weight: float
 
@@ -64,67 +64,75 @@ class Information:
 
     Attributes
     ----------
-    total
+    gram
         Gram matrix of nuisances and shapes, whitened and summed over runs.
-    precision
+    prior_precision
         Of the nuisances' priors.
-    shapes
+    variants
         The shapes, in the order of the last columns.
     """
 
-    total: FloatArray
-    precision: FloatArray
-    shapes: tuple[EffectVariant, ...]
+    gram: FloatArray
+    prior_precision: FloatArray
+    variants: tuple[EffectVariant, ...]
 
     @classmethod
     def of(cls, design: Design, effects: Sequence[str]) -> "Information":
         """Take what belongs to some effects out of a design with its dictionary."""
         rows = information_rows(design, effects)
-        nuisances = design.of(*NUISANCES)
-        kept = tuple(one for one in design.shapes if one.effect.id in effects)
-        return cls(design.total()[np.ix_(rows, rows)], design.prior_precision[nuisances], kept)
+        nuisances = design.columns_of(*NUISANCES)
+        variants = tuple(variant for variant in design.variants if variant.effect.id in effects)
+        return cls(design.total_gram()[np.ix_(rows, rows)], design.prior_precision[nuisances], variants)
 
     def with_run(self, gram: FloatArray) -> "Information":
         """Add a run, whose Gram matrix has the same columns."""
-        return replace(self, total=self.total + gram)
+        return replace(self, gram=self.gram + gram)
 
-    def projected(self) -> FloatArray:
+    def projected_gram(self) -> FloatArray:
         """Return the products of the shapes once nuisances have taken what they can."""
-        count = len(self.precision)
-        own, across = self.total[:count, :count], self.total[:count, count:]
-        whole = own + np.diag(self.precision + RELATIVE_RIDGE * np.diag(own))
-        return np.asarray(self.total[count:, count:] - across.T @ np.linalg.solve(whole, across))
+        count = len(self.prior_precision)
+        own, across = self.gram[:count, :count], self.gram[:count, count:]
+        whole = own + np.diag(self.prior_precision + RELATIVE_RIDGE * np.diag(own))
+        return np.asarray(self.gram[count:, count:] - across.T @ np.linalg.solve(whole, across))
 
-    def forms(self, effect: str) -> list[tuple[int, ...]]:
+    def variants_of(self, effect: str) -> list[tuple[int, ...]]:
         """Return the columns of each form of an effect; two for what is periodic."""
-        numbered = [(number, one) for number, one in enumerate(self.shapes) if one.effect.id == effect]
-        return [tuple(number for number, _ in group) for _, group in groupby(numbered, key=lambda pair: pair[1].twin)]
+        numbered = [(number, variant) for number, variant in enumerate(self.variants) if variant.effect.id == effect]
+        return [
+            tuple(number for number, _ in group)
+            for _, group in groupby(numbered, key=lambda pair: pair[1].quadrature_key)
+        ]
 
 
 def information_rows(design: Design, effects: Sequence[str]) -> FloatArray:
     """Return the rows of a design's Gram matrices that hold nuisances and the shapes of some effects."""
-    wanted = [place for place, one in enumerate(design.shapes) if one.effect.id in effects]
-    return np.asarray(1 + np.concatenate((design.of(*NUISANCES), design.of(ColumnKind.SHAPE)[wanted])))
+    wanted = [place for place, variant in enumerate(design.variants) if variant.effect.id in effects]
+    return np.asarray(
+        1 + np.concatenate((design.columns_of(*NUISANCES), design.columns_of(ColumnKind.VARIANT)[wanted]))
+    )
 
 
-def separate_pair(ground: Information, gram: FloatArray, question: PairQuestion) -> ModelPair:
+def separate_pair(information: Information, gram: FloatArray, question: PairQuestion) -> ModelPair:
     """Say how far a truth is from a rival, by the ground's projected products."""
-    truth = question.truth
+    truth = question.assumed
     index = list(truth.columns)
     squares = float(truth.amplitude @ gram[np.ix_(index, index)] @ truth.amplitude)
     along = gram[:, index] @ truth.amplitude
-    taken = max((_absorbed_chi2(ground, gram, along, form) for form in ground.forms(question.rival)), default=0.0)
+    taken = max(
+        (_absorbed_chi2(information, gram, along, form) for form in information.variants_of(question.rival)),
+        default=0.0,
+    )
     left = max(squares - taken, 0.0)
     return ModelPair(truth.effect, question.rival, float(np.sqrt(left)), left / max(squares, 1e-12))
 
 
-def expected_log_odds(one: ModelPair) -> float:
+def expected_log_odds(pair: ModelPair) -> float:
     """Return about how sure a diagnosis can be of the truth, forms being foreign and noise being there."""
-    left = one.d_prime**2
-    if not one.rival:
+    left = pair.d_prime**2
+    if not pair.rival:
         return 0.5 * left
-    squares = left / max(one.left, 1e-12)
-    return LOG_ODDS_PER_SHARE * one.left + 0.5 * left / (1.0 + 0.5 * FORM_LOSS_OF_RIVAL * squares)
+    squares = left / max(pair.remaining_share, 1e-12)
+    return LOG_ODDS_PER_SHARE * pair.remaining_share + 0.5 * left / (1.0 + 0.5 * FORM_LOSS_OF_RIVAL * squares)
 
 
 def _absorbed_chi2(ground: Information, gram: FloatArray, along: FloatArray, form: tuple[int, ...]) -> float:
@@ -133,7 +141,7 @@ def _absorbed_chi2(ground: Information, gram: FloatArray, along: FloatArray, for
     strength = float(np.trace(own))
     if strength <= 1e-9:
         return 0.0
-    if ground.shapes[index[0]].signed and along[index[0]] < 0:
+    if ground.variants[index[0]].one_signed and along[index[0]] < 0:
         return 0.0
     return float(along[index] @ np.linalg.solve(own + 1e-9 * strength * np.eye(len(index)), along[index]))
 
@@ -142,20 +150,20 @@ def _absorbed_chi2(ground: Information, gram: FloatArray, along: FloatArray, for
 class ForceSeparation:
     """What runs say of the shapes of effects, and what is asked."""
 
-    ground: Information
+    information: Information
     questions: tuple[PairQuestion, ...]
 
-    def with_run(self, seen: FloatArray) -> Self:
+    def with_run(self, observation: FloatArray) -> Self:
         """Add a run by its Gram matrix."""
-        return replace(self, ground=self.ground.with_run(seen))
+        return replace(self, information=self.information.with_run(observation))
 
-    def answers(self) -> tuple[PairSeparation, ...]:
+    def separations(self) -> tuple[PairSeparation, ...]:
         """Return how far each question is answered."""
-        gram = self.ground.projected()
-        decided = [separate_pair(self.ground, gram, one) for one in self.questions]
+        gram = self.information.projected_gram()
+        decided = [separate_pair(self.information, gram, question) for question in self.questions]
         return tuple(
-            PairSeparation(one, expected_log_odds(one), asked.weight)
-            for one, asked in zip(decided, self.questions, strict=True)
+            PairSeparation(pair, expected_log_odds(pair), asked.weight)
+            for pair, asked in zip(decided, self.questions, strict=True)
         )
 
 
@@ -177,21 +185,21 @@ def search_force_runs(
     """
     effects = _asked_effects(study, questions)
     grams = _candidate_grams(
-        replace(study, effects=tuple(one for one in study.effects if one.id in effects)), design, trials
+        replace(study, effects=tuple(effect for effect in study.effects if effect.id in effects)), design, trials
     )
     field = ForceSeparation(Information.of(design, effects), tuple(questions))
     return greedy_search(field, list(zip(trials, grams, strict=True)), budget)
 
 
 def _asked_effects(study: Study, questions: Sequence[PairQuestion]) -> list[str]:
-    named = {one.truth.effect for one in questions} | {one.rival for one in questions}
-    return [one.id for one in study.effects if one.id in named]
+    named = {question.assumed.effect for question in questions} | {question.rival for question in questions}
+    return [effect.id for effect in study.effects if effect.id in named]
 
 
 def _candidate_grams(study: Study, design: Design, trials: Sequence[CandidateRun]) -> list[FloatArray]:
     laid_out = linearise(study_of_candidates(study, trials), design.z, dictionary=True)
-    rows = information_rows(laid_out, [one.id for one in study.effects]).tolist()
-    return [one[rows][:, rows] for one in laid_out.grams]
+    rows = information_rows(laid_out, [effect.id for effect in study.effects]).tolist()
+    return [values[rows][:, rows] for values in laid_out.grams]
 
 
 LEADING_HYPOTHESES = 3
@@ -232,38 +240,40 @@ def recommend_force_run(
     """
     if not isinstance(study, CapsuleStudy):
         return None
-    asked = open_questions(study, design, ranked, probabilities, gap=gap)
+    questions = open_questions(study, design, ranked, probabilities, gap=gap)
     specimen = campaign_specimen(study)
     grid = short_grid(specimen) if budget.runs == 1 else full_grid(specimen)
     limits = budget.limits or limits_of_campaign(study)
-    trials = [one for one in grid if limits.allow(one)]
-    if not asked or not trials:
+    trials = [candidate for candidate in grid if limits.allow(candidate)]
+    if not questions or not trials:
         return None
     sure = (
         max((value for name, value in probabilities.items() if name not in (NO_GAP, UNKNOWN)), default=0.0)
         > SURE_PROBABILITY
     )
-    wanted = replace(budget, spent_whole=not sure) if gap else replace(budget, enough=UNBOUNDED)
-    return next_experiment_of(search_force_runs(study, design, asked, trials, wanted), len(trials))
+    wanted = replace(budget, use_all_time=not sure) if gap else replace(budget, decided_log_odds=UNBOUNDED)
+    return next_experiment_of(search_force_runs(study, design, questions, trials, wanted), len(trials))
 
 
-def next_experiment_of(found: Sequence[NextRun], tried: int) -> NextExperiment | None:
+def next_experiment_of(runs: Sequence[NextRun], tried: int) -> NextExperiment | None:
     """Return what was found with its reason; None where nothing was."""
-    return NextExperiment(tuple(found), tried, recommendation_reason(found[0], tried)) if found else None
+    return NextExperiment(tuple(runs), tried, recommendation_reason(runs[0], tried)) if runs else None
 
 
 def open_questions(
     study: Study, design: Design, ranked: Sequence[RankedEffect], probabilities: Mapping[str, float], *, gap: bool
 ) -> tuple[PairQuestion, ...]:
     """Return what a campaign leaves open between its leading hypotheses."""
-    chances = {one.effect: marginal_probability(one.effect, probabilities) for one in ranked if one.gain > 0 or not gap}
+    chances = {
+        best.effect: marginal_probability(best.effect, probabilities) for best in ranked if best.llr > 0 or not gap
+    }
     if gap:
         order = sorted(chances, key=lambda name: -chances[name])[:LEADING_HYPOTHESES]
     else:
-        periodic = {one.id for one in study.effects if one.phase is not None}
+        periodic = {effect.id for effect in study.effects if effect.phase is not None}
         order = [name for name in chances if name not in periodic]
-    known = {one.effect: one for one in ranked}
-    ground = Information.of(design, [one.id for one in study.effects if one.id in order])
+    known = {best.effect: best for best in ranked}
+    ground = Information.of(design, [effect.id for effect in study.effects if effect.id in order])
     truths = {name: _assumed_effect(ground, design, known[name], gap=gap) for name in order}
     return tuple(_pair_questions(truths, {name: max(chances[name], MIN_PAIR_WEIGHT) for name in order}, gap=gap))
 
@@ -271,8 +281,8 @@ def open_questions(
 def limits_of_campaign(study: Study) -> RigLimits:
     """Return what a campaign's own runs say that the rig can do, the shipped plans' at least."""
     usual = RigLimits()
-    travel = max(float(np.max(one.coordinates.position_mm)) for one in study.sights)
-    speed = max(float(np.max(one.coordinates.top_speed_mm_s)) for one in study.sights)
+    travel = max(float(np.max(run.coordinates.position_mm)) for run in study.runs)
+    speed = max(float(np.max(run.coordinates.top_speed_mm_s)) for run in study.runs)
     return RigLimits(max(usual.travel_mm, travel), max(usual.speed_mm_s, speed), usual.accel_mm_s2)
 
 
@@ -283,8 +293,8 @@ def _pair_questions(
         for name, truth in truths.items():
             yield PairQuestion(truth, "", weights[name])
         return
-    for one, other in permutations(truths, 2):
-        yield PairQuestion(truths[one], other, weights[one] * weights[other])
+    for label, other in permutations(truths, 2):
+        yield PairQuestion(truths[label], other, weights[label] * weights[other])
     if len(truths) == 1:
         for name, truth in truths.items():
             yield PairQuestion(truth, "", weights[name])
@@ -295,16 +305,16 @@ def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> flo
     return sum(value for name, value in probabilities.items() if effect in name.split("+"))
 
 
-def _assumed_effect(ground: Information, design: Design, one: RankedEffect, *, gap: bool) -> AssumedEffect:
+def _assumed_effect(ground: Information, design: Design, ranked: RankedEffect, *, gap: bool) -> AssumedEffect:
     """Return an effect as it was fitted; without a gap, as large as it would just be seen."""
-    own = [place for place, shape in enumerate(design.shapes) if shape.effect.id == one.effect]
-    before = [place for place, shape in enumerate(ground.shapes) if shape.effect.id == one.effect]
-    columns = tuple(before[own.index(place)] for place in one.shapes)
+    own = [place for place, shape in enumerate(design.variants) if shape.effect.id == ranked.effect]
+    before = [place for place, shape in enumerate(ground.variants) if shape.effect.id == ranked.effect]
+    columns = tuple(before[own.index(place)] for place in ranked.variants)
     if gap:
-        return AssumedEffect(one.effect, columns, one.amplitude)
+        return AssumedEffect(ranked.effect, columns, ranked.amplitude)
     amplitude = np.zeros(len(columns))
-    amplitude[0] = DETECTABLE_D_PRIME / max(one.per_unit, 1e-9)
-    return AssumedEffect(one.effect, columns, amplitude)
+    amplitude[0] = DETECTABLE_D_PRIME / max(ranked.d_prime_per_unit, 1e-9)
+    return AssumedEffect(ranked.effect, columns, amplitude)
 
 
 HUM_EFFECT = "mains_hum"
@@ -329,29 +339,35 @@ def recommend_for_pair(
         Where the runs show one of the two not at all and no run could be compared with.
     """
     effects = [
-        one for one in catalogue().values() if isinstance(one, ForceEffect | SensorEffect) and one.id != HUM_EFFECT
+        effect
+        for effect in catalogue().values()
+        if isinstance(effect, ForceEffect | SensorEffect) and effect.id != HUM_EFFECT
     ]
     study = CapsuleStudy.of(selection, nominal, effects)
-    point = gauss_newton_step(linearise(study, study.start))
-    wanted = study if pair is None else replace(study, effects=tuple(one for one in study.effects if one.id in pair))
+    point = gauss_newton_step(linearise(study, study.initial_z))
+    wanted = (
+        study
+        if pair is None
+        else replace(study, effects=tuple(effect for effect in study.effects if effect.id in pair))
+    )
     design = linearise(wanted, point.z, dictionary=True)
     angles = SignatureAngles.of(design)
     pairs = [pair] if pair is not None else list(_closest_pairs(angles))
-    lacking = sorted({name for one in pairs for name in one} - set(angles.effects))
+    lacking = sorted({name for item in pairs for name in item} - set(angles.effects))
     if lacking:
         raise AnalysisError(f"{lacking[0]}: these runs do not show it at all; begin with a plan that does, as paper.")
     limits = budget.limits or limits_of_campaign(study)
-    trials = [one for one in full_grid(campaign_specimen(study)) if limits.allow(one)]
-    asked = _questions_of_pairs(wanted, design, angles, pairs)
-    return next_experiment_of(search_force_runs(wanted, design, asked, trials, budget), len(trials))
+    trials = [candidate for candidate in full_grid(campaign_specimen(study)) if limits.allow(candidate)]
+    questions = _questions_of_pairs(wanted, design, angles, pairs)
+    return next_experiment_of(search_force_runs(wanted, design, questions, trials, budget), len(trials))
 
 
 def _closest_pairs(angles: SignatureAngles) -> Iterator[tuple[str, str]]:
     names = angles.effects
     apart = {
-        (one, other): float(min(angles.sin2(one, other).min(), angles.sin2(other, one).min()))
-        for place, one in enumerate(names)
-        for other in names[place + 1 :]
+        (name, label): float(min(angles.sin2(name, label).min(), angles.sin2(label, name).min()))
+        for place, name in enumerate(names)
+        for label in names[place + 1 :]
     }
     ordered = sorted(apart, key=lambda pair: apart[pair])
     close = [pair for pair in ordered if apart[pair] < CONFUSED_SIN2]
@@ -363,15 +379,15 @@ def _questions_of_pairs(
 ) -> tuple[PairQuestion, ...]:
     """Ask of each pair both ways, with the form of the first that the second comes nearest to."""
     named = {name for pair in pairs for name in pair}
-    ground = Information.of(design, [one.id for one in study.effects if one.id in named])
-    asked = []
+    ground = Information.of(design, [effect.id for effect in study.effects if effect.id in named])
+    questions = []
     for pair in pairs:
         for truth, rival in (pair, pair[::-1]):
-            nearest = angles.of_effect(truth)[int(np.argmin(angles.sin2(truth, rival)))]
-            own = [place for place, shape in enumerate(design.shapes) if shape.effect.id == truth]
-            before = [place for place, shape in enumerate(ground.shapes) if shape.effect.id == truth]
-            columns = tuple(before[own.index(place)] for place in angles.forms[nearest].shapes)
+            nearest = angles.variants_of_effect(truth)[int(np.argmin(angles.sin2(truth, rival)))]
+            own = [place for place, shape in enumerate(design.variants) if shape.effect.id == truth]
+            before = [place for place, shape in enumerate(ground.variants) if shape.effect.id == truth]
+            columns = tuple(before[own.index(place)] for place in angles.variants[nearest].variants)
             amplitude = np.zeros(len(columns))
             amplitude[0] = 1.0
-            asked.append(PairQuestion(AssumedEffect(truth, columns, amplitude), rival, 1.0))
-    return tuple(asked)
+            questions.append(PairQuestion(AssumedEffect(truth, columns, amplitude), rival, 1.0))
+    return tuple(questions)

@@ -69,7 +69,7 @@ def search_new_motions(
 
     None where the runs so far move the stage in all ways that are tried.
     """
-    covered = [motion_features(one) for one in position.runs]
+    covered = [motion_features(run) for run in position.runs]
     contest = _current_pair(position)
     chosen: list[NextRun] = []
     first = ""
@@ -77,13 +77,13 @@ def search_new_motions(
     while len(chosen) < budget.runs:
         beyond = [(_distance_to_nearest(motion_features(seen), covered), trial, seen) for trial, seen in tried]
         fitting = [
-            one
-            for one in beyond
-            if float(one[0].max()) >= MIN_LOG_DISTANCE and spent + one[1].minutes <= budget.minutes
+            pair
+            for pair in beyond
+            if float(pair[0].max()) >= MIN_LOG_DISTANCE and spent + pair[1].minutes <= budget.minutes
         ]
         if not fitting:
             break
-        by, trial, seen = max(fitting, key=lambda one: float(one[0].max()) / (one[1].minutes + FIXTURE_CHANGE_MIN))
+        by, trial, seen = max(fitting, key=lambda pair: float(pair[0].max()) / (pair[1].minutes + FIXTURE_CHANGE_MIN))
         first = first or _coverage_reason(trial, by, len(tried))
         chosen.append(NextRun(trial.step, trial.minutes, contest, contest))
         covered.append(motion_features(seen))
@@ -91,29 +91,29 @@ def search_new_motions(
     return NextExperiment(tuple(chosen), len(tried), first) if chosen else None
 
 
-def motion_features(one: PositionErrors) -> FloatArray:
+def motion_features(run: PositionErrors) -> FloatArray:
     """Return the logarithms of a run's speed, acceleration and travel, and of how many ways it goes, shape `(4,)`."""
-    time = one.experiment.time_s
-    command = np.asarray(one.experiment.run.trace.command, dtype=np.float64)
+    time = run.experiment.time_s
+    command = np.asarray(run.experiment.run.trace.command, dtype=np.float64)
     speed = np.abs(np.gradient(command, time))
     top = float(speed.max())
     begin, end = int(np.argmax(speed > ACCELERATION_FROM * top)), int(np.argmax(speed > ACCELERATION_TO * top))
     acceleration = (
         (ACCELERATION_TO - ACCELERATION_FROM) * top / max(float(time[end] - time[begin]), float(time[1] - time[0]))
     )
-    ways = 2.0 if one.velocity_mm_s.min() < 0 < one.velocity_mm_s.max() else 1.0
+    ways = 2.0 if run.velocity_mm_s.min() < 0 < run.velocity_mm_s.max() else 1.0
     return np.log(np.maximum((top, acceleration, np.ptp(command), ways), 1e-6))
 
 
 def _distance_to_nearest(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
     """Return by how much a run differs from the one that is most like it, in each aspect."""
-    return min((np.abs(motion - one) for one in covered), key=lambda one: float(one.max()))
+    return min((np.abs(motion - values) for values in covered), key=lambda values: float(values.max()))
 
 
 def _current_pair(position: PositionAnalysis) -> ModelPair:
     """Return what the best form leaves of what strays."""
-    left = 1.0 - max((one.held_out for one in position.families), default=0.0)
-    seen = max(one.rms_mm / one.least_mm for one in position.runs)
+    left = 1.0 - max((model_class.held_out_share for model_class in position.model_classes), default=0.0)
+    seen = max(run.rms_mm / run.detectable_mm for run in position.runs)
     return ModelPair(UNKNOWN, "", DETECTABLE_D_PRIME * seen * float(np.sqrt(min(left, 1.0))), min(left, 1.0))
 
 
@@ -146,11 +146,11 @@ class AssumedPositionEffect:
     candidate: Candidate | None
     latency_s: float
 
-    def error_of(self, one: PositionErrors) -> FloatArray:
+    def error_in(self, run: PositionErrors) -> FloatArray:
         """Return what it makes of a run, shape `(B,)` [mm]."""
         if self.candidate is not None:
-            return predicted_position_error(self.candidate, one)
-        return one.from_zero(one.delayed(self.latency_s) - one.delayed(0.0))
+            return predicted_position_error(self.candidate, run)
+        return run.zeroed(run.delayed_command(self.latency_s) - run.delayed_command(0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,45 +161,48 @@ class PositionSeparation:
     ----------
     runs
         Runs with different motions; their errors are not looked at.
-    truths
+    assumed_effects
         Effects that may be there.
     weights
         How much it matters to set a truth apart from a rival.
     """
 
     runs: tuple[PositionErrors, ...]
-    truths: tuple[AssumedPositionEffect, ...]
+    assumed_effects: tuple[AssumedPositionEffect, ...]
     weights: Mapping[tuple[str, str], float]
 
-    def with_run(self, seen: Sequence[PositionErrors]) -> Self:
+    def with_run(self, observation: Sequence[PositionErrors]) -> Self:
         """Add a run by its motion, as often as it is made."""
-        return replace(self, runs=(*self.runs, *seen))
+        return replace(self, runs=(*self.runs, *observation))
 
-    def answers(self) -> tuple[PairSeparation, ...]:
+    def separations(self) -> tuple[PairSeparation, ...]:
         """Return how far each truth would be set apart from each rival if it were what strays."""
-        return tuple(answer for truth in self.truths for answer in self._of(truth))
+        return tuple(answer for truth in self.assumed_effects for answer in self._separations_of(truth))
 
-    def _of(self, truth: AssumedPositionEffect) -> Iterator[PairSeparation]:
-        rivals = [other for one, other in self.weights if one == truth.effect]
-        runs = [replace(one, error_mm=truth.error_of(one)) for one in self.runs]
-        size = float(np.sqrt(sum(np.mean(one.error_mm**2) for one in runs)))
-        explained = {one.effect: one.held_out for one in score_model_classes(runs, (truth.effect, *rivals))}
+    def _separations_of(self, truth: AssumedPositionEffect) -> Iterator[PairSeparation]:
+        rivals = [name for label, name in self.weights if label == truth.effect]
+        runs = [replace(run, error_mm=truth.error_in(run)) for run in self.runs]
+        size = float(np.sqrt(sum(np.mean(run.error_mm**2) for run in runs)))
+        explained = {
+            model_class.effect: model_class.held_out_share
+            for model_class in score_model_classes(runs, (truth.effect, *rivals))
+        }
         for rival in rivals:
             left = min(max(explained[truth.effect] - explained[rival], 0.0), 1.0)
             contest = ModelPair(
-                truth.effect, rival, DETECTABLE_D_PRIME * size / self.runs[0].least_mm * float(np.sqrt(left)), left
+                truth.effect, rival, DETECTABLE_D_PRIME * size / self.runs[0].detectable_mm * float(np.sqrt(left)), left
             )
             yield PairSeparation(
                 contest, _position_log_odds(contest, explained[truth.effect]), self.weights[truth.effect, rival]
             )
 
 
-def _position_log_odds(one: ModelPair, explained: float) -> float:
+def _position_log_odds(pair: ModelPair, explained: float) -> float:
     """Return about how sure a diagnosis can be of the truth, which explains a share of the errors by its free form."""
-    against = POSITION_RIVAL_SLOPE * max(one.left - CHANCE_SHARE, 0.0)
+    against = POSITION_RIVAL_SLOPE * max(pair.remaining_share - CHANCE_SHARE, 0.0)
     named = DECIDED_LOG_ODDS * (explained - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
     sure = min(against, named)
-    return sure if sure < DECIDED_LOG_ODDS else DECIDED_LOG_ODDS + log(max(one.d_prime, 1.0))
+    return sure if sure < DECIDED_LOG_ODDS else DECIDED_LOG_ODDS + log(max(pair.d_prime, 1.0))
 
 
 def recommend_position_run(
@@ -223,22 +226,32 @@ def recommend_position_run(
     if not isinstance(study, CapsuleStudy):
         return None
     limits = budget.limits or limits_of_campaign(study)
-    trials = [one for one in motion_grid(campaign_specimen(study), whole=budget.runs > 1) if limits.allow(one)]
+    trials = [
+        candidate
+        for candidate in motion_grid(campaign_specimen(study), whole=budget.runs > 1)
+        if limits.allow(candidate)
+    ]
     last = position.runs[-1]
     seen = position_errors(candidate_experiments(last.experiment, trials))
-    tried = list(zip(trials, (replace(one, session_s=last.session_s) for one in seen), strict=True))
-    chances = {one.effect: marginal_probability(one.effect, probabilities) for one in position.families}
+    tried = list(zip(trials, (replace(run, session_s=last.session_s) for run in seen), strict=True))
+    chances = {
+        model_class.effect: marginal_probability(model_class.effect, probabilities)
+        for model_class in position.model_classes
+    }
     if not tried:
         return None
     if max(chances.values(), default=0.0) <= probabilities.get(UNKNOWN, 0.0):
         return search_new_motions(position, tried, budget)
-    leading = {one.effect: _assumed_position_effect(position, one) for one in position.families[:LEADING_HYPOTHESES]}
-    truths = tuple(one for one in leading.values() if one is not None)
+    leading = {
+        model_class.effect: _assumed_position_effect(position, model_class)
+        for model_class in position.model_classes[:LEADING_HYPOTHESES]
+    }
+    truths = tuple(assumed for assumed in leading.values() if assumed is not None)
     matter = {name: max(chances[name], MIN_PAIR_WEIGHT) for name in leading}
-    pairs = [(one.effect, rival) for one in truths for rival in leading if rival != one.effect]
+    pairs = [(assumed.effect, rival) for assumed in truths for rival in leading if rival != assumed.effect]
     made = tuple(map(_thinned_blocks, _distinct_motions(position.runs)))
     field = PositionSeparation(made, truths, {pair: matter[pair[0]] * matter[pair[1]] for pair in pairs})
-    may_see = [(trial, (_thinned_blocks(one),) * trial.step.repeats) for trial, one in tried]
+    may_see = [(trial, (_thinned_blocks(run),) * trial.step.repeats) for trial, run in tried]
     within = replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS))
     return next_experiment_of(greedy_search(field, may_see, within), len(tried))
 
@@ -251,46 +264,47 @@ def _assumed_position_effect(position: PositionAnalysis, family: PositionModelCl
     candidate = position.candidate
     if candidate is None or candidate.effect.id != family.effect:
         candidate = fit_position_effect(runs, effect, family)[0] if by_form else None
-    found = AssumedPositionEffect(family.effect, candidate, family.shape)
+    assumed = AssumedPositionEffect(family.effect, candidate, family.shape_value)
     left = [
-        float(np.mean((one.error_mm - found.error_of(one)) ** 2)) / (one.rms_mm + one.count_mm) ** 2 for one in runs
+        float(np.mean((run.error_mm - assumed.error_in(run)) ** 2)) / (run.rms_mm + run.encoder_count_mm) ** 2
+        for run in runs
     ]
-    whole = [float(np.mean(one.error_mm**2)) / (one.rms_mm + one.count_mm) ** 2 for one in runs]
-    return found if sum(left) < (1.0 - MIN_FITTED_SHARE) * sum(whole) else None
+    whole = [float(np.mean(run.error_mm**2)) / (run.rms_mm + run.encoder_count_mm) ** 2 for run in runs]
+    return assumed if sum(left) < (1.0 - MIN_FITTED_SHARE) * sum(whole) else None
 
 
-def _thinned_blocks(one: PositionErrors) -> PositionErrors:
+def _thinned_blocks(run: PositionErrors) -> PositionErrors:
     """Return a run with the blocks that are looked at."""
     return replace(
-        one,
-        time_s=one.time_s[::BLOCK_STRIDE],
-        command_mm=one.command_mm[::BLOCK_STRIDE],
-        velocity_mm_s=one.velocity_mm_s[::BLOCK_STRIDE],
-        error_mm=one.error_mm[::BLOCK_STRIDE],
-        force_mN=one.force_mN[::BLOCK_STRIDE],
+        run,
+        time_s=run.time_s[::BLOCK_STRIDE],
+        command_mm=run.command_mm[::BLOCK_STRIDE],
+        velocity_mm_s=run.velocity_mm_s[::BLOCK_STRIDE],
+        error_mm=run.error_mm[::BLOCK_STRIDE],
+        force_mN=run.force_mN[::BLOCK_STRIDE],
     )
 
 
 def _distinct_motions(runs: Sequence[PositionErrors]) -> list[PositionErrors]:
     """Return runs of different motions, for repeats say nothing new; of many, some from the slowest to the fastest."""
 
-    def motion(one: PositionErrors) -> tuple[float, ...]:
-        lasted = float(one.time_s[-1] - one.time_s[0])
+    def motion(run: PositionErrors) -> tuple[float, ...]:
+        lasted = float(run.time_s[-1] - run.time_s[0])
         return tuple(
-            round(each, 2) for each in (one.top_speed_mm_s, one.command_mm.min(), one.command_mm.max(), lasted)
+            round(each, 2) for each in (run.top_speed_mm_s, run.command_mm.min(), run.command_mm.max(), lasted)
         )
 
-    found = {motion(one): one for one in reversed(runs)}
-    kept = np.unique(np.linspace(0, len(found) - 1, min(MAX_MOTIONS, len(found))).round().astype(int)).tolist()
-    ordered = sorted(found)
-    return [found[ordered[place]] for place in kept]
+    distinct = {motion(run): run for run in reversed(runs)}
+    kept = np.unique(np.linspace(0, len(distinct) - 1, min(MAX_MOTIONS, len(distinct))).round().astype(int)).tolist()
+    ordered = sorted(distinct)
+    return [distinct[ordered[place]] for place in kept]
 
 
 def recommend_next_run(
     study: Study,
-    found: ForceSearchResult,
+    search: ForceSearchResult,
     position: PositionAnalysis,
-    judged: Classification,
+    classification: Classification,
     of_force: Classification,
     budget: ExperimentBudget,
 ) -> NextExperiment | None:
@@ -298,33 +312,35 @@ def recommend_next_run(
 
     Where an effect of the force is named beside one of the position, the run is for the more doubtful one.
     """
-    if position.present:
-        beside = set(judged.effects) & set(of_force.effects) - {MAINS_HUM}
-        if not beside or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(judged, position):
-            return recommend_position_run(study, position, judged.probabilities, budget)
-        judged = of_force
-    gap = judged.verdict is not Verdict.NO_GAP
-    return recommend_force_run(study, found.nominal, found.ranked, judged.probabilities, budget, gap=gap)
+    if position.has_position_error:
+        beside = set(classification.effects) & set(of_force.effects) - {MAINS_HUM}
+        if not beside or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(
+            classification, position
+        ):
+            return recommend_position_run(study, position, classification.probabilities, budget)
+        classification = of_force
+    gap = classification.verdict is not Verdict.NO_GAP
+    return recommend_force_run(study, search.nominal, search.ranked, classification.probabilities, budget, gap=gap)
 
 
 def reasons_for_no_run(
-    study: Study, position: PositionAnalysis, judged: Classification, found: NextExperiment | None
+    study: Study, position: PositionAnalysis, classification: Classification, next_experiment: NextExperiment | None
 ) -> Iterator[str]:
     """Say why no run is recommended where the position strays and what it is is in doubt."""
-    if not position.present or found is not None or not isinstance(study, CapsuleStudy):
+    if not position.has_position_error or next_experiment is not None or not isinstance(study, CapsuleStudy):
         return
-    families = {one.effect for one in position.families}
-    rivals = [one for one in judged.confusable_with if one in families]
-    if judged.verdict is Verdict.UNKNOWN:
+    families = {model_class.effect for model_class in position.model_classes}
+    rivals = [name for name in classification.confusable_with if name in families]
+    if classification.verdict is Verdict.UNKNOWN:
         yield NO_NEW_MOTION
     elif rivals:
-        named = [one for one in judged.effects if one in families]
+        named = [name for name in classification.effects if name in families]
         apart = f"{display_name('+'.join(named))} from {display_name('+'.join(rivals))}"
         yield f"No run that was compared would tell {apart} either."
 
 
-def _position_doubt(judged: Classification, position: PositionAnalysis) -> float:
+def _position_doubt(classification: Classification, position: PositionAnalysis) -> float:
     """Return how doubtful the effect of the position is that was named, whatever is named beside it."""
-    families = {one.effect for one in position.families}
-    named = {one for one in judged.effects if one in families}
-    return 1.0 - sum(each for one, each in judged.probabilities.items() if named & set(one.split("+")))
+    families = {model_class.effect for model_class in position.model_classes}
+    named = {name for name in classification.effects if name in families}
+    return 1.0 - sum(value for name, value in classification.probabilities.items() if named & set(name.split("+")))

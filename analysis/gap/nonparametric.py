@@ -29,7 +29,7 @@ SWING_HARMONICS = 4
 
 
 def nonparametric_columns(
-    sights: Sequence[RunData], predicted: Sequence[FloatArray], period_s: float
+    runs: Sequence[RunData], predicted: Sequence[FloatArray], period_s: float
 ) -> Mapping[str, list[FloatArray]]:
     """Return the columns of every law that runs share, by its name, for each in units of their priors, shape `(B, k)`.
 
@@ -40,11 +40,11 @@ def nonparametric_columns(
     period_s
         Period of a swing in all runs; 0 for none.
     """
-    knots = _Knots.of([one.coordinates for one in sights], predicted)
-    laws = [_columns_of_run(sight, force, knots) for sight, force in zip(sights, predicted, strict=True)]
+    knots = _Knots.of([run.coordinates for run in runs], predicted)
+    laws = [_columns_of_run(run_data, force, knots) for run_data, force in zip(runs, predicted, strict=True)]
     found = {name: [one[name] for one in laws] for name in laws[0]}
     if period_s > 0:
-        found["swing in all runs"] = [_harmonic_columns(one.coordinates.session_s / period_s) for one in sights]
+        found["swing in all runs"] = [_harmonic_columns(run.coordinates.session_s / period_s) for run in runs]
     return found
 
 
@@ -63,18 +63,18 @@ class _Knots:
         places = int(np.clip(np.ptp(place) / POSITION_KNOT_STEP_MM, 2, POSITION_KNOTS))
         return cls(
             *(
-                np.linspace(float(one.min()), float(one.max()) + 1e-9, count)
-                for one, count in ((place, places), (load, LOAD_KNOTS), (session, SESSION_KNOTS))
+                np.linspace(float(values.min()), float(values.max()) + 1e-9, count)
+                for values, count in ((place, places), (load, LOAD_KNOTS), (session, SESSION_KNOTS))
             )
         )
 
 
-def _columns_of_run(sight: RunData, predicted: FloatArray, knots: _Knots) -> Mapping[str, FloatArray]:
+def _columns_of_run(run: RunData, predicted: FloatArray, knots: _Knots) -> Mapping[str, FloatArray]:
     """Return the columns of every law at the blocks of a run, in units of their priors, shape `(B, k)`."""
-    at, contact = sight.coordinates, sight.experiment.contact
-    stance = SlipHistory.of(sight.experiment.motion, at.time_s)
+    at, contact = run.coordinates, run.experiment.contact
+    stance = SlipHistory.of(run.experiment.motion, at.time_s)
     slides = contact is Contact.SLIDING
-    closed = slides and sight.experiment.kind != "coulomb"
+    closed = slides and run.experiment.kind != "coulomb"
     moves = at.speed_mm_s > 0.5 * MIN_KNOT_SPEED_MM_S
     speed = _hat_functions(np.log(at.speed_mm_s + 1e-9), LOG_SPEED_KNOTS) * moves[:, None]
     against = speed * stance.heading[:, None]
@@ -96,7 +96,7 @@ def _columns_of_run(sight: RunData, predicted: FloatArray, knots: _Knots) -> Map
         "load": _hat_functions(predicted, knots.load_mN),
         "session": _hat_functions(at.session_s, knots.session_s),
     }
-    return {name: KNOT_PRIOR_SD_MN * one for name, one in found.items()}
+    return {name: KNOT_PRIOR_SD_MN * values for name, values in found.items()}
 
 
 def _time_hats(time_s: FloatArray) -> FloatArray:
@@ -105,7 +105,7 @@ def _time_hats(time_s: FloatArray) -> FloatArray:
 
 def _hat_functions(at: FloatArray, knots: FloatArray) -> FloatArray:
     """Return functions that are 1 at one knot, fall to 0 at its neighbours, and stay beyond the ends, `(B, k)`."""
-    return np.stack([np.interp(at, knots, one) for one in np.eye(knots.size)], axis=1)
+    return np.stack([np.interp(at, knots, values) for values in np.eye(knots.size)], axis=1)
 
 
 def _harmonic_columns(turns: FloatArray) -> FloatArray:
@@ -118,7 +118,7 @@ RUN_GAIN_LAW, RUN_GAIN_PRIOR_SD = "gain of a run", 0.2
 
 
 def fit_nonparametric_laws(
-    design: Design, sights: Sequence[RunData], period_s: float = 0.0, beside: IndexArray | None = None
+    design: Design, runs: Sequence[RunData], period_s: float = 0.0, nuisance_columns: IndexArray | None = None
 ) -> tuple[NonparametricLaw, ...]:
     """Try every law beside what a design explains.
 
@@ -126,11 +126,11 @@ def fit_nonparametric_laws(
     ----------
     design
         A campaign, linearised.
-    sights
+    runs
         Its runs.
     period_s
         The period at which a swing on the session's clock is looked for that is in all runs; 0 for none.
-    beside
+    nuisance_columns
         The design's columns that take what they can; those of the nominal model unless given.
 
     Returns
@@ -138,31 +138,33 @@ def fit_nonparametric_laws(
     laws
         All of them, the best first.
     """
-    predicted = [part.predicted for part in design.parts]
-    columns = nonparametric_columns(sights, predicted, period_s)
-    nuisances = design.of(ColumnKind.NOMINAL, ColumnKind.DETAIL) if beside is None else beside
+    predicted = [run.predicted for run in design.runs]
+    columns = nonparametric_columns(runs, predicted, period_s)
+    nuisances = (
+        design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR) if nuisance_columns is None else nuisance_columns
+    )
     own = 1 + np.arange(nuisances.size)
     edges = 1 + own.size + np.cumsum([0, *(one[0].shape[1] for one in columns.values())])
     total = np.zeros((edges[-1] + len(predicted), edges[-1] + len(predicted)))
-    for number, part in enumerate(design.parts):
-        shared = (part.residual, part.columns[:, nuisances], *(one[number] for one in columns.values()))
-        white = part.whitening.whiten(np.column_stack((*shared, RUN_GAIN_PRIOR_SD * predicted[number])))
+    for number, run in enumerate(design.runs):
+        shared = (run.residual, run.columns[:, nuisances], *(one[number] for one in columns.values()))
+        white = run.whitening.whiten(np.column_stack((*shared, RUN_GAIN_PRIOR_SD * predicted[number])))
         rows = np.append(np.arange(edges[-1]), edges[-1] + number)
         total[np.ix_(rows, rows)] += white.T @ white
     left = schur_complement(design, total, nuisances, np.arange(edges[0], len(total)), own)
-    widths = np.concatenate([one.coordinates.width_s for one in sights])
+    widths = np.concatenate([run_data.coordinates.width_s for run_data in runs])
 
     def law(name: str, low: int, high: int) -> NonparametricLaw:
         taken, values = _twice_log_evidence(left, slice(low - own.size, high - own.size))
         if name == RUN_GAIN_LAW:
             more = [RUN_GAIN_PRIOR_SD * value * force for value, force in zip(values.tolist(), predicted, strict=True)]
         else:
-            more = [one @ values for one in columns[name]]
+            more = [array @ values for array in columns[name]]
         return NonparametricLaw(name, float(left[0, 0]) - taken, rms_where_active(np.concatenate(more), widths))
 
     ends = [*edges.tolist(), len(total)]
-    found = [law(name, *each) for name, each in zip((*columns, RUN_GAIN_LAW), pairwise(ends), strict=True)]
-    return tuple(sorted(found, key=lambda one: one.squares))
+    laws = [law(name, *item) for name, item in zip((*columns, RUN_GAIN_LAW), pairwise(ends), strict=True)]
+    return tuple(sorted(laws, key=lambda one: one.chi2))
 
 
 def _twice_log_evidence(left: FloatArray, rows: slice) -> tuple[float, FloatArray]:

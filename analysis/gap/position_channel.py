@@ -46,9 +46,9 @@ class PositionErrors:
         The first sample on the session's clock.
     origin_mm
         Where it begins, from where the first run does.
-    entering_mm_s
+    initial_speed_mm_s
         How fast the stage was told to go already as the record begins; 0 for one that begins at rest.
-    count_mm
+    encoder_count_mm
         The encoder's count; differences smaller than this do not matter.
     noise_mm
         By how much the record wanders at rest, one standard deviation; 0 where it is from one count to the next. What a
@@ -63,8 +63,8 @@ class PositionErrors:
     force_mN: FloatArray
     session_s: float
     origin_mm: float = 0.0
-    entering_mm_s: float = 0.0
-    count_mm: float = MIN_COUNT_MM
+    initial_speed_mm_s: float = 0.0
+    encoder_count_mm: float = MIN_COUNT_MM
     noise_mm: float = 0.0
 
     @property
@@ -74,54 +74,54 @@ class PositionErrors:
         return float(np.sqrt(max(squares, 0.0)))
 
     @property
-    def strays(self) -> bool:
+    def has_position_error(self) -> bool:
         """Whether it is more than the encoder's counts and noise."""
-        return self.rms_mm >= self.least_mm
+        return self.rms_mm >= self.detectable_mm
 
     @property
-    def least_mm(self) -> float:
+    def detectable_mm(self) -> float:
         """The least error that is seen."""
-        return max(MIN_ERROR_COUNTS * self.count_mm, self.noise_mm)
+        return max(MIN_ERROR_COUNTS * self.encoder_count_mm, self.noise_mm)
 
     @property
     def quantisation_mm(self) -> float:
         """What its counts make a single position differ by, one standard deviation."""
-        return self.count_mm / float(np.sqrt(12))
+        return self.encoder_count_mm / float(np.sqrt(12))
 
     @property
     def top_speed_mm_s(self) -> float:
         """The fastest that the stage was told to go."""
         return float(np.abs(self.velocity_mm_s).max())
 
-    def delayed(self, delay_s: float) -> FloatArray:
+    def delayed_command(self, delay_s: float) -> FloatArray:
         """Return the command at the blocks' middles, so much later, shape `(B,)`."""
-        return self.late(np.array([delay_s]))[:, 0]
+        return self.delayed_commands(np.array([delay_s]))[:, 0]
 
-    def late(self, delays_s: FloatArray) -> FloatArray:
+    def delayed_commands(self, delays_s: FloatArray) -> FloatArray:
         """Return the command at the blocks' middles, later by each of the delays, shape `(B, D)`."""
         trace = self.experiment.run.trace
         at = self.time_s[:, None] - delays_s
         command = np.interp(at, self.experiment.time_s, np.asarray(trace.command, dtype=np.float64))
-        return np.asarray(command + self.entering_mm_s * np.minimum(at - self.experiment.time_s[0], 0.0))
+        return np.asarray(command + self.initial_speed_mm_s * np.minimum(at - self.experiment.time_s[0], 0.0))
 
-    def from_zero(self, strayed: FloatArray) -> FloatArray:
+    def zeroed(self, errors: FloatArray) -> FloatArray:
         """Take off what this run's zero takes off its errors, shape `(B,)` or `(B, C)`."""
-        if not self.entering_mm_s:
-            return strayed
-        left = strayed - strayed.mean(axis=0)
-        return np.where(np.abs(left) > RELATIVE_ROUNDING * np.abs(strayed).max(axis=0), left, 0.0)
+        if not self.initial_speed_mm_s:
+            return errors
+        left = errors - errors.mean(axis=0)
+        return np.where(np.abs(left) > RELATIVE_ROUNDING * np.abs(errors).max(axis=0), left, 0.0)
 
 
 def position_errors(experiments: Sequence[Experiment]) -> tuple[PositionErrors, ...]:
     """Return the position errors of all runs that move and recorded a position and a command."""
-    starts = [one.run.info.header.start_time for one in experiments]
-    origins = [origin_of(one) for one in experiments]
-    found = []
+    starts = [run.run.info.header.start_time for run in experiments]
+    origins = [origin_of(run) for run in experiments]
+    runs = []
     for experiment, start, origin in zip(experiments, starts, origins, strict=True):
-        one = _errors_of_run(experiment, (start - min(starts)).total_seconds(), origin - origins[0])
-        if one is not None:
-            found.append(one)
-    return tuple(found)
+        errors = _errors_of_run(experiment, (start - min(starts)).total_seconds(), origin - origins[0])
+        if errors is not None:
+            runs.append(errors)
+    return tuple(runs)
 
 
 def origin_of(experiment: Experiment) -> float:
@@ -202,15 +202,15 @@ class PositionModelClass:
     ----------
     effect
         Effect that it stands for.
-    held_out
+    held_out_share
         Share of the weighted squares that it explains in runs that took no part.
-    shape
+    shape_value
         Wave number per mm, or latency in s; 0 for what has none.
     """
 
     effect: str
-    held_out: float
-    shape: float = 0.0
+    held_out_share: float
+    shape_value: float = 0.0
 
 
 POSITION_EFFECTS = ("encoder_scale", "servo_lag", "channel_latency", "velocity_ripple")
@@ -220,21 +220,23 @@ def score_model_classes(
     runs: Sequence[PositionErrors], effects: Collection[str] = POSITION_EFFECTS
 ) -> tuple[PositionModelClass, ...]:
     """Return all families, or those of some effects, the best first."""
-    last_s = max(one.session_s for one in runs) + 1.0
+    last_s = max(run.session_s for run in runs) + 1.0
 
-    def stretched(one: PositionErrors) -> FloatArray:
+    def stretched(run: PositionErrors) -> FloatArray:
         # In motion throughout, a bend is a speed that was not kept.
-        bent = 0.0 if one.entering_mm_s else one.command_mm**2 / 40.0
-        return np.column_stack((one.command_mm, bent + 0.0 * one.command_mm, one.command_mm * one.session_s / last_s))
+        bent = 0.0 if run.initial_speed_mm_s else run.command_mm**2 / 40.0
+        return np.column_stack((run.command_mm, bent + 0.0 * run.command_mm, run.command_mm * run.session_s / last_s))
 
     scale = PositionModelClass("encoder_scale", _held_out_share(runs, stretched))
 
     def ripple() -> PositionModelClass:
-        found = _ripple_class(runs)
-        if scale.held_out <= DOMINANT_SCALE_SHARE or found.shape >= LONG_WAVE_PER_MM:
-            return found
+        model_class = _ripple_class(runs)
+        if scale.held_out_share <= DOMINANT_SCALE_SHARE or model_class.shape_value >= LONG_WAVE_PER_MM:
+            return model_class
         # Waves as long as half a stroke follow any bend of a scale.
-        return replace(found, held_out=min(found.held_out, scale.held_out - LONG_WAVE_HANDICAP))
+        return replace(
+            model_class, held_out_share=min(model_class.held_out_share, scale.held_out_share - LONG_WAVE_HANDICAP)
+        )
 
     forms: tuple[Callable[[], PositionModelClass], ...] = (
         lambda: scale,
@@ -243,16 +245,16 @@ def score_model_classes(
         ripple,
     )
     found = [form() for effect, form in zip(POSITION_EFFECTS, forms, strict=True) if effect in effects]
-    return tuple(sorted(found, key=lambda one: -one.held_out))
+    return tuple(sorted(found, key=lambda best_class: -best_class.held_out_share))
 
 
 def _lag_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
     """Try linear responses whose times are the same in all runs, or grow with a power of their top speed."""
 
     def response(power: float) -> ColumnFunction:
-        def columns(one: PositionErrors) -> FloatArray:
-            slower = (max(one.top_speed_mm_s, MIN_LAG_SPEED_MM_S) / LAG_REFERENCE_SPEED_MM_S) ** power
-            return one.late(slower * np.array(DELAYS_S)) - one.late(np.zeros(1))
+        def columns(run: PositionErrors) -> FloatArray:
+            slower = (max(run.top_speed_mm_s, MIN_LAG_SPEED_MM_S) / LAG_REFERENCE_SPEED_MM_S) ** power
+            return run.delayed_commands(slower * np.array(DELAYS_S)) - run.delayed_commands(np.zeros(1))
 
         return columns
 
@@ -263,14 +265,14 @@ def _latency_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
     """Try the command at other times, one at a time."""
 
     def late(latencies_s: FloatArray) -> ColumnFunction:
-        return lambda one: one.late(latencies_s) - one.late(np.zeros(1))
+        return lambda run: run.delayed_commands(latencies_s) - run.delayed_commands(np.zeros(1))
 
     squares, along = np.zeros(LATENCIES_S.size), np.zeros(LATENCIES_S.size)
-    for one in runs:
-        weight = _block_weights(one)
-        column = one.from_zero(late(LATENCIES_S)(one)) * weight[:, None]
+    for run in runs:
+        weight = _block_weights(run)
+        column = run.zeroed(late(LATENCIES_S)(run)) * weight[:, None]
         squares += np.einsum("bl,bl->l", column, column)
-        along += (one.error_mm * weight) @ column
+        along += (run.error_mm * weight) @ column
     best = float(LATENCIES_S[int((along**2 / (squares + 1e-300)).argmax())])
     return PositionModelClass("channel_latency", _held_out_share(runs, late(np.array([best]))), best)
 
@@ -285,24 +287,25 @@ def _ripple_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
     return PositionModelClass("velocity_ripple", held_out, first)
 
 
-def _best_ripple_wavenumber(runs: Sequence[PositionErrors], before: tuple[float, ...]) -> float:
+def _best_ripple_wavenumber(runs: Sequence[PositionErrors], known_wavenumbers: tuple[float, ...]) -> float:
     """Return the wave number per mm that explains most of what is left beside others."""
-    weights = [_block_weights(one) for one in runs]
-    errors = [one.error_mm * weight for one, weight in zip(runs, weights, strict=True)]
-    if before:
+    weights = [_block_weights(run) for run in runs]
+    errors = [run.error_mm * weight for run, weight in zip(runs, weights, strict=True)]
+    if known_wavenumbers:
         bases = [
-            one.from_zero(_ripple_columns(before)(one)) * each[:, None] for one, each in zip(runs, weights, strict=True)
+            run.zeroed(_ripple_columns(known_wavenumbers)(run)) * values[:, None]
+            for run, values in zip(runs, weights, strict=True)
         ]
         basis = np.concatenate(bases)
-        found = _ridge_solution(basis.T @ basis, basis.T @ np.concatenate(errors))[0]
-        errors = [error - each @ found for error, each in zip(errors, bases, strict=True)]
-    places = [one.origin_mm + one.command_mm for one in runs]
-    reach = max(float(one.max()) for one in places) - min(float(one.min()) for one in places)
+        result = _ridge_solution(basis.T @ basis, basis.T @ np.concatenate(errors))[0]
+        errors = [error - values @ result for error, values in zip(errors, bases, strict=True)]
+    places = [run.origin_mm + run.command_mm for run in runs]
+    reach = max(float(array.max()) for array in places) - min(float(array.min()) for array in places)
     step = WAVE_SPACING_PERIODS / max(reach, RIPPLE_STROKE_MM)
     waves_per_mm = np.arange(MIN_WAVENUMBER_PER_MM, MAX_WAVENUMBER_PER_MM, step)
     near = float(waves_per_mm[int(_wave_powers(runs, errors, weights, waves_per_mm).argmax())])
     tried: list[float] = np.linspace(near - step, near + step, 9).tolist()
-    return max(tried, key=lambda wave: _in_sample_share(runs, _ripple_columns((*before, wave))))
+    return max(tried, key=lambda wave: _in_sample_share(runs, _ripple_columns((*known_wavenumbers, wave))))
 
 
 def _wave_powers(
@@ -313,8 +316,8 @@ def _wave_powers(
 ) -> FloatArray:
     """Return what each wave takes of the squares on its own, shape `(W,)`."""
     gram, along = np.zeros((waves_per_mm.size, 2, 2)), np.zeros((waves_per_mm.size, 2))
-    for one, error, weight in zip(runs, errors, weights, strict=True):
-        turned = one.from_zero(_sine_columns(one, waves_per_mm)) * weight[:, None]
+    for run, error, weight in zip(runs, errors, weights, strict=True):
+        turned = run.zeroed(_sine_columns(run, waves_per_mm)) * weight[:, None]
         pair = turned[:, : waves_per_mm.size], turned[:, waves_per_mm.size :]
         for i, j in ((0, 0), (0, 1), (1, 1)):
             gram[:, i, j] += np.einsum("bw,bw->w", pair[i], pair[j])
@@ -322,44 +325,44 @@ def _wave_powers(
     gram[:, 1, 0] = gram[:, 0, 1]
     scale = np.sqrt(np.diagonal(gram, axis1=1, axis2=2)) + 1e-150
     scaled = gram / (scale[:, :, None] * scale[:, None, :]) + POSITION_RIDGE * np.eye(2)
-    found = np.linalg.solve(scaled, (along / scale)[:, :, None])[:, :, 0] / scale
-    return np.asarray(np.sum(found * along, axis=1))
+    result = np.linalg.solve(scaled, (along / scale)[:, :, None])[:, :, 0] / scale
+    return np.asarray(np.sum(result * along, axis=1))
 
 
 def _ripple_columns(waves_per_mm: tuple[float, ...]) -> ColumnFunction:
-    def columns(one: PositionErrors) -> FloatArray:
-        return _sine_columns(one, np.outer(waves_per_mm, np.arange(1, RIPPLE_HARMONICS + 1)).ravel())
+    def columns(run: PositionErrors) -> FloatArray:
+        return _sine_columns(run, np.outer(waves_per_mm, np.arange(1, RIPPLE_HARMONICS + 1)).ravel())
 
     return columns
 
 
-def _sine_columns(one: PositionErrors, waves_per_mm: FloatArray) -> FloatArray:
+def _sine_columns(run: PositionErrors, waves_per_mm: FloatArray) -> FloatArray:
     """Return cosines and sines of the place on the rig, nothing where the run begins, shape `(B, 2 W)`."""
-    begin = 2 * np.pi * one.origin_mm * waves_per_mm
-    turned = 2 * np.pi * (one.origin_mm + one.command_mm)[:, None] * waves_per_mm
+    begin = 2 * np.pi * run.origin_mm * waves_per_mm
+    turned = 2 * np.pi * (run.origin_mm + run.command_mm)[:, None] * waves_per_mm
     return np.hstack((np.cos(turned) - np.cos(begin), np.sin(turned) - np.sin(begin)))
 
 
-def _block_weights(one: PositionErrors) -> FloatArray:
+def _block_weights(run: PositionErrors) -> FloatArray:
     """Let runs count alike, whatever their speed, but those without an error for little."""
-    rms = float(np.sqrt(np.mean(one.error_mm**2)))
-    return np.full_like(one.error_mm, 1.0 / ((rms + one.count_mm) * np.sqrt(one.error_mm.size)))
+    rms = float(np.sqrt(np.mean(run.error_mm**2)))
+    return np.full_like(run.error_mm, 1.0 / ((rms + run.encoder_count_mm) * np.sqrt(run.error_mm.size)))
 
 
 def _weighted_products(
     runs: Sequence[PositionErrors], columns: ColumnFunction
 ) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    for one in runs:
-        weight = _block_weights(one)
-        basis, error = one.from_zero(columns(one)) * weight[:, None], one.error_mm * weight
+    for run in runs:
+        weight = _block_weights(run)
+        basis, error = run.zeroed(columns(run)) * weight[:, None], run.error_mm * weight
         yield basis.T @ basis, basis.T @ error, float(error @ error)
 
 
 def _ridge_solution(gram: FloatArray, along: FloatArray) -> tuple[FloatArray, float]:
     scale = np.sqrt(np.diag(gram)) + 1e-150
     scaled = gram / np.outer(scale, scale) + POSITION_RIDGE * np.eye(len(scale))
-    found = np.linalg.solve(scaled, along / scale) / scale
-    return found, float(found @ along)
+    result = np.linalg.solve(scaled, along / scale) / scale
+    return result, float(result @ along)
 
 
 def _in_sample_share(runs: Sequence[PositionErrors], columns: ColumnFunction) -> float:
@@ -376,11 +379,11 @@ def _held_out_share(runs: Sequence[PositionErrors], columns: ColumnFunction) -> 
     left = whole = 0.0
     for fold in range(folds):
         fitted = [part for number, part in enumerate(parts) if number % folds != fold]
-        found, _ = _ridge_solution(
-            np.sum([one[0] for one in fitted], axis=0), np.sum([one[1] for one in fitted], axis=0)
+        result, _ = _ridge_solution(
+            np.sum([pair[0] for pair in fitted], axis=0), np.sum([pair[1] for pair in fitted], axis=0)
         )
         for gram, along, squares in parts[fold::folds]:
-            left += squares - 2 * float(found @ along) + float(found @ gram @ found)
+            left += squares - 2 * float(result @ along) + float(result @ gram @ result)
             whole += squares
     return 1.0 - left / max(whole, 1e-300)
 
@@ -396,9 +399,9 @@ class PositionAnalysis:
     ----------
     runs
         Errors of each run.
-    present
+    has_position_error
         Whether any run strays from its command by more than the encoder's counts.
-    families
+    model_classes
         Free forms with the share each explains, the best first; empty without a gap.
     candidate
         The best effect of the catalogue with its parameters fitted; None without one.
@@ -407,78 +410,85 @@ class PositionAnalysis:
     """
 
     runs: tuple[PositionErrors, ...]
-    present: bool
-    families: tuple[PositionModelClass, ...] = ()
+    has_position_error: bool
+    model_classes: tuple[PositionModelClass, ...] = ()
     candidate: Candidate | None = None
     standard_errors: tuple[float, ...] = ()
 
     @property
-    def recorded_wrongly(self) -> bool:
+    def is_recording_error(self) -> bool:
         """Whether the stage was where it was told to be and only its record was not."""
-        return bool(self.families) and self.families[0].effect in {"encoder_scale", "channel_latency"}
+        return bool(self.model_classes) and self.model_classes[0].effect in {"encoder_scale", "channel_latency"}
 
 
 def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) -> PositionAnalysis:
     """Look at the position errors of a campaign; `effects` are the candidates."""
     runs = position_errors(experiments)
-    if not any(one.strays for one in runs):
-        return PositionAnalysis(runs, present=False)
-    known = {one.id: one for one in effects}
-    found = tuple(one for one in score_model_classes(runs) if one.effect in known)
-    if not found:
-        return PositionAnalysis(runs, present=True)
-    effect = known[found[0].effect]
+    if not any(run.has_position_error for run in runs):
+        return PositionAnalysis(runs, has_position_error=False)
+    known = {candidate_effect.id: candidate_effect for candidate_effect in effects}
+    model_classes = tuple(model_class for model_class in score_model_classes(runs) if model_class.effect in known)
+    if not model_classes:
+        return PositionAnalysis(runs, has_position_error=True)
+    effect = known[model_classes[0].effect]
     if effect.channel is not Channel.POSITION:
-        return PositionAnalysis(runs, present=True, families=found)
-    candidate, errors = fit_position_effect(runs, effect, found[0])
-    return PositionAnalysis(runs, present=True, families=found, candidate=candidate, standard_errors=errors)
+        return PositionAnalysis(runs, has_position_error=True, model_classes=model_classes)
+    candidate, errors = fit_position_effect(runs, effect, model_classes[0])
+    return PositionAnalysis(
+        runs, has_position_error=True, model_classes=model_classes, candidate=candidate, standard_errors=errors
+    )
 
 
-def predicted_position_error(candidate: Candidate, one: PositionErrors) -> FloatArray:
+def predicted_position_error(candidate: Candidate, run: PositionErrors) -> FloatArray:
     """Return the position error that an effect makes of a run, shape `(B,)` [mm]."""
     effect, values = candidate.effect, dict(candidate.values)
-    if effect.phase is not None and effect.period is not None and one.origin_mm:
+    if effect.phase is not None and effect.period is not None and run.origin_mm:
         # What is periodic stays where it is on the rig, wherever a run begins.
-        values[effect.phase.name] += 2 * np.pi * one.origin_mm / values[effect.period.name]
-    return one.from_zero(effect.position_change(one.time_s, one.command_mm, values))
+        values[effect.phase.name] += 2 * np.pi * run.origin_mm / values[effect.period.name]
+    return run.zeroed(effect.position_change(run.time_s, run.command_mm, values))
 
 
 def fit_position_effect(
-    runs: Sequence[PositionErrors], effect: Effect, family: PositionModelClass
+    runs: Sequence[PositionErrors], effect: Effect, model_class: PositionModelClass
 ) -> tuple[Candidate, tuple[float, ...]]:
     """Fit the catalogue's own form, from the best of the shapes that it tries; return it with standard errors."""
     from scipy.optimize import least_squares
 
-    start = min(_start_candidates(effect, family), key=lambda one: float(np.sum(_weighted_misfit(one, runs) ** 2)))
-    free = start.fitted
-    scale = np.array([max(abs(start.values[one.name]), 0.05 * abs(one.default), 1e-4) for one in free])
+    start = min(
+        _start_candidates(effect, model_class),
+        key=lambda candidate: float(np.sum(_weighted_misfit(candidate, runs) ** 2)),
+    )
+    free = start.fitted_parameters
+    scale = np.array(
+        [max(abs(start.values[parameter.name]), 0.05 * abs(parameter.default), 1e-4) for parameter in free]
+    )
 
     def at(scaled: FloatArray) -> Candidate:
-        values = {one.name: float(value) for one, value in zip(free, scaled * scale, strict=True)}
+        values = {parameter.name: float(value) for parameter, value in zip(free, scaled * scale, strict=True)}
         limited = {
-            one.name: values[one.name]
-            if one.role is Role.PHASE
-            else float(np.clip(values[one.name], one.low, one.high))
-            for one in free
+            parameter.name: values[parameter.name]
+            if parameter.role is Role.PHASE
+            else float(np.clip(values[parameter.name], parameter.low, parameter.high))
+            for parameter in free
         }
         return Candidate(effect, {**start.values, **limited})
 
     def misfit(scaled: FloatArray) -> FloatArray:
         return _weighted_misfit(at(scaled), runs)
 
-    first = np.array([start.values[one.name] for one in free]) / scale
-    found = least_squares(misfit, first, max_nfev=MAX_EVALUATIONS, diff_step=[1e-3] * len(free))
-    squares = 2 * float(found.cost) / max(len(found.fun) - len(free), 1)
-    slopes = np.asarray(found.jac, dtype=np.float64)
+    first = np.array([start.values[parameter.name] for parameter in free]) / scale
+    solution = least_squares(misfit, first, max_nfev=MAX_EVALUATIONS, diff_step=[1e-3] * len(free))
+    squares = 2 * float(solution.cost) / max(len(solution.fun) - len(free), 1)
+    slopes = np.asarray(solution.jac, dtype=np.float64)
     covariance = np.asarray(np.linalg.pinv(slopes.T @ slopes), dtype=np.float64) * squares
     errors = (np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scale).tolist()
-    return at(found.x), tuple(errors)
+    return at(solution.x), tuple(errors)
 
 
-def _start_candidates(effect: Effect, family: PositionModelClass) -> list[Candidate]:
+def _start_candidates(effect: Effect, model_class: PositionModelClass) -> list[Candidate]:
     from itertools import product
 
-    grids = [_start_values(effect, parameter, family) for parameter in effect.shapes]
+    grids = [_start_values(effect, parameter, model_class) for parameter in effect.shapes]
     sizes = (0.3, 1.0, 3.0) if effect.size.low >= 0 else (-1.0, 1.0)
     turns = np.linspace(-np.pi, np.pi, 8, endpoint=False) if effect.phase is not None else (0.0,)
     starts = []
@@ -491,37 +501,37 @@ def _start_candidates(effect: Effect, family: PositionModelClass) -> list[Candid
     return starts
 
 
-def _start_values(effect: Effect, parameter: EffectParameter, family: PositionModelClass) -> tuple[float, ...]:
-    known = parameter.name == effect.period_parameter and family.shape > 0
-    return (1.0 / family.shape,) if known else parameter.start_values
+def _start_values(effect: Effect, parameter: EffectParameter, model_class: PositionModelClass) -> tuple[float, ...]:
+    known = parameter.name == effect.period_parameter and model_class.shape_value > 0
+    return (1.0 / model_class.shape_value,) if known else parameter.start_values
 
 
 def _weighted_misfit(candidate: Candidate, runs: Sequence[PositionErrors]) -> FloatArray:
     parts = []
-    for one in runs:
-        weight = 1.0 / ((np.sqrt(np.mean(one.error_mm**2)) + 0.001) * np.sqrt(one.error_mm.size))
-        parts.append((one.error_mm - predicted_position_error(candidate, one)) * weight)
+    for run in runs:
+        weight = 1.0 / ((np.sqrt(np.mean(run.error_mm**2)) + 0.001) * np.sqrt(run.error_mm.size))
+        parts.append((run.error_mm - predicted_position_error(candidate, run)) * weight)
     return np.concatenate(parts)
 
 
 POSITION_BOOTSTRAP_SAMPLES = 1000
 
 
-def position_gap_reduction(found: PositionAnalysis, force: GapReduction) -> GapReduction:
+def position_gap_reduction(position: PositionAnalysis, force: GapReduction) -> GapReduction:
     """Return a shrink whose closed share is that of the position's errors; the force's sizes stay as they are."""
-    if found.candidate is None:
+    if position.candidate is None:
         return force
-    return closed_share_in_position(found.candidate, found.runs, force)
+    return closed_share_in_position(position.candidate, position.runs, force)
 
 
 def closed_share_in_position(
     candidate: Candidate, runs: Sequence[PositionErrors], force: GapReduction, seed: int = 0
 ) -> GapReduction:
     """Do the same for an effect and runs that took no part in its fit."""
-    floor = np.array([one.quantisation_mm**2 + one.noise_mm**2 for one in runs])
-    before = np.array([float(np.mean(one.error_mm**2)) for one in runs]) - floor
+    floor = np.array([run.quantisation_mm**2 + run.noise_mm**2 for run in runs])
+    before = np.array([float(np.mean(run.error_mm**2)) for run in runs]) - floor
     after = (
-        np.array([float(np.mean((one.error_mm - predicted_position_error(candidate, one)) ** 2)) for one in runs])
+        np.array([float(np.mean((run.error_mm - predicted_position_error(candidate, run)) ** 2)) for run in runs])
         - floor
     )
 

@@ -28,7 +28,7 @@ def commanded_phase(experiment: Experiment, time_s: FloatArray) -> FloatArray:
 
 
 MAX_BLOCK_MM = 0.4
-"""Blocks reach no further along the way, so that folds of some mm show."""
+"""Longest block along the stroke, so that folds a few mm apart are resolved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,58 +37,58 @@ class RunData:
 
     Attributes
     ----------
-    evidence
-        Block means and what predicts them.
+    block_data
+        Block means with the model that predicts them.
     session_start_s
-        Its first sample on the specimen's clock.
+        Time of the first sample on the specimen's session clock.
     """
 
-    evidence: ChannelBlocks
+    block_data: ChannelBlocks
     session_start_s: float
 
     @property
     def experiment(self) -> Experiment:
         """The run."""
-        return self.evidence.experiment
+        return self.block_data.experiment
 
     @property
     def file(self) -> str:
-        """Its file."""
+        """Name of its file."""
         return self.experiment.file
 
     @cached_property
     def acquisition(self) -> Acquisition:
-        """What the run is to capsule and gut; raises `AnalysisError` where it does not say enough of its capsule."""
+        """Contact, capsule and motion; raises `AnalysisError` if the run does not describe its capsule."""
         return acquisition_of(self.experiment)
 
     def scene(self, settings: FrictionModelSettings) -> RunState:
-        """Return what effects see of the run at the nodes of its blocks, with a nominal model of these settings."""
+        """Return the state that effects act on, at the nodes of the blocks, for a nominal model with these settings."""
         experiment = self.experiment
         still = experiment.unsmoothed_motion if self.acquisition.contact is Contact.STICKING else None
         return gut_run_state(
-            self.acquisition, settings, experiment.motion, self.evidence.blocks.nodes_s, self.session_start_s, still
+            self.acquisition, settings, experiment.motion, self.block_data.blocks.nodes_s, self.session_start_s, still
         )
 
     @cached_property
-    def heading(self) -> int:
-        """Which way it ends up: 1 towards positive positions, -1 the other way, 0 where it began."""
+    def direction(self) -> int:
+        """Sign of the net travel: 1 towards positive positions, -1 towards negative ones, 0 for none."""
         moved = self.experiment.position(self.experiment.time_s[-1:]) - self.experiment.position(np.zeros(1))
         return int(np.sign(np.round(moved[0], 1)))
 
-    def of_blocks(self, at_nodes: FloatArray) -> FloatArray:
-        """Average what is known at nodes over blocks, shape `(…, 2 B)` to `(…, B)`."""
-        return self.evidence.blocks.of(at_nodes)
+    def block_means(self, node_values: FloatArray) -> FloatArray:
+        """Average values at nodes over blocks, shape `(…, 2 B)` to `(…, B)`."""
+        return self.block_data.blocks.of(node_values)
 
     @cached_property
     def coordinates(self) -> "BlockCoordinates":
-        """What the blocks may be sorted by."""
+        """Coordinates of the blocks."""
         return BlockCoordinates.of(self)
 
     @cached_property
     def condition(self) -> tuple[str, float]:
-        """Kind and commanded speed, or strain: runs that agree in both are repeats.
+        """Kind and commanded speed or strain; runs with equal conditions are repeats.
 
-        Where a run does not say its speed, the highest measured is taken, to two digits.
+        Without a commanded speed in the header it is the highest measured one, to two digits.
         """
         header = self.experiment.run.info.header
         for key in ("speed_mm_s", "shear_strain"):
@@ -102,7 +102,7 @@ class RunData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCoordinates:
-    """Where the blocks of a run stand, arrays of shape `(B,)`."""
+    """Coordinates of a run's blocks, arrays of shape `(B,)`."""
 
     time_s: FloatArray
     width_s: FloatArray
@@ -114,9 +114,9 @@ class BlockCoordinates:
     session_s: FloatArray
 
     @classmethod
-    def of(cls, sight: RunData) -> "BlockCoordinates":
-        """Look them up in the middle of each block."""
-        experiment, blocks = sight.experiment, sight.evidence.blocks
+    def of(cls, run: RunData) -> "BlockCoordinates":
+        """Evaluate them in the middle of each block."""
+        experiment, blocks = run.experiment, run.block_data.blocks
         middle = blocks.middle_s
         speed = np.abs(experiment.velocity(middle))
         events = np.concatenate(([-np.inf], experiment.motion.breaks_s[1:-1]))
@@ -129,54 +129,54 @@ class BlockCoordinates:
             speed_mm_s=speed,
             top_speed_mm_s=np.full_like(middle, speed.max(initial=0.0)),
             since_event_s=np.where(np.isfinite(latest), middle - latest, middle),
-            session_s=sight.session_start_s + middle,
+            session_s=run.session_start_s + middle,
         )
 
 
-def run_data_of(evidence: Mapping[str, ChannelBlocks] | tuple[ChannelBlocks, ...]) -> tuple[RunData, ...]:
-    """Return the runs whose force is predicted, on one clock."""
-    pieces = tuple(evidence.values()) if isinstance(evidence, Mapping) else evidence
-    starts = [one.experiment.run.info.header.start_time for one in pieces]
+def run_data_of(channel_blocks: Mapping[str, ChannelBlocks] | tuple[ChannelBlocks, ...]) -> tuple[RunData, ...]:
+    """Return the runs whose force is predicted, on one session clock."""
+    channels = tuple(channel_blocks.values()) if isinstance(channel_blocks, Mapping) else channel_blocks
+    starts = [data.experiment.run.info.header.start_time for data in channels]
     first = min(starts)
-    return tuple(RunData(one, (start - first).total_seconds()) for one, start in zip(pieces, starts, strict=True))
+    return tuple(RunData(data, (start - first).total_seconds()) for data, start in zip(channels, starts, strict=True))
 
 
 LOG_SPEED_CENTRE, LOG_SPEED_HALF_RANGE = 1.6, 2.4
-"""Speeds from 0.5 to 60 mm/s lie between −1 and 1."""
+"""Maps speeds from 0.5 to 60 mm/s to -1 to 1."""
 MIN_SPEED_MM_S = 0.3
 TRAVEL_HALF_RANGE_MM = 20.0
 STRAIN_CENTRE, STRAIN_HALF_RANGE = 1.25, 0.75
 
 
-def smooth_modulations(sights: Sequence[RunData]) -> tuple[FloatArray, ...]:
-    """Return the functions at the blocks of each run, shape `(K, B)` each."""
-    last_s = max(float(one.coordinates.session_s.max()) for one in sights)
-    return tuple(_modulations_of_run(one, max(last_s, 1.0)) for one in sights)
+def smooth_modulations(runs: Sequence[RunData]) -> tuple[FloatArray, ...]:
+    """Return the modulations at the blocks of each run, shape `(K, B)` each."""
+    last_s = max(float(run.coordinates.session_s.max()) for run in runs)
+    return tuple(_modulations_of_run(run, max(last_s, 1.0)) for run in runs)
 
 
-def _modulations_of_run(sight: RunData, last_s: float) -> FloatArray:
-    at = sight.coordinates
-    ones = np.ones_like(at.time_s)
-    sticks = sight.experiment.contact is Contact.STICKING
+def _modulations_of_run(run: RunData, last_s: float) -> FloatArray:
+    blocks = run.coordinates
+    ones = np.ones_like(blocks.time_s)
+    sticks = run.experiment.contact is Contact.STICKING
     slides = 0.0 * ones if sticks else ones
-    top = slides * _log_speed(at.top_speed_mm_s)
-    place = slides * np.clip(at.position_mm / TRAVEL_HALF_RANGE_MM - 1.0, -1.2, 1.2)
-    since = np.clip((np.log(at.since_event_s + 2e-3) + 2.0) / 4.0, -1.2, 1.2)
-    strain = (sight.condition[1] - STRAIN_CENTRE) / STRAIN_HALF_RANGE * (ones - slides)
+    top = slides * _log_speed(blocks.top_speed_mm_s)
+    position = slides * np.clip(blocks.position_mm / TRAVEL_HALF_RANGE_MM - 1.0, -1.2, 1.2)
+    since_event = np.clip((np.log(blocks.since_event_s + 2e-3) + 2.0) / 4.0, -1.2, 1.2)
+    strain = (run.condition[1] - STRAIN_CENTRE) / STRAIN_HALF_RANGE * (ones - slides)
     rows = (
         top,
         _legendre_2(top) * slides,
-        place,
-        _legendre_2(place) * slides,
-        since,
-        2.0 * at.session_s / last_s - 1.0,
+        position,
+        _legendre_2(position) * slides,
+        since_event,
+        2.0 * blocks.session_s / last_s - 1.0,
         strain,
-        slides * _log_speed(at.speed_mm_s),
-        ones * (sight.experiment.kind == "coulomb"),
+        slides * _log_speed(blocks.speed_mm_s),
+        ones * (run.experiment.kind == "coulomb"),
         ones - slides,
-        ones * (sight.experiment.contact is Contact.NONE),
-        (at.phase == Phase.HOLD) * ones,
-        ((at.phase == Phase.ACCELERATE) | (at.phase == Phase.DECELERATE)) * ones,
+        ones * (run.experiment.contact is Contact.NONE),
+        (blocks.phase == Phase.HOLD) * ones,
+        ((blocks.phase == Phase.ACCELERATE) | (blocks.phase == Phase.DECELERATE)) * ones,
     )
     return np.stack(rows)
 
@@ -191,12 +191,12 @@ def _legendre_2(value: FloatArray) -> FloatArray:
 
 
 ACTIVE_SHARE = 0.1
-"""Something acts where it is this share of the most that it is."""
+"""An effect is active where it exceeds this share of its maximum."""
 
 
-def rms_where_active(more: FloatArray, weights: FloatArray) -> float:
-    """Return the weighted root mean square of values `(B,)` where they act; 0 where they do nowhere."""
-    acting = np.abs(more) > ACTIVE_SHARE * np.abs(more).max(initial=1e-12)
-    if not acting.any():
+def rms_where_active(values: FloatArray, weights: FloatArray) -> float:
+    """Return the weighted root mean square of values `(B,)` where they are active; 0 where they never are."""
+    active = np.abs(values) > ACTIVE_SHARE * np.abs(values).max(initial=1e-12)
+    if not active.any():
         return 0.0
-    return float(np.sqrt(weights[acting] @ more[acting] ** 2 / weights[acting].sum()))
+    return float(np.sqrt(weights[active] @ values[active] ** 2 / weights[active].sum()))

@@ -20,25 +20,25 @@ MAX_RUNS = 75
 CONDITION_SETTINGS = ("shear_strain", "speed_mm_s", "travel_mm")
 
 
-def spread_over_session(runs: Sequence[RunInfo], most: int = MAX_RUNS) -> list[RunInfo]:
+def spread_over_session(runs: Sequence[RunInfo], max_runs: int = MAX_RUNS) -> list[RunInfo]:
     """Return at most so many runs, in their order; all where there are no more.
 
     Conditions get equal shares, and what rare ones leave of theirs goes to the others. Within a condition runs are
     evenly spaced in time, the first and the last among them.
     """
-    if len(runs) <= most:
+    if len(runs) <= max_runs:
         return list(runs)
     groups: dict[tuple[object, ...], list[RunInfo]] = {}
-    for one in sorted(runs, key=lambda run: run.header.start_time):
-        groups.setdefault(_condition_of(one), []).append(one)
+    for info in sorted(runs, key=lambda run: run.header.start_time):
+        groups.setdefault(_condition_of(info), []).append(info)
     kept: set[int] = set()
-    waiting, room = sorted(groups.values(), key=len), most
+    waiting, room = sorted(groups.values(), key=len), max_runs
     for done, group in enumerate(waiting):
         share = min(len(group), max(room // (len(waiting) - done), 1))
         chosen = np.unique(np.linspace(0, len(group) - 1, share).round().astype(int)).tolist() if room > 0 else []
         kept |= {id(group[at]) for at in chosen}
         room -= len(chosen)
-    return [one for one in runs if id(one) in kept]
+    return [info for info in runs if id(info) in kept]
 
 
 def _condition_of(run: RunInfo) -> tuple[object, ...]:
@@ -78,26 +78,28 @@ def choose_runs(
             usable.extend(runs)
             return spread_over_session(runs)
 
-        found = _with_count_remark(select_runs(there, meant, progress, choice), len(usable))
+        selection = _with_count_remark(select_runs(there, meant, progress, choice), len(usable))
     else:
         runs = tuple(campaign)
         infos = [run.info for run in runs]
         meant, others = _main_specimen(infos, infos, specimen)
-        found = select_loaded_runs(runs, meant)
-        kept = {info.path for info in spread_over_session([one.run.info for one in found.experiments])}
-        fewer = tuple(one for one in found.experiments if one.run.info.path in kept)
-        found = _with_count_remark(replace(found, experiments=fewer), len(found.experiments))
-    return _with_one_sensor(replace(found, left_out=(*found.left_out, *others)))
+        selection = select_loaded_runs(runs, meant)
+        kept = {
+            info.path for info in spread_over_session([experiment.run.info for experiment in selection.experiments])
+        }
+        fewer = tuple(experiment for experiment in selection.experiments if experiment.run.info.path in kept)
+        selection = _with_count_remark(replace(selection, experiments=fewer), len(selection.experiments))
+    return _with_one_sensor(replace(selection, left_out=(*selection.left_out, *others)))
 
 
-def _with_count_remark(found: RunSelection, usable: int) -> RunSelection:
+def _with_count_remark(selection: RunSelection, usable: int) -> RunSelection:
     if usable <= MAX_RUNS:
-        return found
+        return selection
     remark = (
-        f"of {usable} runs {len(found.experiments)} are diagnosed, every condition among them, spread over the "
+        f"of {usable} runs {len(selection.experiments)} are diagnosed, every condition among them, spread over the "
         "session; a diagnosis of all would take much memory and say little more"
     )
-    return replace(found, remarks=(*found.remarks, remark))
+    return replace(selection, remarks=(*selection.remarks, remark))
 
 
 def _main_specimen(
@@ -113,40 +115,44 @@ def _main_specimen(
     return most, [Exclusion(path.name, reason.format(key)) for path, key in keys.items() if key != most]
 
 
-def _with_one_sensor(found: RunSelection) -> RunSelection:
-    serials = Counter(serial for one in found.experiments if (serial := _entry_text(one, "sensor_serial")))
-    kept, others = found.experiments, list[Exclusion]()
+def _with_one_sensor(selection: RunSelection) -> RunSelection:
+    serials = Counter(
+        serial for experiment in selection.experiments if (serial := _entry_text(experiment, "sensor_serial"))
+    )
+    experiments, others = selection.experiments, list[Exclusion]()
     if len(serials) > 1:
         most = serials.most_common(1)[0][0]
-        kept = tuple(one for one in kept if _entry_text(one, "sensor_serial") in {"", most})
+        experiments = tuple(
+            experiment for experiment in experiments if _entry_text(experiment, "sensor_serial") in {"", most}
+        )
         others = [
             Exclusion(
-                one.file,
-                f"it was measured with force sensor {_entry_text(one, 'sensor_serial')}, most runs with {most}",
+                experiment.file,
+                f"it was measured with force sensor {_entry_text(experiment, 'sensor_serial')}, most runs with {most}",
             )
-            for one in found.experiments
-            if one not in kept
+            for experiment in selection.experiments
+            if experiment not in experiments
         ]
     return replace(
-        found,
-        experiments=kept,
-        left_out=(*found.left_out, *others),
-        remarks=(*found.remarks, *_selection_remarks(kept, several=len(serials) > 1)),
+        selection,
+        experiments=experiments,
+        left_out=(*selection.left_out, *others),
+        remarks=(*selection.remarks, *_selection_remarks(experiments, several=len(serials) > 1)),
     )
 
 
-def _selection_remarks(kept: tuple[Experiment, ...], *, several: bool) -> Iterator[str]:
-    calibrations = sorted({told for one in kept if (told := _entry_text(one, "calibration_id"))})
+def _selection_remarks(experiments: tuple[Experiment, ...], *, several: bool) -> Iterator[str]:
+    calibrations = sorted({text for experiment in experiments if (text := _entry_text(experiment, "calibration_id"))})
     if len(calibrations) > 1:
         yield (
             f"the force calibration changes during the campaign ({', '.join(calibrations)}): a step of the gain may "
             "pass for an effect of the session"
         )
-    nameless = sum(not _entry_text(one, "sensor_serial") for one in kept)
+    nameless = sum(not _entry_text(experiment, "sensor_serial") for experiment in experiments)
     if several and nameless:
         yield f"{nameless} runs do not say with which force sensor they were measured"
-    touching = [one for one in kept if one.contact is not Contact.NONE]
-    ageless = [one for one in touching if "insertion_dwell_s" not in one.run.info.header.entry]
+    touching = [experiment for experiment in experiments if experiment.contact is not Contact.NONE]
+    ageless = [experiment for experiment in touching if "insertion_dwell_s" not in experiment.run.info.header.entry]
     if ageless:
         yield (
             f"{len(ageless)} of {len(touching)} runs do not note the age of the contact: {DEFAULT_DWELL_S:g} s are "
@@ -154,5 +160,5 @@ def _selection_remarks(kept: tuple[Experiment, ...], *, several: bool) -> Iterat
         )
 
 
-def _entry_text(one: Experiment, name: str) -> str:
-    return str(one.run.info.header.entry.get(name, ""))
+def _entry_text(experiment: Experiment, name: str) -> str:
+    return str(experiment.run.info.header.entry.get(name, ""))

@@ -43,16 +43,16 @@ class SpectralLine:
         Where it is.
     amplitude
         How large, in the channel's unit.
-    gain
+    llr
         Log likelihood ratio against noise alone, over all stretches.
     """
 
     frequency_hz: float
     amplitude: float
-    gain: float
+    llr: float
 
     @property
-    def mains(self) -> bool:
+    def is_mains(self) -> bool:
         """Whether it is at 50 or 60 Hz or a multiple of them."""
         return any(_is_harmonic(self.frequency_hz, mains) for mains in MAINS_HZ)
 
@@ -75,24 +75,24 @@ def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> Spec
         return SpectralLines(NO_LINE, NO_LINE)
     frequency, mean, background = seen.frequency_hz, seen.power, seen.background
     ratio = mean / background
-    gain = np.where(ratio > 1, seen.degrees * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
-    amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / seen.samples)
+    gain = np.where(ratio > 1, seen.segments * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
+    amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / seen.segment_samples)
     found = [SpectralLine(float(f), float(a), float(g)) for f, a, g in zip(frequency, amplitude, gain, strict=True)]
-    mains = max((one for one in found if one.mains), key=lambda one: one.gain, default=NO_LINE)
-    other = max((one for one in found if not one.mains), key=lambda one: one.gain, default=NO_LINE)
+    mains = max((line for line in found if line.is_mains), key=lambda line: line.llr, default=NO_LINE)
+    other = max((line for line in found if not line.is_mains), key=lambda line: line.llr, default=NO_LINE)
     return SpectralLines(mains, other)
 
 
-def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, gain: float) -> float | None:
+def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, llr: float) -> float | None:
     """Return the smallest amplitude of a line of the mains that would have this gain; None without still stretches."""
     from scipy.optimize import brentq
 
     seen = _spectrum(experiments, channel)
     if seen is None:
         return None
-    at = min(range(seen.frequency_hz.size), key=lambda one: abs(float(seen.frequency_hz[one]) - MAINS_HZ[0]))
-    beyond = float(brentq(lambda more: seen.degrees * (more - np.log1p(more)) - gain, 1e-9, 1e9))
-    return float(2 * np.sqrt(beyond * seen.background[at] / seen.samples))
+    at = min(range(seen.frequency_hz.size), key=lambda index: abs(float(seen.frequency_hz[index]) - MAINS_HZ[0]))
+    beyond = float(brentq(lambda more: seen.segments * (more - np.log1p(more)) - llr, 1e-9, 1e9))
+    return float(2 * np.sqrt(beyond * seen.background[at] / seen.segment_samples))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,20 +102,20 @@ class _Spectrum:
     frequency_hz: FloatArray
     power: FloatArray
     background: FloatArray
-    degrees: float
-    samples: float
+    segments: float
+    segment_samples: float
 
 
 def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | None:
-    stretches = [one for experiment in experiments for one in _still_segments(experiment, channel)]
+    stretches = [segment for experiment in experiments for segment in _still_segments(experiment, channel)]
     if len(stretches) < 2:
         return None
-    rate = min(one.rate_hz for one in stretches)
+    rate = min(segment.rate_hz for segment in stretches)
     frequency = np.arange(MIN_FREQUENCY_HZ, 0.48 * rate, FREQUENCY_STEP_HZ)
     if frequency.size < 10:
         return None
-    power = np.array([_periodogram(one, frequency) for one in stretches])
-    weights = np.array([len(one.values) for one in stretches], dtype=np.float64)
+    power = np.array([_periodogram(segment, frequency) for segment in stretches])
+    weights = np.array([len(segment.values) for segment in stretches], dtype=np.float64)
     mean = np.average(power, axis=0, weights=weights)
     degrees = float(weights.sum() ** 2 / np.sum(weights**2))
     samples = float(np.average(weights, weights=weights))
@@ -143,8 +143,8 @@ def _still_segments(experiment: Experiment, channel: str) -> Iterator[_StillSegm
     for index, degree in parts:
         if index.size >= MIN_SAMPLES and np.ptp(index) == index.size - 1:
             powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, index.size), degree)
-            part = values[index]
-            yield _StillSegment(part - powers @ np.linalg.lstsq(powers, part, rcond=None)[0], rate)
+            array = values[index]
+            yield _StillSegment(array - powers @ np.linalg.lstsq(powers, array, rcond=None)[0], rate)
 
 
 def _periodogram(stretch: _StillSegment, frequency_hz: FloatArray) -> FloatArray:
@@ -158,12 +158,12 @@ def _periodogram(stretch: _StillSegment, frequency_hz: FloatArray) -> FloatArray
 
 def _background(frequency_hz: FloatArray, power: FloatArray) -> FloatArray:
     """Return the median power of frequencies near each one, what is within two bins of it left out."""
-    found = np.empty_like(power)
+    result = np.empty_like(power)
     for index, frequency in enumerate(frequency_hz.tolist()):
         near = (frequency_hz > frequency / BACKGROUND_FACTOR) & (frequency_hz < frequency * BACKGROUND_FACTOR)
         near &= np.abs(frequency_hz - frequency) > 2.1 * FREQUENCY_STEP_HZ
-        found[index] = np.median(power[near]) if near.any() else power[index]
-    return found
+        result[index] = np.median(power[near]) if near.any() else power[index]
+    return result
 
 
 def _is_harmonic(frequency_hz: float, mains_hz: float) -> bool:
@@ -191,7 +191,9 @@ def correct_known_motion(selection: RunSelection, chain: EffectChain) -> RunSele
     """
     if not chain.changes_position:
         return selection
-    return replace(selection, experiments=tuple(_with_known_motion(one, chain) for one in selection.experiments))
+    return replace(
+        selection, experiments=tuple(_with_known_motion(experiment, chain) for experiment in selection.experiments)
+    )
 
 
 def lines_beyond_known(lines: SpectralLines, chain: EffectChain) -> SpectralLines:
@@ -199,8 +201,8 @@ def lines_beyond_known(lines: SpectralLines, chain: EffectChain) -> SpectralLine
     for amplitude, frequency_hz in _known_lines(chain):
         near = abs(frequency_hz - lines.mains.frequency_hz) <= MAINS_TOLERANCE_HZ
         if near and lines.mains.amplitude <= NEW_HUM_FACTOR * amplitude:
-            other = replace(lines.other, gain=max(lines.other.gain - LEAKAGE_SHARE * lines.mains.gain, 0.0))
-            return SpectralLines(replace(lines.mains, gain=0.0, amplitude=0.0), other)
+            line = replace(lines.other, llr=max(lines.other.llr - LEAKAGE_SHARE * lines.mains.llr, 0.0))
+            return SpectralLines(replace(lines.mains, llr=0.0, amplitude=0.0), line)
     return lines
 
 

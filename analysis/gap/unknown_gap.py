@@ -40,11 +40,11 @@ class Trend:
 
     Attributes
     ----------
-    at, mean, error
+    coordinate, mean, error
         Coordinate, mean and its standard error over runs [the part's unit], shape `(J,)` each.
     """
 
-    at: FloatArray
+    coordinate: FloatArray
     mean: FloatArray
     error: FloatArray
 
@@ -55,28 +55,30 @@ class Trend:
         return bool(np.ptp(self.mean) > TREND_SIGMAS * np.hypot(self.error[low], self.error[high]))
 
     @property
-    def order(self) -> float:
+    def rank_correlation(self) -> float:
         """Rank correlation of means and coordinate, −1 to 1."""
         ranks = np.argsort(np.argsort(self.mean))
-        return float(np.corrcoef(ranks, np.arange(self.at.size))[0, 1])
+        return float(np.corrcoef(ranks, np.arange(self.coordinate.size))[0, 1])
 
-    def words(self, name: str, unit: str, of: str) -> str:
+    def text(self, name: str, unit: str, coordinate_unit: str) -> str:
         """Return how the residual goes along it; empty where its means do not differ."""
-        if self.at.size < MIN_BINS or not self.clear:
+        if self.coordinate.size < MIN_BINS or not self.clear:
             return ""
         peak = int(np.argmax(np.abs(self.mean)))
-        at_end = peak in {0, self.at.size - 1}
-        if abs(self.order) >= (MONOTONIC_TO_END_CORRELATION if at_end else MONOTONIC_CORRELATION):
-            verb = "grows" if self.order > 0 else "falls"
-            return f"{verb} with {name}, from {self._told(0, unit, of)} to {self._told(-1, unit, of)}"
+        at_end = peak in {0, self.coordinate.size - 1}
+        if abs(self.rank_correlation) >= (MONOTONIC_TO_END_CORRELATION if at_end else MONOTONIC_CORRELATION):
+            verb = "grows" if self.rank_correlation > 0 else "falls"
+            first, last = (self._at_bin(index, unit, coordinate_unit) for index in (0, -1))
+            return f"{verb} with {name}, from {first} to {last}"
         side = "highest" if self.mean[peak] > 0 else "lowest"
-        return f"is {side} at about {two_digits(self.at[peak])}{of}, {_signed_two_digits(self.mean[peak])} {unit}"
+        place = f"{two_digits(self.coordinate[peak])}{coordinate_unit}"
+        return f"is {side} at about {place}, {_signed_two_digits(self.mean[peak])} {unit}"
 
-    def _told(self, at: int, unit: str, of: str) -> str:
-        return f"{_signed_two_digits(self.mean[at])} {unit} at {two_digits(self.at[at])}{of}"
+    def _at_bin(self, at: int, unit: str, coordinate_unit: str) -> str:
+        return f"{_signed_two_digits(self.mean[at])} {unit} at {two_digits(self.coordinate[at])}{coordinate_unit}"
 
 
-def trend_of(part: GapRegion, domain: str) -> Trend | None:
+def trend_of(region: GapRegion, domain: str) -> Trend | None:
     """Return the means along what belongs to a domain; None for domains that have no coordinate.
 
     Means are over runs, each run's blocks weighted by duration; values that are commanded are kept apart, others put
@@ -84,44 +86,44 @@ def trend_of(part: GapRegion, domain: str) -> Trend | None:
     """
     if domain not in ("speed", "position", "time", "session", "strain"):
         return None
-    inside = list(zip(part.blocks, part.inside, strict=True))
-    at = np.concatenate([_domain_values(one, domain)[here] for one, here in inside])
-    residual = part.scale * np.concatenate([one.residual[here] for one, here in inside])
-    weight = np.concatenate([one.weight[here] for one, here in inside])
+    inside = list(zip(region.blocks, region.masks, strict=True))
+    at = np.concatenate([_domain_values(blocks, domain)[here] for blocks, here in inside])
+    residual = region.unit_factor * np.concatenate([blocks.residual[here] for blocks, here in inside])
+    weight = np.concatenate([blocks.weight[here] for blocks, here in inside])
     run = np.concatenate([np.full(np.count_nonzero(here), number) for number, (_, here) in enumerate(inside)])
     levels = np.unique(at)
     if levels.size > MAX_BINS:
         edges = np.unique(np.quantile(levels, np.linspace(0.0, 1.0, MAX_BINS + 1)[1:-1]))
-        found = np.searchsorted(edges, at, side="right")
+        result = np.searchsorted(edges, at, side="right")
     else:
-        found = np.searchsorted(levels, at)
-    return _binned_means(found, run, at, residual, weight)
+        result = np.searchsorted(levels, at)
+    return _binned_means(result, run, at, residual, weight)
 
 
-def _domain_values(one: ResidualBlocks, domain: str) -> FloatArray:
+def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
     match domain:
         case "speed":
-            return np.full_like(one.residual, one.speed_mm_s)
+            return np.full_like(blocks.residual, blocks.speed_mm_s)
         case "position":
-            return np.abs(one.position_mm)
+            return np.abs(blocks.position_mm)
         case "time":
-            return time_since_start(one)
+            return time_since_start(blocks)
         case "session":
-            return np.full_like(one.residual, one.session_s)
+            return np.full_like(blocks.residual, blocks.session_s)
         case _:
-            return np.full_like(one.residual, one.strain)
+            return np.full_like(blocks.residual, blocks.strain)
 
 
 def _binned_means(
-    found: IndexArray,
+    result: IndexArray,
     run: IndexArray,
     at: FloatArray,
     residual: FloatArray,
     weight: FloatArray,
 ) -> Trend:
     rows: list[Sequence[float]] = []
-    for number in np.unique(found).tolist():
-        here = found == number
+    for number in np.unique(result).tolist():
+        here = result == number
         total = np.bincount(run[here], weight[here])
         seen = total > 0
         means = np.bincount(run[here], weight[here] * residual[here])[seen] / total[seen]
@@ -159,7 +161,7 @@ class ExponentialDecay:
     ----------
     length, along_way
         Where it has fallen to 37 %: mm of the way, or s where it is one of time.
-    other
+    alternative_length
         The same of the other of the two, where runs do not tell them apart; None where they do.
     start
         Its size at the begin of steady motion, median over runs [the part's unit].
@@ -171,50 +173,52 @@ class ExponentialDecay:
 
     length: float
     along_way: bool
-    other: float | None
+    alternative_length: float | None
     start: float
     share: float
     before: float
     after: float
 
-    def words(self, unit: str) -> str:
+    def text(self, unit: str) -> str:
         """Return it as a sentence."""
         way, of_way = ("along the way", "mm") if self.along_way else ("in time", "s")
         as_well, of_other = ("a time of", "s") if self.along_way else ("a way of", "mm")
-        other = (
-            "" if self.other is None else f" (as these runs go, as well {as_well} {two_digits(self.other)} {of_other})"
+        name = (
+            ""
+            if self.alternative_length is None
+            else f" (as these runs go, as well {as_well} {two_digits(self.alternative_length)} {of_other})"
         )
         start = f"{self.start:+.2g}".replace("-", "−")
         return (
             f"It dies away {way} from the begin of steady motion, {start} {unit} over {two_digits(self.length)} "
-            f"{of_way}{other}. "
+            f"{of_way}{name}. "
             f"Beyond a straight line {two_digits(self.before)} {unit} are left without that exponential, "
             f"{two_digits(self.after)} {unit} with it."
         )
 
 
-def fit_decay(part: GapRegion) -> ExponentialDecay | None:
+def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     """Return the exponential that steady motion shows most of; None where it explains little or is but a bend."""
     runs = [
-        one
-        for one in part.blocks
-        if one.contact is not Contact.STICKING and _steady_mask(one).sum() >= MIN_STEADY_BLOCKS
+        blocks
+        for blocks in region.blocks
+        if blocks.contact is not Contact.STICKING and _steady_mask(blocks).sum() >= MIN_STEADY_BLOCKS
     ]
     if not runs:
         return None
-    way = _best_decay(runs, [_distance_from_start(one, np.abs(one.position_mm)) for one in runs])
-    time = _best_decay(runs, [_distance_from_start(one, one.time_s) for one in runs])
-    found, other, along = (way, time, True) if way.share >= time.share - MIN_SHARE_DIFFERENCE else (time, way, False)
-    if found.share < MIN_DECAY_SHARE or found.at_end:
+    way = _best_decay(runs, [_distance_from_start(blocks, np.abs(blocks.position_mm)) for blocks in runs])
+    time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
+    fit, other, along = (way, time, True) if way.share >= time.share - MIN_SHARE_DIFFERENCE else (time, way, False)
+    if fit.share < MIN_DECAY_SHARE or fit.at_end:
         return None
     return ExponentialDecay(
-        length=found.length,
+        length=fit.length,
         along_way=along,
-        other=other.length if found.share - other.share < MIN_SHARE_DIFFERENCE else None,
-        start=part.scale * float(np.median(found.starts)),
-        share=found.share,
-        before=part.scale * float(np.sqrt(found.before / len(runs))),
-        after=part.scale * float(np.sqrt(found.before * (1 - found.share) / len(runs))),
+        alternative_length=other.length if fit.share - other.share < MIN_SHARE_DIFFERENCE else None,
+        start=region.unit_factor * float(np.median(fit.starts)),
+        share=fit.share,
+        before=region.unit_factor * float(np.sqrt(fit.before / len(runs))),
+        after=region.unit_factor * float(np.sqrt(fit.before * (1 - fit.share) / len(runs))),
     )
 
 
@@ -227,26 +231,26 @@ class _DecayFit:
     at_end: bool
 
 
-def _steady_mask(one: ResidualBlocks) -> BoolArray:
-    return np.asarray(one.phase == Phase.STEADY, dtype=np.bool_)
+def _steady_mask(blocks: ResidualBlocks) -> BoolArray:
+    return np.asarray(blocks.phase == Phase.STEADY, dtype=np.bool_)
 
 
-def _distance_from_start(one: ResidualBlocks, coordinate: FloatArray) -> FloatArray:
-    at = coordinate[_steady_mask(one)]
+def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> FloatArray:
+    at = coordinate[_steady_mask(blocks)]
     return np.asarray(np.abs(at - at[0]), dtype=np.float64)
 
 
 def _best_decay(runs: Sequence[ResidualBlocks], since: Sequence[FloatArray]) -> _DecayFit:
-    span = max(float(one.max()) for one in since)
-    shortest = max(min(float(np.median(np.diff(one))) for one in since), 1e-6 * span, 1e-12)
+    span = max(float(array.max()) for array in since)
+    shortest = max(min(float(np.median(np.diff(array))) for array in since), 1e-6 * span, 1e-12)
     lengths = np.geomspace(shortest, max(MAX_DECAY_FRACTION * span, 2 * shortest), DECAY_LENGTHS)
     before = np.zeros(len(runs))
     taken, starts = np.zeros((2, len(runs), lengths.size))
-    for number, (one, at) in enumerate(zip(runs, since, strict=True)):
-        inside = _steady_mask(one)
-        root = np.sqrt(one.weight[inside] / one.weight[inside].sum())
+    for number, (blocks, at) in enumerate(zip(runs, since, strict=True)):
+        inside = _steady_mask(blocks)
+        root = np.sqrt(blocks.weight[inside] / blocks.weight[inside].sum())
         line = np.linalg.qr(root[:, None] * np.stack((np.ones_like(at), at), axis=1))[0]
-        values = root * one.residual[inside]
+        values = root * blocks.residual[inside]
         waves = root[:, None] * np.exp(-at[:, None] / lengths)
         values, waves = (each - line @ (line.T @ each) for each in (values, waves))
         size = np.maximum((waves**2).sum(axis=0), 1e-12)
@@ -279,29 +283,29 @@ _DOMAIN_PHRASES: Mapping[str, tuple[str, str, str]] = {
 """Domain in words, its coordinate, and the coordinate's unit."""
 
 
-def dependence_text(where: GapLocation, part: GapRegion) -> str:
+def dependence_text(where: GapLocation, region: GapRegion) -> str:
     """Return what the residual is above all a function of, how it goes, its sign, and whether runs agree on it."""
     words, name, unit = _DOMAIN_PHRASES.get(where.domain, (f"of {where.domain}", "", ""))
-    wave = _periodic_text(part)
-    trend = trend_of(part, where.domain) if where.runs != 1 else None
-    along = trend.words(name, part.unit, unit) if trend is not None else ""
-    decay = None if wave else fit_decay(part)
+    wave = _periodic_text(region)
+    trend = trend_of(region, where.domain) if where.runs != 1 else None
+    along = trend.text(name, region.unit, unit) if trend is not None else ""
+    decay = None if wave else fit_decay(region)
     said = [
-        _agreement_text(where, part, words, bool(wave)),
+        _agreement_text(where, region, words, bool(wave)),
         wave,
         f"Measured less modelled {along}." if along else "",
-        "" if decay is None else decay.words(part.unit),
-        _sign_text(part),
+        "" if decay is None else decay.text(region.unit),
+        _sign_text(region),
     ]
-    return " ".join(one for one in said if one)
+    return " ".join(label for label in said if label)
 
 
-def _agreement_text(where: GapLocation, part: GapRegion, words: str, periodic: bool) -> str:
-    told = where.domain_scores.get(where.domain, 0.0)
-    total = sum(float((one.weight * one.deviation**2).sum()) for one in part.blocks)
-    share = min(told * total / part.excess, 1.0) if part.excess > 0 else told
+def _agreement_text(where: GapLocation, region: GapRegion, words: str, periodic: bool) -> str:
+    value = where.domain_scores.get(where.domain, 0.0)
+    total = sum(float((blocks.weight * blocks.deviation**2).sum()) for blocks in region.blocks)
+    share = min(value * total / region.excess, 1.0) if region.excess > 0 else value
     if where.domain == "transient" and share >= MIN_COMMON_SHARE:
-        return f"{share:.0%} of it is at changes of velocity and shortly after. {_transient_text(part)}".rstrip()
+        return f"{share:.0%} of it is at changes of velocity and shortly after. {_transient_text(region)}".rstrip()
     if where.domain == "frequency" and share >= MIN_COMMON_SHARE:
         return f"{share:.0%} of it is faster than {FAST_HZ:g} Hz."
     if where.runs == 1:
@@ -315,69 +319,72 @@ def _agreement_text(where: GapLocation, part: GapRegion, words: str, periodic: b
     return f"Above all a function {words}{told_by}."
 
 
-def _sign_text(part: GapRegion) -> str:
+def _sign_text(region: GapRegion) -> str:
     above = whole = 0.0
-    for one, inside in zip(part.blocks, part.inside, strict=True):
-        squares = (one.weight * one.deviation**2)[inside]
-        above += float(squares[one.residual[inside] > 0].sum())
+    for blocks, inside in zip(region.blocks, region.masks, strict=True):
+        squares = (blocks.weight * blocks.deviation**2)[inside]
+        above += float(squares[blocks.residual[inside] > 0].sum())
         whole += float(squares.sum())
     share = above / whole if whole > 0 else 0.5
     if share >= ONE_SIGN_SHARE:
-        return f"What is measured is higher than the model's {part.channel} nearly everywhere."
+        return f"What is measured is higher than the model's {region.channel} nearly everywhere."
     if share <= 1 - ONE_SIGN_SHARE:
-        return f"What is measured is lower than the model's {part.channel} nearly everywhere."
+        return f"What is measured is lower than the model's {region.channel} nearly everywhere."
     return "It has both signs."
 
 
-def _transient_text(part: GapRegion) -> str:
+def _transient_text(region: GapRegion) -> str:
     told = [
-        f"{mean:+.2g} {part.unit} while {name}".replace("-", "−")
+        f"{mean:+.2g} {region.unit} while {name}".replace("-", "−")
         for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking"))
-        if (mean := _mean_residual(part, phase)) is not None
+        if (mean := _mean_residual(region, phase)) is not None
     ]
     return f"On average it is {' and '.join(told)}." if told else ""
 
 
-def _mean_residual(part: GapRegion, phase: Phase) -> float | None:
+def _mean_residual(region: GapRegion, phase: Phase) -> float | None:
     """Return the mean residual of a phase over runs."""
     means = [
-        float(np.average(one.residual[here], weights=one.weight[here]))
-        for one in part.blocks
-        if (here := one.phase == phase).any()
+        float(np.average(blocks.residual[here], weights=blocks.weight[here]))
+        for blocks in region.blocks
+        if (here := blocks.phase == phase).any()
     ]
-    return part.scale * float(np.mean(means)) if means else None
+    return region.unit_factor * float(np.mean(means)) if means else None
 
 
-def _periodic_text(part: GapRegion) -> str:
+def _periodic_text(region: GapRegion) -> str:
     """Return period, amplitude and phase of what is periodic; empty for what is not."""
-    in_position, in_time = periodic_shares(part.blocks)
+    in_position, in_time = periodic_shares(region.blocks)
     if max(in_position.max(), in_time.max()) < MIN_PERIODIC_SHARE:
         return ""
     along = in_position.max() >= in_time.max()
-    rate = best_wavenumber(part.blocks) if along else float(FREQUENCIES_HZ[np.argmax(in_time)])
+    rate = best_wavenumber(region.blocks) if along else float(FREQUENCIES_HZ[np.argmax(in_time)])
     waves = np.array(
-        [_wave_amplitude(one, np.abs(one.position_mm) if along else one.time_s, rate) for one in part.blocks]
+        [
+            _wave_amplitude(blocks, np.abs(blocks.position_mm) if along else blocks.time_s, rate)
+            for blocks in region.blocks
+        ]
     )
     place, unit = ("along the stroke", "mm") if along else ("in time", "s")
     periodic = f"It is periodic {place}, {1 / rate:.3g} {unit} long"
     if not waves.any():
         return f"{periodic}, which is more than any run moves steadily."
-    size = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * part.scale
+    size = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * region.unit_factor
     step = abs(waves.sum()) / np.abs(waves).sum()
     begin = "at the same place" if along else "at the same time"
     phase = f", {begin} in every run" if step >= COMMON_PHASE else ", with a phase of its own in each run"
-    if along and len({round(one.origin_mm, 1) for one in part.blocks}) > 1:
+    if along and len({round(blocks.origin_mm, 1) for blocks in region.blocks}) > 1:
         # Positions count from where each run begins.
         phase = ""
-    return f"{periodic}, with an amplitude of {two_digits(size)} {part.unit}{phase}."
+    return f"{periodic}, with an amplitude of {two_digits(size)} {region.unit}{phase}."
 
 
-def _wave_amplitude(one: ResidualBlocks, coordinate: FloatArray, rate: float) -> complex:
+def _wave_amplitude(blocks: ResidualBlocks, coordinate: FloatArray, rate: float) -> complex:
     """Return the wave of a run's steady motion, 0 for one that holds less than a period."""
-    here = one.phase == Phase.STEADY
+    here = blocks.phase == Phase.STEADY
     if not here.any() or rate * np.ptp(coordinate[here]) < 1:
         return 0j
-    weight, deviation = one.weight[here], one.residual[here]
+    weight, deviation = blocks.weight[here], blocks.residual[here]
     left = deviation - np.average(deviation, weights=weight)
     turned = np.exp(-2j * np.pi * rate * coordinate[here])
     return complex(2 * np.sum(weight * left * turned) / weight.sum())
@@ -390,23 +397,23 @@ def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
     """Return where the excess is, and in which runs it is not; ranges are told where they are not chance."""
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
     absent = [
-        one
-        for one in dict.fromkeys(each.kind for each in blocks)
-        if _axis_share(where, "protocol", one) < NEGLIGIBLE_SHARE
+        name
+        for name in dict.fromkeys(run.kind for run in blocks)
+        if _axis_share(where, "protocol", name) < NEGLIGIBLE_SHARE
     ]
-    said = f"It is in {_channels_text(where)} of {kinds_text(kinds)}{_speeds_text(where, blocks)}"
-    said += _range_text(where.location("strain"), "at shear strains of", "")
-    said += _range_text(where.location("position"), "between", " mm of the stroke", joiner="and")
-    said += _range_text(where.location("session"), "between", " s of the session", joiner="and")
-    said += f", {span}" if (span := phase_span(where)) else ""
-    said += _range_text(where.location("band_hz"), "at", " Hz") if where.domain == "frequency" else ""
-    said += f"; not in {kinds_text(absent, 'or')}" if absent else ""
-    return f"{said}.{_single_run_text(blocks)}"
+    text = f"It is in {_channels_text(where)} of {kinds_text(kinds)}{_speeds_text(where, blocks)}"
+    text += _range_text(where.location("strain"), "at shear strains of", "")
+    text += _range_text(where.location("position"), "between", " mm of the stroke", joiner="and")
+    text += _range_text(where.location("session"), "between", " s of the session", joiner="and")
+    text += f", {span}" if (span := phase_span(where)) else ""
+    text += _range_text(where.location("band_hz"), "at", " Hz") if where.domain == "frequency" else ""
+    text += f"; not in {kinds_text(absent, 'or')}" if absent else ""
+    return f"{text}.{_single_run_text(blocks)}"
 
 
 def kinds_text(kinds: Sequence[str], joiner: str = "and") -> str:
     """Return kinds of run in words."""
-    called = [_KIND_NAMES.get(one, one) for one in kinds]
+    called = [_KIND_NAMES.get(name, name) for name in kinds]
     listed = f" {joiner} ".join([", ".join(called[:-1]), called[-1]]) if len(called) > 1 else called[0]
     return f"{listed} runs"
 
@@ -417,40 +424,40 @@ def _axis_share(where: GapLocation, axis: str, name: str) -> float:
 
 def _channels_text(where: GapLocation) -> str:
     shares = where.location("channel").shares
-    named = sorted((one for one in shares if shares[one] >= NOTABLE_SHARE), key=lambda one: -shares[one])
-    named = [one.replace("_", " ") for one in named]
+    named = sorted((name for name in shares if shares[name] >= NOTABLE_SHARE), key=lambda name: -shares[name])
+    named = [name.replace("_", " ") for name in named]
     return "the " + " and the ".join(named) if named else "all channels"
 
 
 def _speeds_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
-    found = where.location("speed_mm_s")
-    if found.low is None or found.high is None or found.p >= ALPHA:
+    location = where.location("speed_mm_s")
+    if location.low is None or location.high is None or location.p >= ALPHA:
         return ""
-    levels = {one.speed_mm_s for one in blocks if one.contact is not Contact.STICKING}
-    if found.low == found.high:
-        return f" at {found.low:g} mm/s"
-    if found.high >= max(levels):
-        return f" at {found.low:g} mm/s and faster"
-    if found.low <= min(levels):
-        return f" up to {found.high:g} mm/s"
-    return f" at {found.low:g} to {found.high:g} mm/s"
+    levels = {run.speed_mm_s for run in blocks if run.contact is not Contact.STICKING}
+    if location.low == location.high:
+        return f" at {location.low:g} mm/s"
+    if location.high >= max(levels):
+        return f" at {location.low:g} mm/s and faster"
+    if location.low <= min(levels):
+        return f" up to {location.high:g} mm/s"
+    return f" at {location.low:g} to {location.high:g} mm/s"
 
 
-def _range_text(found: AxisLocation, before: str, after: str, joiner: str = "to") -> str:
-    if found.low is None or found.high is None or found.p >= ALPHA:
+def _range_text(location: AxisLocation, before: str, after: str, joiner: str = "to") -> str:
+    if location.low is None or location.high is None or location.p >= ALPHA:
         return ""
-    if found.low == found.high:
-        return f", {before} {found.low:.4g}{after}"
-    return f", {before} {found.low:.4g} {joiner} {found.high:.4g}{after}"
+    if location.low == location.high:
+        return f", {before} {location.low:.4g}{after}"
+    return f", {before} {location.low:.4g} {joiner} {location.high:.4g}{after}"
 
 
 def _single_run_text(blocks: Sequence[ResidualBlocks]) -> str:
     excess: dict[str, float] = {}
-    for one in blocks:
-        excess[one.run_id] = excess.get(one.run_id, 0.0) + float(one.excess.sum())
+    for run in blocks:
+        excess[run.run_id] = excess.get(run.run_id, 0.0) + float(run.excess.sum())
     if len(excess) == 1:
         return ""
-    whole = sum(max(one, 0.0) for one in excess.values())
+    whole = sum(max(value, 0.0) for value in excess.values())
     most = max(excess, key=lambda name: excess[name])
     return f" Nearly all of it is in one run, {most}." if excess[most] >= DOMINANT_SHARE * whole > 0 else ""
 
@@ -480,17 +487,25 @@ _LAW_PHRASES: Mapping[str, str] = MappingProxyType(
 """Laws in words."""
 
 
-def nonparametric_law_text(found: DecisionInputs) -> str:
+def nonparametric_law_text(inputs: DecisionInputs) -> str:
     """Return a sentence on the law without a name that explains more than any effect; empty where none does."""
-    if not found.nameless:
+    if not inputs.laws:
         return ""
-    law = found.nameless[0]
-    best = min((one for one in found.tried if len(one.effects) == 1), key=lambda one: one.flexible, default=None)
-    gain, other = found.squares - law.squares, 0.0 if best is None else max(found.squares - best.flexible, 0.0)
-    if gain < MIN_NONPARAMETRIC_SHARE * max(found.excess, 1.0) or gain < MIN_ADVANTAGE * other:
+    law = inputs.laws[0]
+    best = min(
+        (hypothesis for hypothesis in inputs.hypotheses if len(hypothesis.effects) == 1),
+        key=lambda hypothesis: hypothesis.chi2_with_form_error,
+        default=None,
+    )
+    gain, value = inputs.chi2 - law.chi2, 0.0 if best is None else max(inputs.chi2 - best.chi2_with_form_error, 0.0)
+    if gain < MIN_NONPARAMETRIC_SHARE * max(inputs.excess, 1.0) or gain < MIN_ADVANTAGE * value:
         return ""
-    beside = "" if best is None else f"; {_effect_name(best.effects[0])}, in any form, {_share_of_excess(other, found)}"
-    return f"A force {_LAW_PHRASES[law.law]}, in whatever way, explains {_share_of_excess(gain, found)} of it{beside}."
+    beside = (
+        "" if best is None else f"; {_effect_name(best.effects[0])}, in any form, {_share_of_excess(value, inputs)}"
+    )
+    return (
+        f"A force {_LAW_PHRASES[law.name]}, in whatever way, explains {_share_of_excess(gain, inputs)} of it{beside}."
+    )
 
 
 def _effect_name(effect: str) -> str:
@@ -498,8 +513,8 @@ def _effect_name(effect: str) -> str:
     return known[effect].name if effect in known else effect.replace("_", " ")
 
 
-def _share_of_excess(gain: float, found: DecisionInputs) -> str:
-    return f"{min(gain / max(found.excess, 1.0), 1.0):.0%}"
+def _share_of_excess(gain: float, inputs: DecisionInputs) -> str:
+    return f"{min(gain / max(inputs.excess, 1.0), 1.0):.0%}"
 
 
 def line_texts(line: SpectralLine, channel: str) -> tuple[str, str]:
@@ -519,30 +534,30 @@ NOT_LOCALISABLE = "It is too small beside noise and the scatter of repeats to sa
 def describe_unexplained_gap(
     where: GapLocation,
     blocks: Sequence[ResidualBlocks],
-    judged: Classification,
-    swing: SpectralLine | None,
-    evidence: DecisionInputs,
+    classification: Classification,
+    line: SpectralLine | None,
+    inputs: DecisionInputs,
 ) -> UnexplainedGap | None:
     """Return where it is, what it depends on and a law of it; None where everything is explained.
 
     Parameters
     ----------
-    swing
+    line
         The line that made the verdict `unknown`, where one did.
     """
-    if judged.verdict is not Verdict.UNKNOWN and not judged.residual_unknown:
+    if classification.verdict is not Verdict.UNKNOWN and not classification.residual_unknown:
         return None
-    if swing is not None:
-        return UnexplainedGap(*line_texts(swing, blocks[0].channel))
+    if line is not None:
+        return UnexplainedGap(*line_texts(line, blocks[0].channel))
     if where.runs > 1 and not any(where.location("channel").shares.values()):
-        return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(evidence))
-    part = gap_region(where, blocks)
-    law = fit_gap_law(part)
-    whole = judged.verdict is Verdict.UNKNOWN and not evidence.strays
-    said = (dependence_text(where, part), nonparametric_law_text(evidence) if whole else "")
+        return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(inputs))
+    region = gap_region(where, blocks)
+    law = fit_gap_law(region)
+    whole = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
+    said = (dependence_text(where, region), nonparametric_law_text(inputs) if whole else "")
     return UnexplainedGap(
-        lives_in=location_text(where, blocks),
-        shape=" ".join(one for one in said if one),
+        location=location_text(where, blocks),
+        dependence=" ".join(name for name in said if name),
         expression="" if law is None else law.text,
-        held_out=None if law is None else law.held_out,
+        held_out_share=None if law is None else law.held_out_share,
     )

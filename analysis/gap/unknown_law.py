@@ -40,11 +40,11 @@ class GapRegion:
 
     Attributes
     ----------
-    channel, kinds, span
+    channel, kinds, phase_text
         Its channel, its kinds of run, and its phases in words; no words for all phases.
     blocks
         The runs of these kinds, that channel alone.
-    inside
+    masks
         Which of each run's blocks are in these phases.
     excess
         Excess of the whole campaign, other channels and kinds included.
@@ -52,9 +52,9 @@ class GapRegion:
 
     channel: str
     kinds: tuple[str, ...]
-    span: str
+    phase_text: str
     blocks: tuple[ResidualBlocks, ...]
-    inside: tuple[BoolArray, ...]
+    masks: tuple[BoolArray, ...]
     excess: float
 
     @property
@@ -63,7 +63,7 @@ class GapRegion:
         return "µm" if self.channel == "position" else "mN"
 
     @property
-    def scale(self) -> float:
+    def unit_factor(self) -> float:
         """That unit over the channel's own."""
         return 1000.0 if self.channel == "position" else 1.0
 
@@ -71,20 +71,20 @@ class GapRegion:
 def gap_region(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> GapRegion:
     """Return the blocks that have all of the gap but what is as good as nothing."""
     shares = where.location("channel").shares
-    channels = list(dict.fromkeys(one.channel for one in blocks))
+    channels = list(dict.fromkeys(run.channel for run in blocks))
     channel = max(channels, key=lambda name: shares.get(name, 0.0))
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
-    found = tuple(one for one in blocks if one.channel == channel and one.kind in kinds)
+    found = tuple(run for run in blocks if run.channel == channel and run.kind in kinds)
     span = phase_span(where)
     phases = np.array(sorted(PHASE_SPANS.get(span, frozenset(Phase))), dtype=np.uint8)
-    inside = tuple(np.isin(one.phase, phases) for one in found)
-    return GapRegion(channel, kinds, span, found, inside, sum(float(one.excess.sum()) for one in blocks))
+    inside = tuple(np.isin(run.phase, phases) for run in found)
+    return GapRegion(channel, kinds, span, found, inside, sum(float(run.excess.sum()) for run in blocks))
 
 
 def kinds_with_excess(where: GapLocation, blocks: Sequence[ResidualBlocks], least: float) -> tuple[str, ...]:
     """Return the kinds of run that have at least this share of the excess, or the one that has most."""
     shares = where.location("protocol").shares
-    seen = sorted(dict.fromkeys(one.kind for one in blocks), key=lambda kind: -shares.get(kind, 0.0))
+    seen = sorted(dict.fromkeys(run.kind for run in blocks), key=lambda kind: -shares.get(kind, 0.0))
     return tuple(kind for at, kind in enumerate(seen) if at == 0 or shares.get(kind, 0.0) >= least)
 
 
@@ -92,7 +92,7 @@ def phase_span(where: GapLocation) -> str:
     """Return the fewest phases that have all of the gap but what is as good as nothing; empty for all of them."""
     shares = where.location("phase").shares
     for name, phases in PHASE_SPANS.items():
-        if sum(shares.get(one.name.lower(), 0.0) for one in phases) >= 1 - NEGLIGIBLE_SHARE:
+        if sum(shares.get(phase.name.lower(), 0.0) for phase in phases) >= 1 - NEGLIGIBLE_SHARE:
             return name
     return ""
 
@@ -141,27 +141,31 @@ class TermLibrary:
     run: IndexArray
 
 
-def term_library(part: GapRegion) -> TermLibrary:
+def term_library(region: GapRegion) -> TermLibrary:
     """Return all terms that vary, and 1, at the blocks of a part."""
-    starts = sorted({(one.session_s, one.run_id) for one in part.blocks})
+    starts = sorted({(blocks.session_s, blocks.run_id) for blocks in region.blocks})
     order = {name: number for number, (_, name) in enumerate(starts)}
-    leave = _excluded_variables(part)
+    leave = _excluded_variables(region)
     columns: dict[str, FloatArray] = {}
     for name, of in _variables(order).items():
         if not name.startswith(leave):
-            columns[name] = np.concatenate([of(one)[at] for one, at in zip(part.blocks, part.inside, strict=True)])
-    simple = {name: one for name, one in columns.items() if name == "1" or _varies(one)}
+            columns[name] = np.concatenate(
+                [of(blocks)[at] for blocks, at in zip(region.blocks, region.masks, strict=True)]
+            )
+    simple = {name: values for name, values in columns.items() if name == "1" or _varies(values)}
     bare = [name for name in simple if name != "1" and not name.endswith("²")]
-    products = {f"{one}·{other}": simple[one] * simple[other] for one, other in combinations(bare, 2)}
-    pairs = {name: one for name, one in products.items() if _varies(one) and name != "v·ln(v)"}
+    products = {f"{label}·{other}": simple[label] * simple[other] for label, other in combinations(bare, 2)}
+    pairs = {name: values for name, values in products.items() if _varies(values) and name != "v·ln(v)"}
     terms = {**simple, **pairs}
-    inside = list(zip(part.blocks, part.inside, strict=True))
+    inside = list(zip(region.blocks, region.masks, strict=True))
     return TermLibrary(
         names=tuple(terms),
         factors=np.array([2.0 if name in pairs or name.endswith("²") else 1.0 for name in terms]),
         values=np.stack(list(terms.values()), axis=1),
-        residual=part.scale * np.concatenate([one.residual[at] for one, at in inside]),
-        weight=np.concatenate([(one.weight / (part.scale * one.noise_sd) ** 2)[at] for one, at in inside]),
+        residual=region.unit_factor * np.concatenate([blocks.residual[at] for blocks, at in inside]),
+        weight=np.concatenate(
+            [(blocks.weight / (region.unit_factor * blocks.noise_sd) ** 2)[at] for blocks, at in inside]
+        ),
         run=np.concatenate([np.full(np.count_nonzero(at), number) for number, (_, at) in enumerate(inside)]),
     )
 
@@ -170,44 +174,44 @@ def _varies(values: FloatArray) -> bool:
     return bool(np.ptp(values) > MIN_VARIATION * abs(values).max())
 
 
-def _excluded_variables(part: GapRegion) -> tuple[str, ...]:
+def _excluded_variables(region: GapRegion) -> tuple[str, ...]:
     """Return variables that say nothing here: speed and way where walls are sheared, force where it is not known."""
-    sheared = all(one.strain > 0 for one in part.blocks)
-    unknown = any(one.level_mN is None for one in part.blocks)
+    sheared = all(blocks.strain > 0 for blocks in region.blocks)
+    unknown = any(blocks.force_mN is None for blocks in region.blocks)
     return (*(("v", "ln(v)", "x") if sheared else ()), *(("F",) if unknown else ()))
 
 
 def _variables(order: Mapping[str, int]) -> Mapping[str, Callable[[ResidualBlocks], FloatArray]]:
     return {
-        "1": lambda one: np.ones_like(one.residual),
+        "1": lambda blocks: np.ones_like(blocks.residual),
         "v": block_speed,
-        "ln(v)": lambda one: np.log(np.maximum(block_speed(one), MIN_LOG_SPEED_MM_S)),
-        "v²": lambda one: block_speed(one) ** 2,
-        "ε": lambda one: np.full_like(one.residual, one.strain),
-        "ε²": lambda one: np.full_like(one.residual, one.strain**2),
-        "x": lambda one: np.abs(one.position_mm),
-        "x²": lambda one: one.position_mm**2,
+        "ln(v)": lambda blocks: np.log(np.maximum(block_speed(blocks), MIN_LOG_SPEED_MM_S)),
+        "v²": lambda blocks: block_speed(blocks) ** 2,
+        "ε": lambda blocks: np.full_like(blocks.residual, blocks.strain),
+        "ε²": lambda blocks: np.full_like(blocks.residual, blocks.strain**2),
+        "x": lambda blocks: np.abs(blocks.position_mm),
+        "x²": lambda blocks: blocks.position_mm**2,
         "t": time_since_start,
-        "T": lambda one: (one.session_s + one.time_s) / 60.0,
-        "n": lambda one: np.full_like(one.residual, order[one.run_id]),
-        "F": lambda one: np.zeros_like(one.residual) if one.level_mN is None else one.level_mN,
+        "T": lambda blocks: (blocks.session_s + blocks.time_s) / 60.0,
+        "n": lambda blocks: np.full_like(blocks.residual, order[blocks.run_id]),
+        "F": lambda blocks: np.zeros_like(blocks.residual) if blocks.force_mN is None else blocks.force_mN,
     }
 
 
-def block_speed(one: ResidualBlocks) -> FloatArray:
+def block_speed(blocks: ResidualBlocks) -> FloatArray:
     """Return the speed [mm/s], as commanded where it is steady, shape `(B,)`."""
-    if one.residual.size < 2:
-        return np.full_like(one.residual, one.speed_mm_s)
-    local = np.abs(np.gradient(one.position_mm, one.time_s))
-    changing = (one.phase == Phase.ACCELERATE) | (one.phase == Phase.DECELERATE)
-    steady = np.where(one.phase == Phase.STEADY, one.speed_mm_s, 0.0)
-    return np.where(changing, np.clip(local, 0.0, one.speed_mm_s), steady)
+    if blocks.residual.size < 2:
+        return np.full_like(blocks.residual, blocks.speed_mm_s)
+    local = np.abs(np.gradient(blocks.position_mm, blocks.time_s))
+    changing = (blocks.phase == Phase.ACCELERATE) | (blocks.phase == Phase.DECELERATE)
+    steady = np.where(blocks.phase == Phase.STEADY, blocks.speed_mm_s, 0.0)
+    return np.where(changing, np.clip(local, 0.0, blocks.speed_mm_s), steady)
 
 
-def time_since_start(one: ResidualBlocks) -> FloatArray:
+def time_since_start(blocks: ResidualBlocks) -> FloatArray:
     """Return the time since the motion began [s], 0 before, shape `(B,)`."""
-    begun = one.phase != Phase.REST
-    return np.maximum(one.time_s - one.time_s[begun][0], 0.0) if begun.any() else np.zeros_like(one.time_s)
+    begun = blocks.phase != Phase.REST
+    return np.maximum(blocks.time_s - blocks.time_s[begun][0], 0.0) if begun.any() else np.zeros_like(blocks.time_s)
 
 
 MAX_TERMS, EXHAUSTIVE_SIZE = 4, 3
@@ -223,18 +227,18 @@ class FoldProducts:
 
     Attributes
     ----------
-    gram, moment, square
+    gram, moment, squares
         Term with term, term with residual, residual with itself; shapes `(K, M, M)`, `(K, M)` and `(K,)`.
     """
 
     gram: FloatArray
     moment: FloatArray
-    square: FloatArray
+    squares: FloatArray
 
     def without(self, fold: int) -> "FoldProducts":
         """Leave a fold out."""
-        kept = np.arange(self.square.size) != fold
-        return FoldProducts(self.gram[kept], self.moment[kept], self.square[kept])
+        kept = np.arange(self.squares.size) != fold
+        return FoldProducts(self.gram[kept], self.moment[kept], self.squares[kept])
 
     def predicted(self, terms: TermIndices, fold: int) -> float:
         """Return the squares that are left in a fold by coefficients from the others."""
@@ -244,33 +248,33 @@ class FoldProducts:
 def held_out_chi2(products: FoldProducts, subsets: npt.NDArray[np.intp]) -> FloatArray:
     """Return the squares that each of `S` subsets of `k` terms leaves in each fold, shape `(S, k)` to `(S, K)`."""
     if not subsets.shape[1]:
-        return np.broadcast_to(products.square, (subsets.shape[0], products.square.size))
+        return np.broadcast_to(products.squares, (subsets.shape[0], products.squares.size))
     rows, columns = subsets[:, :, None], subsets[:, None, :]
     gram, moment = products.gram[:, rows, columns], products.moment[:, subsets]
     others = gram.sum(axis=0) - gram + TERM_RIDGE * np.eye(subsets.shape[1])
     from_others = np.linalg.solve(others, (moment.sum(axis=0) - moment)[..., None])[..., 0]
     explained = 2 * np.einsum("fsk,fsk->fs", from_others, moment)
-    left = products.square[:, None] - explained + np.einsum("fsi,fsij,fsj->fs", from_others, gram, from_others)
+    left = products.squares[:, None] - explained + np.einsum("fsi,fsij,fsj->fs", from_others, gram, from_others)
     return np.asarray(left.T)
 
 
-def select_terms(products: FoldProducts, price: FloatArray) -> TermIndices:
+def select_terms(products: FoldProducts, penalty: FloatArray) -> TermIndices:
     """Return the terms that together leave least in the folds, each at its price in squares, shape `(M,)`.
 
     All pairs and threes of the cheapest terms are looked at too: two may tell what neither tells alone.
     """
     chosen: TermIndices = ()
-    best: tuple[TermIndices, float] = (chosen, float(products.square.sum()))
-    cheapest = np.flatnonzero(price == price.min()).tolist()
-    for size in range(1, min(MAX_TERMS, price.size) + 1):
-        more = [(*chosen, one) for one in range(price.size) if one not in chosen]
+    best: tuple[TermIndices, float] = (chosen, float(products.squares.sum()))
+    cheapest = np.flatnonzero(penalty == penalty.min()).tolist()
+    for size in range(1, min(MAX_TERMS, penalty.size) + 1):
+        more = [(*chosen, index) for index in range(penalty.size) if index not in chosen]
         more += combinations(cheapest, size) if size <= EXHAUSTIVE_SIZE else ()
-        chosen, cost = _exchange_terms(products, price, *_best_subset(products, price, more))
-        best = min(best, (chosen, cost), key=lambda one: one[1])
+        chosen, cost = _exchange_terms(products, penalty, *_best_subset(products, penalty, more))
+        best = min(best, (chosen, cost), key=lambda pair: pair[1])
     chosen, cost = best
     while len(chosen) > 1:
-        fewer = [tuple(one for one in chosen if one != left) for left in chosen]
-        found, at = _best_subset(products, price, fewer)
+        fewer = [tuple(index for index in chosen if index != left) for left in chosen]
+        found, at = _best_subset(products, penalty, fewer)
         if at >= cost:
             break
         chosen, cost = found, at
@@ -278,20 +282,22 @@ def select_terms(products: FoldProducts, price: FloatArray) -> TermIndices:
 
 
 def _exchange_terms(
-    products: FoldProducts, price: FloatArray, chosen: TermIndices, cost: float
+    products: FoldProducts, penalty: FloatArray, chosen: TermIndices, cost: float
 ) -> tuple[TermIndices, float]:
     """Put another term in the place of each that came before the last one, if that leaves less."""
     for place in range(len(chosen) - 1):
         kept = (*chosen[:place], *chosen[place + 1 :])
-        found, at = _best_subset(products, price, [(*kept, one) for one in range(price.size) if one not in kept])
+        found, at = _best_subset(
+            products, penalty, [(*kept, index) for index in range(penalty.size) if index not in kept]
+        )
         if at < cost:
             chosen, cost = found, at
     return chosen, cost
 
 
-def _best_subset(products: FoldProducts, price: FloatArray, subsets: list[TermIndices]) -> tuple[TermIndices, float]:
+def _best_subset(products: FoldProducts, penalty: FloatArray, subsets: list[TermIndices]) -> tuple[TermIndices, float]:
     index = np.array(subsets, dtype=np.intp)
-    cost = held_out_chi2(products, index).sum(axis=1) + price[index].sum(axis=1)
+    cost = held_out_chi2(products, index).sum(axis=1) + penalty[index].sum(axis=1)
     at = int(np.argmin(cost))
     return subsets[at], float(cost[at])
 
@@ -315,7 +321,7 @@ class GapLaw:
         Names of the terms, and their coefficients with standard deviations that hold for runs as wholes.
     unit
         Of the expression.
-    held_out
+    held_out_share
         Part of the whole excess that it explains, terms and coefficients chosen without the runs it is asked of.
     """
 
@@ -323,59 +329,59 @@ class GapLaw:
     coefficients: tuple[float, ...]
     sd: tuple[float, ...]
     unit: str
-    held_out: float
+    held_out_share: float
 
     @property
     def text(self) -> str:
         """The expression in words and numbers, coefficients as exact as they are known."""
-        said = ""
+        text = ""
         for name, value, sd in zip(self.terms, self.coefficients, self.sd, strict=True):
             sign = " − " if value < 0 else " + "
-            said += (sign if said else sign.strip().replace("+", "")) + _rounded_to_sd(abs(value), sd)
-            said += "" if name == "1" else f"·{name}"
+            text += (sign if text else sign.strip().replace("+", "")) + _rounded_to_sd(abs(value), sd)
+            text += "" if name == "1" else f"·{name}"
         factors = {
-            one.removesuffix("²").removeprefix("ln(").removesuffix(")") for one in "·".join(self.terms).split("·")
+            label.removesuffix("²").removeprefix("ln(").removesuffix(")") for label in "·".join(self.terms).split("·")
         }
-        symbols = [one for one in SYMBOL_UNITS if one in factors]
-        return f"{said} [{self.unit}]" + "".join(f", {SYMBOL_UNITS[one]}" for one in symbols)
+        symbols = [label for label in SYMBOL_UNITS if label in factors]
+        return f"{text} [{self.unit}]" + "".join(f", {SYMBOL_UNITS[label]}" for label in symbols)
 
 
-def fit_gap_law(part: GapRegion) -> GapLaw | None:
+def fit_gap_law(region: GapRegion) -> GapLaw | None:
     """Return a law that explains at least half of a gap in runs that took no part, if there is one.
 
     Folds are whole conditions (kind, speed and strain), so that a law has to predict those that it has not seen.
     Terms are chosen anew for each fold that it is judged on.
     """
-    fold = condition_folds(part.blocks)
+    fold = condition_folds(region.blocks)
     if fold is None:
         return None
-    terms = term_library(part)
-    by_run, scale = _products_by_run(terms, len(part.blocks))
-    inside = sum(float(one.weight[at].sum()) for one, at in zip(part.blocks, part.inside, strict=True))
-    excess = max(part.excess, float(by_run.square.sum()) - inside)
-    if excess < MIN_EXCESS_SIGMAS * np.sqrt(2 * len(part.blocks)):
+    terms = term_library(region)
+    by_run, scale = _products_by_run(terms, len(region.blocks))
+    inside = sum(float(blocks.weight[at].sum()) for blocks, at in zip(region.blocks, region.masks, strict=True))
+    excess = max(region.excess, float(by_run.squares.sum()) - inside)
+    if excess < MIN_EXCESS_SIGMAS * np.sqrt(2 * len(region.blocks)):
         return None
     products = _products_by_fold(by_run, fold)
     price = TERM_PENALTY * excess * terms.factors
-    parts = [(select_terms(products.without(one), price), one) for one in range(products.square.size)]
-    left = sum(products.predicted(chosen, one) for chosen, one in parts)
-    share = (float(products.square.sum()) - left) / excess
+    parts = [(select_terms(products.without(index), price), index) for index in range(products.squares.size)]
+    left = sum(products.predicted(chosen, index) for chosen, index in parts)
+    share = (float(products.squares.sum()) - left) / excess
     chosen = select_terms(products, price)
     if share < MIN_LAW_SHARE or not chosen:
         return None
     value, sd = _robust_coefficients(by_run, chosen)
-    names = tuple(terms.names[one] for one in chosen)
+    names = tuple(terms.names[index] for index in chosen)
     unscaled = scale[list(chosen)]
-    return GapLaw(names, _as_floats(value / unscaled), _as_floats(sd / unscaled), part.unit, min(share, 1.0))
+    return GapLaw(names, _as_floats(value / unscaled), _as_floats(sd / unscaled), region.unit, min(share, 1.0))
 
 
 def condition_folds(blocks: Sequence[ResidualBlocks]) -> IndexArray | None:
     """Return the fold of each run, whole conditions together and neighbours apart; None for too few conditions."""
-    conditions = [(one.kind, one.speed_mm_s, one.strain) for one in blocks]
-    number = {one: at for at, one in enumerate(sorted(set(conditions)))}
+    conditions = [(run.kind, run.speed_mm_s, run.strain) for run in blocks]
+    number = {pair: at for at, pair in enumerate(sorted(set(conditions)))}
     if len(number) < MIN_CONDITIONS:
         return None
-    return np.array([number[one] % min(LAW_FOLDS, len(number)) for one in conditions], dtype=np.intp)
+    return np.array([number[pair] % min(LAW_FOLDS, len(number)) for pair in conditions], dtype=np.intp)
 
 
 def _products_by_run(terms: TermLibrary, runs: int) -> tuple[FoldProducts, FloatArray]:
@@ -386,15 +392,15 @@ def _products_by_run(terms: TermLibrary, runs: int) -> tuple[FoldProducts, Float
     columns, residual = columns / scale, root * terms.residual
     bounds = np.searchsorted(terms.run, np.arange(runs + 1))
     slices = [slice(low, high) for low, high in pairwise(bounds.tolist())]
-    gram = np.stack([columns[one].T @ columns[one] for one in slices])
-    moment = np.stack([columns[one].T @ residual[one] for one in slices])
-    return FoldProducts(gram, moment, np.array([residual[one] @ residual[one] for one in slices])), scale
+    gram = np.stack([columns[rows].T @ columns[rows] for rows in slices])
+    moment = np.stack([columns[rows].T @ residual[rows] for rows in slices])
+    return FoldProducts(gram, moment, np.array([residual[rows] @ residual[rows] for rows in slices])), scale
 
 
 def _products_by_fold(by_run: FoldProducts, fold: IndexArray) -> FoldProducts:
     member = (np.arange(int(fold.max()) + 1)[:, None] == fold).astype(np.float64)
     gram = np.tensordot(member, by_run.gram, axes=1)
-    return FoldProducts(gram, member @ by_run.moment, member @ by_run.square)
+    return FoldProducts(gram, member @ by_run.moment, member @ by_run.squares)
 
 
 def _robust_coefficients(by_run: FoldProducts, chosen: TermIndices) -> tuple[FloatArray, FloatArray]:

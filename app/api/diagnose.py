@@ -240,7 +240,7 @@ def diagnosis_options(
     if not (isfinite(tolerance) and tolerance >= 0):
         raise SettingsError(f"--tolerance {tolerance:g}: a tolerance is a force in mN from 0 on.")
     learnt = None if calibration is None else _load_calibration(Path(calibration))
-    return DiagnosisOptions(without=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, calibration=learnt)
+    return DiagnosisOptions(excluded=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, calibration=learnt)
 
 
 def _load_calibration(path: Path) -> "Calibration":

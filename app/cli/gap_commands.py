@@ -226,7 +226,7 @@ def next_command(
 def _next_run_parts(experiment: "NextExperiment") -> "Iterator[RenderableType]":
     from dragrig.analysis.gap.diagnosis_text import run_text, separation_text
 
-    yield experiment.why
+    yield experiment.reason
     rows = [
         (run_text(run.step), f"{run.minutes:.1f}", separation_text(run.before, run.after)) for run in experiment.runs
     ]
@@ -292,7 +292,7 @@ def _isolability_parts(result: "Isolability") -> "Iterator[RenderableType]":
             f"{effect.d_prime:.0f}",
             f"{effect.usual:g}",
             smallest_visible_text(effect),
-            "" if effect.least_mN is None else f"{effect.least_mN:.2g}",
+            "" if effect.smallest_mN is None else f"{effect.smallest_mN:.2g}",
         )
         for effect in result.effects
     ]

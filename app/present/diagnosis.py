@@ -1,7 +1,6 @@
 """A gap diagnosis laid out for a reader: where the gap is, which hypothesis explains it, how far it shrinks."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from math import floor, isfinite
 from typing import TYPE_CHECKING
 
@@ -93,16 +92,16 @@ def diagnosis_json(
         "confusable_with": list(one.confusable_with),
         "residual_unknown": one.residual_unknown,
         "unknown": None if one.unknown is None else _unknown_gap_json(one.unknown),
-        "would_have_seen_mN": finite_or_none(one.would_have_seen_mN),
+        "would_have_seen_mN": finite_or_none(one.detection_limit_mN),
         "tolerance_mN": finite_or_none(one.tolerance_mN),
         "where": _finite_values(one.where.document()),
         "shrink": None if one.shrink is None else shrink_json(one.shrink),
         "model": model,
         "next_experiment": _next_run_json(one.next_experiment),
-        "cannot_answer": list(one.cannot_answer),
+        "cannot_answer": list(one.limitations),
         "remarks": list(one.remarks),
         "calibration": one.calibration,
-        "evidence": None if one.evidence is None else asdict(one.evidence),
+        "evidence": None if one.decision_inputs is None else one.decision_inputs.document(),
         "timings_s": _finite_values(one.timings_s),
     }
 
@@ -118,15 +117,15 @@ def next_experiment_json(found: NextExperiment | None) -> Mapping[str, object]:
     return {
         "format": "dragrig-next",
         "version": DIAGNOSIS_VERSION,
-        "why": None if found is None else found.why,
+        "why": None if found is None else found.reason,
         "minutes": None if found is None else finite_or_none(found.minutes),
-        "tried": 0 if found is None else found.tried,
+        "tried": 0 if found is None else found.compared,
         "runs": [_planned_run_json(one) for one in runs],
     }
 
 
 def _next_run_json(found: NextExperiment | None) -> JsonObject | None:
-    return None if found is None else {**_planned_run_json(found.runs[0]), "tried": found.tried, "why": found.why}
+    return None if found is None else {**_planned_run_json(found.runs[0]), "tried": found.compared, "why": found.reason}
 
 
 def _planned_run_json(one: NextRun) -> JsonObject:
@@ -138,7 +137,10 @@ def _planned_run_json(one: NextRun) -> JsonObject:
         "minutes": finite_or_none(one.minutes),
         "between": [one.after.truth, one.after.rival or NO_GAP],
         "d_prime": {"before": finite_or_none(one.before.d_prime), "after": finite_or_none(one.after.d_prime)},
-        "left": {"before": finite_or_none(one.before.left), "after": finite_or_none(one.after.left)},
+        "left": {
+            "before": finite_or_none(one.before.remaining_share),
+            "after": finite_or_none(one.after.remaining_share),
+        },
     }
 
 
@@ -204,10 +206,10 @@ def _before_after_json(one: R2BeforeAfter) -> JsonObject:
 
 def _unknown_gap_json(one: UnexplainedGap) -> JsonObject:
     return {
-        "lives_in": one.lives_in,
-        "shape": one.shape,
+        "lives_in": one.location,
+        "shape": one.dependence,
         "expression": one.expression or None,
-        "held_out": finite_or_none(one.held_out),
+        "held_out": finite_or_none(one.held_out_share),
     }
 
 
@@ -347,10 +349,10 @@ def diagnosis_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
     yield from _parameter_parts(diagnosis)
     if diagnosis.shrink is not None:
         yield from shrink_parts(diagnosis.shrink, named=bool(diagnosis.effects))
-    if diagnosis.cannot_answer:
-        yield _titled_lines("These runs cannot answer", map(as_sentence, diagnosis.cannot_answer))
+    if diagnosis.limitations:
+        yield _titled_lines("These runs cannot answer", map(as_sentence, diagnosis.limitations))
     if diagnosis.next_experiment is not None:
-        yield f"To run next\n  {diagnosis.next_experiment.why}"
+        yield f"To run next\n  {diagnosis.next_experiment.reason}"
     if diagnosis.left_out:
         yield _titled_lines("Left out", _left_out_lines({one.what: one.reason for one in diagnosis.left_out}))
     if diagnosis.remarks:
@@ -463,7 +465,7 @@ def inline_diagnosis_figures(diagnosis: Diagnosis) -> dict[str, InlineFigure]:
             "Probability of each hypothesis that is not next to impossible.",
         ),
     }
-    views = representative_runs(diagnosis.views)
+    views = representative_runs(diagnosis.traces)
     if views:
         floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
         drawn["before-after"] = inline_figure(
@@ -495,7 +497,7 @@ def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = N
             "effects": [effect_description(one) for one in diagnosis.effects],
             "meaning": calibration_sentence(diagnosis),
             "seen": "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis),
-            "cannot_answer": [as_sentence(one) for one in diagnosis.cannot_answer],
+            "cannot_answer": [as_sentence(one) for one in diagnosis.limitations],
             "settings": _diagnosis_settings(diagnosis, source),
             "where": domain_sentence(diagnosis.where),
             "shrink": ()

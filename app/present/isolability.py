@@ -38,8 +38,8 @@ def isolability_json(found: Isolability) -> Mapping[str, object]:
                 "usual": one.usual,
                 "unit": one.unit,
                 "d_prime": finite_or_none(one.d_prime),
-                "least_seen": finite_or_none(one.least),
-                "least_seen_mN": finite_or_none(one.least_mN),
+                "least_seen": finite_or_none(one.smallest),
+                "least_seen_mN": finite_or_none(one.smallest_mN),
             }
             for one in found.effects
         ],
@@ -101,9 +101,9 @@ def _effects_table(found: Isolability) -> Table:
             one.channel,
             one.d_prime,
             one.usual,
-            one.least,
+            one.smallest,
             "" if one.unit == "1" else one.unit,
-            one.least_mN,
+            one.smallest_mN,
         )
         for one in found.effects
     )

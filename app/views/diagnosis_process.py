@@ -163,11 +163,11 @@ def diagnosis_view(diagnosis: Diagnosis) -> DiagnosisView:
         places=tuple(WhereRow(one.axis, one.where, one.p) for one in axis_texts(diagnosis.where)),
         where_svg=_where_svg(diagnosis),
         shrink=() if diagnosis.shrink is None else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
-        cannot_answer=tuple(map(as_sentence, diagnosis.cannot_answer)),
-        views=diagnosis.views,
+        cannot_answer=tuple(map(as_sentence, diagnosis.limitations)),
+        views=diagnosis.traces,
         named=bool(diagnosis.effects),
         floor_mN=None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN,
-        next_words="" if found is None else found.why,
+        next_words="" if found is None else found.reason,
         next_plan=None if found is None else plan_of_next_runs(found),
     )
 
