@@ -4,6 +4,7 @@ A model that was identified or diagnosed carries a summary of where its values c
 """
 
 from collections.abc import Mapping, Sequence
+from math import isfinite, nan
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_serializer, model_validator
@@ -49,8 +50,11 @@ def _parse_effect(text: str) -> EffectSettings:
     values: dict[str, float] = {}
     for assignment in assignments.split(",") if colon else ():
         key, _, value = assignment.partition("=")
-        number = _finite_number(value)
-        if not name.strip() or not key.strip() or number is None:
+        try:
+            number = float(value)
+        except ValueError:
+            number = nan
+        if not (name.strip() and key.strip() and isfinite(number)):
             raise SettingsError(
                 f"--effect {text}: is not of the form id:parameter=number,…, as in stribeck:ratio=0.4,speed_mm_s=2."
             )
@@ -58,14 +62,6 @@ def _parse_effect(text: str) -> EffectSettings:
     if not name.strip():
         raise SettingsError(f"--effect {text}: names no effect; dragrig gap effects lists them.")
     return EffectSettings(id=name.strip(), parameters=values)
-
-
-def _finite_number(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if abs(number) < float("inf") else None
 
 
 class IdentifiedValue(Settings):

@@ -11,55 +11,35 @@ from pydantic import AfterValidator, Field, model_validator
 
 from dragrig.config.settings import Settings
 
-_LAST_LINE_OF_PORT = {0: 31, 1: 7, 2: 7}
+
+def _name_like(pattern: str, description: str) -> AfterValidator:
+    def validate(name: str) -> str:
+        if re.fullmatch(pattern, name) is None:
+            raise ValueError(f"must be {description}")
+        return name
+
+    return AfterValidator(validate)
 
 
-def _terminal_number(name: str, prefix: str, last: int) -> int | None:
-    match = re.fullmatch(prefix + r"(\d{1,2})", name)
-    return int(match[1]) if match and int(match[1]) <= last else None
-
-
-def _analog_input(channel: str) -> str:
-    number = _terminal_number(channel, "ai", 31)
-    if number is None or number % 16 > 7:
-        raise ValueError(
-            "must be the positive input of a differential pair, ai0 to ai7 or ai16 to ai23, without the device's name"
-        )
-    return channel
-
-
-def _analog_output(channel: str) -> str:
-    if _terminal_number(channel, "ao", 3) is None:
-        raise ValueError("must be an analog output, ao0 to ao3, without the device's name")
-    return channel
-
-
-def _counter(name: str) -> str:
-    if _terminal_number(name, "ctr", 1) is None:
-        raise ValueError("must be a counter, ctr0 or ctr1, without the device's name")
-    return name
-
-
-def _input_terminal(name: str) -> str:
-    if _terminal_number(name, "PFI", 15) is None:
-        raise ValueError("must be an input terminal, PFI0 to PFI15, without the device's name")
-    return name
-
-
-def _line(name: str) -> str:
-    port, _, number = name.removeprefix("port").partition("/line")
-    port_known = name.startswith("port") and port in {str(number) for number in _LAST_LINE_OF_PORT}
-    if not port_known or _terminal_number(number, "", _LAST_LINE_OF_PORT[int(port)]) is None:
-        raise ValueError("must be a digital line such as port1/line0, without the device's name; empty if not wired")
-    return name
-
-
-AnalogInput = Annotated[str, AfterValidator(_analog_input)]
-AnalogOutput = Annotated[str, AfterValidator(_analog_output)]
-Counter = Annotated[str, AfterValidator(_counter)]
-InputTerminal = Annotated[str, AfterValidator(_input_terminal)]
-OptionalInputTerminal = Annotated[str, AfterValidator(lambda name: name and _input_terminal(name))]
-OptionalLine = Annotated[str, AfterValidator(lambda name: name and _line(name))]
+_PFI = "an input terminal, PFI0 to PFI15, without the device's name"
+AnalogInput = Annotated[
+    str,
+    _name_like(
+        "ai([0-7]|1[6-9]|2[0-3])",
+        "the positive input of a differential pair, ai0 to ai7 or ai16 to ai23, without the device's name",
+    ),
+]
+AnalogOutput = Annotated[str, _name_like("ao[0-3]", "an analog output, ao0 to ao3, without the device's name")]
+Counter = Annotated[str, _name_like("ctr[01]", "a counter, ctr0 or ctr1, without the device's name")]
+InputTerminal = Annotated[str, _name_like("PFI([0-9]|1[0-5])", _PFI)]
+OptionalInputTerminal = Annotated[str, _name_like("(PFI([0-9]|1[0-5]))?", _PFI)]
+OptionalLine = Annotated[
+    str,
+    _name_like(
+        "(port0/line([0-9]|[12][0-9]|3[01])|port[12]/line[0-7])?",
+        "a digital line such as port1/line0, without the device's name; empty if not wired",
+    ),
+]
 
 
 def shared_pin(name: str) -> str:

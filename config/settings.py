@@ -145,7 +145,8 @@ def nested_table(path: Sequence[str], value: object) -> Table:
 
 
 def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
-    key = _key_path(detail["loc"])
+    location = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in detail["loc"])
+    key = "".join(location).removeprefix(".")
     kind = detail["type"]
     if kind == "extra_forbidden":
         parent = _model_at(model, detail["loc"][:-1])
@@ -162,13 +163,6 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
     if isinstance(detail["input"], Mapping):
         return f"{key}: {message}" if key else message  # about the table's keys among each other, which it names
     return f"{key} = {detail['input']!r:.60}: {message}" if key else message
-
-
-def _key_path(location: Sequence[int | str]) -> str:
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
@@ -208,9 +202,12 @@ def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tupl
 
     Returns the table and its origin for error messages; raises `SettingsError` when there is neither.
     """
-    path = _settings_file(name_or_path, beside)
-    if path is not None:
-        return read_toml(path), str(path)
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        for candidate in (beside / path if beside is not None else path, path):
+            if candidate.is_file():
+                return read_toml(candidate), str(candidate)
+        raise SettingsError(f"{name_or_path}: there is no such file; check the path.")
     shipped = shipped_files(kind)
     if name_or_path in shipped:
         return tomllib.loads(shipped[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
@@ -230,13 +227,3 @@ def absolute_if_file(name_or_path: str) -> str:
     path = Path(name_or_path)
     is_name = not path.suffix and len(path.parts) < 2
     return str(path.absolute()) if path.is_file() and not is_name else name_or_path
-
-
-def _settings_file(name_or_path: str, beside: Path | None) -> Path | None:
-    path = Path(name_or_path)
-    if not name_or_path or not (path.suffix == ".toml" or len(path.parts) > 1):
-        return None
-    for candidate in (beside / path if beside is not None else path, path):
-        if candidate.is_file():
-            return candidate
-    raise SettingsError(f"{name_or_path}: there is no such file; check the path.")

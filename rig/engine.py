@@ -142,7 +142,11 @@ class RunningAcquisition:
         block = self._sampler.read(cancel)
         if block is None:
             if not cancel.is_set() and self._end_index < self._expected:
-                self._end_early()
+                if fault := self._fault():
+                    self.trip(self._guard.latch(fault))
+                else:
+                    reason = f"sampling ended after {self._end_index} of {self._expected} samples"
+                    self.end(RunStatus.FAILED, reason)
             return None
         reading = self._setpoints.with_setpoint(block)
         extremes = BlockExtremes.of(block, reading.command)
@@ -234,12 +238,6 @@ class RunningAcquisition:
     def _all_reasons(self, failures: list[str]) -> str:
         return "; ".join(part for part in (self._reason, *failures) if part)
 
-    def _end_early(self) -> None:
-        if fault := self._fault():
-            self.trip(self._guard.latch(fault))
-        else:
-            self.end(RunStatus.FAILED, f"sampling ended after {self._end_index} of {self._expected} samples")
-
     def _fault(self) -> Trip | None:
         try:
             return self._without_override(self._stage.fault)
@@ -262,18 +260,14 @@ class RunningAcquisition:
         self._end_index = block.end_index
         self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
         self._mark_phases(reading)
-        self._show(reading)
+        if self._view is not None:
+            try:
+                self._view(reading)
+            except Exception as error:  # noqa: BLE001  # a failing viewer must not disturb the run
+                self._view = None
+                self._note("view", f"the viewer failed and gets no more data: {error}")
         if self._sink is not None:
             self._sink.offer(reading.first_index, reading.arrays())
-
-    def _show(self, reading: Reading) -> None:
-        if self._view is None:
-            return
-        try:
-            self._view(reading)
-        except Exception as error:  # noqa: BLE001  # a failing viewer must not disturb the run
-            self._view = None
-            self._note("view", f"the viewer failed and gets no more data: {error}")
 
     def _mark_phases(self, reading: Reading) -> None:
         phase = reading.phase

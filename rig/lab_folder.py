@@ -22,19 +22,19 @@ def read_calibrations(folder: Path) -> tuple[Calibration, ...]:
         return ()
     except (OSError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path}: cannot be read ({error}); check the file.") from error
-    return tuple(
-        _parse_calibration(line, f"{path}, line {number}") for number, line in enumerate(lines, 1) if line.strip()
-    )
-
-
-def _parse_calibration(line: str, source: str) -> Calibration:
-    try:
-        data = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise SettingsError(f"{source}: is not JSON ({error}); restore the line from a copy.") from error
-    if not isinstance(data, dict):
-        raise SettingsError(f"{source}: is not a JSON object with the keys of a calibration.")
-    return parse(Calibration, data, source)
+    entries: list[Calibration] = []
+    for number, line in enumerate(lines, 1):
+        source = f"{path}, line {number}"
+        if not line.strip():
+            continue
+        try:
+            data = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise SettingsError(f"{source}: is not JSON ({error}); restore the line from a copy.") from error
+        if not isinstance(data, dict):
+            raise SettingsError(f"{source}: is not a JSON object with the keys of a calibration.")
+        entries.append(parse(Calibration, data, source))
+    return tuple(entries)
 
 
 def latest_calibration(

@@ -137,7 +137,11 @@ class MotionProfile:
     def extremes(self) -> MotionExtremes:
         """Return the extremes of the motion, run-up and run-down included."""
         ends = np.append(self.start_s, self.duration_s)
-        positions = self.position(np.concatenate((ends, self._turning_times())))
+        moving = self.acceleration_mm_s2 != 0
+        turning_s = np.full_like(self.start_s, -1.0)
+        turning_s[moving] = -self.velocity_mm_s[moving] / self.acceleration_mm_s2[moving]
+        inside = (turning_s > 0) & (turning_s < np.diff(ends))
+        positions = self.position(np.concatenate((ends, self.start_s[inside] + turning_s[inside])))
         return MotionExtremes(
             lowest_mm=float(positions.min()),
             highest_mm=float(positions.max()),
@@ -164,14 +168,6 @@ class MotionProfile:
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
         index = np.clip(np.searchsorted(self.start_s, time, side="right") - 1, 0, None)
         return index, time - self.start_s[index]
-
-    def _turning_times(self) -> FloatArray:
-        moving = self.acceleration_mm_s2 != 0
-        after = np.full_like(self.start_s, -1.0)
-        after[moving] = -self.velocity_mm_s[moving] / self.acceleration_mm_s2[moving]
-        durations = np.diff(np.append(self.start_s, self.duration_s))
-        inside = (after > 0) & (after < durations)
-        return np.asarray(self.start_s[inside] + after[inside])
 
 
 def trapezoid(travel_mm: float, speed_mm_s: float, accel_mm_s2: float) -> tuple[Piece, ...]:

@@ -138,12 +138,17 @@ def _step_runs(
             "Return the capsule to its start by hand, outside the gut" if by_hand else "",
             step.prompt if count == 0 or step.prompt_each else "",
         )
+        name = step.capsule or protocol.capsule
+        try:
+            capsule = find_settings(Capsule, "capsule", name, beside)
+        except SettingsError as error:
+            raise SettingsError(f"{place}.capsule: {error}") from error
         yield PlannedRun(
             index=0,
             step=number,
             protocol=protocol,
             profile=protocol.profile(specimen),
-            capsule=_find_capsule(step.capsule or protocol.capsule, place, beside),
+            capsule=capsule,
             specimen=specimen,
             fixture=step.fixture or protocol.fixture,
             contact=Contact.NONE if step.fixture is Fixture.NONE else protocol.contact,
@@ -196,10 +201,3 @@ def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
         note="",
         follows=run.index,
     )
-
-
-def _find_capsule(name: str, place: str, beside: Path | None) -> Capsule:
-    try:
-        return find_settings(Capsule, "capsule", name, beside)
-    except SettingsError as error:
-        raise SettingsError(f"{place}.capsule: {error}") from error

@@ -92,7 +92,13 @@ class SetpointSampler:
     def with_setpoint(self, block: Block) -> Reading:
         """Return a block with its command."""
         if not self._first_index <= block.first_index <= block.end_index <= self._first_index + len(self._time):
-            self._compute_chunk(block.first_index, block.samples)
+            self._first_index = block.first_index
+            indices = np.arange(block.first_index, block.first_index + max(_CHUNK_SAMPLES, block.samples))
+            self._time = indices / self._rate_hz
+            self._command = self._profile.position(self._time).astype(np.float32)
+            self._phase = self._profile.phase_at(self._time)
+            for array in (self._time, self._command, self._phase):
+                read_only(array)
         start = block.first_index - self._first_index
         stop = start + block.samples
         channels = dict(block.channels)
@@ -106,14 +112,6 @@ class SetpointSampler:
             phase=self._phase[start:stop],
             channels=channels,
         )
-
-    def _compute_chunk(self, first_index: int, samples: int) -> None:
-        self._first_index = first_index
-        self._time = np.arange(first_index, first_index + max(_CHUNK_SAMPLES, samples)) / self._rate_hz
-        self._command = self._profile.position(self._time).astype(np.float32)
-        self._phase = self._profile.phase_at(self._time)
-        for array in (self._time, self._command, self._phase):
-            read_only(array)
 
 
 @dataclass(frozen=True, slots=True)

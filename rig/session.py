@@ -356,8 +356,12 @@ class Session:
     def _make(self, run: PlannedRun) -> None:
         tare_mN = self._tare(run)
         self._go_to(run)
-        self._wait(run)
         clock = self._backend.clock
+        remaining_s = run.wait_s - (clock.monotonic() - self._contact_since_s)
+        if remaining_s > 0:
+            self._observer.waits(remaining_s, f"rest before {run.protocol.summary()}")
+            clock.sleep(remaining_s, self.engine.cancelled)
+            self.engine.require_not_aborted()
         acquisition = run_acquisition(self._order, run, clock.monotonic() - self._contact_since_s)
         facts: dict[str, Attribute] = {} if tare_mN is None else {"tare_mN": tare_mN}
         if self._inserted_at is not None:
@@ -400,11 +404,3 @@ class Session:
         outcome = self.engine.acquire(acquisition)
         require_complete(outcome)
         return outcome
-
-    def _wait(self, run: PlannedRun) -> None:
-        clock = self._backend.clock
-        remaining_s = run.wait_s - (clock.monotonic() - self._contact_since_s)
-        if remaining_s > 0:
-            self._observer.waits(remaining_s, f"rest before {run.protocol.summary()}")
-            clock.sleep(remaining_s, self.engine.cancelled)
-            self.engine.require_not_aborted()

@@ -63,7 +63,12 @@ def finish(recording: Path) -> Path:
         if not recording.exists() and target.exists():
             return target
         if target.exists():
-            _require_same_run(recording, target)
+            with open_run(target) as file, as_run_file_error(target):
+                whole = trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
+            if not whole or read_info(recording).header.run_id != read_info(target).header.run_id:
+                raise RunFileError(
+                    f"{target}: has the name of {recording.name}'s run file, but is another run; move one"
+                )
         else:
             _repack(recording, target)
         remove_file(recording)
@@ -123,14 +128,6 @@ def _copy_recorded_trace(source: h5py.File, file: h5py.File, samples: int, recor
             copy[start : start + len(piece)] = piece
             digest.update(piece)
     return digest.hexdigest()
-
-
-def _require_same_run(recording: Path, target: Path) -> None:
-    recorded, finished = read_info(recording), read_info(target)
-    with open_run(target) as file, as_run_file_error(target):
-        whole = trace_sha256(file[schema.TRACE]) == finished.raw_sha256
-    if recorded.header.run_id != finished.header.run_id or not whole:
-        raise RunFileError(f"{target}: has the name of {recording.name}'s run file, but is another run; move one")
 
 
 class RecoveryOutcome(StrEnum):

@@ -93,7 +93,11 @@ class UnfinishedFile:
     def __init__(self, file: FileIO) -> None:
         self._file = file
         self._end = os.fstat(file.fileno()).st_size + _UNWRITTEN_BYTES
-        self._superblock = _closed_superblock(file.read(SUPERBLOCK_BYTES), self._end)
+        superblock = bytearray(file.read(SUPERBLOCK_BYTES))
+        superblock[_FLAGS_OFFSET] = 0
+        superblock[_EOF_OFFSET : _EOF_OFFSET + 8] = self._end.to_bytes(8, "little")
+        superblock[_CHECKSUM_OFFSET:] = lookup3(bytes(superblock[:_CHECKSUM_OFFSET])).to_bytes(4, "little")
+        self._superblock = bytes(superblock)
         self._position = 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -131,14 +135,6 @@ def is_open_for_writing(path: Path) -> bool:
         front = file.read(SUPERBLOCK_BYTES)
     whole = len(front) == SUPERBLOCK_BYTES and front.startswith(HDF5_SIGNATURE)
     return whole and front[_VERSION_OFFSET] == 3 and front[_FLAGS_OFFSET] != 0
-
-
-def _closed_superblock(superblock: bytes, end: int) -> bytes:
-    patched = bytearray(superblock)
-    patched[_FLAGS_OFFSET] = 0
-    patched[_EOF_OFFSET : _EOF_OFFSET + 8] = end.to_bytes(8, "little")
-    patched[_CHECKSUM_OFFSET:] = lookup3(bytes(patched[:_CHECKSUM_OFFSET])).to_bytes(4, "little")
-    return bytes(patched)
 
 
 def lookup3(data: bytes) -> int:

@@ -63,10 +63,11 @@ class SampleRing:
         count = len(next(iter(columns.values())))
         done = 0
         while done < count:
-            room = self._wait_for_room()
-            if room == 0:
-                return False
-            step = min(room, count - done)
+            with self._change:
+                self._change.wait_for(lambda: self._closed or self._put - self._taken < self._capacity)
+                if self._closed:
+                    return False
+                step = min(self._capacity - (self._put - self._taken), count - done)
             for slots, part in self._slots(self._put, step):
                 for name, column in self._columns.items():
                     column[slots] = columns[name][done : done + step][part]
@@ -98,11 +99,6 @@ class SampleRing:
         with self._change:
             self._closed = True
             self._change.notify_all()
-
-    def _wait_for_room(self) -> int:
-        with self._change:
-            self._change.wait_for(lambda: self._closed or self._put - self._taken < self._capacity)
-            return 0 if self._closed else self._capacity - (self._put - self._taken)
 
     def _slots(self, position: int, count: int) -> Iterator[tuple[slice, slice]]:
         """Yield where `count` samples from `position` on lie: slots of the ring, and which of the samples are there."""
@@ -143,19 +139,18 @@ class FileSyncer:
 
     def _sync(self) -> None:
         try:
-            while self._wait():
+            while True:
+                with self._change:
+                    self._change.wait_for(lambda: self._requested or self._closed)
+                    if not self._requested:
+                        return
+                    self._requested = False
                 os.fsync(self._descriptor)
         except OSError as error:
             with self._change:
                 self._error = error
         finally:
             os.close(self._descriptor)
-
-    def _wait(self) -> bool:
-        with self._change:
-            self._change.wait_for(lambda: self._requested or self._closed)
-            requested, self._requested = self._requested, False
-            return requested
 
 
 RECORDING_CHUNK = 4096
@@ -366,7 +361,17 @@ class WriterThread(Thread):
     def run(self) -> None:
         """Write, flush, close."""
         try:
-            self._write_until_closed()
+            flushed_s = time.monotonic()
+            closed = False
+            while not closed:
+                closed = self._ring.wait(flushed_s + self._flush_s - time.monotonic())
+                now_s = time.monotonic()
+                for columns in self._ring.take():
+                    self._file.append(columns)
+                    self.shortage = self._room.shortage(self._file.written_bytes)
+                if closed or now_s >= flushed_s + self._flush_s:
+                    self._flush()
+                    flushed_s = now_s
             self._file.close()
         except Exception as error:  # noqa: BLE001 - the acquiring thread raises it
             self.failure = error
@@ -374,19 +379,6 @@ class WriterThread(Thread):
         finally:
             self._ring.close()
             self._syncer.close()
-
-    def _write_until_closed(self) -> None:
-        flushed = time.monotonic()
-        closed = False
-        while not closed:
-            closed = self._ring.wait(flushed + self._flush_s - time.monotonic())
-            now = time.monotonic()
-            for columns in self._ring.take():
-                self._file.append(columns)
-                self.shortage = self._room.shortage(self._file.written_bytes)
-            if closed or now >= flushed + self._flush_s:
-                self._flush()
-                flushed = now
 
     def _flush(self) -> None:
         events, annotations = self._notes.drain()
@@ -444,7 +436,11 @@ class Recorder:
         self.lost_samples = 0
         """Samples lost so far."""
         self._rate = header.sample_rate_hz
-        self._types = _column_types(path, header)
+        try:
+            check_header(header)
+        except LayoutError as error:
+            raise RunFileError(f"{path}: cannot be recorded because {error}; correct the settings") from error
+        self._types = column_types(header.channels)
         self._next_index = 0
         self._closed = False
         self._shortage_raised = False
@@ -503,7 +499,8 @@ class Recorder:
             raise ValueError(f"samples from {first_index} on are not expected, {self._next_index} comes next")
         columns = self._columns(first_index, arrays)
         if first_index > self._next_index:
-            self._note_gap(first_index)
+            self.lost_samples += first_index - self._next_index
+            self.event(RunEvent.gap(self._next_index, first_index, self._rate))
         if not self._ring.put(columns) and (failure := self.failure) is not None:
             raise failure
         self._next_index = first_index + len(columns[schema.TIME])
@@ -557,18 +554,6 @@ class Recorder:
             if column.dtype != dtype and not np.can_cast(column.dtype, dtype, "same_kind"):
                 raise ValueError(f"{name} is {column.dtype}, which {dtype} cannot hold")
         return columns
-
-    def _note_gap(self, first_index: int) -> None:
-        self.lost_samples += first_index - self._next_index
-        self.event(RunEvent.gap(self._next_index, first_index, self._rate))
-
-
-def _column_types(path: Path, header: RunHeader) -> dict[str, np.dtype[np.generic]]:
-    try:
-        check_header(header)
-    except LayoutError as error:
-        raise RunFileError(f"{path}: cannot be recorded because {error}; correct the settings") from error
-    return column_types(header.channels)
 
 
 def _create_recording_file(recording: Path, header: RunHeader, room: DiskSpace) -> RecordingFile:
