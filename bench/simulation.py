@@ -21,8 +21,8 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Acquisition, Backend, BackendRequest
 from dragrig.rig.programme import PlannedRun, build_programme
 from dragrig.sim_backend.devices import open_backend
-from dragrig.sim_backend.devices.faults import NO_FAULTS
 from dragrig.sim_backend.devices.simulated_sampler import CHUNK_SAMPLES, SimulatedChannels
+from dragrig.sim_backend.devices.simulated_stage import UNDISTURBED
 from dragrig.sim_backend.devices.variability import force_noise, motor_noise
 from dragrig.sim_backend.friction import prepare
 
@@ -92,7 +92,7 @@ def noise(programme: list[Acquisition]) -> None:
 def signals(programme: list[Acquisition]) -> None:
     """Compute all channels, without stage, clock and blocks."""
     for one in programme:
-        computed = SimulatedChannels(RIG, MODEL, one, NO_FAULTS)
+        computed = SimulatedChannels(RIG, MODEL, one, UNDISTURBED)
         for first, end in chunks(one):
             computed.compute(first, end, RIG.stage.start_mm)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import pytest
+from sim_faults import DriveFault, Faults, ForceSpike, LimitSwitch
 from simulated import Handed, settings
 
 from dragrig.config.errors import AbortedError, DeviceError, SettingsError, TrippedError
@@ -15,7 +16,7 @@ from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, Prompt
-from dragrig.sim_backend.devices import DriveFault, Faults, ForceSpike, LimitSwitch, SimulatedBackend
+from dragrig.sim_backend.devices import SimulatedBackend
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 
 
@@ -215,7 +216,7 @@ def test_an_override_that_is_not_agreed_to_frees_nothing() -> None:
 
 def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
     one = on_the_switch()
-    one.backend.sampler._faults = Faults(force_spike=ForceSpike(0.3, 9000.0))
+    one.backend.sampler._disturbances = Faults(force_spike=ForceSpike(0.3, 9000.0))
     with pytest.raises(TrippedError, match="force of"):
         one.manual.jog(-4.0, override=TravelEnd.HIGH)
     assert one.at_mm > 99.0
@@ -228,9 +229,9 @@ def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s:
     one.manual.reset()
     one.backend.stage.enable()
     one.backend.stage.home()
-    one.backend.sampler._faults = Faults()
+    one.backend.sampler._disturbances = Faults()
     one.manual.jog(60.0, 50.0)
-    one.backend.sampler._faults = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
+    one.backend.sampler._disturbances = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
     found = one.manual.touch_off(200.0, speed, sign * 20.0)
     # 1 s of rest, and 0.1 s to the speed.
     assert found.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.002 * speed + 0.001)

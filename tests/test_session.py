@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from sim_faults import DriveFault, Faults, FollowError, ForceSpike, LostSamples, Runaway, StaleData, StuckEncoder
 
 from dragrig.config.errors import AbortedError, DeviceError, DragrigError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
@@ -21,17 +22,7 @@ from dragrig.rig.programme import PlannedRun, Programme, build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
 from dragrig.rig.session import CampaignProgress, Session, SessionRecord, SessionResult, run_acquisition
-from dragrig.sim_backend.devices import (
-    DriveFault,
-    Faults,
-    FollowError,
-    ForceSpike,
-    LostSamples,
-    Runaway,
-    StaleData,
-    StuckEncoder,
-    open_backend,
-)
+from dragrig.sim_backend.devices import open_backend
 
 BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
 SPECIMEN = Specimen(name="jejunum")

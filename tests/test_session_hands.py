@@ -7,6 +7,7 @@ import threading
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from sim_faults import Faults, ForceSpike
 from simulated import NEVER, Handed, acquire, rest, settings, stroke
 
 from dragrig.cli.operator import TerminalOperator
@@ -25,7 +26,6 @@ from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.session import Session, SessionRecord
-from dragrig.sim_backend.devices import Faults, ForceSpike
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 from dragrig.sim_backend.devices.simulated_stage import SimulatedStage
 

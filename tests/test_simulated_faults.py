@@ -6,23 +6,14 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from sim_faults import DriveFault, Faults, FollowError, ForceSpike, LostSamples, Runaway, StaleData, StuckEncoder
 from simulated import NEVER, acquire, begin, blocks, record, rest, session, settings, stroke
 
 from dragrig.config.errors import DeviceError, StaleDataError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest, Contact, Trip, TripCause
-from dragrig.sim_backend.devices import (
-    DriveFault,
-    Faults,
-    FollowError,
-    ForceSpike,
-    LostSamples,
-    Runaway,
-    StaleData,
-    StuckEncoder,
-    open_backend,
-)
+from dragrig.sim_backend.devices import open_backend
 
 RUN = acquire(stroke(travel_mm=40.0, speed_mm_s=50.0, rest_s=0.1, hold_s=0.2))
 

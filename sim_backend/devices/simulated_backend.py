@@ -8,9 +8,14 @@ from threading import Event as Signal
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest, Clock, RigCheck, WallClock, with_utc_offset
-from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
-from dragrig.sim_backend.devices.simulated_stage import PositionEncoder, SimulatedAxis, SimulatedStage
+from dragrig.sim_backend.devices.simulated_stage import (
+    UNDISTURBED,
+    Disturbances,
+    PositionEncoder,
+    SimulatedAxis,
+    SimulatedStage,
+)
 from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.effects.base import active_effects
 
@@ -65,7 +70,7 @@ class SimulatedBackend:
         rig: RigSettings,
         model: FrictionModelSettings,
         clock: Clock,
-        faults: Faults = NO_FAULTS,
+        disturbances: Disturbances = UNDISTURBED,
         first_run_at: datetime | None = None,
     ) -> None:
         active_effects(model)
@@ -74,8 +79,8 @@ class SimulatedBackend:
         self._clock = clock
         drawn = draw_specimen_model(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
         axis = SimulatedAxis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
-        self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), faults)
-        self._sampler = SimulatedSampler(rig, drawn, clock, axis, faults, first_run_at)
+        self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
+        self._sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
 
     @property
     def name(self) -> str:
@@ -122,10 +127,10 @@ class SimulatedBackend:
         self._stage.disable()
 
 
-def open_backend(request: BackendRequest, faults: Faults = NO_FAULTS) -> SimulatedBackend:
+def open_backend(request: BackendRequest, disturbances: Disturbances = UNDISTURBED) -> SimulatedBackend:
     """Return a simulated rig in virtual time, or in real time when requested.
 
-    `faults` is for tests; it cannot be set for a backend opened by name.
+    `disturbances` are for tests; a backend opened by name has none.
     """
     clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
-    return SimulatedBackend(request.rig, request.model, clock, faults, request.first_run_at)
+    return SimulatedBackend(request.rig, request.model, clock, disturbances, request.first_run_at)

@@ -22,8 +22,9 @@ from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.devices import MAX_BLOCK_S, Acquisition, Block, Clock, Contact, RawReading
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Channel
-from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults, LostSamples
 from dragrig.sim_backend.devices.simulated_stage import (
+    UNDISTURBED,
+    Disturbances,
     PositionEncoder,
     SimulatedAxis,
     StageMotion,
@@ -222,13 +223,13 @@ class SimulatedChannels:
         rig: RigSettings,
         model: FrictionModelSettings,
         acquisition: Acquisition,
-        faults: Faults,
+        disturbances: Disturbances,
         session_start_s: float = 0.0,
     ) -> None:
         simulated, rate = rig.simulated, rig.sampling.rate_hz
         self._rig = rig
         self._acquisition = acquisition
-        self._faults = faults
+        self._disturbances = disturbances
         self._model = draw_run_model(model, simulated.variation, simulated.seed, acquisition.order)
         self._converter = ForceConverter.of(rig.force_sensor)
         self._encoder = PositionEncoder.of(rig.encoder)
@@ -248,13 +249,13 @@ class SimulatedChannels:
     def compute(self, first: int, end: int, origin_mm: float) -> Mapping[str, AnyFloatArray]:
         """Return all channels from sample `first` to before `end`, read-only; `first` never goes back."""
         time = np.arange(first, end) / self._rig.sampling.rate_hz
-        ideal = self._response.at(time, self._faults.encoder_time(time))
+        ideal = self._response.at(time, self._disturbances.encoder_time(time))
         channels: dict[str, AnyFloatArray] = {}
         force = ideal.force_mN + self._force_noise.read(first, end)
-        force += self._faults.extra_force(time)
+        force += self._disturbances.extra_force(time)
         channels["force"] = self._converter.convert(force)
         position = ideal.counted_mm
-        position += self._faults.position_error(time)
+        position += self._disturbances.position_error(time)
         channels["position"] = self._encoder.record(position, origin_mm)
         if self._rig.sampling.motor_force:
             motor = motor_force(self._rig.simulated.motor, ideal.motion, ideal.load_mN)
@@ -323,14 +324,14 @@ class BlockReader:
         samples: int,
         block_samples: int,
         sample_rate_hz: float,
-        lost: LostSamples | None,
+        lost: tuple[float, int] | None,
     ) -> None:
         self._channels = channels
         self._total = samples
         self._block_samples = block_samples
         self._rate_hz = sample_rate_hz
-        self._gap = None if lost is None else self.index(lost.at_s)
-        self._gap_samples = 0 if lost is None else lost.samples
+        self._gap = None if lost is None else self.index(lost[0])
+        self._gap_samples = 0 if lost is None else lost[1]
         self._next = 0
         self._track: Track | None = None
         self._origin_mm = 0.0
@@ -410,14 +411,14 @@ class SimulatedSampler:
         model: FrictionModelSettings,
         clock: Clock,
         axis: SimulatedAxis,
-        faults: Faults = NO_FAULTS,
+        disturbances: Disturbances = UNDISTURBED,
         first_run_at: datetime | None = None,
     ) -> None:
         self._rig = rig
         self._model = model
         self._clock = clock
         self._axis = axis
-        self._faults = faults
+        self._disturbances = disturbances
         self._rate_hz = rig.sampling.rate_hz
         self._block_samples = max(1, int(min(rig.sampling.block_s, MAX_BLOCK_S) * self._rate_hz + 1e-6))
         self._channels = recorded_channels(rig)
@@ -455,18 +456,17 @@ class SimulatedSampler:
         if self._reader is not None:
             raise DeviceError("the sampler is still armed for the previous acquisition: stop it first.")
         session_start_s = self._session_start(acquisition)
-        faults = self._faults.during(acquisition)
+        disturbances = self._disturbances.during(acquisition)
         reader = BlockReader(
-            SimulatedChannels(self._rig, self._model, acquisition, faults, session_start_s),
+            SimulatedChannels(self._rig, self._model, acquisition, disturbances, session_start_s),
             samples=acquisition.profile.samples(self._rate_hz),
             block_samples=self._block_samples,
             sample_rate_hz=self._rate_hz,
-            lost=faults.lost_samples,
+            lost=disturbances.lost,
         )
         self._axis.arm(acquisition)
-        stale = faults.stale_data
-        self._silent_from = None if stale is None else reader.index(stale.at_s)
-        self._silence_s = 0.0 if stale is None else stale.duration_s
+        begin_s, self._silence_s = disturbances.silence or (math.inf, 0.0)
+        self._silent_from = reader.index(begin_s) if math.isfinite(begin_s) else None
         self._start_s = None
         self._reader = reader
         self._was_armed = True

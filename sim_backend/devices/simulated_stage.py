@@ -26,8 +26,7 @@ from dragrig.rig.devices import (
     require_within_limits,
     stage_limits,
 )
-from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
-from dragrig.sim_backend.devices.faults import NO_FAULTS, Faults
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,24 +77,6 @@ def standstill_profile(duration_s: float) -> MotionProfile:
     return MotionProfile.from_pieces([stationary_piece(max(duration_s, 1e-3), Phase.REST)])
 
 
-def runaway_profile(
-    profile: MotionProfile, at_s: float, speed_mm_s: float, until_mm: float, accel_mm_s2: float
-) -> MotionProfile:
-    """Return a profile that is left at `at_s` for a signed speed and hits a hard stop at `until_mm`."""
-    pieces = []
-    for piece, start in zip(profile.pieces(), profile.start_s.tolist(), strict=True):
-        if start < at_s:
-            pieces.append(replace(piece, duration_s=min(piece.duration_s, at_s - start)))
-    change = speed_mm_s - float(profile.velocity(at_s))
-    pieces.append(Piece(abs(change) / accel_mm_s2, float(np.sign(change)) * accel_mm_s2, Phase.ACCELERATE))
-    so_far = MotionProfile.from_pieces(pieces)
-    left_mm = until_mm - float(so_far.position(so_far.duration_s))
-    pieces.append(Piece(max(left_mm / speed_mm_s, 0.0), 0.0, Phase.STEADY))
-    impact = 100.0 * accel_mm_s2
-    pieces.append(Piece(abs(speed_mm_s) / impact, -float(np.sign(speed_mm_s)) * impact, Phase.DECELERATE))
-    return MotionProfile.from_pieces(pieces)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """The stage's motion from an instant on: never changed, only replaced.
@@ -130,6 +111,50 @@ class Track:
 def standstill_track(position_mm: float, sample_s: float, stopped_s: float = math.inf) -> Track:
     """Return a track that stays at an absolute position."""
     return Track(standstill_profile(sample_s), position_mm, stopped_s, rest_s=0.0)
+
+
+class Disturbances:
+    """What disturbs stage and sampler: nothing. Tests derive the faults of a rig from it; no setting can cause one.
+
+    Times count from the first sample of an acquisition.
+    """
+
+    lost: tuple[float, int] | None = None
+    """Time of the first lost sample, and number of lost samples."""
+    silence: tuple[float, float] | None = None
+    """Begin and duration [s] of a silence of the sampler, after which its samples come late."""
+
+    def during(self, acquisition: Acquisition) -> "Disturbances":
+        """Return the disturbances of one acquisition."""
+        del acquisition
+        return self
+
+    def track(self, track: Track, limits: StageLimits, stop_accel_mm_s2: float) -> Track:
+        """Return the actual track of a commanded one."""
+        del limits, stop_accel_mm_s2
+        return track
+
+    def pressed_switch(self, position_mm: float) -> TravelEnd | None:
+        """Return the limit switch that is pressed at an absolute position, if any."""
+        del position_mm
+        return None
+
+    def encoder_time(self, time_s: FloatArray) -> FloatArray:
+        """Return the times whose positions the encoder reports."""
+        return time_s
+
+    def position_error(self, time_s: FloatArray) -> FloatArray | float:
+        """Return the deviation of the stage from its profile [mm]."""
+        del time_s
+        return 0.0
+
+    def extra_force(self, time_s: FloatArray) -> FloatArray | float:
+        """Return the additional force on the sensor [mN]."""
+        del time_s
+        return 0.0
+
+
+UNDISTURBED = Disturbances()
 
 
 class SimulatedAxis:
@@ -309,19 +334,19 @@ class PositionEncoder:
 
 
 LIMIT_TOLERANCE_MM = 1e-6
-END_STOP_MM = 5.0
-"""Distance from each soft limit to the hard end of the axis."""
 
 
 class SimulatedStage:
-    """One axis that follows profiles exactly, except for injected faults."""
+    """One axis that follows profiles exactly, except for disturbances."""
 
-    def __init__(self, settings: StageSettings, axis: SimulatedAxis, encoder: PositionEncoder, faults: Faults) -> None:
+    def __init__(
+        self, settings: StageSettings, axis: SimulatedAxis, encoder: PositionEncoder, disturbances: Disturbances
+    ) -> None:
         self._limits = stage_limits(settings)
         self._stop_accel_mm_s2 = settings.stop_accel_mm_s2
         self._axis = axis
         self._encoder = encoder
-        self._faults = faults
+        self._disturbances = disturbances
         self._enabled = False
         self._homed = False
         self._override: TravelEnd | None = None
@@ -376,7 +401,11 @@ class SimulatedStage:
             origin_mm, _, _ = self._axis.state()
             limits = limits_with_override(self._limits, self._overridden(moving=False), origin_mm)
             require_within_limits(profile, origin_mm, limits, LIMIT_TOLERANCE_MM)
-            self._axis.begin(self._track(profile, origin_mm))
+            track, acquisition = Track(profile, origin_mm), self._axis.acquisition
+            if acquisition is not None:
+                disturbances = self._disturbances.during(acquisition)
+                track = disturbances.track(track, self._limits, self._stop_accel_mm_s2)
+            self._axis.begin(track)
             self._override_used = self._override is not None
 
     @property
@@ -404,8 +433,6 @@ class SimulatedStage:
     @property
     def fault(self) -> Trip | None:
         """Fault that the drive or a limit switch reports, if any."""
-        if self._faults.limit_switch is None:
-            return self._axis.fault
         position_mm, moving, fault = self._axis.state()
         return fault or self._pressed_switch(position_mm, moving)
 
@@ -416,11 +443,11 @@ class SimulatedStage:
         return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
 
     def _pressed_switch(self, position_mm: float, moving: bool) -> Trip | None:
-        switch = self._faults.limit_switch
-        if switch is None or not switch.pressed(position_mm) or switch.side is self._overridden(moving):
+        end = self._disturbances.pressed_switch(position_mm)
+        if end is None or end is self._overridden(moving):
             return None
-        cause = TripCause.LIMIT_SWITCH_LOW if switch.side is TravelEnd.LOW else TripCause.LIMIT_SWITCH_HIGH
-        return Trip(cause, f"the limit switch at the {switch.side} end is pressed")
+        cause = TripCause.LIMIT_SWITCH_LOW if end is TravelEnd.LOW else TripCause.LIMIT_SWITCH_HIGH
+        return Trip(cause, f"the limit switch at the {end} end is pressed")
 
     def _overridden(self, moving: bool) -> TravelEnd | None:
         return self._override if moving or not self._override_used else None
@@ -435,22 +462,3 @@ class SimulatedStage:
             raise DeviceError("the drive is off: enable the stage first.")
         if self._axis.state()[1]:
             raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
-
-    def _track(self, profile: MotionProfile, origin_mm: float) -> Track:
-        acquisition = self._axis.acquisition
-        faults = NO_FAULTS if acquisition is None else self._faults.during(acquisition)
-        if faults.runaway is not None:
-            runaway = faults.runaway
-            end = (
-                self._limits.highest_mm + END_STOP_MM
-                if runaway.speed_mm_s > 0
-                else self._limits.lowest_mm - END_STOP_MM
-            )
-            accel = self._limits.acceleration_mm_s2
-            profile = runaway_profile(profile, runaway.at_s, runaway.speed_mm_s, end - origin_mm, accel)
-        if faults.drive_fault is None:
-            return Track(profile, origin_mm)
-        fault = faults.drive_fault
-        braked = profile.stopped(fault.at_s, self._stop_accel_mm_s2, hold_s=profile.duration_s)
-        braking_s = abs(float(profile.velocity(fault.at_s))) / self._stop_accel_mm_s2
-        return Track(braked, origin_mm, fault_s=fault.at_s, fault=fault.message, rest_s=fault.at_s + braking_s)

@@ -15,9 +15,8 @@ from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import Acquisition, Contact, with_utc_offset
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
-from dragrig.sim_backend.devices.faults import NO_FAULTS
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedChannels
-from dragrig.sim_backend.devices.simulated_stage import Track
+from dragrig.sim_backend.devices.simulated_stage import UNDISTURBED, Track
 from dragrig.sim_backend.doubles.carriage import (
     SETTLING_S,
     Carriage,
@@ -110,7 +109,7 @@ class SensorForce:
         self._rate_hz = rig.sampling.rate_hz
         self.acquisition = acquisition
         """What touches what."""
-        self._signals = SimulatedChannels(rig, model, acquisition, NO_FAULTS)
+        self._signals = SimulatedChannels(rig, model, acquisition, UNDISTURBED)
         self._fresh = True
         self._seen: Carriage | None = None
         self._waits_until_s = 0.0
