@@ -1,6 +1,8 @@
 """What comes after a run: filtered traces, checksums, verdicts, campaigns, and other people's viewers."""
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
@@ -90,6 +92,34 @@ def test_two_writers_of_one_run_do_not_meet(run_file: Path) -> None:
         store_filtered(run_file, filtered(run_file, 0.1))
     with pytest.raises(RunFileError, match="recover"):
         rewrite(record(run_file.with_name("other.h5"), 10), lambda file: None)
+
+
+def test_many_writers_of_one_run_take_turns_and_leave_no_lock_behind(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; from dragrig.rig.runfile.filesystem import BusyError, lock_run\n"
+        "run, count, made = Path(sys.argv[1]), Path(sys.argv[2]), 0\n"
+        "while made < 60:\n"
+        "    try:\n"
+        "        with lock_run(run):\n"
+        "            number = int(count.read_text())\n"
+        "            count.write_text(str(number + 1))\n"
+        "            made += 1\n"
+        "    except BusyError:\n"
+        "        pass\n"
+    )
+    count = tmp_path / "count"
+    count.write_text("0", "utf-8")
+    arguments = [sys.executable, "-c", program, str(tmp_path / "run.h5"), str(count)]
+    writers = [subprocess.Popen(arguments) for _ in range(3)]
+    assert [writer.wait() for writer in writers] == [0, 0, 0]
+    assert count.read_text("utf-8") == "180"
+    assert list(tmp_path.iterdir()) == [count]
+
+
+def test_no_folder_is_made_for_a_lock(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written to"), lock_run(tmp_path / "gone" / "run.h5"):
+        pass
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_read_only_folder_is_said(run_file: Path, close_folder: Callable[[Path], None]) -> None:
