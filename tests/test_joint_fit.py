@@ -61,7 +61,7 @@ def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
     dwell = next(one for one in fit.parameters if one.name == "insertion_dwell_scale")
     assert dwell.learnt < 0.05
     assert dwell.interval == pytest.approx(dwell.prior, rel=0.02)
-    assert any("told apart" in remark for remark in fit.remarks)
+    assert any("hardly be separated" in remark for remark in fit.remarks)
 
 
 def test_drags_alone_lead_to_a_minimum_where_the_squares_jump() -> None:
@@ -87,7 +87,7 @@ def test_noise_that_was_assumed_excuses_nothing(tmp_path: Path) -> None:
     found = fit_jointly(select_runs(tmp_path), MODEL)
     assert isnan(found.p_value)
     assert found.chi2 / found.degrees > 2
-    assert any("so that one was assumed" in remark for remark in found.remarks)
+    assert any("which was assumed" in remark for remark in found.remarks)
     (friction,) = (one for one in found.parameters if one.name == "friction_coefficient")
     with_rest = fit_jointly(select_loaded_runs([read_run(source)]), MODEL)
     (known,) = (one for one in with_rest.parameters if one.name == "friction_coefficient")

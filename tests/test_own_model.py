@@ -78,7 +78,7 @@ def test_a_model_without_scatter_between_runs_says_that_there_is_some(plates: Pa
     code = code_on_the_page().replace("    run_to_run = 0.02\n", "")
     fit = fit_jointly(select_runs(plates), find_model(str(own_file(tmp_path, code))))
     assert fit.chi2 > 2 * fit.degrees
-    assert any("the model plate leaves" in remark for remark in fit.remarks)
+    assert any("of the model plate is" in remark for remark in fit.remarks)
 
 
 COGGING = """

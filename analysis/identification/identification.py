@@ -7,9 +7,9 @@ from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
 from dragrig.rig.arrays import FloatArray
 
 MIN_LEARNT = 0.1
-"""A number of whose prior width the runs took away less than this is not known from them."""
+"""Smallest reduction of the prior's width with which the runs determine a parameter."""
 MIN_P_VALUE = 0.01
-"""Below this chance of as large residuals a model does not hold."""
+"""A model does not hold if residuals as large are less probable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,7 +21,7 @@ class ParameterEstimate(EstimatedQuantity):
     prior
         Its 95 % interval before any run.
     learnt
-        Share of the prior's width that the runs took away, 0 where they say nothing of it.
+        Relative reduction of the prior's width by the runs, 0 where they do not constrain it.
     """
 
     prior: tuple[float, float] = (float("nan"), float("nan"))
@@ -30,15 +30,15 @@ class ParameterEstimate(EstimatedQuantity):
 
     @property
     def determined(self) -> bool:
-        """Whether the runs say anything of it."""
+        """Whether the runs determine it."""
         return self.learnt >= MIN_LEARNT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResidual:
-    """How the joint fit leaves one run: whitened squares per degree of freedom, and what is the run's own.
+    """χ² per block of one run in the joint fit, and the run's own zero and variations.
 
-    `zero` is missing where the model gives the channel none; `factors` and `offsets` are its variations, by name.
+    `zero` is missing where the model has none in this channel; `factors` and `offsets` are its variations, by name.
     """
 
     file: str
@@ -54,21 +54,21 @@ class RunResidual:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
-    """Everything at once: the nominal model's parameters from all runs of a specimen.
+    """The nominal model's parameters from all runs of a specimen at once.
 
     Attributes
     ----------
     parameters, combinations
         Posterior of each parameter, and of the products that the model names.
     correlation
-        Between the parameters, shape `(P, P)`, their order.
+        Between the parameters, shape `(P, P)`.
     chi2, degrees, p_value
-        Whitened squares, run factors and priors included, their degrees of freedom, and the chance of as many; NaN
+        χ², run factors and priors included, its degrees of freedom, and the probability of at least as much; NaN
         where no run shows its noise.
     converged
-        Whether the optimiser did; where not, no interval holds.
+        Whether the optimiser did; if not, the intervals are invalid.
     steps
-        How often the model was evaluated with its derivatives.
+        Evaluations of the model with its derivatives.
     """
 
     nominal: str
@@ -91,23 +91,23 @@ class JointFit:
     @property
     def values(self) -> Mapping[str, float]:
         """The parameters' values by name."""
-        return {one.name: one.value for one in self.parameters}
+        return {parameter.name: parameter.value for parameter in self.parameters}
 
 
 @dataclass(frozen=True, slots=True)
 class ThirdBranchTest:
-    """Whether five elements suffice: what a third Maxwell branch would explain besides.
+    """Whether five elements suffice, or a third Maxwell branch explains more.
 
     Attributes
     ----------
     suffices
-        None where the run cannot tell.
+        None where the run cannot decide.
     p_value
-        Chance of at least such an improvement by noise alone.
+        Probability of at least such an improvement by noise alone.
     third_time_s, third_force_mN
-        Time constant of the branch that explains most, and its force when the hold begins.
+        Time constant of the best third branch, and its force at the start of the hold.
     sentence
-        The same in words.
+        The result in words.
     """
 
     suffices: bool | None
@@ -124,7 +124,7 @@ class RelaxationFit:
     Attributes
     ----------
     file, shear_strain
-        Which run, and the strain it went to.
+        Run and its strain.
     elements
         E1, E2, E3 [kPa], eta1, eta2 [kPa·s], in this order; empty where the run supports none, with the reason
         in `remark`.
@@ -135,7 +135,7 @@ class RelaxationFit:
     zero
         The sensor's zero [mN].
     chi2, degrees
-        Squared whitened residuals and their degrees of freedom.
+        χ² and its degrees of freedom.
     """
 
     file: str
@@ -183,11 +183,11 @@ class CoulombRun:
     Attributes
     ----------
     force
-        Mean steady force of the filtered trace along the motion, zero taken off [mN]; a backward speed is negative.
+        Mean steady force of the filtered trace along the motion, zero subtracted [mN]; a backward speed is negative.
     mu
-        All of it ascribed to Coulomb friction, as the paper does.
+        With all of it as Coulomb friction, as in the paper.
     mu_without_viscous
-        With the model's viscous friction taken off first.
+        With the model's viscous friction subtracted first.
     viscous_mN, viscous_share
         That friction, and its share of the force.
     """
@@ -236,7 +236,7 @@ class SpeedPoint:
 class LogLaw:
     """Steady drag as intercept + slope · ln(v / 1 mm/s), weighted least squares.
 
-    `lack_of_fit_p` is the chance of at least such deviations by the points' errors alone.
+    `lack_of_fit_p` is the probability of at least such deviations by the points' errors alone.
     """
 
     intercept: EstimatedQuantity
@@ -248,10 +248,10 @@ class LogLaw:
 
 @dataclass(frozen=True, slots=True)
 class SpeedBoundary:
-    """The speed above which model and measurement part ways, if the points show one.
+    """The speed above which model and measurement differ, if the points show one.
 
-    `interval` holds the speeds that the points do not exclude with 95 % confidence; `p_value` is the chance of at least
-    such a difference between bands without any boundary.
+    `interval` holds the speeds that the points do not exclude with 95 % confidence; `p_value` is the probability
+    of at least such a bend without any boundary.
     """
 
     speed_mm_s: float | None
@@ -286,7 +286,7 @@ class DragResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
-    """All that a campaign says of one specimen; parts that it does not support are None, with the reason."""
+    """All results on one specimen; parts that its runs do not support are None, with the reason in `remarks`."""
 
     specimen: str
     used: tuple[str, ...]

@@ -1,6 +1,6 @@
 """The whole identification of one specimen from a campaign."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -16,7 +16,8 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 
-PartT = TypeVar("PartT")
+ResultT = TypeVar("ResultT")
+
 MISSING_KIND_REMARKS = {
     "relaxation": "no usable relaxation: the elements are known from the drag alone, if at all",
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
@@ -31,7 +32,7 @@ def identify_specimen(
     """Identify a specimen.
 
     The joint fit of the nominal model is always made. With the friction model of the capsule the relaxations, the
-    Coulomb test and the drag are evaluated on their own too, the drag beside the model that was just identified.
+    Coulomb test and the drag are evaluated on their own too, the drag beside the model from the joint fit.
 
     Raises
     ------
@@ -41,25 +42,58 @@ def identify_specimen(
     progress(0, PROGRESS_STEPS)
     joint = fit_jointly(selection, nominal)
     progress(1, PROGRESS_STEPS)
-    found = Identification(
+    identification = Identification(
         specimen=selection.specimen,
-        used=tuple(one.file for one in selection.experiments),
+        used=tuple(experiment.file for experiment in selection.experiments),
         left_out=selection.left_out,
         joint=joint,
         relaxation=None,
         coulomb=None,
         drag=None,
-        remarks=(*selection.remarks, *_missing_kinds(selection, nominal)),
+        remarks=selection.remarks,
     )
     if isinstance(nominal, CapsuleModel):
-        found = _identify_parts(found, selection, identified_settings(nominal, joint), progress)
+        identification = _with_parts(identification, joint, selection, nominal, progress)
     progress(PROGRESS_STEPS, PROGRESS_STEPS)
-    return found
+    return identification
+
+
+def _with_parts(
+    identification: Identification,
+    joint: JointFit,
+    selection: RunSelection,
+    nominal: CapsuleModel,
+    progress: Progress,
+) -> Identification:
+    """Add the relaxations, the Coulomb test and the drag, evaluated on their own."""
+    remarks = [remark for kind, remark in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind)]
+
+    def attempt(evaluate: Callable[[], ResultT], what: str) -> ResultT | None:
+        try:
+            return evaluate()
+        except (AnalysisError, SettingsError) as error:
+            remarks.append(f"{what}: {error}")
+            return None
+
+    model = identified_settings(nominal, joint)
+    zeros = {run.file: run.zero for run in joint.runs if run.channel == FORCE_CHANNEL} if joint.converged else None
+    relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
+    progress(2, PROGRESS_STEPS)
+    coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
+    drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
+    progress(3, PROGRESS_STEPS)
+    return replace(
+        identification,
+        relaxation=relaxation,
+        coulomb=coulomb,
+        drag=drag,
+        remarks=(*identification.remarks, *remarks),
+    )
 
 
 def determined_values(joint: JointFit) -> dict[str, float]:
-    """Return the values of those parameters of which the runs say something; the others keep their nominal ones."""
-    return {one.name: one.value for one in joint.parameters if one.determined}
+    """Return the values of the parameters that the runs determine; the others keep their nominal values."""
+    return {parameter.name: parameter.value for parameter in joint.parameters if parameter.determined}
 
 
 def why_no_model(joint: JointFit) -> str | None:
@@ -72,7 +106,7 @@ def why_no_model(joint: JointFit) -> str | None:
 
 
 def identified_settings(nominal: CapsuleModel, joint: JointFit) -> FrictionModelSettings:
-    """Return the friction model with what was determined in place, the rest nominal."""
+    """Return the friction model with the determined values, the rest nominal."""
     return nominal.settings_of(determined_values(joint)) if joint.converged else nominal.settings
 
 
@@ -85,41 +119,10 @@ def with_identified_wall(settings: FrictionModelSettings, relaxation: Relaxation
         Where the relaxations do not support them.
     """
     if not relaxation.laws:
-        why = "; ".join(relaxation.remarks) or "there is no usable relaxation"
-        raise AnalysisError(f"the wall cannot be taken from these relaxations ({why}); leave out --wall fitted.")
+        reasons = "; ".join(relaxation.remarks) or "there is no usable relaxation"
+        raise AnalysisError(f"the wall cannot be taken from these relaxations ({reasons}); leave out --wall fitted.")
     try:
         polynomials = wall_polynomials(relaxation.laws)
-    except SettingsError as fault:
-        raise AnalysisError(f"the wall cannot be taken from these relaxations: {fault}") from fault
+    except SettingsError as error:
+        raise AnalysisError(f"the wall cannot be taken from these relaxations: {error}") from error
     return settings.model_copy(update={"wall": "polynomial", "wall_polynomials": polynomials})
-
-
-def _identify_parts(
-    found: Identification, selection: RunSelection, model: FrictionModelSettings, progress: Progress
-) -> Identification:
-    remarks: list[str] = []
-
-    def part(make: Callable[[], PartT], what: str) -> PartT | None:
-        try:
-            return make()
-        except (AnalysisError, SettingsError) as fault:
-            remarks.append(f"{what}: {fault}")
-            return None
-
-    joint = found.joint
-    zeros = (
-        {one.file: one.zero for one in joint.runs if one.channel == FORCE_CHANNEL}
-        if joint and joint.converged
-        else None
-    )
-    relaxation = part(lambda: identify_relaxation(selection), "relaxation")
-    progress(2, PROGRESS_STEPS)
-    coulomb = part(lambda: identify_coulomb(selection, model), "Coulomb test")
-    drag = part(lambda: identify_drag(selection, model, zeros), "drag")
-    progress(3, PROGRESS_STEPS)
-    return replace(found, relaxation=relaxation, coulomb=coulomb, drag=drag, remarks=(*found.remarks, *remarks))
-
-
-def _missing_kinds(selection: RunSelection, nominal: NominalModel) -> Iterator[str]:
-    if isinstance(nominal, CapsuleModel):
-        yield from (sentence for kind, sentence in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind))

@@ -14,37 +14,47 @@ from dragrig.analysis.inference.linear_gaussian import (
     is_at_bound,
     solve_joint,
 )
-from dragrig.analysis.models.nominal_model import Combination, NominalModel
+from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.rig.arrays import FloatArray
 
 MAX_CORRELATION = 0.95
-"""Parameters that are correlated more strongly than this cannot be told apart."""
+"""Parameters that are correlated more strongly cannot be separated."""
 MIN_VARIATION_P = 1e-3
+"""Variations as large as the runs' are less probable than this, where a remark says so."""
+MAX_ERROR_OF_PRIOR = 0.8
+"""A run constrains a variation if it reduces the prior's error below this share."""
 
 
-def summarise_solution(problem: JointProblem, solution: JointSolution) -> JointFit:
-    """Read a solution."""
+@single_blas_thread()
+def fit_jointly(selection: RunSelection, nominal: NominalModel) -> JointFit:
+    """Fit a nominal model, with its priors, to all runs of a specimen at once.
+
+    Raises
+    ------
+    AnalysisError
+        Where the model predicts nothing of these runs, or a run lacks what it needs.
+    """
     from scipy.special import fdtrc
 
+    problem = JointProblem.of(selection, nominal)
+    solution = solve_joint(problem)
     values = problem.scales.values(solution.z)
     runs = tuple(_run_residuals(problem, solution, values))
-    chi2 = sum(one.chi2 * one.blocks for one in runs) + float(solution.z @ solution.z)
-    degrees = sum(one.blocks for one in runs)
-    known = min(noise.degrees for noise in problem.noises)
-    # Noise that was assumed and not seen rejects no model, but it excuses nothing either.
-    p_value = float(fdtrc(degrees, known, chi2 / degrees)) if known else float("nan")
-    widened = 1.0 if p_value >= MIN_P_VALUE else max(1.0, chi2 / degrees)
+    chi2 = sum(run.chi2 * run.blocks for run in runs) + float(solution.z @ solution.z)
+    degrees = sum(run.blocks for run in runs)
+    noise_degrees = min(noise.degrees for noise in problem.noises)
+    # Noise that was assumed rejects no model, but it excuses nothing either.
+    p_value = float(fdtrc(degrees, noise_degrees, chi2 / degrees)) if noise_degrees else float("nan")
+    misfit = 1.0 if p_value >= MIN_P_VALUE else max(1.0, chi2 / degrees)
     # The solution's own misfit is in its covariance already.
-    covariance = max(1.0, widened / solution.misfit) * solution.covariance
+    covariance = max(1.0, misfit / solution.misfit) * solution.covariance
     sd = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sd, sd)
     return JointFit(
-        nominal=problem.nominal.name,
+        nominal=nominal.name,
         parameters=tuple(_parameter_estimates(problem, solution.z, sd)),
-        combinations=tuple(
-            _combination_estimate(problem, values, covariance, one) for one in problem.nominal.combinations
-        ),
+        combinations=tuple(_combination_estimates(problem, values, covariance)),
         correlation=correlation,
         runs=runs,
         chi2=chi2,
@@ -52,46 +62,48 @@ def summarise_solution(problem: JointProblem, solution: JointSolution) -> JointF
         p_value=p_value,
         converged=solution.converged,
         steps=solution.steps,
-        remarks=tuple(_joint_remarks(problem, solution, runs, correlation, widened)),
+        remarks=tuple(_joint_remarks(problem, solution, runs, correlation, misfit)),
     )
 
 
 def _parameter_estimates(problem: JointProblem, z: FloatArray, sd: FloatArray) -> Iterator[ParameterEstimate]:
     scales = problem.scales
-    at, low, high = (scales.values(z + side * NORMAL_95 * sd) for side in (0.0, -1.0, 1.0))
-    first, last = (scales.values(np.full_like(z, side * NORMAL_95)) for side in (-1.0, 1.0))
-    errors = scales.slopes(at) * sd
-    for index, one in enumerate(problem.nominal.parameters):
+    values, low, high = (scales.values(z + side * NORMAL_95 * sd) for side in (0.0, -1.0, 1.0))
+    prior_low, prior_high = (scales.values(np.full_like(z, side * NORMAL_95)) for side in (-1.0, 1.0))
+    errors = scales.slopes(values) * sd
+    for index, parameter in enumerate(problem.nominal.parameters):
         yield ParameterEstimate(
-            name=one.name,
-            unit=one.unit,
-            value=float(at[index]),
+            name=parameter.name,
+            unit=parameter.unit,
+            value=float(values[index]),
             standard_error=float(errors[index]),
             interval=(float(low[index]), float(high[index])),
-            prior=(float(first[index]), float(last[index])),
+            prior=(float(prior_low[index]), float(prior_high[index])),
             learnt=max(0.0, 1.0 - float(sd[index])),
-            meaning=one.meaning,
+            meaning=parameter.meaning,
         )
 
 
-def _combination_estimate(
-    problem: JointProblem, values: FloatArray, covariance: FloatArray, one: Combination
-) -> ParameterEstimate:
-    powers = np.array([one.powers.get(parameter.name, 0.0) for parameter in problem.nominal.parameters])
-    value = float(np.prod(values**powers))
-    along = powers * problem.scales.sd
-    sd, before = float(np.sqrt(along @ covariance @ along)), float(np.sqrt(along @ along))
-    nominal = float(np.prod(np.array([parameter.nominal for parameter in problem.nominal.parameters]) ** powers))
-    return ParameterEstimate(
-        name=one.name,
-        unit=one.unit,
-        value=value,
-        standard_error=value * sd,
-        interval=_lognormal_interval(value, sd),
-        prior=_lognormal_interval(nominal, before),
-        learnt=max(0.0, 1.0 - sd / before) if before else 0.0,
-        meaning=one.meaning,
-    )
+def _combination_estimates(
+    problem: JointProblem, values: FloatArray, covariance: FloatArray
+) -> Iterator[ParameterEstimate]:
+    parameters = problem.nominal.parameters
+    nominal = np.array([parameter.nominal for parameter in parameters])
+    for combination in problem.nominal.combinations:
+        powers = np.array([combination.powers.get(parameter.name, 0.0) for parameter in parameters])
+        value, prior_value = float(np.prod(values**powers)), float(np.prod(nominal**powers))
+        direction = powers * problem.scales.sd
+        sd, prior_sd = float(np.sqrt(direction @ covariance @ direction)), float(np.sqrt(direction @ direction))
+        yield ParameterEstimate(
+            name=combination.name,
+            unit=combination.unit,
+            value=value,
+            standard_error=value * sd,
+            interval=_lognormal_interval(value, sd),
+            prior=_lognormal_interval(prior_value, prior_sd),
+            learnt=max(0.0, 1.0 - sd / prior_sd) if prior_sd else 0.0,
+            meaning=combination.meaning,
+        )
 
 
 def _lognormal_interval(median: float, sd: float) -> tuple[float, float]:
@@ -99,35 +111,34 @@ def _lognormal_interval(median: float, sd: float) -> tuple[float, float]:
 
 
 def _run_residuals(problem: JointProblem, solution: JointSolution, values: FloatArray) -> Iterator[RunResidual]:
-    parts = zip(problem.channels, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
-    for one, white, slopes, zero_sd in parts:
-        prediction = one.predict(values)
-        residual = one.blocks.mean - prediction.total
-        whole = white.whiten(residual)
-        own, covariance = white.posterior_run_effects(residual, slopes, solution.covariance)
+    by_channel = zip(problem.channels, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
+    for channel, whitening, slopes, zero_sd in by_channel:
+        prediction = channel.predict(values)
+        residual = channel.blocks.mean - prediction.total
+        whitened = whitening.whiten(residual)
+        effects, covariance = whitening.posterior_run_effects(residual, slopes, solution.covariance)
         errors = np.sqrt(np.diag(covariance))
-        zero = missing("the model has no zero of this channel's own")
-        left = residual
+        zero = missing("the model has no zero in this channel")
         if zero_sd > 0:
-            zero = Estimate(float(own[0]) * zero_sd, float(errors[0]) * zero_sd)
-            left, own, errors = left - own[0] * zero_sd, own[1:], errors[1:]
-        left = left - (own * problem.variation_sds) @ prediction.varying
-        variations = problem.nominal.variations
-        varied = {
-            variation: Estimate(variation.usual + float(share) * variation.sd, float(error) * variation.sd)
-            for variation, share, error in zip(variations, own, errors, strict=True)
-        }
-        seconds = one.blocks.end_s - one.blocks.start_s
+            zero = Estimate(float(effects[0]) * zero_sd, float(errors[0]) * zero_sd)
+            residual, effects, errors = residual - effects[0] * zero_sd, effects[1:], errors[1:]
+        residual = residual - (effects * problem.variation_sds) @ prediction.varying
+        factors: dict[str, Estimate] = {}
+        offsets: dict[str, Estimate] = {}
+        for variation, size, error in zip(problem.nominal.variations, effects, errors, strict=True):
+            estimate = Estimate(variation.usual + float(size) * variation.sd, float(error) * variation.sd)
+            (factors if variation.unit == "1" else offsets)[variation.name] = estimate
+        durations = channel.blocks.end_s - channel.blocks.start_s
         yield RunResidual(
-            file=one.experiment.file,
-            kind=one.experiment.kind,
-            channel=one.channel,
+            file=channel.experiment.file,
+            kind=channel.experiment.kind,
+            channel=channel.channel,
             blocks=len(residual),
-            chi2=float(whole @ whole) / len(residual),
-            rms_mN=float(np.sqrt(np.average(left**2, weights=seconds))),
+            chi2=float(whitened @ whitened) / len(residual),
+            rms_mN=float(np.sqrt(np.average(residual**2, weights=durations))),
             zero=zero,
-            factors={variation.name: found for variation, found in varied.items() if variation.unit == "1"},
-            offsets={variation.name: found for variation, found in varied.items() if variation.unit != "1"},
+            factors=factors,
+            offsets=offsets,
         )
 
 
@@ -136,35 +147,36 @@ def _joint_remarks(
     solution: JointSolution,
     runs: tuple[RunResidual, ...],
     correlation: FloatArray,
-    widened: float,
+    misfit: float,
 ) -> Iterator[str]:
+    parameters = problem.nominal.parameters
+    noise_is_assumed = min(noise.degrees for noise in problem.noises) == 0
     if not solution.converged:
-        yield f"the fit did not converge ({solution.why}): no interval holds"
-    assumed = min(noise.degrees for noise in problem.noises) == 0
-    if widened > 1.0 and not assumed:
-        worst = max(runs, key=lambda one: one.chi2)
+        yield f"the fit did not converge ({solution.why}): its intervals are invalid"
+    if misfit > 1.0 and not noise_is_assumed:
+        worst = max(runs, key=lambda run: run.chi2)
         yield (
-            f"the model {problem.nominal.name} leaves {widened:.3g} times the squares that noise and repeatability "
-            f"explain, most in {worst.file} ({worst.chi2:.3g} times): something acts that it does not have, its "
-            f"parameters soak up some of it, and the intervals, widened by {np.sqrt(widened):.2f}, need not hold"
+            f"χ² of the model {problem.nominal.name} is {misfit:.3g} times what noise and repeatability explain, most "
+            f"in {worst.file} ({worst.chi2:.3g} times): an effect that it does not contain acts, its parameters absorb "
+            f"some of it, and the intervals, widened by {np.sqrt(misfit):.2f}, may not hold"
         )
     yield from _variation_remarks(problem, runs)
-    pinned = [one.name for one, at in zip(problem.nominal.parameters, is_at_bound(solution.z), strict=True) if at]
+    pinned = [parameter.name for parameter, bound in zip(parameters, is_at_bound(solution.z), strict=True) if bound]
     if pinned:
         yield (
             f"{' and '.join(pinned)} reached the bound of the fit, {PARAMETER_BOUND:g} prior standard deviations from "
             "the nominal value: the model does not describe these runs"
         )
     for group in _correlated_groups(correlation):
-        names = [problem.nominal.parameters[index].name for index in group]
+        names = [parameters[index].name for index in group]
         yield (
-            f"{', '.join(names[:-1])} and {names[-1]} can hardly be told apart by these runs (correlation at least "
-            f"{MAX_CORRELATION:g}): what they combine to is known better than each"
+            f"{', '.join(names[:-1])} and {names[-1]} can hardly be separated by these runs (correlation at least "
+            f"{MAX_CORRELATION:g}): their combination is known better than each of them"
         )
-    if assumed:
+    if noise_is_assumed:
         yield (
-            "no run rests long enough to show its noise, so that one was assumed: nothing tells whether the "
-            f"model holds, and the intervals were widened by {np.sqrt(widened):.2f} for what it leaves"
+            "no run rests long enough to show its noise, which was assumed: whether the model holds cannot be tested, "
+            f"and the intervals were widened by {np.sqrt(misfit):.2f} for its residuals"
         )
 
 
@@ -182,38 +194,20 @@ def _variation_remarks(problem: JointProblem, runs: tuple[RunResidual, ...]) -> 
     from scipy.special import chdtrc
 
     for variation in problem.nominal.variations:
-        found = [{**one.factors, **one.offsets}[variation.name] for one in runs]
-        # A run that says nothing of a variation leaves it as usual with the prior's error.
-        said = [
-            one.value - variation.usual
-            for one in found
-            if one.value is not None and one.standard_error is not None and one.standard_error < 0.8 * variation.sd
+        estimates = [{**run.factors, **run.offsets}[variation.name] for run in runs]
+        # A run that does not constrain a variation has the usual value with the prior's error.
+        deviations = [
+            estimate.value - variation.usual
+            for estimate in estimates
+            if estimate.value is not None
+            and estimate.standard_error is not None
+            and estimate.standard_error < MAX_ERROR_OF_PRIOR * variation.sd
         ]
-        squares = float(np.sum(np.square(said))) / variation.sd**2
-        if said and chdtrc(len(said), squares) < MIN_VARIATION_P:
-            rms = float(np.sqrt(np.mean(np.square(said))))
+        chi2 = float(np.sum(np.square(deviations))) / variation.sd**2
+        if deviations and chdtrc(len(deviations), chi2) < MIN_VARIATION_P:
+            rms = float(np.sqrt(np.mean(np.square(deviations))))
             by, usual = (f"{size:.1%}" if variation.unit == "1" else f"{size:.3g}" for size in (rms, variation.sd))
             yield (
                 f"{variation.name} differs from run to run by {by}, more than the usual {usual}: "
-                "the specimen changes, or something acts that the model does not have"
+                "the specimen changes, or an effect acts that the model does not contain"
             )
-
-
-@single_blas_thread()
-def fit_jointly(selection: RunSelection, nominal: NominalModel) -> JointFit:
-    """Fit a nominal model to all runs of a specimen at once.
-
-    Parameters
-    ----------
-    selection
-        The runs.
-    nominal
-        Model with priors; see `dragrig.analysis.models`.
-
-    Raises
-    ------
-    AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
-    """
-    problem = JointProblem.of(selection, nominal)
-    return summarise_solution(problem, solve_joint(problem))
