@@ -22,7 +22,7 @@ from dragrig.config.settings import (
     suggestion,
 )
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Backend, BackendRequest, StageLimits
+from dragrig.rig.devices import Backend, BackendRequest, StageLimits, stage_limits
 from dragrig.rig.lab_folder import latest_calibration, read_contact
 from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
@@ -201,9 +201,8 @@ class RigSetup:
 
     @property
     def limits(self) -> StageLimits:
-        """What the settings say that the stage can do."""
-        stage = self.rig.stage
-        return StageLimits(stage.lowest_mm, stage.highest_mm, stage.max_speed_mm_s, stage.max_accel_mm_s2)
+        """The stage's limits in the settings."""
+        return stage_limits(self.rig.stage)
 
     @property
     def made_on(self) -> str:

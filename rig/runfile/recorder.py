@@ -8,6 +8,7 @@ syncs what was flushed to the disk itself.
 import json
 import os
 import time
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from datetime import datetime
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from threading import Condition, Lock, Thread
+from threading import Condition, Thread
 from types import TracebackType
 from typing import Self
 
@@ -312,50 +313,20 @@ class DiskSpace:
         return f"{self.folder}: {free / 1e6:.1f} MB are free and {needed / 1e6:.1f} MB needed; make room"
 
 
-class NoteQueue:
-    """Events and annotations on their way to the writing thread; for any thread."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._events: list[RunEvent] = []
-        self._annotations: list[Mapping[str, object]] = []
-
-    def event(self, event: RunEvent) -> None:
-        """Add an event."""
-        with self._lock:
-            self._events.append(event)
-
-    def annotation(self, line: Mapping[str, object]) -> None:
-        """Add what became known during the run."""
-        with self._lock:
-            self._annotations.append(line)
-
-    def drain(self) -> tuple[list[RunEvent], list[Mapping[str, object]]]:
-        """Return what was added since the last call."""
-        with self._lock:
-            drained = self._events, self._annotations
-            self._events, self._annotations = [], []
-        return drained
-
-
 class WriterThread(Thread):
     """Writes until the ring is closed or the disk refuses.
 
     Only this thread sets `failure`, the error that ended it, and `shortage`, a sentence about missing disk space while
-    it still writes.
+    it still writes. Any thread may append to `events` and `annotations`, which go to the file with the next flush.
     """
 
-    def __init__(
-        self, file: RecordingFile, ring: SampleRing, notes: NoteQueue, room: DiskSpace, flush_s: float
-    ) -> None:
+    def __init__(self, file: RecordingFile, ring: SampleRing, space: DiskSpace, flush_s: float) -> None:
         super().__init__(name=f"recorder of {file.path.name}", daemon=True)
         self.failure: Exception | None = None
         self.shortage: str | None = None
-        self._file = file
-        self._ring = ring
-        self._notes = notes
-        self._room = room
-        self._flush_s = flush_s
+        self.events: deque[RunEvent] = deque()
+        self.annotations: deque[Mapping[str, object]] = deque()
+        self._file, self._ring, self._space, self._flush_s = file, ring, space, flush_s
         self._syncer = FileSyncer(file.path)
 
     def run(self) -> None:
@@ -368,7 +339,7 @@ class WriterThread(Thread):
                 now_s = time.monotonic()
                 for columns in self._ring.take():
                     self._file.append(columns)
-                    self.shortage = self._room.shortage(self._file.written_bytes)
+                    self.shortage = self._space.shortage(self._file.written_bytes)
                 if closed or now_s >= flushed_s + self._flush_s:
                     self._flush()
                     flushed_s = now_s
@@ -381,10 +352,9 @@ class WriterThread(Thread):
             self._syncer.close()
 
     def _flush(self) -> None:
-        events, annotations = self._notes.drain()
-        if events:
+        if events := [self.events.popleft() for _ in range(len(self.events))]:
             self._file.append_events(events)
-        if annotations:
+        if annotations := [self.annotations.popleft() for _ in range(len(self.annotations))]:
             self._file.append_annotations(annotations)
         self._file.flush()
         self._syncer.request()
@@ -445,13 +415,12 @@ class Recorder:
         self._closed = False
         self._shortage_raised = False
         sample_bytes = sum(dtype.itemsize for dtype in self._types.values())
-        room = DiskSpace(path.parent, reserve_bytes, expected_samples * sample_bytes)
+        space = DiskSpace(path.parent, reserve_bytes, expected_samples * sample_bytes)
         with ExitStack() as stack:
             stack.enter_context(lock_run(path))
-            file = _create_recording_file(self.path, header, room)
-            self._notes = NoteQueue()
+            file = _create_recording_file(self.path, header, space)
             self._ring = SampleRing(self._types, RING_SAMPLES)
-            self._thread = WriterThread(file, self._ring, self._notes, room, flush_s)
+            self._thread = WriterThread(file, self._ring, space, flush_s)
             self._thread.start()
             self._lock = stack.pop_all()
 
@@ -511,11 +480,11 @@ class Recorder:
 
     def event(self, event: RunEvent) -> None:
         """Record an event; it is on file with the next flush."""
-        self._notes.event(event)
+        self._thread.events.append(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         """Add attributes of `/entry` that become known while the run goes on."""
-        self._notes.annotation(entry_annotation(entry))
+        self._thread.annotations.append(entry_annotation(entry))
 
     def close(
         self,
@@ -530,7 +499,7 @@ class Recorder:
         """
         if not self._closed:
             self._closed = True
-            self._notes.annotation(ending_annotation(RunEnding(status, reason, end_time, checks or {})))
+            self._thread.annotations.append(ending_annotation(RunEnding(status, reason, end_time, checks or {})))
             self._ring.close()
             self._thread.join()
             self._lock.close()
@@ -556,11 +525,11 @@ class Recorder:
         return columns
 
 
-def _create_recording_file(recording: Path, header: RunHeader, room: DiskSpace) -> RecordingFile:
+def _create_recording_file(recording: Path, header: RunHeader, space: DiskSpace) -> RecordingFile:
     for path in (recording, schema.finished_path(recording)):
         if path.exists():
             raise OutputError(f"{path}: there is a run file already; choose another name")
-    if (shortage := room.shortage(0)) is not None:
+    if (shortage := space.shortage(0)) is not None:
         raise RecordingError(shortage)
     try:
         create_recording(recording, header)
