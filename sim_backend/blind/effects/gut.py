@@ -86,7 +86,7 @@ class InertiaPower(HiddenEffect):
 
 
 class InertiaBending(HiddenEffect):
-    """A force of the square of speed that bends over to a straight line."""
+    """A force with the square of speed that turns linear at high speed."""
 
     name, form, kinds = "wall_inertia", "square that bends over", DRAG_RUNS
     amplitude: Annotated[float, DrawnFrom(20.0, 50.0)]
@@ -291,7 +291,7 @@ class TetherTwoStrands(HiddenEffect):
 
 
 class PeristalsisPulses(HiddenEffect):
-    """Pulses of a Gaussian shape at times of the session that are not quite equally far apart."""
+    """Pulses of a Gaussian shape at slightly irregular times of the session."""
 
     name, form, kinds = "peristalsis", "Gaussian pulses, early and late", DRAG_RUNS
     amplitude: Annotated[float, DrawnFrom(7.0, 18.0)]
@@ -307,7 +307,7 @@ class PeristalsisPulses(HiddenEffect):
 
 
 class PeristalsisTwitch(HiddenEffect):
-    """Contractions that rise fast and fade slowly, at equal times of the session."""
+    """Contractions that rise fast and fade slowly, periodic in the session's time."""
 
     name, form, kinds = "peristalsis", "fast rise, slow fall", DRAG_RUNS
     amplitude: Annotated[float, DrawnFrom(7.0, 18.0)]
@@ -321,7 +321,7 @@ class PeristalsisTwitch(HiddenEffect):
 
 
 class PeristalsisUneven(HiddenEffect):
-    """Smooth contractions at equal times of the session, not all equally strong."""
+    """Smooth contractions, periodic in the session's time, of varying strength."""
 
     name, form, kinds = "peristalsis", "uneven contractions", DRAG_RUNS
     amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
@@ -341,7 +341,7 @@ ORGAN_FORMS: tuple[type[HiddenEffect], ...] = (
 
 
 class AgeingRoot(HiddenEffect):
-    """Stiffness drifts with the root of the session's time, and is set back whenever somebody wets the gut."""
+    """Stiffness drifts with the root of the session's time, and is reset in part whenever the gut is wetted."""
 
     name, form, kinds = "tissue_ageing", "root of time, wetted", TISSUE_RUNS
     amplitude: Annotated[float, DrawnFrom(0.3, 0.6, signed=True)]
@@ -354,7 +354,7 @@ class AgeingRoot(HiddenEffect):
 
 
 class AgeingLate(HiddenEffect):
-    """Stiffness drifts slowly at first and faster later on, more and less as the room's warmth swings."""
+    """Stiffness drifts slowly at first and faster later on, modulated by the room's temperature."""
 
     name, form, kinds = "tissue_ageing", "late, swings", TISSUE_RUNS
     amplitude: Annotated[float, DrawnFrom(0.25, 0.5, signed=True)]
@@ -368,7 +368,7 @@ class AgeingLate(HiddenEffect):
 
 
 class AgeingTurn(HiddenEffect):
-    """Stiffness changes over from one value to another about a time within the session."""
+    """Stiffness changes from one value to another about a time within the session."""
 
     name, form, kinds = "tissue_ageing", "change-over", TISSUE_RUNS
     amplitude: Annotated[float, DrawnFrom(0.25, 0.5, signed=True)]
@@ -381,7 +381,7 @@ class AgeingTurn(HiddenEffect):
 
 
 class PreconditioningRational(HiddenEffect):
-    """A fresh specimen is stiffer, the more the further it is strained; that fades with the run count."""
+    """A fresh specimen is stiffer, more so at larger strain; the excess fades with the run count."""
 
     name, form, kinds = "preconditioning", "rational, grows with strain", TISSUE_RUNS
     amplitude: Annotated[float, DrawnFrom(0.35, 0.7)]

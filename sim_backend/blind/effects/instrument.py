@@ -17,7 +17,7 @@ from dragrig.sim_backend.blind.programme import Floats, SampledMotion
 
 
 class DriftRoot(HiddenEffect):
-    """Zero that creeps with the root of the run's time, somewhat different in every run."""
+    """Zero that drifts with the root of the run's time, somewhat differently in every run."""
 
     name, form, rank = "force_drift", "root of time", 2
     amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
@@ -28,7 +28,7 @@ class DriftRoot(HiddenEffect):
 
 
 class DriftBent(HiddenEffect):
-    """Zero that creeps at a rate which falls by half over some seconds."""
+    """Zero that drifts at a rate which falls by half over some seconds."""
 
     name, form, rank = "force_drift", "bent line", 2
     amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
@@ -41,7 +41,7 @@ class DriftBent(HiddenEffect):
 
 
 class NonlinearCubic(HiddenEffect):
-    """Gain that is another beyond a load, as where an overload stop begins to touch."""
+    """Gain that changes beyond a load, as where an overload stop begins to touch."""
 
     name, form, rank = "force_nonlinearity", "kink", 2
     amplitude: Annotated[float, DrawnFrom(0.1, 0.2, signed=True)]
@@ -53,7 +53,7 @@ class NonlinearCubic(HiddenEffect):
 
 
 class NonlinearSoft(HiddenEffect):
-    """Gain that is right at no load and again at a full one, with the largest error between."""
+    """Gain that is correct at zero and at full load, with the largest error between."""
 
     name, form, rank = "force_nonlinearity", "bow between two true loads", 2
     amplitude: Annotated[float, DrawnFrom(0.03, 0.08, signed=True)]
@@ -64,7 +64,7 @@ class NonlinearSoft(HiddenEffect):
 
 
 class HysteresisDahl(HiddenEffect):
-    """Hysteresis whose branches approach a band exponentially in the load, and which creeps off in part."""
+    """Hysteresis whose branches approach a band exponentially in the load, and which partly creeps off."""
 
     name, form, rank = "force_hysteresis", "Dahl with creep", 1
     amplitude: Annotated[float, DrawnFrom(5.0, 12.0)]
@@ -97,7 +97,7 @@ class HysteresisStack(HiddenEffect):
 
 
 class HumHarmonics(HiddenEffect):
-    """Mains pick-up with a third harmonic, at another phase in every run."""
+    """Mains pick-up with a third harmonic, with a random phase in every run."""
 
     name, form, rank = "mains_hum", "third harmonic", 2
     amplitude: Annotated[float, DrawnFrom(2.5, 6.0)]
@@ -198,7 +198,7 @@ SENSOR_FORMS: tuple[type[HiddenEffect], ...] = (
 
 
 class LagSecondOrder(HiddenEffect):
-    """A stage that follows as a damped second-order system, of whose lag [s] an integrator takes a share away."""
+    """A stage that follows as a damped second-order system; an integrator removes a share of its lag [s]."""
 
     name, form, channel = "servo_lag", "second order, integrated away", "position"
     amplitude: Annotated[float, DrawnFrom(0.030, 0.110, log=True)]
@@ -238,7 +238,7 @@ class LagDeadTime(HiddenEffect):
 
 
 class LagTwoTimes(HiddenEffect):
-    """A stage that makes most of the way fast and creeps the rest within seconds; the fast lag is the amplitude [s].
+    """A stage that follows fast for most of the way and creeps the rest within seconds; amplitude: the fast lag [s].
 
     `share_1_s` is the share that creeps over the fast lag.
     """
@@ -292,7 +292,7 @@ class RippleSaw(HiddenEffect):
 
 
 class RippleTwoPeriods(HiddenEffect):
-    """Position error of two periods that do not fit each other, of the poles and of the screw."""
+    """Position error of two incommensurable periods, of the poles and of the screw."""
 
     name, form, channel = "velocity_ripple", "two periods", "position"
     amplitude: Annotated[float, DrawnFrom(0.02, 0.06, log=True)]
@@ -307,7 +307,7 @@ class RippleTwoPeriods(HiddenEffect):
 
 
 class LatencySpread(HiddenEffect):
-    """Force late, or early, against position, not by the same time in every run [s]."""
+    """Force that lags or leads the position, by a time that varies from run to run [s]."""
 
     name, form, channel, rank = "channel_latency", "another in every run", "either", 3
     amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True, signed=True)]
@@ -319,7 +319,7 @@ class LatencySpread(HiddenEffect):
 
 
 class LatencyAveraged(HiddenEffect):
-    """Force late against position because the converter averages over some samples before it [s]."""
+    """Force that lags the position because the converter averages over preceding samples [s]."""
 
     name, form, channel, rank = "channel_latency", "moving average", "either", 3
     amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True)]
@@ -332,7 +332,7 @@ class LatencyAveraged(HiddenEffect):
 
 
 class LatencyGrows(HiddenEffect):
-    """Force that falls further behind position while a run lasts, as a filling buffer makes it."""
+    """Force that lags the position more and more during a run, as through a filling buffer."""
 
     name, form, channel, rank = "channel_latency", "growing", "either", 3
     amplitude: Annotated[float, DrawnFrom(0.006, 0.018, log=True)]
@@ -344,7 +344,7 @@ class LatencyGrows(HiddenEffect):
 
 
 class ScaleBent(HiddenEffect):
-    """Counts that are off by a part which swings along the scale, as a band that is not stuck down evenly has it."""
+    """Counts with a relative error that varies along the scale, as of an unevenly bonded tape."""
 
     name, form, channel = "encoder_scale", "uneven band", "position"
     amplitude: Annotated[float, DrawnFrom(0.002, 0.012, log=True, signed=True)]
@@ -358,7 +358,7 @@ class ScaleBent(HiddenEffect):
 
 
 class ScaleWarm(HiddenEffect):
-    """Counts that are off by a part which grows as the scale warms up during the session."""
+    """Counts with a relative error that grows as the scale warms up during the session."""
 
     name, form, channel = "encoder_scale", "warming", "position"
     amplitude: Annotated[float, DrawnFrom(0.002, 0.012, log=True, signed=True)]

@@ -15,7 +15,7 @@ from dragrig.sim_backend.blind.effects.base import (
 from dragrig.sim_backend.blind.programme import Floats
 
 REFERENCE_MN = 1000.0
-"""Normal force at which speeds are told."""
+"""Normal force that speeds refer to."""
 
 
 class StribeckRational(HiddenEffect):
@@ -79,7 +79,7 @@ class AdhesionRoot(HiddenEffect):
 
 
 class AdhesionLog(HiddenEffect):
-    """Tack that falls with the logarithm of speed to a highest one, and with the distance that uses it up."""
+    """Tack that falls with the logarithm of speed up to a highest speed, and with the distance that uses it up."""
 
     name, form, kinds = "adhesion", "logarithm, used up", DRAG_RUNS
     amplitude: Annotated[float, DrawnFrom(16.0, 38.0)]

@@ -18,7 +18,7 @@ from dragrig.sim_backend.blind.programme import Floats, RunPlan
 
 
 class AmplifierSaturates(HiddenEffect):
-    """Above a load the amplifier passes on only a part of what comes."""
+    """Above a load the amplifier transmits only part of the increase."""
 
     name, form, rank = "amplifier_saturates", "hard knee", 2
     amplitude: Annotated[float, DrawnFrom(0.7, 1.0)]
@@ -29,7 +29,7 @@ class AmplifierSaturates(HiddenEffect):
 
 
 class StickSlip(HiddenEffect):
-    """At low speed the capsule sticks and slips by lengths that are never the same."""
+    """At low speed the capsule sticks and slips by random lengths."""
 
     name, form, kinds = "stick_slip", "irregular saw", SLIDING_RUNS
     amplitude: Annotated[float, DrawnFrom(10.0, 25.0)]
@@ -74,7 +74,7 @@ class LooseCoupling(HiddenEffect):
 
 
 class GainSwitches(HiddenEffect):
-    """The amplifier comes up with one of two gains, by chance from run to run."""
+    """The amplifier starts with one of two gains, at random from run to run."""
 
     name, form, rank = "gain_switches", "two gains", 2
     amplitude: Annotated[float, DrawnFrom(0.10, 0.30)]
@@ -84,7 +84,7 @@ class GainSwitches(HiddenEffect):
 
 
 class FixtureCreeps(HiddenEffect):
-    """The fixture gives way while the stage moves and creeps back after it stops, with nothing attached too."""
+    """The fixture gives way while the stage moves and creeps back after it stops, blank runs included."""
 
     name, form = "fixture_creeps", "two times"
     amplitude: Annotated[float, DrawnFrom(8.0, 20.0)]
@@ -138,7 +138,7 @@ class ThermostatZero(HiddenEffect):
 
 
 class TableVibration(HiddenEffect):
-    """The table shakes at a few hertz in every run, now more, now less."""
+    """The table shakes at a few hertz in every run, with varying strength."""
 
     name, form = "table_vibration", "narrow band"
     amplitude: Annotated[float, DrawnFrom(4.0, 10.0)]
@@ -233,7 +233,7 @@ class StageYields(HiddenEffect):
 
 
 class ClockOff(HiddenEffect):
-    """The sampling clock is off by a part in some of the runs."""
+    """The sampling clock has a relative error in some of the runs."""
 
     name, form, channel = "clock_off", "some runs", "position"
     amplitude: Annotated[float, DrawnFrom(0.01, 0.04, signed=True)]
