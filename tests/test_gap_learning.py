@@ -136,7 +136,7 @@ def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -
     folder = str(exam(tmp_path / "learnt", lessons(6)))
     told = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
     assert told.exit_code == 0
-    assert "How often verdicts are right that the other campaigns taught" in told.output
+    assert "Cross-validation: how often verdicts learnt" in told.output
     printed = json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3", "--json"]).output)
     assert printed["cross_validated"][0]["name"] == "full size, right name"
     assert "cross_validated" not in json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--json"]).output)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import FileBatch, ProgressMeter, display_path, is_quiet, print_json, print_result
+from dragrig.cli.console import FileBatch, ProgressMeter, display_path, print_json, print_result
 from dragrig.present.numbers import number_text, text_columns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dragrig.analysis.campaign_table import SpeedMean, TableRow
+    from dragrig.analysis.campaign_table import TableRow
     from dragrig.analysis.comparison.comparison import Comparison, GroupDifference, MeasureDifference, RunPair
     from dragrig.analysis.estimates import Exclusion
 
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 def table_command(campaign: Path, as_json: bool) -> None:
     """Tabulate CAMPAIGN, a folder of run files.
 
-    A line per run: kind, speed, steady force with its standard error, what its checks saw, and whether somebody
-    marked it bad; then the mean steady force of repeated runs, without bad and unfinished ones.
+    One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
+    mean steady force of repeated runs, without bad and unfinished ones.
     """
     from dragrig.analysis.campaign_table import mean_per_speed, table_rows
 
-    with ProgressMeter("measuring", 1.0, quiet=is_quiet()) as meter:
+    with ProgressMeter("measuring") as meter:
         rows = table_rows(campaign, meter.at)
     if as_json:
         print_json({"runs": rows, "means": mean_per_speed(rows)})
@@ -44,53 +44,41 @@ def table_text(rows: "tuple[TableRow, ...]") -> str:
     """Return the table of runs and that of their means, as text."""
     from dragrig.analysis.campaign_table import mean_per_speed
 
-    means = mean_per_speed(rows)
-    return f"{_run_table(rows)}\n\n{_mean_table(means)}" if means else _run_table(rows)
-
-
-def _run_table(rows: "tuple[TableRow, ...]") -> str:
     header = ("file", "kind", "mm/s", "strain", "steady mN", "±", "rest mN", "peak mN", "status", "checks", "remark")
-    return text_columns(header, (_run_row(row) for row in rows))
-
-
-def _run_row(row: "TableRow") -> tuple[str, ...]:
-    return (
-        row.file,
-        row.kind,
-        number_text(row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s),
-        number_text(row.shear_strain),
-        _force_text(row.steady_force_mN),
-        _force_text(row.steady_force_error_mN),
-        _force_text(row.rest_offset_mN),
-        _force_text(row.peak_force_mN),
-        row.status,
-        row.checks,
-        "; ".join(part for part in (f"BAD: {row.mark}" if row.bad else "", row.remark) if part),
-    )
-
-
-def _mean_table(means: "tuple[SpeedMean, ...]") -> str:
-    header = ("specimen", "kind", "capsule", "mm/s", "way", "runs", "steady mN", "±")
-    return text_columns(
-        header,
+    runs = [
         (
-            (
-                one.specimen,
-                one.kind,
-                one.capsule,
-                number_text(one.speed_mm_s),
-                "forward" if one.direction > 0 else "backward",
-                str(one.runs),
-                _force_text(one.steady_force_mN),
-                _force_text(one.standard_error_mN),
-            )
-            for one in means
-        ),
-    )
+            row.file,
+            row.kind,
+            number_text(row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s),
+            number_text(row.shear_strain),
+            *map(_force_text, (row.steady_force_mN, row.steady_force_error_mN, row.rest_offset_mN, row.peak_force_mN)),
+            row.status,
+            row.checks,
+            "; ".join(part for part in (f"BAD: {row.mark}" if row.bad else "", row.remark) if part),
+        )
+        for row in rows
+    ]
+    means = [
+        (
+            mean.specimen,
+            mean.kind,
+            mean.capsule,
+            number_text(mean.speed_mm_s),
+            "forward" if mean.direction > 0 else "backward",
+            str(mean.runs),
+            _force_text(mean.steady_force_mN),
+            _force_text(mean.standard_error_mN),
+        )
+        for mean in mean_per_speed(rows)
+    ]
+    if not means:
+        return text_columns(header, runs)
+    mean_header = ("specimen", "kind", "capsule", "mm/s", "direction", "runs", "steady mN", "±")
+    return f"{text_columns(header, runs)}\n\n{text_columns(mean_header, means)}"
 
 
-def _force_text(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}"
+def _force_text(value: float | None, sign: str = "") -> str:
+    return "" if value is None else f"{value:{sign}.1f}"
 
 
 PICTURE_SUFFIXES = (".png", ".svg")
@@ -103,25 +91,25 @@ PICTURE_SUFFIXES = (".png", ".svg")
     "-o",
     metavar="FILE|DIR",
     type=click.Path(path_type=Path),
-    help="A .png or .svg file for one picture, or a folder for all; beside the runs unless given.",
+    help="A .png or .svg file for one picture, or a folder for all (default: beside the runs).",
 )
 @click.option("--no-filtered", "raw_only", is_flag=True, help="Leave out the filtered force.")
-@click.option("--motor-force", is_flag=True, help="Add the motor's force, where it was recorded.")
+@click.option("--motor-force", is_flag=True, help="Add the motor force, where it was recorded.")
 @options.overwrite
 @options.as_json
 @options.quiet
 def show_command(
     inputs: tuple[str, ...], out: Path | None, raw_only: bool, motor_force: bool, overwrite: bool, as_json: bool
 ) -> None:
-    """Draw runs: force, raw and filtered, position and speed, with the phases. Prints where the pictures are.
+    """Draw runs: force, raw and filtered, position and speed, with the phases. Prints the paths of the pictures.
 
-    RUN is a run file, a pattern or a campaign's folder; a folder gets an overview of the campaign too. A name that is
-    taken gets a number, unless it was given with --out: then it is refused.
+    RUN is a run file, a pattern or a campaign's folder; a folder gets an overview of the campaign too. An existing
+    name gets a number, unless it was given with --out: then it is refused.
     """
     from dragrig.run_inputs import run_files
 
     paths = run_files(inputs)
-    campaigns = [Path(one) for one in inputs if Path(one).is_dir()]
+    campaigns = [Path(name) for name in inputs if Path(name).is_dir()]
     target = _picture_target(out, len(paths) + len(campaigns), overwrite)
     runs, overviews = FileBatch(paths, "drawing runs"), FileBatch(campaigns, "drawing the campaign")
     pictures = chain(
@@ -141,7 +129,7 @@ def show_command(
 
 @dataclass(frozen=True, slots=True)
 class _PictureTarget:
-    """Where pictures go: one file, or a folder, or beside what they show."""
+    """Where pictures go: a file, a folder, or beside the runs."""
 
     file: Path | None
     folder: Path | None
@@ -152,7 +140,7 @@ class _PictureTarget:
 
         if self.file is not None:
             return save_figure(figure, self.file, overwrite=self.overwrite)
-        # Measured data often lie where nothing may be added.
+        # Measured data are often read-only.
         here = beside if os.access(beside, os.W_OK) else Path()
         return save_figure_in(self.folder or here, name, figure, overwrite=self.overwrite)
 
@@ -195,7 +183,7 @@ def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
     "-o",
     metavar="FILE.html",
     type=click.Path(path_type=Path),
-    help="Where to write it; beside the run, or in the campaign's folder, unless given.",
+    help="Report file (default: beside the run, or in the campaign's folder).",
 )
 @options.overwrite
 @options.as_json
@@ -203,13 +191,13 @@ def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
 def report_command(source: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write a report on a run file or a campaign's folder, one HTML file that can be mailed.
 
-    Of a run: force, position and speed, measures with their errors, checks, events and all settings. Of a campaign:
-    steady force against speed, relaxations, every run in a table and drawn by itself, sessions, and what was left out
-    and why. The file holds its figures; tables sort by any column; it prints, and is readable on a phone.
+    For a run: force, position and speed, measures with their errors, checks, events and all settings. For a campaign:
+    steady force against speed, relaxations, a table and a figure of every run, sessions, and the runs left out with the
+    reasons. Figures are embedded, tables sort by any column, and the page prints and fits a phone.
     """
     from dragrig.api.report import report
 
-    with ProgressMeter("measuring and drawing", 1.0, quiet=is_quiet()) as meter:
+    with ProgressMeter("measuring and drawing") as meter:
         written = report(source, out, overwrite=overwrite, progress=meter.at)
     if as_json:
         print_json({"source": source, "report": written})
@@ -218,18 +206,16 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
 
 
 MAX_UNPAIRED = 12
-"""So many runs without a partner are named; of more the rest are counted."""
+"""Runs without a partner that are listed; the others are counted."""
 
 
 @click.command("compare")
 @click.argument("a", type=click.Path(path_type=Path))
 @click.argument("b", type=click.Path(path_type=Path), required=False)
 @click.option("--model", metavar="F|NAME", help="Compare A with this friction model in place of B.")
-@options.effects("What that model has beside its own, as dragrig gap effects lists it; repeatable.")
-@click.option(
-    "--specimen", metavar="NAME", help="Specimen that is meant, where a folder holds several; all unless given."
-)
-@options.out("Folder for pictures and table; a new one beside A's runs unless given. With --json only if given.")
+@options.effects("Add an effect to that model, as listed by dragrig gap effects; repeatable.")
+@click.option("--specimen", metavar="NAME", help="Specimen, where a folder holds several (default: all).")
+@options.out("Folder for pictures and table (default: a new one beside A's runs; with --json: none).")
 @options.overwrite
 @options.as_json
 @options.quiet
@@ -245,29 +231,33 @@ def compare_command(
 ) -> None:
     """Compare two campaigns, two runs, or either with the friction model.
 
-    A and B are campaign folders or run files. Runs in which the same was done are paired and aligned on the start of
-    their motion. Prints the measures side by side (differences are B − A, ± holds 95 % of equal runs: noise,
-    run-to-run scatter and unknown zeros), the largest differences first, and a few sentences; writes a table as CSV,
-    an overview, and a picture of each pair. That two campaigns differ is no error: the exit code is 0.
+    A and B are campaign folders or run files. Runs under the same conditions are paired and aligned on the start of
+    their motion. Prints the measures side by side (differences are B − A; ± is the 95 % interval for equal runs, from
+    noise, run-to-run scatter and unknown zeros), the largest differences first, and a summary; writes a table as CSV,
+    an overview, and a picture of each pair. The exit code is 0 even where they differ.
     """
     if (b is None) == (model is None):
         raise click.UsageError(
             "name a second campaign or run, or a --model, one of the two", click.get_current_context()
         )
-    from dragrig.api import compare as comparing
+    from dragrig.api.compare import compare, comparison_folder, write_comparison
+    from dragrig.present.files import unused_path
 
-    with ProgressMeter("comparing", 1.0, quiet=is_quiet()) as meter:
-        found = comparing.compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
+    with ProgressMeter("comparing") as meter:
+        comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     if as_json and out is None:
-        print_json(comparison_json(found))
+        print_json(comparison_json(comparison))
         return
     if not as_json:
-        print_result(comparison_text(found))
-    folder = out or _new_folder(comparing.comparison_folder(found, a))
-    with ProgressMeter("drawing", 1.0, quiet=is_quiet()) as meter:
-        written = list(comparing.write_comparison(found, folder, overwrite=overwrite, progress=meter.at))
+        print_result(comparison_text(comparison))
+    default = comparison_folder(comparison, a)
+    # Measured data are often read-only.
+    writable = default if os.access(default.parent, os.W_OK) else Path(default.name)
+    folder = out or unused_path(writable)
+    with ProgressMeter("drawing") as meter:
+        written = list(write_comparison(comparison, folder, overwrite=overwrite, progress=meter.at))
     if as_json:
-        print_json({**comparison_json(found), "files": written})
+        print_json({**comparison_json(comparison), "files": written})
         return
     print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
     print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
@@ -375,10 +365,10 @@ def _difference_cells(one: "MeasureDifference") -> tuple[str, ...]:
     a, b = one.compared
     half = None if one.error is None else NORMAL_95 * one.error
     return (
-        _force_cell(a),
-        _force_cell(b),
-        _force_cell(one.value, "+"),
-        _force_cell(half),
+        _force_text(a),
+        _force_text(b),
+        _force_text(one.value, "+"),
+        _force_text(half),
         one.reason if one.value is None else one.verdict.value,
     )
 
@@ -394,22 +384,18 @@ def _groups_text(groups: "tuple[GroupDifference, ...]") -> str:
                 str(one.condition),
                 one.measure,
                 str(one.pairs),
-                _force_cell(one.a),
-                _force_cell(one.b),
-                _force_cell(one.value, "+"),
-                _force_cell(NORMAL_95 * one.error),
+                _force_text(one.a),
+                _force_text(one.b),
+                _force_text(one.value, "+"),
+                _force_text(NORMAL_95 * one.error),
                 "" if one.relative is None else f"{100 * one.relative:+.1f}",
                 number_text(one.times_error, 2),
                 one.verdict.value,
-                _force_cell(one.rms_mN),
+                _force_text(one.rms_mN),
             )
             for one in groups
         ],
     )
-
-
-def _force_cell(value: float | None, sign: str = "") -> str:
-    return "" if value is None else f"{value:{sign}.1f}"
 
 
 def _left_out_lines(side: str, found: "tuple[Exclusion, ...]") -> list[str]:
@@ -425,14 +411,3 @@ def _left_out_text(heading: str, lines: list[str]) -> str:
         else [*lines[: MAX_UNPAIRED - 1], f"  and {len(lines) - MAX_UNPAIRED + 1} more"]
     )
     return "\n".join((f"{heading}:", *shown))
-
-
-def _new_folder(folder: Path) -> Path:
-    """Return the folder with a number where its name is taken; in the working folder where the runs' own refuses."""
-    # Measured data often lie where nothing may be added.
-    wanted = folder if os.access(folder.parent, os.W_OK) else Path(folder.name)
-    found, count = wanted, 1
-    while found.exists():
-        count += 1
-        found = wanted.with_name(f"{wanted.name}-{count}")
-    return found

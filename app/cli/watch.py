@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import print_remark, print_result
+from dragrig.cli.console import print_json_line, print_remark, print_result
 from dragrig.present.numbers import duration_text, number_text
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ ACTIVITY_TEXTS = {
     flag_value=DEFAULT_PORT,
     default=None,
     type=click.IntRange(0, 65535),
-    help=f"Serve a small page on this machine alone, at port {DEFAULT_PORT} unless given; 0 takes a free one.",
+    help=f"Serve a page to this machine alone (default port: {DEFAULT_PORT}; 0: any free one).",
 )
 @click.option(
     "--every",
@@ -46,23 +46,21 @@ ACTIVITY_TEXTS = {
     default=0.5,
     show_default=True,
     type=click.FloatRange(0.05, 60.0),
-    help="Seconds between two looks.",
+    help="Refresh interval in seconds.",
 )
 @options.as_json
 @options.quiet
 def watch_command(folder: Path, once: bool, page: int | None, every_s: float, as_json: bool) -> None:
-    """Follow a running campaign from another process, which it never notices: files are only read.
+    """Follow a running campaign from another process; only reads files.
 
-    DIR is the campaign's folder, or the folder of campaigns, whose latest is meant. Shows the run, its phase, the time
-    left, the force now and what the session waits for; ends by itself when the campaign does. With --json each look is
-    a line of JSON; with --once there is one look.
+    DIR is the campaign's folder, or a folder of campaigns, of which the latest is followed. Shows the run, its phase,
+    the time left, the present force and what the session waits for; ends when the campaign does. With --json each state
+    is one line of JSON; with --once there is one state.
     """
-    from dragrig.watch import CampaignWatch
+    from dragrig.watch import CampaignWatch, serve_state_page
 
     watch = CampaignWatch(folder)
     if page is not None and not once:
-        from dragrig.watch import serve_state_page
-
         with serve_state_page(page) as server:
             print_remark(f"http://127.0.0.1:{server.port}/ shows {watch.folder}")
             for state in watch.follow(every_s):
@@ -76,56 +74,50 @@ def watch_command(folder: Path, once: bool, page: int | None, every_s: float, as
 
 
 def _follow(watch: "CampaignWatch", every_s: float, *, as_json: bool) -> None:
-    if as_json or not sys.stdout.isatty():
-        before = ""
-        for state in watch.follow(every_s):
-            line = _state_json(state) if as_json else state_line(state)
-            if line != before:
-                print_result(line)
-            before = line
-        return
-    from rich.live import Live
+    if sys.stdout.isatty() and not as_json:
+        from rich.live import Live
 
-    with Live(auto_refresh=False) as live:
-        for state in watch.follow(every_s):
-            live.update(state_table(state), refresh=True)
+        with Live(auto_refresh=False) as live:
+            for state in watch.follow(every_s):
+                live.update(state_table(state), refresh=True)
+        return
+    before: object = None
+    for state in watch.follow(every_s):
+        shown = state if as_json else state_line(state)
+        if shown == before:
+            continue
+        before = shown
+        if as_json:
+            print_json_line(state)
+        else:
+            print_result(state_line(state))
 
 
 def _print_state(state: "CampaignState", as_json: bool) -> None:
-    if as_json or not sys.stdout.isatty():
-        print_result(
-            _state_json(state)
-            if as_json
-            else "\n".join(f"{name:10}{text}" for name, text in state_texts(state).items())
-        )
-        return
-    from rich.console import Console
+    if as_json:
+        print_json_line(state)
+    elif sys.stdout.isatty():
+        from rich.console import Console
 
-    Console().print(state_table(state))
-
-
-def _state_json(state: "CampaignState") -> str:
-    import json
-
-    from dragrig.present.json_values import to_json_value
-
-    return json.dumps(to_json_value(state), allow_nan=False)
+        Console().print(state_table(state))
+    else:
+        print_result("\n".join(f"{name:10}{text}" for name, text in state_texts(state).items()))
 
 
 def state_line(state: "CampaignState") -> str:
-    """Return a state as a line that changes when something begins or ends, and not with every sample."""
+    """Return a state as one line, which changes with each activity and not with every sample."""
     run = "" if state.of is None else f"run {state.run} of {state.of}, "
     what = state.recording.kind if state.recording is not None else ""
     phase = f", {state.recording.phase}" if state.recording is not None and state.recording.phase else ""
     ended = f", {state.status}" if state.status else ""
-    said = f": {state.said}" if state.said else ""
-    return f"{state.campaign}: {run}{ACTIVITY_TEXTS[state.doing]}{ended}{f' {what}{phase}' if what else ''}{said}"
+    reason = f": {state.said}" if state.said else ""
+    return f"{state.campaign}: {run}{ACTIVITY_TEXTS[state.doing]}{ended}{f' {what}{phase}' if what else ''}{reason}"
 
 
 def state_texts(state: "CampaignState") -> dict[str, str]:
-    """Return a state in words, by what each is about."""
+    """Return the fields of a state as text, by name."""
     recording = state.recording
-    words = {
+    texts = {
         "campaign": f"{state.campaign} ({state.plan}, {state.backend})" if state.plan else state.campaign,
         "state": f"{ACTIVITY_TEXTS[state.doing]}{f', {state.status}' if state.status else ''}",
         "what": state.said,
@@ -135,14 +127,14 @@ def state_texts(state: "CampaignState") -> dict[str, str]:
     }
     if recording is not None:
         of = "" if recording.run_s is None else f" of {duration_text(recording.run_s)}"
-        words |= {
+        texts |= {
             "kind": recording.kind,
             "phase": f"{recording.phase}, {duration_text(recording.time_s)}{of}",
             "force": f"{number_text(recording.force_mN, 4)} mN",
             "position": f"{number_text(recording.position_mm, 5)} mm",
             "samples": f"{recording.samples}",
         }
-    return {name: text for name, text in words.items() if text}
+    return {name: text for name, text in texts.items() if text}
 
 
 def state_table(state: "CampaignState") -> "Table":
