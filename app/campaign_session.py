@@ -268,6 +268,11 @@ class Made:
     mirrored: MirrorReport | None = None
     """Content of the mirror; None without one."""
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The run files, in order."""
+        return tuple(run.path for run in self.session.runs if run.path is not None)
+
     def summary(self) -> str:
         """Return one line: how many runs ended in each status."""
         counts = Counter(run.outcome.status.value for run in self.session.runs)

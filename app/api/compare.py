@@ -7,12 +7,12 @@ from dragrig.analysis.comparison.compare import compare_sides
 from dragrig.analysis.comparison.comparison import ComparedSide, Comparison, comparison_frame
 from dragrig.analysis.comparison.sides import model_side, side_from_path, side_from_runs
 from dragrig.analysis.computation import Progress, no_progress
-from dragrig.config.errors import AnalysisError, OutputError
+from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
-from dragrig.config.settings import find_settings
+from dragrig.present.files import unused_path, write_text
 from dragrig.rig.runfile.model import Run
 from dragrig.run_inputs import run_files
-from dragrig.setup import with_effects
+from dragrig.setup import friction_model, with_effects
 
 Comparable = str | Path | Run | Iterable[Run]
 """A campaign's folder, a run file, a run in memory, or several."""
@@ -28,9 +28,9 @@ def compare(
     specimen: str | None = None,
     progress: Progress = no_progress,
 ) -> Comparison:
-    """Compare two campaigns, two runs, or either with the friction model: the plain look before a diagnosis.
+    """Compare two campaigns, two runs, or either with the friction model, run by run.
 
-    Runs are paired by what was done in them (kind, speed, strain, way, capsule, fixture), repeats in order. Runs that
+    Runs are paired by their conditions (kind, speed, strain, direction, capsule, fixture), repeats in order. Runs that
     are marked bad or did not end as planned are left out, unless the file itself is named.
 
     Parameters
@@ -40,19 +40,19 @@ def compare(
     model
         In place of `b`, a friction model: every run of `a` is simulated again on its own recorded motion, noise-free.
     effects
-        What the model has beside its own, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+        Effects added to those of the model, each as `stribeck:ratio=0.4,speed_mm_s=2`.
     specimen
-        Name or id of the specimen that is meant, on each side that holds several; all of them unless given.
+        Name or id of the specimen, on each side that holds several (default: all).
 
     Returns
     -------
-    `pairs` with their measures, traces and phases; `groups`, the largest differences first; runs without a partner
-    and why; `sentences` for a person.
+    `pairs` with their measures, traces and phases; `groups`, the largest differences first; runs without a partner with
+    the reason; `sentences` that summarise.
 
     Raises
     ------
     AnalysisError
-        When no run of one has a partner in the other.
+        When no run has a partner.
     RunFileError, SettingsError
         When a file, a folder or the model cannot be read.
 
@@ -60,8 +60,8 @@ def compare(
     --------
     >>> import dragrig
     >>> slow, fast = (dragrig.simulate("drag", assignments=[f"model.mucus_scale={k}", "way_back=stay"]) for k in (1, 3))
-    >>> found = dragrig.compare(slow, fast)
-    >>> found.groups[0].measure, found.groups[0].verdict.value
+    >>> comparison = dragrig.compare(slow, fast)
+    >>> comparison.groups[0].measure, comparison.groups[0].verdict.value
     ('steady force', 'differs')
     """
     if model is None and effects:
@@ -71,28 +71,26 @@ def compare(
     first = _comparison_side(a, specimen, "A")
     if b is not None:
         return compare_sides(first, _comparison_side(b, specimen, "B"), progress)
-    if isinstance(model, FrictionModelSettings):
-        settings, name = model, model.name
-    else:
-        settings, name = find_settings(FrictionModelSettings, "model", str(model)), Path(str(model)).stem
-    return compare_sides(first, model_side(first, with_effects(settings, effects), name), progress)
+    name = model.name if isinstance(model, FrictionModelSettings) else Path(str(model)).stem
+    settings = with_effects(friction_model(model or name), effects)
+    return compare_sides(first, model_side(first, settings, name), progress)
 
 
 def write_comparison(
     comparison: Comparison, folder: Path, *, overwrite: bool = False, progress: Progress = no_progress
 ) -> Iterator[Path]:
-    """Write the table as CSV, the overview, and a picture of each pair whose traces can be laid over each other.
+    """Write the table as CSV, the overview, and a picture of each pair with overlapping traces.
 
     Yields
     ------
-    Each file as it is written; a name that is taken gets a number unless `overwrite`.
+    Each file as it is written; an existing name gets a number unless `overwrite`.
 
     Raises
     ------
     OutputError
-        When the folder refuses.
+        When the folder cannot be written.
     RunFileError
-        When a run cannot be read any more.
+        When a run cannot be read.
     """
     from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
     from dragrig.present.figure_files import save_figure_in
@@ -101,7 +99,10 @@ def write_comparison(
     total = len(drawable) + 1
     progress(0, total)
     yield save_figure_in(folder, COMPARISON_OVERVIEW, comparison_overview_figure(comparison), overwrite)
-    yield _save_table(comparison, folder, overwrite=overwrite)
+    table = folder / COMPARISON_TABLE
+    if not overwrite:
+        table = unused_path(table, table.suffix)
+    yield write_text(comparison_frame(comparison).to_csv(index=False, lineterminator="\n"), table, overwrite=overwrite)
     names = comparison.a.name, comparison.b.name
     for done, pair in enumerate(drawable, start=1):
         progress(done, total)
@@ -110,30 +111,16 @@ def write_comparison(
 
 
 def comparison_folder(comparison: Comparison, a: str | Path) -> Path:
-    """Return a new folder's name for a comparison: beside the runs of A."""
+    """Return the default folder of a comparison, beside the runs of A."""
     beside = Path(a) if Path(a).is_dir() else Path(a).parent
     other = comparison.b.name.removesuffix(".h5").replace(" ", "-")
     return beside / f"compared-with-{other}"
 
 
-def _comparison_side(given: Comparable, specimen: str | None, name: str) -> ComparedSide:
-    if isinstance(given, Run):
-        return side_from_runs([given], name)
-    if not isinstance(given, str | Path):
-        return side_from_runs(given, name)
-    run_files([given])
-    return side_from_path(Path(given), specimen)
-
-
-def _save_table(comparison: Comparison, folder: Path, *, overwrite: bool) -> Path:
-    path = folder / COMPARISON_TABLE
-    number = 1
-    while path.exists() and not overwrite:
-        number += 1
-        path = folder / f"{Path(COMPARISON_TABLE).stem}-{number}{Path(COMPARISON_TABLE).suffix}"
-    text = comparison_frame(comparison).to_csv(index=False, lineterminator="\n")
-    try:
-        path.write_text(text, "utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
-    return path
+def _comparison_side(runs: Comparable, specimen: str | None, name: str) -> ComparedSide:
+    if isinstance(runs, Run):
+        return side_from_runs([runs], name)
+    if not isinstance(runs, str | Path):
+        return side_from_runs(runs, name)
+    run_files([runs])
+    return side_from_path(Path(runs), specimen)

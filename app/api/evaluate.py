@@ -15,7 +15,7 @@ from dragrig.config.settings import Table, find_settings, merge_tables, parse, r
 from dragrig.config.specimen import Capsule, Specimen
 from dragrig.rig.runfile import Campaign, read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import Run
-from dragrig.setup import with_effects
+from dragrig.setup import friction_model, with_effects
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,7 +42,7 @@ def load(path: str | Path) -> Run:
 
 
 def campaign(folder: str | Path) -> Campaign:
-    """Look at every run file of a folder, attributes only; `campaign(folder).good` leaves out those marked bad.
+    """Read the attributes of every run file of a folder; `campaign(folder).good` leaves out those marked bad.
 
     Raises
     ------
@@ -55,17 +55,17 @@ def campaign(folder: str | Path) -> Campaign:
 def filter_settings(
     sample_rate_hz: float, window_s: float | None, window_samples: int | None, order: int | None, derivative: int
 ) -> SavgolSettings:
-    """Return a filter's settings: the usual window and order at this rate where none are given.
+    """Return a filter's settings, with the default window and order at this rate.
 
     Raises
     ------
     AnalysisError
         When they contradict each other.
     """
-    usual = default_filter_settings(sample_rate_hz)
+    default = default_filter_settings(sample_rate_hz)
     if window_s is None and window_samples is None:
-        window_s, window_samples = usual.window_s, usual.window_samples
-    return SavgolSettings(window_s, window_samples, usual.order if order is None else order, derivative)
+        window_s, window_samples = default.window_s, default.window_samples
+    return SavgolSettings(window_s, window_samples, default.order if order is None else order, derivative)
 
 
 def filter(  # noqa: A001  # the word that people look for
@@ -76,18 +76,18 @@ def filter(  # noqa: A001  # the word that people look for
     order: int | None = None,
     derivative: int = 0,
 ) -> Run:
-    """Smooth every force of a run with a Savitzky–Golay filter, and measure the speed from its position.
+    """Smooth every force of a run with a Savitzky–Golay filter, and compute the speed from its position.
 
     Parameters
     ----------
     run
-        A run in memory, which stays as it is; or a run file, in which the result is stored beside the raw trace.
+        A run in memory, which is not changed; or a run file, in which the result is stored beside the raw trace.
     window_s, window_samples
-        Length of the window, one of the two; 0.05 s unless given.
+        Length of the window, one of the two (default: 0.05 s).
     order
-        Order of the polynomial; 3 unless given.
+        Order of the polynomial (default: 3).
     derivative
-        0 smooths the forces, k gives their k-th derivative by time.
+        0 smooths the forces, k gives their k-th time derivative.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def export(
     to
         A file, or a folder; a folder for a campaign.
     decimal, delimiter
-        Of CSV: `.` or `,`; comma, or semicolon with decimal commas, unless given.
+        Of CSV: `.` or `,`; default delimiter: comma, or semicolon with decimal commas.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def export(
     Raises
     ------
     OutputError
-        When a file exists already, or the folder refuses.
+        When a file exists, or the folder cannot be written.
     RunFileError, AnalysisError
         When the run cannot be read, or decimal mark and delimiter are the same.
 
@@ -190,17 +190,17 @@ def model(
     capsule: str | Path = "drag",
     specimen: str | Path = "jejunum",
 ) -> "pd.DataFrame":
-    """Tabulate what the friction model says of sliding at steady speeds.
+    """Tabulate the steady sliding forces that the friction model predicts.
 
     Parameters
     ----------
     effects
-        What the simulated rig has beside the model's, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+        Effects added to those of the model, each as `stribeck:ratio=0.4,speed_mm_s=2`.
 
     Returns
     -------
     Columns speed_mm_s, f_e_mN (environmental resistance), f_v_mN (viscous), f_c_mN (Coulomb), total_mN; with effects
-    also effects_mN, what they add on the last half of a drag of 40 mm.
+    also effects_mN, the force they add on the last half of a drag of 40 mm.
 
     Raises
     ------
@@ -216,11 +216,8 @@ def model(
 
     from dragrig.sim_backend.friction import steady_forces
 
-    settings = (
-        model if isinstance(model, FrictionModelSettings) else find_settings(FrictionModelSettings, "model", str(model))
-    )
+    settings = with_effects(friction_model(model), effects)
     body = find_settings(Capsule, "capsule", str(capsule))
-    settings = with_effects(settings, effects)
     thickness = find_settings(Specimen, "specimen", str(specimen)).wall_thickness_mm
     forces = steady_forces(speeds_mm_s, settings, body, thickness)
     frame = pd.DataFrame(
@@ -243,16 +240,16 @@ def model(
 def import_settings(
     assignments: Sequence[str], given: Mapping[str, object], file: str | Path | None = None
 ) -> ImportSettings:
-    """Put together how a measurement is read.
+    """Return the settings of an import.
 
     Parameters
     ----------
     assignments
-        Which column is which quantity, each `QUANTITY=COLUMN:UNIT`, as `force=Load:N`.
+        Column and unit of each quantity, as `force=Load:N`.
     given
         Further keys of `ImportSettings`, as `decimal` or `sample_rate_hz`.
     file
-        TOML file with the same keys; what is given besides wins.
+        TOML file with the same keys, which the other arguments override.
 
     Raises
     ------
@@ -266,8 +263,8 @@ def import_settings(
 
 
 def next_run_order(folder: Path) -> int:
-    """Return the order that the next run of a folder gets: after all that are there."""
-    return max((one.header.order + 1 for one in read_campaign(folder).runs), default=0)
+    """Return the order of the next run of a folder."""
+    return max((run.header.order + 1 for run in read_campaign(folder).runs), default=0)
 
 
 def import_run(
@@ -278,27 +275,26 @@ def import_run(
     settings: str | Path | None = None,
     **given: object,
 ) -> ImportedRun:
-    """Turn a foreign measurement (CSV and other text, MAT, Parquet, TDMS, NPZ) into a run file.
+    """Convert a foreign measurement (CSV and other text, MAT, Parquet, TDMS, NPZ) into a run file.
 
     Parameters
     ----------
     to
-        A run file to be, or a folder in which it gets its usual name.
+        The run file to write, or a folder in which it gets its default name.
     columns
-        Which column is which quantity: `{"time": "t:s", "force": "Load:N"}`. Needed unless the file is an
-        export of this software.
+        Column and unit of each quantity: `{"time": "t:s", "force": "Load:N"}`; an export of this software needs none.
     settings
-        TOML file with the same keys, for measurements that come again and again.
+        TOML file with the same keys, for recurring measurements.
     given
         Further settings: `decimal`, `delimiter`, `encoding`, `sample_rate_hz`, `resample_hz`, `kind`, …. In a
-        folder, `order` follows those of the runs that are there.
+        folder, `order` continues that of its runs.
 
     Raises
     ------
     ImportDataError
         When the file does not hold what the settings say.
     OutputError
-        When something stands at the target already, or it cannot be written.
+        When the target exists or cannot be written.
     SettingsError
         For a setting that is not allowed.
 

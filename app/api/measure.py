@@ -5,9 +5,15 @@ from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Unpack
 
-from dragrig import campaign_session as campaigns
-from dragrig import setup as backends
-from dragrig.campaign_session import Made, SessionOperator, SessionOptions, discard_message, run_session
+from dragrig.campaign_session import (
+    Made,
+    SessionOperator,
+    SessionOptions,
+    discard_message,
+    resume_campaign,
+    run_session,
+    start_campaign,
+)
 from dragrig.config.errors import OutputError
 from dragrig.rig.devices import BackendRequest, RigCheck
 from dragrig.rig.memory import MemoryStore
@@ -21,6 +27,7 @@ from dragrig.setup import (
     RigChoices,
     RigSetup,
     SetupChoices,
+    find_backend,
     open_backend,
     resolve,
     resolve_rig,
@@ -28,12 +35,12 @@ from dragrig.setup import (
 
 
 def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
-    """Look at the rig's limits, calibrations and devices, and tell one after the other; nothing moves.
+    """Check the rig's limits, calibrations and devices one after the other; nothing moves.
 
     Parameters
     ----------
     choices
-        `rig`, `model`: a file or a shipped name each; `backend`: a name; `double`: whether its double is meant;
+        `rig`, `model`: a file or a shipped name each; `backend`: a name; `double`: whether to use its double;
         `assignments`: changes as on the command line, `["rig.hardware.drive.port=COM3"]`.
 
     Raises
@@ -41,7 +48,7 @@ def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
     SettingsError
         For settings that cannot be used at all.
     DeviceError
-        When the backend cannot be loaded; what a device refuses is a finding.
+        When the backend cannot be loaded; a device that fails is a finding.
 
     Examples
     --------
@@ -66,18 +73,18 @@ def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
 
 
 def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> Preflight:
-    """Say what a plan would do and what forbids it; nothing moves.
+    """Check what a plan would do and which limits it violates; nothing moves.
 
     Parameters
     ----------
     plan
         A shipped plan's name, a file, a `Plan`, or a protocol.
     out
-        Folder whose free space counts; the rig's data root unless given.
+        Folder whose free space is checked (default: the rig's data root).
     choices
         `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each, or the model itself; `backend`: a name;
-        `double`: whether its double is meant, in place of the hardware; `effects`: what the simulated rig has beside
-        the model's, `["stribeck:ratio=0.4,speed_mm_s=2"]`; `assignments`: changes as on the command line,
+        `double`: whether to use its double, in place of the hardware; `effects`: added to those of the model of the
+        simulated rig, `["stribeck:ratio=0.4,speed_mm_s=2"]`; `assignments`: changes as on the command line,
         `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
 
     Raises
@@ -92,7 +99,7 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     ()
     """
     setup = resolve(plan, **choices)
-    backends.find_backend(setup.backend, double=setup.double)
+    find_backend(setup.backend, double=setup.double)
     folder = Path(out) if out is not None else setup.data_root
     further = len(setup.rig.hardware.card.inputs) if setup.backend == "hardware" else None
     return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further)
@@ -106,13 +113,13 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
     plan
         A shipped plan's name, a file, a `Plan`, or a protocol, as `Drag(speed_mm_s=5)`.
     out
-        Folder for run files, new or without runs; unless given, the runs stay in memory.
+        Folder for run files, new or without runs (default: none, the runs stay in memory).
     choices
         As of `check`.
 
     Returns
     -------
-    The runs in the order they were made, ways back included.
+    The runs in order, return strokes included.
 
     Raises
     ------
@@ -132,9 +139,9 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
     choices["backend"] = "simulated"
     setup = resolve(plan, **choices)
     if out is not None:
-        made = campaigns.start_campaign(setup, Path(out), SessionOptions(Path(out)), None)
+        made = start_campaign(setup, Path(out), SessionOptions(Path(out)), None)
         made.session.require()
-        return tuple(read_run(one.path) for one in made.session.runs if one.path is not None)
+        return tuple(map(read_run, made.files))
     store = MemoryStore()
     run_session(setup, lambda _record: nullcontext(store), SessionOptions(Path())).require()
     return tuple(store.runs)
@@ -161,17 +168,16 @@ def run(
     plan
         A shipped plan's name, a file, a `Plan`, or a protocol.
     out
-        Folder of the campaign, new or without runs; one below the rig's data root unless given.
+        Folder of the campaign, new or without runs (default: a new one in the rig's data root).
     operator, note
-        Kept in the run files.
+        Stored in the run files.
     pace
-        Of a simulated rig: as fast as it can unless given, or as fast as a real one. Of a double: as fast as a real one
-        unless given, or so many times faster.
+        Of a simulated rig: "fast" (default) or "real". Of a double: "real" (default), or this many times faster.
     person
-        Who answers prompts and watches; without one, every prompt counts as done.
+        Answers prompts and observes (default: every prompt counts as done).
     mirror
-        Folder, on another disk, that gets a second copy of each finished file, compared after reading it back. It never
-        holds a run up; `made.mirrored` says what is in it and what is not.
+        Folder, on another disk, for a second copy of each finished file, verified by reading it back. It never delays a
+        run; `made.mirrored` lists what was copied and what was not.
     tell
         Called with a sentence, from any thread, when a file cannot be mirrored.
     choices
@@ -196,7 +202,7 @@ def run(
     """
     setup = resolve(plan, **choices)
     folder = Path(out) if out is not None else None
-    return campaigns.start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell), person)
+    return start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell), person)
 
 
 def resume(
@@ -210,17 +216,17 @@ def resume(
     mirror: str | Path | None = None,
     tell: Callable[[str], None] = discard_message,
 ) -> Made:
-    """Go on with a campaign that ended early, with the settings it was begun with.
+    """Resume a campaign that ended early, with its own settings.
 
-    Runs that a crash left unfinished are recovered first; every run that is not complete, or is marked bad, is
-    made again.
+    Runs that a crash left unfinished are recovered first; every run that is not complete, or is marked bad, is made
+    again.
 
     Parameters
     ----------
     assignments
         Changes to the rig, as `["rig.guard.force_limit_mN=9000"]`; nothing else can be changed.
     mirror, tell
-        As of `run`; the runs that were there before are copied too.
+        As of `run`; earlier runs are copied too.
 
     Raises
     ------
@@ -232,11 +238,11 @@ def resume(
     folder = Path(campaign)
     if not folder.is_dir():
         raise OutputError(f"{folder}: there is no such campaign; name the folder that run printed.")
-    return campaigns.resume_campaign(folder, _session_options(operator, note, pace, mirror, tell), person, assignments)
+    return resume_campaign(folder, _session_options(operator, note, pace, mirror, tell), person, assignments)
 
 
 def _session_options(
     operator: str, note: str, pace: Pace | None, mirror: str | Path | None, tell: Callable[[str], None]
 ) -> SessionOptions:
-    to = None if mirror is None else Path(mirror)
-    return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=to, tell=tell)
+    target = None if mirror is None else Path(mirror)
+    return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell)

@@ -6,11 +6,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig import campaign_session as campaigns
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.export import ExportFormat, export_run
 from dragrig.analysis.savgol import filter_file
-from dragrig.campaign_session import Made, SessionOperator, SessionOptions
+from dragrig.api.identify import IdentifiedCampaign, identify
+from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
 from dragrig.present.files import (
     PAPER_MODEL_FILE,
@@ -33,30 +33,27 @@ from dragrig.setup import Setup, resolve
 if TYPE_CHECKING:
     from dragrig.analysis.identification.identification import Identification
     from dragrig.analysis.paper.published import PaperFinding
-    from dragrig.api.identify import IdentifiedCampaign
     from dragrig.present.campaign import CampaignReportData
     from dragrig.present.paper import PaperReportData
 
 
 MEASURING_SHARE, DRAWING_SHARE = 1, 9
-"""How the work on a campaign is shared between the two."""
+"""Shares of the progress of a campaign report."""
 
 
 def report(
     source: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress = no_progress
 ) -> Path:
-    """Write a report on a run or a campaign: one HTML file with its figures inside, which needs no network.
+    """Write a report on a run or a campaign: one HTML file with embedded figures, which needs no network.
 
     Parameters
     ----------
     source
         A run file, or the folder of a campaign.
     out
-        The file; unless given, it is named after the run and stands beside it, or after the campaign and stands in it.
+        The file (default: beside the run, or in the campaign, named after it).
     overwrite
-        Whether a file that is there already may be replaced.
-    progress
-        Called with how much is done, and of how much.
+        Whether an existing file may be replaced.
 
     Returns
     -------
@@ -67,7 +64,7 @@ def report(
     RunFileError
         When there is no run to report on, or it cannot be read.
     OutputError
-        When the file is there already, or its folder refuses.
+        When the file exists, or its folder cannot be written.
 
     Examples
     --------
@@ -83,7 +80,7 @@ def report(
 
 
 def default_report_file(source: Path) -> Path:
-    """Return where the report on a run or a campaign stands unless told otherwise."""
+    """Return the default path of the report on a run or a campaign."""
     from dragrig.rig.runfile.schema import run_name
 
     return source / f"{source.resolve().name}.html" if source.is_dir() else source.with_name(f"{run_name(source)}.html")
@@ -102,14 +99,14 @@ def _campaign_report(folder: Path, progress: Progress) -> str:
 
     whole = MEASURING_SHARE + DRAWING_SHARE
     results = campaign_results(folder, lambda done, of: progress(MEASURING_SHARE * done, whole * max(of, 1)))
-    drawn = inline_campaign_figures(
+    figures = inline_campaign_figures(
         results, lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * of)
     )
-    return campaign_page(results, drawn)
+    return campaign_page(results, figures)
 
 
 def campaign_results(folder: Path, progress: Progress = no_progress) -> "CampaignReportData":
-    """Look at a campaign whole: its runs in numbers, its sessions.
+    """Collect the measures of a campaign's runs, and its sessions.
 
     Raises
     ------
@@ -131,14 +128,14 @@ def campaign_results(folder: Path, progress: Progress = no_progress) -> "Campaig
 
 PAPER_PLAN = "paper"
 PAPER_SEED = 20120509
-"""Seed of noise, zeros and variation unless another is given."""
+"""Default seed of noise, zeros and variation."""
 MAX_SEED = 2**63 - 1
-"""As far as whole numbers go in settings."""
+"""Largest integer that TOML settings can hold."""
 PAPER_RATE_HZ = 500.0
 IDENTIFYING_STEPS, WRITING_STEPS = 20, 20
-"""What comes after the runs, counted as so many of them."""
+"""Progress steps after the runs, each counted as a run."""
 PAPER_NOTE = "made by dragrig paper"
-"""Every run carries it, so that nobody else's run is ever replaced."""
+"""Note in every run, so that no other run is ever replaced."""
 
 PaperWall = Literal["eq14", "table1"]
 PaperViscous = Literal["published", "newtonian"]
@@ -146,10 +143,7 @@ PaperViscous = Literal["published", "newtonian"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperReport:
-    """What `paper` left: the folder with its runs, the report and the tables, and what they hold.
-
-    `model` is the identified friction model, a file that the simulator loads; None where the fit did not converge.
-    """
+    """The result of `paper`; `model` is None where the fit did not converge."""
 
     folder: Path
     report: Path
@@ -178,16 +172,14 @@ def paper(
     out
         Folder of the campaign, the report, the tables and the identified model.
     wall, viscous
-        Which of the paper's wall parameters, and which reading of Eq. 10, is simulated.
+        The paper's wall parameters, and the reading of Eq. 10, to simulate.
     overwrite
-        Whether runs and report of an earlier call may be replaced; other people's runs never are.
-    progress
-        Called with how many runs are made and steps are done, and of how many.
+        Whether runs and report of an earlier call may be replaced; other runs never are.
 
     Raises
     ------
     OutputError
-        When the folder holds runs, a report, tables or a model already, or refuses.
+        When the folder holds runs, a report, tables or a model, or cannot be written.
     SettingsError
         For a choice that does not exist.
 
@@ -199,15 +191,16 @@ def paper(
     """
     folder, setup = Path(out), paper_setup(seed, wall, viscous)
     clear_paper_folder(folder, overwrite=overwrite)
-    counted = _RunCounter(progress)
-    made = campaigns.start_campaign(setup, folder, SessionOptions(folder, note=PAPER_NOTE), counted)
+    counter = _RunCounter(progress)
+    made = start_campaign(setup, folder, SessionOptions(folder, note=PAPER_NOTE), counter)
     made.session.require()
-    found = identify_paper_runs(folder, setup, counted.share(IDENTIFYING_STEPS))
-    return _write_paper_files(made, found, _paper_results(made, setup, found), counted.share(WRITING_STEPS))
+    identified = identify(folder, model=setup.model, progress=counter.step(IDENTIFYING_STEPS))
+    data = _paper_data(made, setup, identified)
+    return _write_paper_files(made, identified, data, counter.step(WRITING_STEPS))
 
 
 class _RunCounter(NullOperator):
-    """Follows a session, and what is made of it afterwards, to tell how far both are."""
+    """Progress of a session and of the steps after it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress = progress
@@ -222,77 +215,64 @@ class _RunCounter(NullOperator):
         self._done += 1
         self._progress(self._done, self._of)
 
-    def share(self, steps: int) -> Progress:
-        """Return what follows a piece of work that counts as so many runs."""
+    def step(self, steps: int) -> Progress:
+        """Return the progress of a step that counts as so many runs."""
         before = self._done
         self._done += steps
 
-        def follow(done: int, of: int) -> None:
+        def report_step(done: int, of: int) -> None:
             self._progress(before + steps * done // max(of, 1), self._of)
 
-        return follow
-
-
-def identify_paper_runs(folder: Path, setup: Setup, progress: Progress = no_progress) -> "IdentifiedCampaign":
-    """Identify the campaign, the scales counted from the model that was simulated."""
-    from dragrig.api.identify import identify
-
-    return identify(folder, model=setup.model, progress=progress)
+        return report_step
 
 
 def _write_paper_files(
-    made: "Made", found: "IdentifiedCampaign", results: "PaperReportData", progress: Progress
+    made: Made, identified: IdentifiedCampaign, data: "PaperReportData", progress: Progress
 ) -> PaperReport:
     """Write model, tables and report beside the runs."""
     from dragrig.present.paper import inline_paper_figures, paper_page, paper_tables
 
-    runs = tuple(one.path for one in made.session.runs if one.path is not None)
-    model = _write_paper_model(found, made.folder)
-    tabulated = paper_tables(results)
-    written = write_texts(made.folder, {f"{name}.csv": table.csv() for name, table in tabulated.items()})
-    progress(1, 3)
-    drawn = inline_paper_figures(results)
-    progress(2, 3)
-    text = paper_page(results, tabulated, drawn, None if model is None else model.name)
-    (report,) = write_texts(made.folder, {PAPER_REPORT_FILE: text})
-    progress(3, 3)
-    return PaperReport(made.folder, report, model, written, runs, results.identification, results.findings)
-
-
-def _write_paper_model(found: "IdentifiedCampaign", folder: Path) -> Path | None:
-    """Write the model that the simulator loads; None, and no older one left, where the fit did not converge."""
+    folder, tables = made.folder, paper_tables(data)
+    model: Path | None
     try:
-        text = found.toml()
-    except AnalysisError:
+        (model,) = write_texts(folder, {PAPER_MODEL_FILE: identified.toml()})
+    except AnalysisError:  # without a model; an earlier one must not stay
         remove_file(folder / PAPER_MODEL_FILE)
-        return None
-    return write_texts(folder, {PAPER_MODEL_FILE: text})[0]
+        model = None
+    written = write_texts(folder, {f"{name}.csv": table.csv() for name, table in tables.items()})
+    progress(1, 3)
+    figures = inline_paper_figures(data)
+    progress(2, 3)
+    page = paper_page(data, tables, figures, None if model is None else model.name)
+    (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: page})
+    progress(3, 3)
+    return PaperReport(folder, report_file, model, written, made.files, data.identification, data.findings)
 
 
-def _paper_results(made: "Made", setup: Setup, found: "IdentifiedCampaign") -> "PaperReportData":
+def _paper_data(made: Made, setup: Setup, identified: IdentifiedCampaign) -> "PaperReportData":
     from dragrig.analysis.paper.reproduction import all_findings, element_rows
     from dragrig.config.settings import find_settings
     from dragrig.config.specimen import Capsule
     from dragrig.present.paper import PaperReportData
     from dragrig.sim_backend.devices.variability import draw_run_model
 
-    simulated, result = setup.rig.simulated, found.result
-    of_run = {
-        one.path.name: draw_run_model(setup.model, simulated.variation, simulated.seed, one.order)
-        for one in made.session.runs
-        if one.path is not None
+    simulated, result = setup.rig.simulated, identified.result
+    models = {
+        run.path.name: draw_run_model(setup.model, simulated.variation, simulated.seed, run.order)
+        for run in made.session.runs
+        if run.path is not None
     }
-    traces = {one.file: one.run for one in found.selection.experiments}
+    traces = {experiment.file: experiment.run for experiment in identified.selection.experiments}
     first = result.coulomb.runs[0].file if result.coulomb is not None and result.coulomb.runs else ""
     return PaperReportData(
         model=setup.model,
         capsule=find_settings(Capsule, "capsule", "drag"),
         wall_thickness_mm=setup.specimen.wall_thickness_mm,
         rig=setup.rig,
-        runs=len(of_run),
-        of_run=of_run,
+        runs=len(models),
+        of_run=models,
         identification=result,
-        elements=element_rows(result.relaxation, setup.model, of_run),
+        elements=element_rows(result.relaxation, setup.model, models),
         findings=all_findings(),
         coulomb_trace=traces.get(first),
     )
@@ -318,24 +298,26 @@ def paper_setup(seed: int, wall: str, viscous: str) -> Setup:
 
 
 def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
-    """Take away what an earlier call left; raises `OutputError` for what may not be replaced."""
+    """Remove the files of an earlier call; raises `OutputError` for files that may not be replaced."""
     if not folder.is_dir():
         return
-    here = read_campaign(folder)
-    held = [one.path for one in here.runs] + [path for path, _ in here.unreadable] + list(here.recordings)
-    written = existing_files(folder, (PAPER_REPORT_FILE, PAPER_MODEL_FILE, *(f"{name}.csv" for name in PAPER_TABLES)))
-    own = {one.path for one in here.runs if one.header.entry.get("note") == PAPER_NOTE}
-    foreign = next((path for path in held if path not in own), None)
+    campaign = read_campaign(folder)
+    runs = [run.path for run in campaign.runs] + [path for path, _ in campaign.unreadable] + list(campaign.recordings)
+    names = (PAPER_REPORT_FILE, PAPER_MODEL_FILE, *(f"{name}.csv" for name in PAPER_TABLES))
+    own = [run for run in campaign.runs if run.header.entry.get("note") == PAPER_NOTE]
+    own_paths = {run.path for run in own}
+    foreign = next((path for path in runs if path not in own_paths), None)
     if foreign is not None:
         raise OutputError(f"{foreign}: is no run of dragrig paper and is not replaced; name another folder.")
-    if not overwrite and (held or written):
-        raise OutputError(f"{(*held, *written)[0]}: is there already; name another folder, or say --overwrite.")
-    one_each = {one.header.settings_toml: one.path for one in here.runs if one.path in own}
-    beside = {folder / session_record_of_run(path).file_name() for path in one_each.values()}
-    beside |= {schema.mark_path(path) for path in own}
+    if not overwrite and (existing := (*runs, *existing_files(folder, names))):
+        raise OutputError(f"{existing[0]}: is there already; name another folder, or say --overwrite.")
+    # One session wrote all runs with the same settings.
+    one_per_session = {run.header.settings_toml: run.path for run in own}
+    beside = {folder / session_record_of_run(path).file_name() for path in one_per_session.values()}
+    beside |= {schema.mark_path(path) for path in own_paths}
     beside |= {folder / STATE_FILE} if own else set()
     try:
-        for path in (*sorted(own), *sorted(beside)):
+        for path in (*sorted(own_paths), *sorted(beside)):
             remove_file(path)
     except OSError as error:
         raise OutputError(f"{error.filename}: cannot be replaced ({error.strerror}); choose another folder.") from error
@@ -356,13 +338,13 @@ def run_demo(out: Path, person: SessionOperator) -> Made:
     """
     setup = resolve(DEMO_PLAN, rig="bench", backend="simulated")
     folder = out / f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-    made = campaigns.start_campaign(setup, folder, SessionOptions(folder, note="demonstration"), person)
+    made = start_campaign(setup, folder, SessionOptions(folder, note="demonstration"), person)
     made.session.require()
     return made
 
 
 def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
-    """Filter and export every run of the campaign, draw all but the ways back; return the picture of the whole.
+    """Filter and export every run of the campaign, draw all but the return strokes; return the overview picture.
 
     Raises
     ------
@@ -373,15 +355,15 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
     from dragrig.present.figure_files import save_figure_in
     from dragrig.present.run_figures import run_figure
 
-    paths = [one.path for one in made.session.runs if one.path is not None]
-    own = {one.path for one in made.session.runs if one.run.follows < 0}
+    paths = made.files
+    drawn = {run.path for run in made.session.runs if run.run.follows < 0}
     tables = made.folder / DEMO_TABLES
     tables.mkdir(exist_ok=True)
     for done, path in enumerate(paths):
         progress(done, len(paths) + 1)
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
-        if path in own:
+        if path in drawn:
             save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
     return save_figure_in(made.folder, DEMO_OVERVIEW, campaign_figure(map(read_run, paths), DEMO_PLAN))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
 from pathlib import Path
-from typing import TypeVar, Unpack
+from typing import Generic, TypeVar, Unpack
 
 from dragrig.campaign_session import PromptRelay, run_on_worker
 from dragrig.config.errors import AbortedError, DeviceError, SettingsError
@@ -31,11 +31,12 @@ from dragrig.rig.sensor_calibration import (
 from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
 
 ResultT = TypeVar("ResultT")
+PointT = TypeVar("PointT", MeasuredLoad, MeasuredTravel)
 
 
 @dataclass(frozen=True, slots=True)
 class OpenRig:
-    """An open rig, and what moves it by hand."""
+    """An open rig and its manual control."""
 
     setup: RigSetup
     backend: Backend
@@ -44,7 +45,7 @@ class OpenRig:
 
 @dataclass(frozen=True, slots=True)
 class MoveResult:
-    """Where the stage is [mm], and what the guard is tripped on still."""
+    """Position of the stage [mm], and why the guard is still tripped."""
 
     position_mm: float
     trip: Trip | None = None
@@ -62,11 +63,11 @@ def home(
     Parameters
     ----------
     override
-        Side whose limit switch is pressed and may be.
+        Side whose pressed limit switch is ignored.
     pace
         Of a simulated rig, or of a double.
     person
-        Who is asked before anything moves; nobody unless given, which will not do where hands are needed.
+        Confirms every motion (default: nobody, which fails where hands at the rig are needed).
     choices
         As of `examine`.
 
@@ -93,7 +94,7 @@ def jog(
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
 ) -> MoveResult:
-    """Move the stage by a signed distance; the rest as of `home` and `Manual.jog`."""
+    """Move the stage by a signed distance; otherwise as `home` and `ManualControl.jog`."""
 
     def work(bench: OpenRig) -> MoveResult:
         if override is None:
@@ -101,7 +102,7 @@ def jog(
         return MoveResult(bench.manual.jog(distance_mm, speed_mm_s, override), bench.manual.trip)
 
     setup = resolve_rig(**choices)
-    # Looked at before anybody is asked to do anything; so below.
+    # Checked before the operator is asked for anything, here and below.
     require_jog(distance_mm, speed_mm_s, override, setup.limits)
     return run_on_bench(work, setup, pace, person)
 
@@ -117,28 +118,25 @@ def touch_off(
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
 ) -> ContactPoint:
-    """Approach slowly until the force changes, and keep the contact in the lab folder; the rest as of `home`.
+    """Approach slowly until the force changes, and store the contact in the lab folder; otherwise as `home`.
 
     Raises
     ------
     SettingsError
-        Outside of a lab folder, too: nothing moves then.
+        Also outside of a lab folder; nothing moves then.
     """
     setup = resolve_rig(**choices)
-    folder = setup.rig_folder
-    if folder is None:
-        raise SettingsError("touch-off: there is no lab folder to keep the contact in; make one with dragrig init.")
+    folder = _require_lab(setup, "touch-off")
     require_touch_off(force_mN, speed_mm_s, most_mm, back_mm, setup.limits)
 
     def work(bench: OpenRig) -> ContactPoint:
         bench.manual.reset()
-        found = bench.manual.touch_off(force_mN, speed_mm_s, most_mm, back_mm)
+        touch = bench.manual.touch_off(force_mN, speed_mm_s, most_mm, back_mm)
+        position_mm, change_mN = round(touch.position_mm, 4), round(touch.force_mN, 2)
         now = bench.backend.clock.now()
-        kept = ContactPoint(
-            position_mm=round(found.position_mm, 4), made_at=now, force_mN=round(found.force_mN, 2), operator=operator
-        )
-        write_contact(folder, kept)
-        return kept
+        contact = ContactPoint(position_mm=position_mm, made_at=now, force_mN=change_mN, operator=operator)
+        write_contact(folder, contact)
+        return contact
 
     return run_on_bench(work, setup, pace, person)
 
@@ -146,14 +144,14 @@ def touch_off(
 def run_on_bench(
     work: Callable[[OpenRig], ResultT], setup: RigSetup, pace: Pace | None = None, person: Operator | None = None
 ) -> ResultT:
-    """Open a rig, do some work on it with Ctrl-C heard and people asked on the calling thread, and switch it off.
+    """Open a rig, work on it, and switch it off; the calling thread handles Ctrl-C and prompts.
 
     Raises
     ------
     AbortedError
-        When somebody ended it.
+        When the operator ended it.
     DragrigError
-        What the work raises; when the rig cannot be opened or switched off, too.
+        What the work raises; also when the rig cannot be opened or switched off.
     """
     paced, operator = resolve_pace(pace, double=setup.double), PromptRelay(person or NullOperator())
     request = BackendRequest(
@@ -164,7 +162,7 @@ def run_on_bench(
         engine = Engine(backend, setup.rig, guard)
         bench = OpenRig(setup, backend, ManualControl(backend, guard, engine, operator))
         try:
-            done = run_on_worker(lambda: work(bench), engine.abort, operator)
+            result = run_on_worker(lambda: work(bench), engine.abort, operator)
         except (AbortedError, DeviceError) as error:
             if engine.cancelled.is_set():
                 raise AbortedError(f"ended early ({engine.abort_reason}): the stage is stopped, and off.") from error
@@ -173,32 +171,22 @@ def run_on_bench(
             failures = park(backend)
         if failures:
             raise DeviceError(f"{'; '.join(failures)}.")
-        return done
+        return result
 
 
 _MAX_REPEATS = 100
 _MAX_DURATION_S = 600.0
 _MAX_COUNT_DEVIATION = 0.01
-"""Part by which a count may differ from the encoder's resolution without a word."""
+"""Relative difference of a count from the encoder's resolution that is not noted."""
 
 
 @dataclass(frozen=True, slots=True)
-class ForceCalibration:
-    """A calibration of the force sensor as it was kept, its points, and what a person should be told."""
+class SensorCalibration(Generic[PointT]):
+    """A stored calibration, its fitted line, its points, and remarks."""
 
     entry: Calibration
     line: CalibrationLine
-    points: tuple[MeasuredLoad, ...]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class EncoderCalibration:
-    """A calibration of the encoder as it was kept, its points, and what a person should be told."""
-
-    entry: Calibration
-    line: CalibrationLine
-    points: tuple[MeasuredTravel, ...]
+    points: tuple[PointT, ...]
     notes: tuple[str, ...]
 
 
@@ -212,36 +200,36 @@ def calibrate_force(
     pace: Pace | None = None,
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
-) -> ForceCalibration:
-    """Calibrate the force sensor with known weights and keep the result in the lab's history.
+) -> SensorCalibration[MeasuredLoad]:
+    """Calibrate the force sensor with known weights and add the result to the lab's history.
 
     Parameters
     ----------
     weights_g
-        At least three distinct ones; 0 is the empty sensor.
+        At least three distinct weights; 0 is the empty sensor.
     repeats
-        How often all are hung on, up and down in turns.
+        Number of series, up and down alternately.
     duration_s
-        How long each is read.
+        Duration of each reading.
     pace, person, choices
         As of `home`.
 
     Raises
     ------
     SettingsError
-        Outside of a lab folder, for weights that make no line, and for readings that do not follow them.
+        Outside of a lab folder, for weights that determine no line, and for readings that do not follow them.
     DeviceError, AbortedError
-        When the sensor is overloaded or fails, and when the person says so; nothing is kept then.
+        When the sensor is overloaded or fails, and when the operator aborts; nothing is stored then.
     """
     setup = resolve_rig(**choices)
     folder = _require_lab(setup)
     require_loads(weights_g)
     _require_repeats(repeats, duration_s)
 
-    def work(bench: OpenRig) -> ForceCalibration:
+    def work(bench: OpenRig) -> SensorCalibration[MeasuredLoad]:
         rig = setup.rig
         points = tuple(measure_loads(bench.backend, rig, bench.manual, tuple(weights_g), repeats, duration_s))
-        line = fit_force([one.load_mN for one in points], [one.reading.force_V for one in points])
+        line = fit_force([point.load_mN for point in points], [point.reading.force_V for point in points])
         notes = []
         if line.residual > rig.force_sensor.accuracy_mN:
             notes.append(
@@ -251,7 +239,7 @@ def calibrate_force(
         now = bench.backend.clock.now()
         entry = _calibration_entry("force", line, now, setup, rig.force_sensor.serial, operator, (note, *notes))
         append_calibration(folder, entry)
-        return ForceCalibration(entry, line, points, tuple(notes))
+        return SensorCalibration(entry, line, points, tuple(notes))
 
     return run_on_bench(work, setup, pace, person)
 
@@ -269,22 +257,22 @@ def calibrate_encoder(
     pace: Pace | None = None,
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
-) -> EncoderCalibration:
-    """Calibrate the encoder over a known travel and keep the result in the lab's history.
+) -> SensorCalibration[MeasuredTravel]:
+    """Calibrate the encoder over a known travel and add the result to the lab's history.
 
     Parameters
     ----------
     travel_mm
-        Signed travel that the stage is driven, or pushed by hand.
+        Signed travel of the stage, driven or pushed by hand.
     measured_mm
-        What it really was at each repeat, where somebody measured it.
+        Measured travel of each repeat, where it was measured.
     by_hand
-        Whether the stage is switched off and pushed, for `duration_s` each time.
+        Whether the stage is switched off and pushed, within `duration_s` each time.
 
     Raises
     ------
     SettingsError, DeviceError, AbortedError, TrippedError
-        As `calibrate_force` and `Manual.jog`; nothing is kept then.
+        As `calibrate_force` and `ManualControl.jog`; nothing is stored then.
     """
     setup = resolve_rig(**choices)
     folder = _require_lab(setup)
@@ -294,10 +282,10 @@ def calibrate_encoder(
     require_speed(speed_mm_s, setup.limits)
     if abs(travel_mm) > setup.limits.highest_mm - setup.limits.lowest_mm:
         raise SettingsError(
-            f"travel_mm = {travel_mm:g}: is longer than the stage's way from {setup.limits.lowest_mm:g} to "
+            f"travel_mm = {travel_mm:g}: is longer than the stage's range from {setup.limits.lowest_mm:g} to "
             f"{setup.limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
         )
-    if measured_mm and (len(measured_mm) != repeats or any(one * travel_mm <= 0 for one in measured_mm)):
+    if measured_mm and (len(measured_mm) != repeats or any(measured * travel_mm <= 0 for measured in measured_mm)):
         raise SettingsError(
             f"measured_mm: needs one value of the travel's sign for each of {repeats} repeats, and there are "
             f"{len(measured_mm)}."
@@ -305,19 +293,19 @@ def calibrate_encoder(
     known = setup.calibrations().get("encoder")
     count_mm = known.gain if known is not None else 1e-3 * setup.rig.encoder.resolution_um
 
-    def work(bench: OpenRig) -> EncoderCalibration:
+    def work(bench: OpenRig) -> SensorCalibration[MeasuredTravel]:
         bench.manual.reset()
         if by_hand:
             travels = measured_mm or [travel_mm if repeat % 2 == 0 else -travel_mm for repeat in range(repeats)]
             points = tuple(measure_pushed_travel(bench.backend, bench.manual, travels, duration_s))
         else:
             points = tuple(measure_driven_travel(bench.manual, count_mm, travel_mm, speed_mm_s, measured_mm, repeats))
-        line = fit_encoder([one.travel_mm for one in points], [one.counts for one in points])
+        line = fit_encoder([point.travel_mm for point in points], [point.counts for point in points])
         notes = _encoder_notes(line, setup, known_travel=by_hand or bool(measured_mm))
         now = bench.backend.clock.now()
         entry = _calibration_entry("encoder", line, now, setup, "", operator, (note, *notes))
         append_calibration(folder, entry)
-        return EncoderCalibration(entry, line, points, notes)
+        return SensorCalibration(entry, line, points, notes)
 
     return run_on_bench(work, setup, pace, person)
 
@@ -328,13 +316,13 @@ def _encoder_notes(line: CalibrationLine, setup: RigSetup, *, known_travel: bool
     if abs(1e3 * line.gain / resolution_um - 1) > _MAX_COUNT_DEVIATION:
         notes.append(f"a count of {1e3 * line.gain:.5g} µm is not encoder.resolution_um = {resolution_um:g}")
     if not known_travel:
-        notes.append("the travel is the drive's word; measure it with a gauge to calibrate beyond that")
+        notes.append("the travel is that of the drive; measure it with a gauge for an independent calibration")
     return tuple(notes)
 
 
-def _require_lab(setup: RigSetup) -> Path:
+def _require_lab(setup: RigSetup, command: str = "calibrate") -> Path:
     if setup.rig_folder is None:
-        raise SettingsError("calibrate: there is no lab folder to keep the result in; make one with dragrig init.")
+        raise SettingsError(f"{command}: there is no lab folder to store the result in; make one with dragrig init.")
     return setup.rig_folder
 
 
@@ -368,5 +356,5 @@ def _calibration_entry(
         residual=line.residual,
         points=line.points,
         operator=operator,
-        note="; ".join(one for one in notes if one),
+        note="; ".join(filter(None, notes)),
     )

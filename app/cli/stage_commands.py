@@ -9,7 +9,8 @@ from dragrig.cli.console import print_json, print_remark, print_result
 from dragrig.present.numbers import text_columns
 
 if TYPE_CHECKING:
-    from dragrig.api.stage import EncoderCalibration, ForceCalibration
+    from dragrig.api.stage import SensorCalibration
+    from dragrig.rig.sensor_calibration import MeasuredLoad, MeasuredTravel
 
 
 @click.command("home")
@@ -274,7 +275,11 @@ def calibrate_encoder_command(
 
 
 def _print_calibration(
-    calibration: "ForceCalibration | EncoderCalibration", points: str, summary: str, *, as_json: bool
+    calibration: "SensorCalibration[MeasuredLoad] | SensorCalibration[MeasuredTravel]",
+    points: str,
+    summary: str,
+    *,
+    as_json: bool,
 ) -> None:
     entry, notes = calibration.entry, calibration.notes
     if as_json:
