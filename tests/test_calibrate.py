@@ -171,7 +171,7 @@ def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.C
     assert kept is not None
     assert kept.points == 3
     assert main(["calibrate", "encoder", "--travel", "20", "--yes"]) == 0
-    assert "NOTE the travel is the drive's word" in capsys.readouterr().out
+    assert "NOTE the travel is that of the drive" in capsys.readouterr().out
 
 
 def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,8 +14,10 @@ from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
+from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
+from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis.gap.diagnosis_text import display_name, verdict_sentences
 from dragrig.engine_host.messages import RigSelection
-from dragrig.views.diagnosis_process import DiagnosisView
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import StoredSettings
@@ -45,52 +47,51 @@ def until(qtbot: QtBot) -> Until:
 
 
 @pytest.fixture
-def diagnosed(window: MainWindow, until: Until) -> DiagnosisView:
+def diagnosed(window: MainWindow, until: Until) -> Diagnosis:
     """The diagnosis of the practice campaign, made once."""
     page = window.diagnose
-    if page.results.told is None:
+    if page.results.diagnosis is None:
         page.offer(str(PRACTICE))
         press(page.start)
         assert not page.start.isEnabled()
         assert page.progress.isVisible()
         until(lambda: page.progress.value() > 0 or not page.busy)
         until(lambda: not page.busy)
-    assert page.results.told is not None, window.notices.complaint_text.text()
-    return page.results.told
+    assert page.results.diagnosis is not None, window.notices.complaint_text.text()
+    return page.results.diagnosis
 
 
 def test_a_diagnosis_under_way_is_cancelled_and_leaves_no_process(window: MainWindow, until: Until) -> None:
     page = window.diagnose
     page.offer(str(PRACTICE))
     press(page.start)
-    work = page._work
+    work = page._process
     assert work is not None
     until(lambda: page.progress.maximum() > 0)
     press(page.cancel)
     assert page.state.text() == "Cancelled."
     assert not work._process.is_alive()
     assert page.start.isEnabled()
-    assert page.results.told is None
+    assert page.results.diagnosis is None
 
 
-def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: DiagnosisView) -> None:
+def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Diagnosis) -> None:
     results = window.diagnose.results
     assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
     assert results.isVisible()
-    assert results.verdict.text() == diagnosed.verdict[0]
+    assert results.verdict.text() == next(iter(verdict_sentences(diagnosed)))
     shown = [results.hypotheses.item(at, 0).text() for at in range(results.hypotheses.rowCount())]
-    assert shown == [one.name for one in diagnosed.ranking]
-    chances = [one.probability for one in diagnosed.ranking]
-    assert chances == sorted(chances, reverse=True)
-    assert 0.9 < sum(chances) <= 1.001
+    ranked = sorted(diagnosed.ranking, key=lambda hypothesis: -hypothesis.probability)[: len(shown)]
+    assert shown == [display_name(hypothesis.hypothesis) for hypothesis in ranked]
+    assert 0.9 < sum(hypothesis.probability for hypothesis in ranked) <= 1.001
     assert results.map.renderer().isValid()
 
 
-def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: DiagnosisView) -> None:
+def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:
     results = window.diagnose.results
-    forces = [one for one in diagnosed.views if one.channel == "force"]
+    forces = [one for one in diagnosed.traces if one.channel == "force"]
     assert {one.file for one in forces} == {file.name for file in PRACTICE.glob("*.h5")}
-    for at, view in enumerate(diagnosed.views):
+    for at, view in enumerate(diagnosed.traces):
         results.runs.setCurrentIndex(at)
         measured, before = (line.drawn.getData()[1] for line in results.above._lines[:2])
         np.testing.assert_array_equal(measured, view.measured)
@@ -99,15 +100,16 @@ def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagno
         np.testing.assert_allclose(left, view.measured - view.before)
 
 
-def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: DiagnosisView) -> None:
-    assert diagnosed.next_plan is not None
+def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: Diagnosis) -> None:
+    assert diagnosed.next_experiment is not None
+    plan = plan_of_next_runs(diagnosed.next_experiment)
     assert not window.run.queue.entries
     press(window.diagnose.results.next)
     assert window.pages.currentWidget() is window.run
     (entry,) = window.run.queue.entries
     assert entry.stage is QueueState.WAITING
-    assert [step.kind for step in entry.job.plan.steps] == [step.kind for step in diagnosed.next_plan.steps]
-    for queued, wanted in zip(entry.job.plan.steps, diagnosed.next_plan.steps, strict=True):
+    assert [step.kind for step in entry.job.plan.steps] == [step.kind for step in plan.steps]
+    for queued, wanted in zip(entry.job.plan.steps, plan.steps, strict=True):
         # The form adds what is usual to what is recommended.
         assert wanted.parameters.items() <= queued.parameters.items()
     assert window.run.preview.runs.rowCount() == entry.count > 0

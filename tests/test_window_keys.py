@@ -28,7 +28,7 @@ from PySide6.QtWidgets import (
 from pytestqt.qtbot import QtBot
 
 from dragrig.engine_host.messages import PromptShown, RigSelection
-from dragrig.views.diagnosis_process import diagnosis_view
+from dragrig.views.diagnosis_process import completed
 from dragrig.window.main_window import MainWindow
 from dragrig.window.widgets import StoredSettings
 
@@ -49,7 +49,7 @@ def window(
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     made.notices.ask(PromptShown(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
     made.notices.complain("something went wrong")
-    made.diagnose.results.show_told(diagnosis_view(STRIBECK))
+    made.diagnose.results.show_diagnosis(completed(STRIBECK))
     made.diagnose.results.show()
     yield made
     made.close_in_order("the tests are over")

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QApplication, QTreeWidgetItem
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.views.diagnosis_process import diagnosis_view
+from dragrig.views.diagnosis_process import completed
 from dragrig.views.run_view import FORMATS, shown_trace
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
@@ -201,9 +201,9 @@ def diagnose(qapp: QApplication, remembered: StoredSettings) -> Iterator[Diagnos
 
 def test_a_diagnosis_is_shown_with_all_that_it_says(diagnose: DiagnosePage) -> None:
     results = diagnose.results
-    results.show_told(diagnosis_view(STRIBECK))
+    results.show_diagnosis(completed(STRIBECK))
     assert "0.93" in results.verdict.text()
-    assert results.hypotheses.item(0, 3).text() == "the verdict"
+    assert results.hypotheses.item(0, 3).text() == "verdict"
     assert results.runs.count() == len(STRIBECK.traces)
     for at in range(results.runs.count()):
         results.runs.setCurrentIndex(at)
@@ -242,7 +242,7 @@ def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> N
     step = PlanStep.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
     contest = ModelPair("stribeck", "adhesion", 2.0, 0.5)
     found = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
-    diagnose.results.show_told(diagnosis_view(replace(STRIBECK, next_experiment=found)))
+    diagnose.results.show_diagnosis(completed(replace(STRIBECK, next_experiment=found)))
     assert diagnose.results.next_words.text() == "A slow drag tells them apart."
     handed: list[object] = []
     diagnose.next_experiment.connect(lambda _, form: handed.append(form.plan.steps[0].parameters["speed_mm_s"]))
