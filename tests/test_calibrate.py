@@ -89,7 +89,7 @@ def test_weights_make_a_line_that_is_kept(calibrate: Calibrate, lab: Path, capsy
         "Take every weight off the sensor", "Hang 20 g on the sensor", "Hang 100 g on the sensor",
         "Hang 100 g on the sensor", "Take every weight off the sensor",
     ]  # fmt: skip
-    assert "gain 950 ±" in told.out
+    assert "Gain 950 ±" in told.out
     assert "NOTE" not in told.out
     kept = latest_calibration(lab, "force")
     assert kept is not None
@@ -171,7 +171,7 @@ def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.C
     assert kept is not None
     assert kept.points == 3
     assert main(["calibrate", "encoder", "--travel", "20", "--yes"]) == 0
-    assert "NOTE the travel is that of the drive" in capsys.readouterr().out
+    assert "! the travel is that of the drive" in capsys.readouterr().out
 
 
 def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -183,7 +183,7 @@ def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytes
     kept = latest_calibration(lab, "encoder")
     assert kept is not None
     assert kept.gain == pytest.approx(10 / 8000)
-    assert "NOTE a count of 1.25 µm is not encoder.resolution_um = 1" in told.out
+    assert "! a count of 1.25 µm is not encoder.resolution_um = 1" in told.out
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Two campaigns side by side, or a campaign and the friction model."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -285,7 +286,7 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
             shutil.copy(PRACTICE / file, tmp_path / name)
     assert main(["compare", "a", "b"]) == 0
     out = capsys.readouterr().out
-    assert "B  014-drag.h5: A has no drag at 60 mm/s like it" in out
+    assert re.search(r"B +014-drag\.h5 +A has no drag at 60 mm/s like it", out)
     assert "2 pairs of runs, A from a, B from b; without a partner: 1 of B." in out
     folder = tmp_path / "a" / "compared-with-b"
     written = {path.name for path in folder.iterdir()}

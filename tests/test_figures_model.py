@@ -15,7 +15,7 @@ from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule
-from dragrig.present.friction_model import MAX_CURVES, forces_figure, skew_figure, spread_selection, wall_figure
+from dragrig.present.model_figures import MAX_CURVES, forces_figure, skew_figure, spread_selection, wall_figure
 from dragrig.sim_backend.friction import parameter_set_differences, steady_forces
 
 MODEL = FrictionModelSettings()

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from dragrig.config.errors import OutputError
 from dragrig.present.drawing import figure_style, new_figure, spread_labels, text_width_in
-from dragrig.present.figure_files import save_figure, save_figure_in
+from dragrig.present.files import save_figure, save_figure_in
 from dragrig.present.run_figures import (
     ENVELOPE_COLUMNS,
     gaps_after_samples,

@@ -23,7 +23,7 @@ from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule
 from dragrig.present.campaign_figures import campaign_figure
 from dragrig.present.drawing import SMALL_PT, figure_style, new_figure, shortened_to_width
-from dragrig.present.friction_model import forces_figure, skew_figure, wall_figure
+from dragrig.present.model_figures import forces_figure, skew_figure, wall_figure
 from dragrig.present.run_figures import WIDTH_IN, run_figure, value_with_error
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import mark_bad, read_run

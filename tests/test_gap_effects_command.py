@@ -20,7 +20,7 @@ def test_every_effect_is_told_with_its_parameters_and_its_source() -> None:
         assert f"\n{effect.id}\n" in text
         assert effect.source in text
         for parameter in effect.parameters:
-            assert f"    {parameter.name} " in text
+            assert f"\n{parameter.name} " in text
 
 
 def test_as_json_it_holds_what_a_program_needs_to_set_an_effect() -> None:

@@ -11,7 +11,8 @@ from dragrig.analysis.gap.isolability import DETECTABLE_D_PRIME, Isolability, or
 from dragrig.cli import main
 from dragrig.config.plan import Plan
 from dragrig.config.settings import to_toml
-from dragrig.present.isolability import isolability_page
+from dragrig.present.html_page import render_page
+from dragrig.present.isolability import isolability_document
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -115,7 +116,7 @@ def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest
 
 
 def test_the_page_holds_every_effect(drags: Isolability) -> None:
-    text = isolability_page(drags)
+    text = render_page(isolability_document(drags))
     assert "Stribeck friction" in text
     assert "hardly distinguishable" in text
 
@@ -124,5 +125,5 @@ def test_the_page_is_presentable(browser: "Browser", drags: Isolability, tmp_pat
     from browsing import must_be_presentable
 
     file = tmp_path / "apart.html"
-    file.write_text(isolability_page(drags), "utf-8")
+    file.write_text(render_page(isolability_document(drags)), "utf-8")
     must_be_presentable(browser, file)

@@ -136,14 +136,14 @@ def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -
     folder = str(exam(tmp_path / "learnt", lessons(6)))
     told = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
     assert told.exit_code == 0
-    assert "Cross-validation: how often verdicts learnt" in told.output
+    assert "How often verdicts learnt from the other campaigns are right" in told.output
     printed = json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3", "--json"]).output)
     assert printed["cross_validated"][0]["name"] == "full size, right name"
     assert "cross_validated" not in json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--json"]).output)
 
 
 def test_a_folder_without_an_exam_is_told_in_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(AnalysisError, match="holds no exam from which can be learnt; hold one with dragrig gap blind"):
+    with pytest.raises(AnalysisError, match="holds no finished exam; hold one with dragrig gap blind"):
         dragrig.gap_calibrate([tmp_path])
 
 

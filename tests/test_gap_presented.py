@@ -1,9 +1,7 @@
 """A diagnosis as text, as JSON and as a page, for each verdict."""
 
-import io
 import json
 import re
-from contextlib import redirect_stdout
 from dataclasses import replace
 from html.parser import HTMLParser
 from math import inf, nan
@@ -18,15 +16,15 @@ from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypot
 from dragrig.analysis.gap.diagnosis_text import display_name, shrink_sentences
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
+    diagnosis_document,
     diagnosis_json,
-    diagnosis_page,
-    diagnosis_parts,
     round_probabilities,
-    shrink_parts,
+    shrink_document,
     shrink_report_json,
 )
 from dragrig.present.diagnosis_figures import before_after_figure, ranking_figure, representative_runs
-from dragrig.present.terminal import print_parts
+from dragrig.present.html_page import render_page
+from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 from dragrig.sim_backend.effects.base import catalogue
 
@@ -34,10 +32,11 @@ CASES = pytest.mark.parametrize("diagnosis", ALL.values(), ids=ALL)
 
 
 def text(diagnosis: Diagnosis) -> str:
-    out = io.StringIO()
-    with redirect_stdout(out):
-        print_parts(diagnosis_parts(diagnosis))
-    return out.getvalue()
+    return document_text(diagnosis_document(diagnosis))
+
+
+def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
+    return render_page(diagnosis_document(diagnosis, source=source, model=model))
 
 
 def words(html: str) -> str:
@@ -112,9 +111,10 @@ def test_how_much_stands_beside_what_the_paper_prints() -> None:
     sentence = text(STRIBECK)
     assert "99.3 % of the gap closes (95 %: 98.5 % to 99.8 %)." in sentence
     assert re.search(r"ratio +0\.410 +0\.312 to 0\.508", sentence)
-    assert re.search(r"Eq\. 15 +before +0\.7000 +0\.4000\n +after +0\.9800 +0\.9700", sentence)
-    assert re.search(r"correlation² +before +0\.8000 +-", sentence)
-    assert re.search(r"the paper.* 0\.8769 +0\.1666", sentence)
+    assert re.search(r"Eq\. 15 +without the effect +0\.7000 +0\.4000", sentence)
+    assert re.search(r"Eq\. 15 +with it +0\.9800 +0\.9700", sentence)
+    assert re.search(r"correlation² +without the effect +0\.8000 +–", sentence)
+    assert re.search(r"the paper's +0\.8769 +0\.1666", sentence)
     html = words(diagnosis_page(STRIBECK))
     assert "0.8769 0.1666" in html
     assert "quoted" in html
@@ -127,10 +127,7 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
     assert not re.search(r"\bwith it\b", words(diagnosis_page(NO_GAP)))
     assert re.search(r"\bwith it\b", words(diagnosis_page(STRIBECK)))
     worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
-    out = io.StringIO()
-    with redirect_stdout(out):
-        print_parts(shrink_parts(worse))
-    assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in out.getvalue()
+    assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in document_text(shrink_document(worse))
 
 
 def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:

@@ -1,8 +1,6 @@
 """The scorer of diagnoses."""
 
-import io
 import json
-from contextlib import redirect_stdout
 from html.parser import HTMLParser
 from io import StringIO
 from math import inf
@@ -14,8 +12,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from dragrig.config.errors import AnalysisError
-from dragrig.present.exam import exam_page, exam_parts, score_json
-from dragrig.present.terminal import print_parts
+from dragrig.present.exam import exam_document, score_json
+from dragrig.present.html_page import render_page
+from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 
 PAIRS = [
@@ -192,23 +191,22 @@ def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
     told = json.dumps(exam.document(), allow_nan=False)
     assert json.loads(told)["calibration"]["reliability"]
     assert exam.document()["confusion"] == score_json(found)["confusion"]
-    out = io.StringIO()
-    with redirect_stdout(out):
-        print_parts(exam_parts(found, cases, 4, "ab" * 32))
-    shown = exam_page(found, cases, 4, "ab" * 32)
+    document = exam_document(found, cases, 4, "ab" * 32)
+    text = document_text(document)
+    shown = render_page(document)
     pictures = HTMLPictures()
     pictures.feed(shown)
     assert not pictures.sources
     first = f"{cases - len(found.missed)} of {cases} verdicts are right"
-    assert first in out.getvalue()
+    assert first in text
     assert first in shown.replace("\u00a0", " ")
     if cases > 1:
         assert pictures.drawn == 5
-        assert "d′" in out.getvalue()
+        assert "d′" in text
         assert any(one.high == inf for one in found.detection)
         assert "Where the true effect is withheld" in shown
     else:
-        assert shown == exam_page(found, cases, 4, "ab" * 32)
+        assert shown == render_page(exam_document(found, cases, 4, "ab" * 32))
 
 
 class HTMLPictures(HTMLParser):

@@ -54,8 +54,8 @@ from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule
 from dragrig.present.document import Column, Table
 from dragrig.present.files import PAPER_MODEL_FILE, PAPER_REPORT_FILE, PAPER_TABLES
-from dragrig.present.html_page import without_breaks
-from dragrig.present.paper import PaperReportData, paper_page, paper_tables
+from dragrig.present.html_page import render_page, without_breaks
+from dragrig.present.paper import PaperReportData, paper_document, paper_tables
 from dragrig.rig.runfile import mark_bad, read_campaign
 from dragrig.rig.runfile.model import RunStatus
 
@@ -171,7 +171,7 @@ def test_a_table_comes_back_from_its_csv(rows: list[tuple[str, float | None]]) -
     header, *back = csv.reader(io.StringIO(table.csv(), newline=""))
     assert header == ["word", "value_mN"]
     assert back == [[word, "" if value is None or not np.isfinite(value) else repr(value)] for word, value in rows]
-    assert [row[0] for row in table.spelled] == [word for word, _ in rows]
+    assert [row[0].text for row in table.cells] == [word for word, _ in rows]
 
 
 @dataclass
@@ -298,7 +298,7 @@ def test_the_report_says_what_was_simulated(made: Made) -> None:
     for said in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
         assert said in text
     for one in all_findings():
-        assert f'<article id="{one.key}">' in text
+        assert f'<h3 id="{one.key}">' in text
 
 
 def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
@@ -354,7 +354,7 @@ def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
     assert {row["parameter"] for row in rows if not row["value"]} == {"force_gain", "insertion_dwell_scale"}
     assert sum(float(row["low"]) <= float(row["simulated"]) <= float(row["high"]) for row in known) >= 8
     assert all(float(row["prior_low"]) < float(row["low"]) < float(row["high"]) for row in known)
-    assert "next to nothing" in made.page
+    assert "do not determine" in made.page
     assert "can hardly be separated" in made.page
     elements = [row for row in made.rows("combinations") if row["combination"].startswith(("e", "fast", "slow"))]
     assert len(elements) == 7
@@ -478,7 +478,7 @@ def test_what_was_not_identified_is_said_to_be_missing() -> None:
             None,
         )
         made = paper_tables(results)
-        text = paper_page(results, made, {})
+        text = render_page(paper_document(results, made))
         assert "No element was identified" in text
         assert "it is &lt;broken&gt;" in text
         assert "a &amp; b" in text

@@ -17,10 +17,10 @@ import dragrig
 from dragrig.analysis.measures import measure
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.diagnosis import diagnosis_page as gap_page
+from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Column, Table
-from dragrig.present.exam import exam_page
-from dragrig.present.figure_files import inline_svg
+from dragrig.present.exam import exam_document
+from dragrig.present.html_page import inline_svg, render_page
 from dragrig.present.run import attribute_texts, check_texts
 from dragrig.rig.runfile import mark_bad, read_run
 
@@ -95,7 +95,7 @@ def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_p
     assert set(re.findall(r'<a href="#(run-[^"]+)">', html)) == set(ids)
     sessions = html.split('id="sessions"', 1)[1].split("</section>", 1)[0]
     assert re.search(r'blank</td><td>simulated</td><td></td><td class="number" data-number="4">4</td>', sessions)
-    assert "Not drawn: 2 ways back." in words(campaign_page)
+    assert "Not drawn: 2 return strokes;" in words(campaign_page)
 
 
 def test_the_same_run_gives_the_same_page(run_page: Path, campaign: Path, tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_settings_are_spelled_with_their_units(name: str, value: float | str, wa
 def test_checks_say_whether_the_capsule_slipped() -> None:
     assert check_texts({"slip_time_s": -1.0}) == {"slip during the hold": "none seen"}
     assert check_texts({"slip_time_s": 3.21}) == {"slip during the hold": "at 3.2 s"}
-    assert check_texts({"following_error_mm": 0.0014}) == {"largest distance from the command": "1.4 µm"}
+    assert check_texts({"following_error_mm": 0.0014}) == {"largest following error": "1.4 µm"}
 
 
 @given(st.lists(st.tuples(st.floats(-999, 999), st.floats(-999, 999)), min_size=1, max_size=40))
@@ -181,7 +181,7 @@ def test_a_campaigns_page_is_presentable(browser: "Browser", campaign_page: Path
     from browsing import must_be_presentable, must_sort
 
     must_be_presentable(browser, campaign_page)
-    must_sort(browser, campaign_page, "#runs table", 4)
+    must_sort(browser, campaign_page, "#runs table", 5)
 
 
 def test_a_link_to_a_run_opens_it_and_all_open_at_once(browser: "Browser", campaign_page: Path) -> None:
@@ -208,8 +208,9 @@ def test_a_runs_page_is_presentable(browser: "Browser", run_page: Path) -> None:
 def test_a_diagnosis_page_is_presentable(browser: "Browser", verdict: str, tmp_path: Path) -> None:
     from browsing import must_be_presentable
 
+    document = diagnosis_document(ALL[verdict], source="runs/first", model="amended.toml")
     file = tmp_path / "gap.html"
-    file.write_text(gap_page(ALL[verdict], "runs/first", "amended.toml"), "utf-8")
+    file.write_text(render_page(document), "utf-8")
     must_be_presentable(browser, file)
 
 
@@ -217,5 +218,5 @@ def test_an_exams_page_is_presentable(browser: "Browser", tmp_path: Path) -> Non
     from browsing import must_be_presentable
 
     file = tmp_path / "exam.html"
-    file.write_text(exam_page(large_exam(40), 40, 4, "ab" * 32), "utf-8")
+    file.write_text(render_page(exam_document(large_exam(40), 40, 4, "ab" * 32)), "utf-8")
     must_be_presentable(browser, file)

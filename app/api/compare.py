@@ -93,7 +93,7 @@ def write_comparison(
         When a run cannot be read.
     """
     from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
-    from dragrig.present.figure_files import save_figure_in
+    from dragrig.present.files import save_figure_in
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1

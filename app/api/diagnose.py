@@ -273,7 +273,8 @@ def save_gap_report(
     diagnosis: Diagnosis, path: Path, *, source: str = "", model: Path | None = None, overwrite: bool = False
 ) -> Path:
     """Write the report, one HTML file with its pictures inside; raises as `save_amended_model`."""
-    from dragrig.present.diagnosis import diagnosis_page
+    from dragrig.present.diagnosis import diagnosis_document
+    from dragrig.present.html_page import render_page
 
-    page = diagnosis_page(diagnosis, source, None if model is None else str(model))
-    return write_text(page, path, overwrite=overwrite)
+    document = diagnosis_document(diagnosis, source=source, model=None if model is None else str(model))
+    return write_text(render_page(document), path, overwrite=overwrite)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.identification.identification import Identification, JointFit
+from dragrig.analysis.identification.identification import Identification, JointFit, ParameterEstimate
 from dragrig.analysis.identification.identify import (
     determined_values,
     identified_settings,
@@ -22,12 +22,12 @@ from dragrig.analysis.models.catalogue import find_model
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
 from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.friction_model import FrictionModelSettings, IdentificationSummary, IdentifiedValue
 from dragrig.config.settings import absolute_if_file, to_toml
 from dragrig.parallel import map_tasks
 from dragrig.present.files import unused_path, write_text
-from dragrig.present.identification import identified_model_origin
 from dragrig.rig.runfile.model import Run
+from dragrig.rig.session import software_version
 from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class IdentifiedCampaign:
         settings = identified_settings(self.nominal, joint)
         changes = {
             "name": f"{settings.name}-{self.result.specimen}",
-            "identified": identified_model_origin(self.result, joint, self.source),
+            "identified": _model_origin(self.result, joint, self.source),
         }
         return settings.model_copy(update=changes)
 
@@ -110,6 +110,34 @@ class IdentifiedCampaign:
         if (reason := self.why_no_model) is not None:
             raise AnalysisError(f"{self.source}: {reason}.")
         return _require_joint_fit(self.result)
+
+
+def _model_origin(result: Identification, joint: JointFit, campaign: str) -> IdentificationSummary:
+    """Return what the file of an identified model says of where its values come from."""
+    return IdentificationSummary(
+        campaign=campaign,
+        specimen=result.specimen,
+        runs=len(result.used),
+        software=software_version(),
+        converged=joint.converged,
+        chi2_per_degree=joint.chi2 / joint.degrees,
+        parameters=tuple(_identified_value(parameter) for parameter in joint.parameters),
+        combinations=tuple(_identified_value(product) for product in joint.combinations),
+        correlation=tuple(tuple(row) for row in joint.correlation.round(4).tolist()),
+    )
+
+
+def _identified_value(parameter: ParameterEstimate) -> IdentifiedValue:
+    return IdentifiedValue(
+        name=parameter.name,
+        unit=parameter.unit,
+        value=parameter.value,
+        standard_error=parameter.standard_error,
+        low=parameter.interval[0],
+        high=parameter.interval[1],
+        learnt=parameter.learnt,
+        determined=parameter.determined,
+    )
 
 
 def identify(
@@ -181,7 +209,7 @@ def save_identification_pictures(
     identified: IdentifiedCampaign, folder: Path, *, overwrite: bool = False
 ) -> Iterator[Path]:
     """Draw every part that was identified; yields each picture as it is written."""
-    from dragrig.present.figure_files import save_figure_in
+    from dragrig.present.files import save_figure_in
     from dragrig.present.identification_figures import coulomb_figure, joint_fit_figure, relaxation_fit_figure
 
     result, selection = identified.result, identified.selection

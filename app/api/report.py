@@ -87,22 +87,25 @@ def default_report_file(source: Path) -> Path:
 
 
 def _run_report(path: Path) -> str:
-    from dragrig.present.run import run_page
+    from dragrig.present.html_page import render_page
+    from dragrig.present.run import run_document
     from dragrig.rig.runfile import read_mark, read_run
 
     run, mark = read_run(path), read_mark(path)
-    return run_page(run, None if mark is None else mark.reason)
+    return render_page(run_document(run, None if mark is None else mark.reason))
 
 
 def _campaign_report(folder: Path, progress: Progress) -> str:
-    from dragrig.present.campaign import campaign_page, inline_campaign_figures
+    from dragrig.present.campaign import campaign_document
+    from dragrig.present.html_page import render_page
 
     whole = MEASURING_SHARE + DRAWING_SHARE
-    results = campaign_results(folder, lambda done, of: progress(MEASURING_SHARE * done, whole * max(of, 1)))
-    figures = inline_campaign_figures(
-        results, lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * of)
+    data = campaign_results(folder, lambda done, of: progress(MEASURING_SHARE * done, whole * max(of, 1)))
+    return render_page(
+        campaign_document(data).drawn(
+            lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * max(of, 1))
+        )
     )
-    return campaign_page(results, figures)
 
 
 def campaign_results(folder: Path, progress: Progress = no_progress) -> "CampaignReportData":
@@ -230,7 +233,8 @@ def _write_paper_files(
     made: Made, identified: IdentifiedCampaign, data: "PaperReportData", progress: Progress
 ) -> PaperReport:
     """Write model, tables and report beside the runs."""
-    from dragrig.present.paper import inline_paper_figures, paper_page, paper_tables
+    from dragrig.present.html_page import render_page
+    from dragrig.present.paper import paper_document, paper_tables
 
     folder, tables = made.folder, paper_tables(data)
     model: Path | None
@@ -241,10 +245,9 @@ def _write_paper_files(
         model = None
     written = write_texts(folder, {f"{name}.csv": table.csv() for name, table in tables.items()})
     progress(1, 3)
-    figures = inline_paper_figures(data)
+    document = paper_document(data, tables, None if model is None else model.name).drawn()
     progress(2, 3)
-    page = paper_page(data, tables, figures, None if model is None else model.name)
-    (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: page})
+    (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: render_page(document)})
     progress(3, 3)
     return PaperReport(folder, report_file, model, written, made.files, data.identification, data.findings)
 
@@ -352,7 +355,7 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
         When a file cannot be read or written.
     """
     from dragrig.present.campaign_figures import campaign_figure
-    from dragrig.present.figure_files import save_figure_in
+    from dragrig.present.files import save_figure_in
     from dragrig.present.run_figures import run_figure
 
     paths = made.files

@@ -22,6 +22,8 @@ from dragrig.present.numbers import duration_text
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+    from dragrig.present.document import Document
+
 
 QUIET = "dragrig.quiet"
 """Key in a click context's `meta`: whether only results and errors are printed."""
@@ -38,6 +40,16 @@ def print_result(text: str) -> None:
 def print_json(value: object) -> None:
     """Print a result as JSON on standard output: dataclasses as objects, NaN and infinities as null."""
     click.echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))
+
+
+def print_document(document: "Document", *, as_json: bool) -> None:
+    """Print a result's document on standard output, as JSON or as text."""
+    from dragrig.present import terminal
+
+    if as_json:
+        print_json(document.data)
+    else:
+        terminal.print_document(document)
 
 
 def print_json_line(value: object) -> None:

@@ -1,19 +1,11 @@
 """Commands that examine and calibrate the diagnosis: gap blind, gap calibrate."""
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import ProgressMeter, display_path, print_json, print_result
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from dragrig.analysis.gap.features import Calibration
-    from dragrig.scoring import Rate
+from dragrig.cli.console import ProgressMeter, display_path, print_document, print_json, print_result
 
 
 @click.command("blind")
@@ -60,9 +52,8 @@ def blind_command(
     """
     from dragrig.config.errors import AnalysisError
     from dragrig.exam.blind_exam import gap_blind, save_exam_report
-    from dragrig.present.exam import exam_parts
+    from dragrig.present.exam import exam_document
     from dragrig.present.files import require_writable
-    from dragrig.present.terminal import print_parts
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -80,7 +71,7 @@ def blind_command(
     if as_json:
         print_json(exam.document())
     else:
-        print_parts(exam_parts(exam.score, exam.cases, exam.seed, exam.answers_sha256))
+        print_document(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), as_json=False)
     if report is not None:
         save_exam_report(exam, report, overwrite=overwrite)
         if not as_json:
@@ -112,38 +103,13 @@ def gap_calibrate_command(
     Judge the result on an exam with another seed.
     """
     from dragrig.exam.learning import gap_calibrate, gap_cross_validate
-    from dragrig.present.exam import rate_json
+    from dragrig.present.exam import calibration_document
     from dragrig.present.files import write_text
-    from dragrig.present.terminal import print_parts
 
     calibration = gap_calibrate(exams)
-    rates = () if folds is None else gap_cross_validate(exams, folds)
+    rates = None if folds is None else gap_cross_validate(exams, folds)
     if save is not None:
         write_text(calibration.model_dump_json(indent=1) + "\n", save, overwrite=overwrite)
-    if as_json:
-        validation = {} if folds is None else {"cross_validated": [rate_json(rate) for rate in rates]}
-        print_json({**calibration.model_dump(mode="json"), **validation})
-    else:
-        print_parts(_calibration_parts(calibration, rates, save))
-
-
-def _calibration_parts(
-    calibration: "Calibration", rates: "Sequence[Rate]", saved: Path | None
-) -> "Iterator[RenderableType]":
-    from dragrig.present.exam import RATE_HEADER, RATE_NUMBER_COLUMNS, rate_row
-    from dragrig.present.terminal import terminal_table
-
-    gate = calibration.gate
-    seeds = ", ".join(map(str, calibration.seeds))
-    yield f"Learnt from {calibration.cases} campaigns with hidden effects (seeds {seeds})."
-    yield (
-        f"Probability of a gap is 0.5 where an effect explains Δχ²/2 = {gate.least_gain:.1f}, or where "
-        f"{gate.least_left:.1%} of χ² stays unexplained."
-    )
-    rows = [(name, f"{weight:+.2f}") for name, weight in sorted(calibration.weights.items())]
-    yield terminal_table("Weights of the evidence for an explanation", ("feature", "weight"), rows, numbers=(1,))
-    if rates:
-        title = "Cross-validation: how often verdicts learnt from the other campaigns are right"
-        yield terminal_table(title, RATE_HEADER, map(rate_row, rates), RATE_NUMBER_COLUMNS)
-    if saved is not None:
-        yield f"Written to {saved}."
+    print_document(calibration_document(calibration, rates), as_json=as_json)
+    if save is not None and not as_json:
+        print_result(f"calibration  {display_path(save)}")

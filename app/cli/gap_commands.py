@@ -1,23 +1,16 @@
 """Commands on the gap between runs and model: gap diagnose, evaluate, next, isolability, effects."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import ProgressMeter, display_path, print_json, print_json_line, print_remark, print_result
-from dragrig.present.numbers import text_columns
-from dragrig.present.terminal import print_parts, terminal_table
+from dragrig.cli.console import ProgressMeter, display_path, print_document, print_json_line, print_remark, print_result
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from dragrig.analysis.gap.diagnosis import NextExperiment
-    from dragrig.analysis.gap.isolability import Isolability
     from dragrig.api.diagnose import DiagnosedFolder
-    from dragrig.sim_backend.effects.base import Effect
 
 
 FILE = click.Path(path_type=Path)
@@ -64,10 +57,11 @@ def diagnose_command(
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
     where no effect is named.
     """
-    from dragrig.api.diagnose import DiagnosisRequest, save_amended_model, save_gap_report
+    from dragrig.api.diagnose import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present.diagnosis import diagnosis_json, diagnosis_parts
-    from dragrig.present.files import require_writable
+    from dragrig.present.diagnosis import diagnosis_document
+    from dragrig.present.files import require_writable, write_text
+    from dragrig.present.html_page import render_page
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
@@ -98,24 +92,22 @@ def diagnose_command(
         else:
             diagnosed = request.diagnose_on_cluster(campaign, scheduler)
     diagnosis = diagnosed.result
-    if not as_json:
-        print_parts(diagnosis_parts(diagnosis))
     model = None if save_model is None else save_amended_model(diagnosis, save_model, overwrite=overwrite)
+    model_name = None if model is None else str(model)
+    document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
+    print_document(document, as_json=as_json)
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     if report is not None:
-        save_gap_report(diagnosis, report, source=diagnosed.source, model=model, overwrite=overwrite)
-    if as_json:
-        print_json(diagnosis_json(diagnosis, model=None if model is None else str(model), run_ids=diagnosed.run_ids))
-        return
+        write_text(render_page(document), report, overwrite=overwrite)
     for name, file in (("model", model), ("report", report)):
-        if file is not None:
+        if file is not None and not as_json:
             print_result(f"{name:8}{display_path(file)}")
 
 
 def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> None:
     """Print the diagnoses of several campaigns as a table or lines of JSON; raises where one was not diagnosed."""
-    from dragrig.present.diagnosis import diagnosis_json
+    from dragrig.present.diagnosis import campaigns_document, diagnosis_json
 
     if as_json:
         for folder in folders:
@@ -126,31 +118,10 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
             )
             print_json_line({"source": folder.source, **content})
     else:
-        header = ("campaign", "verdict", "probability", "confusable with", "gap [mN]", "closed", "95 % interval")
-        print_parts([terminal_table(f"{len(folders)} campaigns", header, map(_campaign_row, folders), (2, 4, 5))])
+        rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
+        print_document(campaigns_document(rows), as_json=False)
     options.require_all_succeeded(
         "diagnosed", len(folders), [folder.why_not for folder in folders if folder.result is None]
-    )
-
-
-def _campaign_row(folder: "DiagnosedFolder") -> tuple[str, ...]:
-    from dragrig.analysis.gap.diagnosis_text import is_stated_verdict, percent_text, probability_text
-
-    diagnosis = folder.result
-    if diagnosis is None:
-        return folder.source, f"not diagnosed: {folder.why_not}", "", "", "", "", ""
-    stated = next((ranked for ranked in diagnosis.ranking if is_stated_verdict(ranked, diagnosis)), None)
-    reduction = diagnosis.shrink
-    closed = reduction.closed if reduction is not None and diagnosis.effects else None
-    interval = reduction.closed_95ci if reduction is not None and diagnosis.effects else None
-    return (
-        folder.source,
-        " + ".join(diagnosis.effects) or diagnosis.verdict.value.replace("_", " "),
-        "" if stated is None else probability_text(stated.probability),
-        ", ".join(diagnosis.confusable_with),
-        "" if reduction is None else f"{reduction.gap_before_mN:.3g}",
-        "" if closed is None else percent_text(closed),
-        "" if interval is None else f"{percent_text(interval[0])} to {percent_text(interval[1])}",
     )
 
 
@@ -167,13 +138,9 @@ def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json:
     diagnosis, best at other speeds.
     """
     from dragrig.api.diagnose import gap_evaluate
-    from dragrig.present.diagnosis import shrink_parts, shrink_report_json
+    from dragrig.present.diagnosis import shrink_document
 
-    reduction = gap_evaluate(model, campaign, specimen=specimen)
-    if as_json:
-        print_json(shrink_report_json(reduction))
-    else:
-        print_parts(shrink_parts(reduction))
+    print_document(shrink_document(gap_evaluate(model, campaign, specimen=specimen)), as_json=as_json)
 
 
 @click.command("next")
@@ -202,40 +169,20 @@ def next_command(
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
     from dragrig.api.plan_next import next_experiment, save_next_plan
-    from dragrig.present.diagnosis import next_experiment_json
+    from dragrig.present.diagnosis import next_experiment_document
     from dragrig.present.files import require_writable
 
     if save_plan is not None:
         require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
         experiment = next_experiment(source, between=between, minutes=minutes, progress=meter.at, **settings)
-    if as_json:
-        print_json(next_experiment_json(experiment))
-    elif experiment is None:
-        print_result("No run of the grid would separate the leading hypotheses any better.")
-    else:
-        print_parts(_next_run_parts(experiment))
+    print_document(next_experiment_document(experiment), as_json=as_json)
     if save_plan is not None and experiment is None:
         print_remark(f"{display_path(save_plan)} is not written: there is no run to recommend")
     elif save_plan is not None and experiment is not None:
         save_next_plan(experiment, save_plan, overwrite=overwrite)
         if not as_json:
             print_result(f"plan    {display_path(save_plan)}")
-
-
-def _next_run_parts(experiment: "NextExperiment") -> "Iterator[RenderableType]":
-    from dragrig.analysis.gap.diagnosis_text import run_text, separation_text
-
-    yield experiment.reason
-    rows = [
-        (run_text(run.step), f"{run.minutes:.1f}", separation_text(run.before, run.after)) for run in experiment.runs
-    ]
-    title = f"Recommended runs, {experiment.minutes:.1f} min of rig time in all"
-    yield terminal_table(title, ("", "min", "separation with those above"), rows, (1,))
-
-
-MAX_PAIRS = 20
-"""Pairs printed; the JSON has all of them."""
 
 
 @click.command("isolability")
@@ -263,56 +210,18 @@ def isolability_command(
     """
     from dragrig.api.plan_next import isolability
     from dragrig.present.files import require_writable, write_text
-    from dragrig.present.isolability import isolability_json, isolability_page
+    from dragrig.present.html_page import render_page
+    from dragrig.present.isolability import isolability_document
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
-        result = isolability(source, without=without, progress=meter.at, **settings)
-    if as_json:
-        print_json(isolability_json(result))
-    else:
-        print_parts(_isolability_parts(result))
+        document = isolability_document(isolability(source, without=without, progress=meter.at, **settings))
+    print_document(document, as_json=as_json)
     if report is not None:
-        write_text(isolability_page(result), report, overwrite=overwrite)
+        write_text(render_page(document), report, overwrite=overwrite)
         if not as_json:
             print_result(f"report  {display_path(report)}")
-
-
-def _isolability_parts(result: "Isolability") -> "Iterator[RenderableType]":
-    from dragrig.analysis.gap.diagnosis_text import as_sentence, display_name
-    from dragrig.analysis.gap.isolability import isolability_sentences, smallest_visible_text
-
-    yield "\n".join(isolability_sentences(result))
-    header = ("effect", "seen in", "d′, default size", "default", "smallest visible", "as mN")
-    rows = [
-        (
-            effect.effect,
-            effect.channel,
-            f"{effect.d_prime:.0f}",
-            f"{effect.usual:g}",
-            smallest_visible_text(effect),
-            "" if effect.smallest_mN is None else f"{effect.smallest_mN:.2g}",
-        )
-        for effect in result.effects
-    ]
-    yield terminal_table("Detectability, similar effects together", header, rows, (2, 3, 4, 5))
-    pairs = result.pairs[:MAX_PAIRS]
-    title = f"The closest pairs, {len(pairs)} of {len(result.pairs)}"
-    names = ("", "", "sin²", "first by second", "second by first", "d′", "")
-    pair_rows = [
-        (
-            display_name(pair.effects[0]),
-            display_name(pair.effects[1]),
-            f"{pair.sin2:.2f}",
-            *(f"{sin2:.2f}" for sin2 in pair.typical_sin2),
-            f"{pair.separation:.0f}",
-            "hardly distinguishable" if pair.confused else "",
-        )
-        for pair in pairs
-    ]
-    yield terminal_table(title, names, pair_rows, (2, 3, 4, 5))
-    yield "\n".join(f"! {as_sentence(remark)}" for remark in result.remarks)
 
 
 @click.command("effects")
@@ -324,72 +233,7 @@ def effects_command(as_json: bool) -> None:
     effects it is easily confused with, and the source of its equation. A simulated rig has an effect with, for
     instance, --effect stribeck:ratio=0.4,speed_mm_s=2.
     """
+    from dragrig.present.effects import effects_document
     from dragrig.sim_backend.effects.base import catalogue
 
-    effects = tuple(catalogue().values())
-    if as_json:
-        print_json({"effects": [_effect_json(effect) for effect in effects]})
-    else:
-        print_result(_catalogue_text(effects))
-
-
-def _catalogue_text(effects: "Sequence[Effect]") -> str:
-    from dragrig.sim_backend.effects.base import Location
-
-    paragraphs = []
-    for location in Location:
-        texts = [_effect_text(effect) for effect in effects if effect.location is location]
-        paragraphs += [location.upper(), *texts] if texts else []
-    return "\n\n".join(paragraphs)
-
-
-def _effect_text(effect: "Effect") -> str:
-    header = ("parameter", "unit", "default", "from", "to", "")
-    rows = [
-        (
-            parameter.name,
-            "" if parameter.unit == "1" else parameter.unit,
-            f"{parameter.default:g}",
-            f"{parameter.low:g}",
-            f"{parameter.high:g}",
-            f"{parameter.role}: {parameter.meaning}",
-        )
-        for parameter in effect.parameters
-    ]
-    lines = [effect.id, f"  {effect.summary}", f"  shows in: {effect.visible_in} ({effect.channel})"]
-    lines += [f"    {line}" for line in text_columns(header, rows).splitlines()]
-    if effect.confused_with:
-        lines.append(f"  easily confused with: {', '.join(effect.confused_with)}")
-    if effect.nominal:
-        lines.append(f"  for the model: {effect.nominal}")
-    return "\n".join((*lines, f"  source: {effect.source}"))
-
-
-def _effect_json(effect: "Effect") -> dict[str, object]:
-    parameters = [
-        {
-            "name": parameter.name,
-            "unit": parameter.unit,
-            "role": parameter.role,
-            "usual": parameter.default,
-            "low": parameter.low,
-            "high": parameter.high,
-            "meaning": parameter.meaning,
-            "tried": parameter.grid,
-            "possible": parameter.bounds,
-        }
-        for parameter in effect.parameters
-    ]
-    return {
-        "id": effect.id,
-        "name": effect.name,
-        "place": effect.location,
-        "domain": effect.coordinate,
-        "summary": effect.summary,
-        "exposes": effect.visible_in,
-        "channel": effect.channel,
-        "parameters": parameters,
-        "aliases": effect.confused_with,
-        "nominal": effect.nominal or None,
-        "source": effect.source,
-    }
+    print_document(effects_document(tuple(catalogue().values())), as_json=as_json)

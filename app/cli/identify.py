@@ -1,13 +1,13 @@
 """The command identify, for one campaign or several."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import ProgressMeter, display_path, print_json, print_json_line, print_result
+from dragrig.cli.console import ProgressMeter, display_path, print_document, print_json, print_json_line, print_result
 from dragrig.config.errors import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def identify_command(
         write_identified_files,
     )
     from dragrig.parallel import worker_count
-    from dragrig.present.identification import identification_json, identification_text
+    from dragrig.present.identification import identification_document
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
@@ -99,8 +99,9 @@ def identify_command(
     with ProgressMeter("identifying") as meter:
         identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at)
     result = identified.result
+    document = identification_document(result)
     if not as_json:
-        print_result(identification_text(result))
+        print_document(document, as_json=False)
     written: list[Path] = []
     if save_model is not None:
         written.append(save_identified_model(identified, save_model, overwrite=overwrite))
@@ -109,7 +110,7 @@ def identify_command(
         folder = out or identified_folder(campaign)
         written += write_identified_files(identified, folder, with_model=with_model, overwrite=overwrite)
     if as_json:
-        print_json({**identification_json(result), "files": written})
+        print_json({**document.data, "files": written})
     else:
         for path in written:
             print_result(display_path(path))
@@ -119,37 +120,15 @@ def identify_command(
 
 def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bool) -> None:
     """Print several campaigns as a table or lines of JSON; raises where one was not identified."""
-    from dragrig.present.identification import identification_json
-    from dragrig.present.terminal import print_parts, terminal_table
+    from dragrig.present.identification import identification_json, identified_campaigns_document
 
     if as_json:
         for folder in folders:
             content = {"error": folder.why_not} if folder.result is None else identification_json(folder.result)
             print_json_line({"source": folder.source, **content, "files": folder.files})
     else:
-        fits = [folder.result.joint for folder in folders if folder.result is not None]
-        names = list(dict.fromkeys(parameter.name for fit in fits if fit is not None for parameter in fit.parameters))
-        rows = [(folder.source, *_parameter_cells(folder, names)) for folder in folders]
-        title = "Value ± standard error of each campaign's joint fit; - is not determined by its runs"
-        print_parts([terminal_table(title, ("campaign", *names), rows, range(1, len(names) + 1))])
-        for folder in folders:
-            if folder.why_not:
-                print_result(f"! {folder.why_not}")
-            for path in folder.files:
-                print_result(display_path(path))
+        rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
+        print_document(identified_campaigns_document(rows), as_json=False)
+        for path in (path for folder in folders for path in folder.files):
+            print_result(display_path(path))
     options.require_all_succeeded("identified", len(folders), [folder.why_not for folder in folders if folder.failed])
-
-
-def _parameter_cells(folder: "IdentifiedFolder", names: Sequence[str]) -> Iterator[str]:
-    from dragrig.present.document import rounded_to_error
-
-    joint = None if folder.result is None else folder.result.joint
-    determined = {}
-    if joint is not None and joint.converged:
-        determined = {parameter.name: parameter for parameter in joint.parameters if parameter.determined}
-    for name in names:
-        if name not in determined:
-            yield "-"
-            continue
-        value, error = determined[name].value, determined[name].standard_error
-        yield f"{rounded_to_error(value, error)} ± {rounded_to_error(error, error)}"

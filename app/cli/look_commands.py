@@ -9,15 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import FileBatch, ProgressMeter, display_path, print_json, print_result
-from dragrig.present.numbers import number_text, text_columns
+from dragrig.cli.console import FileBatch, ProgressMeter, display_path, print_document, print_json, print_result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from dragrig.analysis.campaign_table import TableRow
-    from dragrig.analysis.comparison.comparison import Comparison, GroupDifference, MeasureDifference, RunPair
-    from dragrig.analysis.estimates import Exclusion
 
 
 @click.command("table")
@@ -30,55 +25,12 @@ def table_command(campaign: Path, as_json: bool) -> None:
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
     mean steady force of repeated runs, without bad and unfinished ones.
     """
-    from dragrig.analysis.campaign_table import mean_per_speed, table_rows
+    from dragrig.analysis.campaign_table import table_rows
+    from dragrig.present.campaign import campaign_table_document
 
     with ProgressMeter("measuring") as meter:
-        rows = table_rows(campaign, meter.at)
-    if as_json:
-        print_json({"runs": rows, "means": mean_per_speed(rows)})
-    else:
-        print_result(table_text(rows))
-
-
-def table_text(rows: "tuple[TableRow, ...]") -> str:
-    """Return the table of runs and that of their means, as text."""
-    from dragrig.analysis.campaign_table import mean_per_speed
-
-    header = ("file", "kind", "mm/s", "strain", "steady mN", "±", "rest mN", "peak mN", "status", "checks", "remark")
-    runs = [
-        (
-            row.file,
-            row.kind,
-            number_text(row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s),
-            number_text(row.shear_strain),
-            *map(_force_text, (row.steady_force_mN, row.steady_force_error_mN, row.rest_offset_mN, row.peak_force_mN)),
-            row.status,
-            row.checks,
-            "; ".join(part for part in (f"BAD: {row.mark}" if row.bad else "", row.remark) if part),
-        )
-        for row in rows
-    ]
-    means = [
-        (
-            mean.specimen,
-            mean.kind,
-            mean.capsule,
-            number_text(mean.speed_mm_s),
-            "forward" if mean.direction > 0 else "backward",
-            str(mean.runs),
-            _force_text(mean.steady_force_mN),
-            _force_text(mean.standard_error_mN),
-        )
-        for mean in mean_per_speed(rows)
-    ]
-    if not means:
-        return text_columns(header, runs)
-    mean_header = ("specimen", "kind", "capsule", "mm/s", "direction", "runs", "steady mN", "±")
-    return f"{text_columns(header, runs)}\n\n{text_columns(mean_header, means)}"
-
-
-def _force_text(value: float | None, sign: str = "") -> str:
-    return "" if value is None else f"{value:{sign}.1f}"
+        document = campaign_table_document(table_rows(campaign, meter.at))
+    print_document(document, as_json=as_json)
 
 
 PICTURE_SUFFIXES = (".png", ".svg")
@@ -136,7 +88,7 @@ class _PictureTarget:
     overwrite: bool
 
     def save(self, figure: "Figure", name: str, beside: Path) -> Path:
-        from dragrig.present.figure_files import save_figure, save_figure_in
+        from dragrig.present.files import save_figure, save_figure_in
 
         if self.file is not None:
             return save_figure(figure, self.file, overwrite=self.overwrite)
@@ -205,10 +157,6 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     print_result(display_path(written))
 
 
-MAX_UNPAIRED = 12
-"""Runs without a partner that are listed; the others are counted."""
-
-
 @click.command("compare")
 @click.argument("a", type=click.Path(path_type=Path))
 @click.argument("b", type=click.Path(path_type=Path), required=False)
@@ -241,15 +189,16 @@ def compare_command(
             "name a second campaign or run, or a --model, one of the two", click.get_current_context()
         )
     from dragrig.api.compare import compare, comparison_folder, write_comparison
+    from dragrig.present.comparison import comparison_document
     from dragrig.present.files import unused_path
 
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
+    document = comparison_document(comparison)
+    if out is None or not as_json:
+        print_document(document, as_json=as_json)
     if as_json and out is None:
-        print_json(comparison_json(comparison))
         return
-    if not as_json:
-        print_result(comparison_text(comparison))
     default = comparison_folder(comparison, a)
     # Measured data are often read-only.
     writable = default if os.access(default.parent, os.W_OK) else Path(default.name)
@@ -257,157 +206,7 @@ def compare_command(
     with ProgressMeter("drawing") as meter:
         written = list(write_comparison(comparison, folder, overwrite=overwrite, progress=meter.at))
     if as_json:
-        print_json({**comparison_json(comparison), "files": written})
+        print_json({**document.data, "files": written})
         return
     print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
     print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
-
-
-def comparison_text(found: "Comparison") -> str:
-    """Return a comparison as text: pairs, conditions, what is left out, and the sentences last."""
-    parts = [
-        f"A  {found.a.name}\nB  {found.b.name}",
-        _pairs_text(found.pairs),
-        f"Largest differences first, in standard errors:\n{_groups_text(found.groups)}",
-        _left_out_text(
-            "Without a partner", [*_left_out_lines("A", found.alone_a), *_left_out_lines("B", found.alone_b)]
-        ),
-        _left_out_text("Left out", [*_left_out_lines("A", found.a.left_out), *_left_out_lines("B", found.b.left_out)]),
-        "\n".join(f"! {remark}" for remark in found.remarks),
-        "\n".join(found.sentences),
-    ]
-    return "\n\n".join(part for part in parts if part)
-
-
-def comparison_json(found: "Comparison") -> dict[str, object]:
-    """Return a comparison as what JSON knows; forces in mN."""
-    from dragrig.analysis.comparison.comparison import comparison_rows
-
-    return {
-        "a": found.a.name,
-        "b": found.b.name,
-        "sentences": found.sentences,
-        "remarks": found.remarks,
-        "zero_allowed_mN": found.zero_mN,
-        "measures": list(comparison_rows(found)),
-        "pairs": [_pair_json(pair) for pair in found.pairs],
-        "conditions": [_group_json(one) for one in found.groups],
-        "without_partner": {"a": found.alone_a, "b": found.alone_b},
-        "left_out": {"a": found.a.left_out, "b": found.b.left_out},
-    }
-
-
-def _pair_json(pair: "RunPair") -> dict[str, object]:
-    return {
-        "condition": str(pair.condition),
-        "a_file": pair.a.file,
-        "b_file": pair.b.file,
-        "shift_s": pair.shift_s,
-        "verdict": pair.verdict,
-        "phases": pair.phases,
-        "motion": pair.motion,
-        "remarks": pair.remarks,
-    }
-
-
-def _group_json(one: "GroupDifference") -> dict[str, object]:
-    return {
-        "condition": str(one.condition),
-        "measure": one.measure,
-        "pairs": one.pairs,
-        "a_mN": one.a,
-        "b_mN": one.b,
-        "b_minus_a_mN": one.value,
-        "noise_error_mN": one.noise,
-        "error_with_scatter_mN": one.error,
-        "relative": one.relative,
-        "trace_rms_mN": one.rms_mN,
-        "verdict": one.verdict,
-    }
-
-
-def _pairs_text(pairs: "tuple[RunPair, ...]") -> str:
-    header = (
-        "condition",
-        "A",
-        "B",
-        "measure",
-        "A mN",
-        "B mN",
-        "B − A",
-        "± 95 %",
-        "",
-        "rms mN",
-        "most mN",
-        "at s",
-        "in",
-    )
-    return text_columns(header, [row for pair in pairs for row in _pair_rows(pair)])
-
-
-def _pair_rows(pair: "RunPair") -> list[tuple[str, ...]]:
-    whole = next((one for one in pair.phases if one.phase == "all"), None)
-    trace = ("", "", "", "")
-    if whole is not None:
-        phase = next((one.phase for one in pair.phases if one.at_s == whole.at_s and one.phase != "all"), "")
-        trace = (f"{whole.rms_mN:.1f}", f"{whole.largest_mN:.1f}", f"{whole.at_s:.2f}", phase)
-    return [
-        (str(pair.condition), pair.a.file, pair.b.file, one.measure, *_difference_cells(one), *trace)
-        if place == 0
-        else ("", "", "", one.measure, *_difference_cells(one), "", "", "", "")
-        for place, one in enumerate(pair.main)
-    ]
-
-
-def _difference_cells(one: "MeasureDifference") -> tuple[str, ...]:
-    from dragrig.analysis.estimates import NORMAL_95
-
-    a, b = one.compared
-    half = None if one.error is None else NORMAL_95 * one.error
-    return (
-        _force_text(a),
-        _force_text(b),
-        _force_text(one.value, "+"),
-        _force_text(half),
-        one.reason if one.value is None else one.verdict.value,
-    )
-
-
-def _groups_text(groups: "tuple[GroupDifference, ...]") -> str:
-    from dragrig.analysis.estimates import NORMAL_95
-
-    header = ("condition", "measure", "pairs", "A mN", "B mN", "B − A", "± 95 %", "%", "errors", "", "rms mN")
-    return text_columns(
-        header,
-        [
-            (
-                str(one.condition),
-                one.measure,
-                str(one.pairs),
-                _force_text(one.a),
-                _force_text(one.b),
-                _force_text(one.value, "+"),
-                _force_text(NORMAL_95 * one.error),
-                "" if one.relative is None else f"{100 * one.relative:+.1f}",
-                number_text(one.times_error, 2),
-                one.verdict.value,
-                _force_text(one.rms_mN),
-            )
-            for one in groups
-        ],
-    )
-
-
-def _left_out_lines(side: str, found: "tuple[Exclusion, ...]") -> list[str]:
-    return [f"  {side}  {one.what}: {one.reason}" for one in found]
-
-
-def _left_out_text(heading: str, lines: list[str]) -> str:
-    if not lines:
-        return ""
-    shown = (
-        lines
-        if len(lines) <= MAX_UNPAIRED
-        else [*lines[: MAX_UNPAIRED - 1], f"  and {len(lines) - MAX_UNPAIRED + 1} more"]
-    )
-    return "\n".join((f"{heading}:", *shown))

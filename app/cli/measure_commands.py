@@ -14,16 +14,15 @@ from dragrig.cli.console import (
     BAD_INPUT,
     ProgressMeter,
     display_path,
+    print_document,
     print_error,
     print_json,
     print_remark,
     print_result,
 )
-from dragrig.present.numbers import duration_text, size_text, text_columns
 
 if TYPE_CHECKING:
     from dragrig.campaign_session import Made
-    from dragrig.rig.preflight import Preflight
     from dragrig.rig.runfile import RecoveredRecording
 
 
@@ -60,19 +59,13 @@ def check_command(
     Without: limits, calibrations and every device in turn, each ok or NOT; exit code 5 when one is not.
     """
     from dragrig.api.measure import check
+    from dragrig.present.rig_results import preflight_document
 
     if plan is None:
         _check_rig(ctx, settings, out, as_json=as_json)
         return
     preflight = check(plan, out=out, **settings)
-    if as_json:
-        print_json(_preflight_json(preflight))
-    else:
-        print_result(_preflight_table(preflight))
-        print_result(
-            f"{len(preflight.previews)} runs, {duration_text(preflight.duration_s)}, {size_text(preflight.size_bytes)} "
-            f"of {size_text(preflight.free_bytes)} free"
-        )
+    print_document(preflight_document(preflight), as_json=as_json)
     for finding in preflight.findings:
         print_error(f"{finding}.")
     if preflight.findings:
@@ -106,55 +99,6 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
         print_json(findings)
     if not all(finding.fine for finding in findings):
         ctx.exit(DeviceError.exit_code)
-
-
-def _preflight_table(preflight: "Preflight") -> str:
-    header = ("", "run", "capsule", "min mm", "max mm", "mm/s", "mm/s²", "rest", "duration", "size", "prompt")
-    rows = [
-        (
-            str(preview.run.index),
-            preview.run.protocol.summary(),
-            preview.run.capsule.name,
-            f"{preview.lowest_mm:g}",
-            f"{preview.highest_mm:g}",
-            f"{preview.speed_mm_s:g}",
-            f"{preview.accel_mm_s2:g}",
-            duration_text(preview.run.wait_s),
-            duration_text(preview.run.duration_s),
-            size_text(preview.size_bytes),
-            preview.run.prompt,
-        )
-        for preview in preflight.previews
-    ]
-    return text_columns(header, rows)
-
-
-def _preflight_json(preflight: "Preflight") -> dict[str, object]:
-    runs = [
-        {
-            "index": preview.run.index,
-            "kind": preview.run.protocol.kind,
-            "parameters": preview.run.protocol.attributes(),
-            "capsule": preview.run.capsule.name,
-            "fixture": preview.run.fixture,
-            "lowest_mm": preview.lowest_mm,
-            "highest_mm": preview.highest_mm,
-            "speed_mm_s": preview.speed_mm_s,
-            "accel_mm_s2": preview.accel_mm_s2,
-            "wait_s": preview.run.wait_s,
-            "duration_s": preview.run.duration_s,
-            "size_bytes": preview.size_bytes,
-            "prompt": preview.run.prompt,
-        }
-        for preview in preflight.previews
-    ]
-    return {
-        "runs": runs,
-        "duration_s": preflight.duration_s,
-        "size_bytes": preflight.size_bytes,
-        "free_bytes": preflight.free_bytes,
-        "findings": preflight.findings,
-    }
 
 
 @click.command("run")
@@ -317,8 +261,8 @@ def demo_command(out: Path) -> None:
     """
     from dragrig.analysis.campaign_table import table_rows
     from dragrig.api.report import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
-    from dragrig.cli.look_commands import table_text
     from dragrig.cli.operator import TerminalOperator
+    from dragrig.present.campaign import campaign_table_document
 
     print_remark("The simulated rig makes a blank run, a relaxation, a Coulomb test and drags at three speeds:")
     with TerminalOperator(yes=True) as person:
@@ -326,7 +270,7 @@ def demo_command(out: Path) -> None:
     print_remark("Filtering, exporting and drawing every run …")
     with ProgressMeter("filtering, exporting, drawing") as meter:
         overview = evaluate_demo(made, meter.at)
-    print_result(table_text(table_rows(made.folder)))
+    print_document(campaign_table_document(table_rows(made.folder)), as_json=False)
     folder = display_path(made.folder)
     print_result(
         f"\nrun files  {folder}\ncsv        {display_path(made.folder / DEMO_TABLES)}"

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import ProgressMeter, display_path, print_json, print_remark, print_result
-from dragrig.present.numbers import text_columns
+from dragrig.cli.console import ProgressMeter, display_path, print_document, print_json, print_remark, print_result
 
 if TYPE_CHECKING:
     from dragrig.api.report import PaperViscous, PaperWall
@@ -70,35 +69,25 @@ def model_command(
     its own, which the pictures do not show.
     """
     from dragrig.api.evaluate import model as steady_forces
+    from dragrig.config.settings import find_settings
+    from dragrig.config.specimen import Capsule, Specimen
+    from dragrig.present.files import save_figures
+    from dragrig.present.friction_model import model_document
 
     settings = _load_model(name, wall, viscous, effects)
     frame = steady_forces(speeds, model=settings, capsule=capsule, specimen=specimen)
     rows = [{str(column): float(value) for column, value in row.items()} for row in frame.to_dict("records")]
+    body = find_settings(Capsule, "capsule", capsule)
+    thickness_mm = find_settings(Specimen, "specimen", specimen).wall_thickness_mm
+    document = model_document(rows, settings, body, thickness_mm)
     if as_json:
         print_json(rows)
     else:
-        header = [column.replace("_mN", " mN").replace("speed_mm_s", "speed mm/s") for column in rows[0]]
-        cells = [
-            (f"{speed:g}", *(f"{force:.2f}" for force in forces)) for speed, *forces in (row.values() for row in rows)
-        ]
-        print_result(text_columns(header, cells))
-        print_result(f"\n{_wall_disagreement(settings)}\n")
+        print_document(document, as_json=False)
     report = print_remark if as_json else print_result
     if out is not None or not as_json:
-        from dragrig.config.settings import find_settings
-        from dragrig.config.specimen import Capsule, Specimen
-        from dragrig.present.figure_files import save_figure_in
-        from dragrig.present.friction_model import forces_figure, skew_figure, wall_figure
-
-        body = find_settings(Capsule, "capsule", capsule)
-        thickness_mm = find_settings(Specimen, "specimen", specimen).wall_thickness_mm
-        pictures = {
-            "model-forces.png": forces_figure(settings, body, thickness_mm, speeds),
-            "model-skew.png": skew_figure(settings, body, thickness_mm, speeds),
-            "model-wall.png": wall_figure(),
-        }
-        for file_name, figure in pictures.items():
-            report(str(save_figure_in(out or Path(), file_name, figure, overwrite=overwrite)))
+        for path in save_figures(document, out or Path(), overwrite=overwrite):
+            report(str(path))
 
 
 def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple[str, ...]) -> "FrictionModelSettings":
@@ -110,34 +99,6 @@ def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple
     changes = {key: value for key, value in (("wall", wall), ("viscous", viscous)) if value is not None}
     changed = parse(FrictionModelSettings, model.model_dump() | changes, name) if changes else model
     return with_effects(changed, effects)
-
-
-def _wall_disagreement(model: "FrictionModelSettings") -> str:
-    from dragrig.present.friction_model import WALL_UNITS, percent_text
-    from dragrig.sim_backend.friction import parameter_set_differences
-
-    used = {"eq14": "Eq. 14", "table1": "the quadratic through Table 1", "polynomial": "the model's own polynomials"}
-    order = list(WALL_UNITS)
-    rows = [
-        (
-            difference.parameter.replace("eta", "η"),
-            WALL_UNITS[difference.parameter],
-            f"{100 * difference.strain:g} %",
-            f"{difference.table1:g}",
-            f"{difference.eq14:.4g}",
-            percent_text(difference.eq14_difference),
-            f"{difference.quadratic:.4g}",
-            percent_text(difference.quadratic_difference),
-        )
-        for difference in sorted(parameter_set_differences(), key=lambda entry: order.index(entry.parameter))
-    ]
-    return "\n".join(
-        (
-            "Eq. 14 (wall eq14) is not what Table 1 says; a least-squares quadratic through Table 1 (wall table1) is",
-            f"closer. Differences are from Table 1. The table above uses {used[model.wall]}.",
-            text_columns(("", "", "strain", "Table 1", "Eq. 14", "differs", "quadratic", "differs"), rows),
-        )
-    )
 
 
 @click.command("paper")

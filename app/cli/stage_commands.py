@@ -1,16 +1,11 @@
 """Commands that move the stage by hand or calibrate: home, jog, touch-off, calibrate."""
 
-from typing import TYPE_CHECKING, Unpack
+from typing import Unpack
 
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import print_json, print_remark, print_result
-from dragrig.present.numbers import text_columns
-
-if TYPE_CHECKING:
-    from dragrig.api.stage import SensorCalibration
-    from dragrig.rig.sensor_calibration import MeasuredLoad, MeasuredTravel
+from dragrig.cli.console import print_document, print_json, print_remark, print_result
 
 
 @click.command("home")
@@ -177,6 +172,7 @@ def calibrate_force_command(
     """
     from dragrig.api.stage import calibrate_force
     from dragrig.cli.operator import TerminalOperator
+    from dragrig.present.rig_results import force_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_force(
@@ -189,24 +185,8 @@ def calibrate_force_command(
             person=person,
             **rig,
         )
-    line = calibration.line
-    rows = [
-        (
-            f"{point.weight_g:g}",
-            f"{point.load_mN:.2f}",
-            f"{point.reading.force_V:.5f}",
-            f"{1e3 * point.reading.force_V_sd:.2f}",
-            f"{point.load_mN - line.at(point.reading.force_V):+.2f}",
-        )
-        for point in calibration.points
-    ]
-    _print_calibration(
-        calibration,
-        text_columns(("weight g", "load mN", "reading V", "noise mV", "residual mN"), rows),
-        f"gain {line.gain:.6g} ± {line.gain_error:.2g} mN/V, zero {line.zero:.2f} ± {line.zero_error:.2f} mN, residual "
-        f"{line.residual:.2f} mN",
-        as_json=as_json,
-    )
+    document = force_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
+    print_document(document, as_json=as_json)
 
 
 @calibrate_group.command("encoder")
@@ -246,6 +226,7 @@ def calibrate_encoder_command(
     """
     from dragrig.api.stage import calibrate_encoder
     from dragrig.cli.operator import TerminalOperator
+    from dragrig.present.rig_results import encoder_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_encoder(
@@ -261,31 +242,5 @@ def calibrate_encoder_command(
             person=person,
             **rig,
         )
-    line = calibration.line
-    rows = [
-        (f"{point.travel_mm:g}", f"{point.counts:.0f}", f"{1e3 * (point.travel_mm - line.at(point.counts)):+.1f}")
-        for point in calibration.points
-    ]
-    _print_calibration(
-        calibration,
-        text_columns(("travel mm", "counts", "residual µm"), rows),
-        f"a count is {1e3 * line.gain:.6g} ± {1e3 * line.gain_error:.2g} µm, residual {1e3 * line.residual:.2g} µm",
-        as_json=as_json,
-    )
-
-
-def _print_calibration(
-    calibration: "SensorCalibration[MeasuredLoad] | SensorCalibration[MeasuredTravel]",
-    points: str,
-    summary: str,
-    *,
-    as_json: bool,
-) -> None:
-    entry, notes = calibration.entry, calibration.notes
-    if as_json:
-        print_json({"entry": entry.model_dump(), "points": calibration.points, "notes": notes})
-        return
-    print_result(points)
-    for note in notes:
-        print_result(f"NOTE {note}")
-    print_result(f"{summary}; stored as {entry.id}")
+    document = encoder_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
+    print_document(document, as_json=as_json)

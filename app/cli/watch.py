@@ -1,6 +1,7 @@
 """The command watch."""
 
 import sys
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +9,7 @@ import click
 
 from dragrig.cli import options
 from dragrig.cli.console import print_json_line, print_remark, print_result
-from dragrig.present.numbers import duration_text, number_text
+from dragrig.present.numbers import duration_text, shortest
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -114,6 +115,10 @@ def state_line(state: "CampaignState") -> str:
     return f"{state.campaign}: {run}{ACTIVITY_TEXTS[state.doing]}{ended}{f' {what}{phase}' if what else ''}{reason}"
 
 
+def _quantity(value: float | None, unit: str, digits: int) -> str:
+    return "" if value is None or not isfinite(value) else f"{shortest(digits)(value)} {unit}"
+
+
 def state_texts(state: "CampaignState") -> dict[str, str]:
     """Return the fields of a state as text, by name."""
     recording = state.recording
@@ -130,8 +135,8 @@ def state_texts(state: "CampaignState") -> dict[str, str]:
         texts |= {
             "kind": recording.kind,
             "phase": f"{recording.phase}, {duration_text(recording.time_s)}{of}",
-            "force": f"{number_text(recording.force_mN, 4)} mN",
-            "position": f"{number_text(recording.position_mm, 5)} mm",
+            "force": _quantity(recording.force_mN, "mN", 4),
+            "position": _quantity(recording.position_mm, "mm", 5),
             "samples": f"{recording.samples}",
         }
     return {name: text for name, text in texts.items() if text}

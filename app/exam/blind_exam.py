@@ -74,10 +74,12 @@ class BlindExam:
 
 def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
     """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `write_text`."""
-    from dragrig.present.exam import exam_page
+    from dragrig.present.exam import exam_document
     from dragrig.present.files import write_text
+    from dragrig.present.html_page import render_page
 
-    return write_text(exam_page(exam.score, exam.cases, exam.seed, exam.answers_sha256), path, overwrite=overwrite)
+    document = exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256)
+    return write_text(render_page(document), path, overwrite=overwrite)
 
 
 TaskT = TypeVar("TaskT")

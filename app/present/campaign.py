@@ -1,43 +1,39 @@
 """A campaign laid out for a reader: mean forces, runs, sessions, and what was left out."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from dragrig.analysis.campaign_table import UNREADABLE, TableRow, mean_per_speed
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.present.document import (
-    Cell,
-    Column,
-    InlineFigure,
-    Table,
-    decimals,
-    general_format,
-    significant,
-    three_significant,
-)
-from dragrig.present.drawing import (
-    run_title,
-)
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.html_page import render_template
-from dragrig.present.run import inline_run_figure
+from dragrig.present.document import Cell, Column, Document, Figure, FormattedNumber, Section, Table, Text
+from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import decimals, shortest, shortest_percent, value_with_error
+from dragrig.present.run import run_drawing, run_problem, run_title
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import Campaign, read_run
-from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
+from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.rig.runfile.schema import run_name
 from dragrig.rig.session import SessionRecord
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+MAX_DRAWN_RUNS = 100
+"""Runs that a report draws one by one; a page that is mailed must stay small."""
+SPEED = Column("speed_mm_s", "mm/s", shortest(3))
+STEADY_FORCE = Column("steady_force_mN", "steady force, mN")
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignReportData:
-    """A campaign, looked at whole.
+    """A campaign with what was measured of its runs.
 
     Attributes
     ----------
     rows
-        Its runs in numbers, by the names of their files.
+        Measures of its runs.
     sessions
         Records of its sessions that can be read, the earliest first.
     damaged
@@ -45,7 +41,7 @@ class CampaignReportData:
     """
 
     name: str
-    found: Campaign
+    campaign: Campaign
     rows: tuple[TableRow, ...]
     sessions: tuple[SessionRecord, ...] = ()
     damaged: tuple[str, ...] = ()
@@ -54,272 +50,230 @@ class CampaignReportData:
     def readable(self) -> tuple[RunInfo, ...]:
         """Runs whose samples can be read."""
         lost = {row.file for row in self.rows if row.status == UNREADABLE}
-        return tuple(one for one in self.found.runs if one.path.name not in lost)
+        return tuple(info for info in self.campaign.runs if info.path.name not in lost)
 
     @property
     def bad(self) -> Mapping[str, str]:
         """Why runs were marked bad, by the names of their files."""
-        return {path.name: mark.reason for path, mark in self.found.marks.items()}
+        return {path.name: mark.reason for path, mark in self.campaign.marks.items()}
 
 
-def file_anchor(file: str) -> str:
-    """Return the id that a run has in the page."""
-    return f"run-{file.removesuffix('.h5')}"
+def campaign_document(data: CampaignReportData) -> Document:
+    """Lay out a campaign; its runs are read and drawn one after the other when the figures are."""
+    runs = data.campaign.runs
+    drawn = tuple(info for info in data.readable if info.kind != ReturnProtocol.kind)[:MAX_DRAWN_RUNS]
+    left_out = _left_out_table(data)
+    singles = tuple(
+        Section(
+            _anchor(info.path.name),
+            run_title(info) + (f" ({problem})" if (problem := _short_problem(info, data)) else ""),
+            (_single_drawing(info, data),),
+            collapsed=True,
+            note=info.path.name,
+        )
+        for info in drawn
+    )
+    not_drawn = _not_drawn_text(data, len(drawn))
+    problem = f"{len(left_out.rows)} left out: bad, aborted and unreadable runs are in no mean and no figure."
+    return Document(
+        title=f"Campaign {data.name}",
+        source="Campaign report",
+        badges=tuple(sorted({info.header.backend for info in runs})),
+        lead=(_summary(data),),
+        problem=problem if left_out else "",
+        sections=(
+            Section("overview", "Overview", (_overview(data),)),
+            Section("means", "Steady force", (mean_table(data.rows),)),
+            Section("runs", "Runs", (run_table(data.rows, frozenset(_anchor(info.path.name) for info in drawn)),)),
+            Section("left-out", "Left out", (left_out,)),
+            Section("sessions", "Sessions", (_session_table(data),)),
+            Section("one-by-one", "Individual runs", (Text(not_drawn), *singles) if singles else ()),
+        ),
+    )
 
 
-def run_anchor(info: RunInfo) -> str:
-    """Return the same of a run."""
-    return f"run-{run_name(info.path)}"
+def campaign_table_document(rows: Sequence[TableRow]) -> Document:
+    """Lay out the measures of a campaign's runs, and their means."""
+    return Document(
+        title=f"{len(rows)} run{'' if len(rows) == 1 else 's'}",
+        sections=(Section("runs", "", (run_table(rows),)), Section("means", "Means", (mean_table(rows),))),
+        data=to_json_object({"runs": rows, "means": mean_per_speed(rows)}),
+    )
 
 
-_ONE_DECIMAL = decimals(1)
-
-_SPEED = Column("speed_mm_s", "mm/s", three_significant)
-
-_STEADY = Column("steady_force_mN", "steady, mN", _ONE_DECIMAL)
-
-
-def campaign_tables(results: CampaignReportData, drawn: Collection[str]) -> dict[str, Table]:
-    """Return all tables by name; `drawn` holds the ids of the runs that are drawn by themselves."""
-    made = (_mean_table(results), _run_table(results, drawn), _session_table(results), left_out_table(results))
-    return {table.name: table for table in made}
-
-
-def _mean_table(results: CampaignReportData) -> Table:
+def mean_table(rows: Sequence[TableRow]) -> Table:
+    """Tabulate the mean steady force of repeated runs."""
     columns = (
         Column("specimen", "specimen"),
         Column("kind", "kind"),
         Column("capsule", "capsule"),
-        _SPEED,
-        Column("way", "way"),
-        Column("runs", "runs", general_format),
-        _STEADY,
-        Column("standard_error_mN", "±", significant(2)),
+        SPEED,
+        Column("direction", "direction"),
+        Column("runs", "runs", shortest()),
+        STEADY_FORCE,
     )
-    rows = tuple(
+    cells = tuple(
         (
-            one.specimen,
-            one.kind,
-            one.capsule,
-            one.speed_mm_s,
-            "forward" if one.direction > 0 else "backward",
-            one.runs,
-            one.steady_force_mN,
-            one.standard_error_mN,
+            mean.specimen,
+            mean.kind,
+            mean.capsule,
+            mean.speed_mm_s,
+            "forward" if mean.direction > 0 else "backward",
+            mean.runs,
+            _with_error(mean.steady_force_mN, mean.standard_error_mN),
         )
-        for one in mean_per_speed(results.rows)
+        for mean in mean_per_speed(rows)
     )
-    return Table("means", "Mean of equal runs, without bad and unfinished ones; ± is one standard error", columns, rows)
+    caption = "Mean of repeated runs ± standard error, without bad and unfinished runs"
+    return Table("means", caption, columns, cells)
 
 
-def _run_table(results: CampaignReportData, drawn: Collection[str]) -> Table:
+def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -> Table:
+    """Tabulate the measures of each run; the first cell links to the runs that have an anchor."""
     columns = (
-        Column("order", "run", lambda value: f"{value:03.0f}"),
+        Column("file", "run"),
         Column("kind", "kind"),
-        _SPEED,
-        Column("shear_strain", "strain", lambda value: f"{100 * value:g} %"),
-        _STEADY,
-        Column("steady_force_error_mN", "±", significant(2)),
-        Column("rest_offset_mN", "at rest, mN", _ONE_DECIMAL),
-        Column("peak_force_mN", "peak, mN", _ONE_DECIMAL),
+        SPEED,
+        Column("shear_strain", "strain", shortest_percent),
+        STEADY_FORCE,
+        Column("rest_offset_mN", "at rest, mN", decimals(1)),
+        Column("peak_force_mN", "peak, mN", decimals(1)),
         Column("status", "status"),
         Column("checks", "checks"),
         Column("began", "began"),
+        Column("remark", "remark"),
     )
-    rows = tuple(_run_row(row) for row in results.rows if row.kind)
-    ids = (file_anchor(row.file) for row in results.rows if row.kind)
-    links = tuple(one if one in drawn else "" for one in ids)
-    return Table("runs", "Every run, in order; ± is one standard error", columns, rows, links)
+    links = tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows)
+    return Table("runs", "Steady force ± standard error", columns, tuple(map(_run_row, rows)), links)
 
 
 def _run_row(row: TableRow) -> tuple[Cell, ...]:
     return (
-        row.order,
+        row.file,
         row.kind,
         row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s,
         row.shear_strain,
-        row.steady_force_mN,
-        row.steady_force_error_mN,
+        _with_error(row.steady_force_mN, row.steady_force_error_mN),
         row.rest_offset_mN,
         row.peak_force_mN,
-        f"{row.status}, marked bad" if row.bad else row.status,
+        row.status,
         row.checks,
         "" if row.start_time is None else f"{row.start_time:%H:%M:%S}",
+        "; ".join(filter(None, (f"marked bad: {row.mark}" if row.bad else "", row.remark))),
     )
 
 
-def _session_table(results: CampaignReportData) -> Table:
+def _with_error(value: float | None, error: float | None) -> FormattedNumber:
+    return FormattedNumber(value, value_with_error(value, error))
+
+
+def _session_table(data: CampaignReportData) -> Table:
     columns = (
         Column("begun", "begun"),
         Column("plan", "plan"),
         Column("rig", "rig"),
         Column("operator", "operator"),
-        Column("runs", "runs", general_format),
+        Column("runs", "runs", shortest()),
         Column("calibration", "force calibration"),
         Column("note", "note"),
     )
-    begun = [one.begun_at for one in results.sessions]
-    ends = [*begun[1:], None]
+    ends = [*(session.begun_at for session in data.sessions[1:]), None]
     rows = tuple(
         (
-            f"{one.begun_at:%Y-%m-%d %H:%M:%S}",
-            one.plan.name,
-            f"{one.backend}, double" if one.double else one.backend,
-            one.operator,
-            sum(one.begun_at <= run.header.start_time and (end is None or run.header.start_time < end)
-                for run in results.found.runs),
-            one.calibration_id,
-            one.note,
+            f"{session.begun_at:%Y-%m-%d %H:%M:%S}",
+            session.plan.name,
+            f"{session.backend}, double" if session.double else session.backend,
+            session.operator,
+            _runs_between(data, session.begun_at, end),
+            session.calibration_id,
+            session.note,
         )
-        for one, end in zip(results.sessions, ends, strict=True)
-    )  # fmt: skip
-    return Table("sessions", "Each time that somebody began or went on", columns, rows)
+        for session, end in zip(data.sessions, ends, strict=True)
+    )
+    return Table("sessions", "Each start or continuation of the campaign", columns, rows)
 
 
-def left_out_table(results: CampaignReportData) -> Table:
-    """Tabulate what takes no part in means and figures, and why."""
-    columns = (Column("file", "file"), Column("kind", "kind"), Column("why", "why"))
-    return Table("left-out", "In no mean and no figure of the campaign", columns, tuple(_left_out_rows(results)))
+def _runs_between(data: CampaignReportData, begin: datetime, end: datetime | None) -> int:
+    times = [info.header.start_time for info in data.campaign.runs]
+    return sum(begin <= time and (end is None or time < end) for time in times)
 
 
-def _left_out_rows(results: CampaignReportData) -> Iterator[tuple[Cell, ...]]:
-    for info in results.readable:
-        why = _reason_left_out(info, results)
-        if why:
-            yield info.path.name, info.kind, why
-    for row in results.rows:
+def _left_out_table(data: CampaignReportData) -> Table:
+    columns = (Column("file", "file"), Column("kind", "kind"), Column("reason", "reason"))
+    return Table("left-out", "In no mean and no figure of the campaign", columns, tuple(_left_out_rows(data)))
+
+
+def _left_out_rows(data: CampaignReportData) -> Iterator[tuple[Cell, ...]]:
+    for info in data.readable:
+        problem = run_problem(info, data.bad.get(info.path.name))
+        if problem:
+            yield info.path.name, info.kind, problem
+    for row in data.rows:
         if row.status == UNREADABLE:
             yield row.file, row.kind, row.remark
-    for path in results.found.recordings:
+    for path in data.campaign.recordings:
         yield path.name, "", "is being recorded, or was left so by a crash: dragrig recover finishes it"
-    for record in results.damaged:
+    for record in data.damaged:
         yield "session record", "", record
 
 
-def _reason_left_out(info: RunInfo, results: CampaignReportData) -> str:
-    bad = results.bad.get(info.path.name)
-    if bad is not None:
-        return f"marked bad: {bad}"
-    if info.status is RunStatus.COMPLETE:
-        return ""
-    return f"{info.status}: {info.reason}" if info.reason else str(info.status)
+def _overview(data: CampaignReportData) -> Figure:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.campaign_figures import campaign_figure
 
+        return campaign_figure((read_run(info.path) for info in data.readable), data.name, list(data.campaign.marks))
 
-OVERVIEW_ID = "overview"
-
-MAX_DRAWN_RUNS = 100
-"""So many runs are drawn one by one; a page that is mailed must stay small."""
-
-
-def inline_campaign_figures(results: CampaignReportData, progress: Progress = no_progress) -> dict[str, InlineFigure]:
-    """Draw the overview, and each run that is drawn by itself, by its id in the page."""
-    singles = drawn_runs(results)
-    steps = len(results.readable) + len(singles)
-    bad = list(results.found.marks)
-    from dragrig.present.campaign_figures import campaign_figure
-
-    overview = campaign_figure(_read_runs(results.readable, progress, steps), results.name, bad)
-    drawn = {
-        OVERVIEW_ID: inline_figure(
-            overview,
-            "Steady force against speed, relaxation of the force against time since the ramp, and force along the way "
-            "at a few speeds.",
-            "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
-            "zero included.",
-        )
-    }
-    for done, info in enumerate(singles, len(results.readable)):
-        progress(done, steps)
-        drawn[run_anchor(info)] = inline_run_figure(read_run(info.path), results.bad.get(info.path.name))
-    progress(steps, steps)
-    return drawn
-
-
-def drawn_runs(results: CampaignReportData) -> tuple[RunInfo, ...]:
-    """Return the runs that are drawn one by one: the first ones, ways back left out."""
-    return tuple(one for one in results.readable if one.kind != ReturnProtocol.kind)[:MAX_DRAWN_RUNS]
-
-
-def _read_runs(infos: tuple[RunInfo, ...], progress: Progress, steps: int) -> Iterator[Run]:
-    for done, info in enumerate(infos):
-        progress(done, steps)
-        yield read_run(info.path)
-
-
-@dataclass(frozen=True, slots=True)
-class CollapsedRun:
-    """A run that is drawn by itself, folded away until somebody looks."""
-
-    id: str
-    title: str
-    file: str
-    trouble: str
-    picture: InlineFigure
-
-
-def campaign_page(results: CampaignReportData, pictures: Mapping[str, InlineFigure]) -> str:
-    """Return the report on a campaign as one HTML page.
-
-    Parameters
-    ----------
-    pictures
-        From `pictures.pictures`: the overview, and runs by their ids.
-    """
-    tabulated = campaign_tables(results, frozenset(pictures) - {OVERVIEW_ID})
-    backends = sorted({one.header.backend for one in results.found.runs})
-    return render_template(
-        "campaign.html",
-        {
-            "title": f"Campaign {results.name}",
-            "lead": _campaign_summary(results),
-            "backends": backends,
-            "left_out": len(tabulated["left-out"].rows),
-            "runs": _collapsed_runs(results, pictures),
-            "not_drawn": _not_drawn_text(results, pictures),
-            "tables": tabulated,
-            "pictures": pictures,
-        },
+    return Figure(
+        "overview",
+        "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
+        "few speeds.",
+        "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
+        "zero included.",
+        draw,
     )
 
 
-def _campaign_summary(results: CampaignReportData) -> str:
-    runs = results.found.runs
+def _single_drawing(info: RunInfo, data: CampaignReportData) -> Figure:
+    """Return the figure of a run that is read when it is drawn."""
+
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.run_figures import run_figure
+
+        return run_figure(read_run(info.path), bad_reason=data.bad.get(info.path.name))
+
+    return run_drawing(info, draw, f"figure-{run_name(info.path)}")
+
+
+def _summary(data: CampaignReportData) -> str:
+    runs = data.campaign.runs
     if not runs:
         return "No run in this folder can be read."
-    counts = Counter("way back" if one.kind == ReturnProtocol.kind else one.kind for one in runs)
-    kinds = ", ".join(f"{count} {_kind_text(kind, count)}" for kind, count in counts.most_common())
-    specimens = sorted({str(one.header.specimen.get("name", "")) for one in runs} - {""})
-    begun, last = (pick(one.header.start_time for one in runs) for pick in (min, max))
+    counts = Counter("return" if info.kind == ReturnProtocol.kind else info.kind for info in runs)
+    kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
+    specimens = sorted({str(info.header.specimen.get("name", "")) for info in runs} - {""})
+    begun, last = (pick(info.header.start_time for info in runs) for pick in (min, max))
     until = f"{last:%H:%M}" if last.date() == begun.date() else _date_text(last)
-    on = f" of {' and '.join(specimens)}" if specimens else ""
-    return f"{len(runs)} run{'' if len(runs) == 1 else 's'}{on} ({kinds}), {_date_text(begun)} to {until}."
+    of_specimens = f" of {' and '.join(specimens)}" if specimens else ""
+    return f"{len(runs)} run{'' if len(runs) == 1 else 's'}{of_specimens} ({kinds}), {_date_text(begun)} to {until}."
 
 
 def _date_text(when: datetime) -> str:
     return f"{when.day} {when:%B %Y, %H:%M}"
 
 
-def _kind_text(kind: str, count: int) -> str:
-    return "ways back" if kind == "way back" and count > 1 else kind
+def _short_problem(info: RunInfo, data: CampaignReportData) -> str:
+    if info.path.name in data.bad:
+        return "marked bad"
+    return "" if info.status is RunStatus.COMPLETE else str(info.status)
 
 
-def _collapsed_runs(results: CampaignReportData, pictures: Mapping[str, InlineFigure]) -> list[CollapsedRun]:
-    return [
-        CollapsedRun(
-            run_anchor(one),
-            run_title(one),
-            one.path.name,
-            "marked bad" if one.path.name in results.bad else "" if one.status == "complete" else str(one.status),
-            pictures[run_anchor(one)],
-        )
-        for one in results.readable
-        if run_anchor(one) in pictures
-    ]
+def _not_drawn_text(data: CampaignReportData, drawn: int) -> str:
+    returns = sum(info.kind == ReturnProtocol.kind for info in data.readable)
+    more = len(data.readable) - returns - drawn
+    parts = [f"{returns} return stroke{'' if returns == 1 else 's'}"] if returns else []
+    parts += [f"{more} more"] if more else []
+    return f"Not drawn: {' and '.join(parts)}; see `dragrig show` and `dragrig report RUN`." if parts else ""
 
 
-def _not_drawn_text(results: CampaignReportData, pictures: Mapping[str, InlineFigure]) -> str:
-    back = sum(one.kind == ReturnProtocol.kind for one in results.readable)
-    others = sum(one.kind != ReturnProtocol.kind and run_anchor(one) not in pictures for one in results.readable)
-    told = [f"{back} {_kind_text('way back', back)}"] if back else []
-    told += [f"{others} more"] if others else []
-    return " and ".join(told)
+def _anchor(file: str) -> str:
+    return f"run-{file.removesuffix('.h5')}"

@@ -44,7 +44,8 @@ from dragrig.present.drawing import (
     write_problem,
     write_title,
 )
-from dragrig.present.friction_model import spread_selection
+from dragrig.present.model_figures import spread_selection
+from dragrig.present.numbers import value_with_error
 from dragrig.present.palette import BLACK, BLUE, GREY, PURPLE, VERMILLION
 from dragrig.present.run_figures import (
     CHANNEL_LABELS,
@@ -60,7 +61,6 @@ from dragrig.present.run_figures import (
     draw_panel_column,
     gaps_after_samples,
     relaxation_ramp,
-    value_with_error,
 )
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.profile import Phase

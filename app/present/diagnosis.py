@@ -1,10 +1,9 @@
 """A gap diagnosis laid out for a reader: where the gap is, which hypothesis explains it, how far it shrinks."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.estimates import EstimatedQuantity
 from dragrig.analysis.gap.diagnosis import (
     Diagnosis,
     GapReduction,
@@ -21,7 +20,6 @@ from dragrig.analysis.gap.diagnosis_text import (
     axis_texts,
     calibration_sentence,
     capitalise,
-    count_text,
     detection_limit_sentence,
     display_name,
     domain_sentence,
@@ -29,456 +27,67 @@ from dragrig.analysis.gap.diagnosis_text import (
     is_stated_verdict,
     percent_text,
     probability_text,
+    run_text,
+    separation_text,
     shrink_sentences,
     verdict_sentences,
 )
-from dragrig.analysis.paper import published as printed
+from dragrig.analysis.paper import published
 from dragrig.present.document import (
     Cell,
+    Code,
     Column,
+    Document,
+    Facts,
+    Figure,
+    FormattedNumber,
+    Items,
+    Section,
     Table,
+    Text,
+    TextKind,
+)
+from dragrig.present.json_values import exclusions_json, to_json_object
+from dragrig.present.numbers import (
     decimals,
-    general_format,
     interval_text,
     p_value_text,
+    percent,
     rounded_to_error,
-    significant,
+    shortest,
     unit_text,
 )
-from dragrig.present.identification import JsonObject, finite_or_none, left_out_json
-from dragrig.present.terminal import terminal_table
 from dragrig.sim_backend.effects.base import catalogue
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from matplotlib.figure import Figure as MatplotlibFigure
 
-from dragrig.present.document import InlineFigure
-from dragrig.present.html_page import render_template
-
-DIAGNOSIS_FORMAT, DIAGNOSIS_VERSION = "dragrig-gap", 1
-
+FORMAT, VERSION = "dragrig-gap", 1
+NEXT_FORMAT = "dragrig-next"
 PROBABILITY_STEPS = 1_000_000
-"""Probabilities are told in millionths."""
-
-
-def diagnosis_json(
-    diagnosis: Diagnosis, *, model: str | None = None, run_ids: Mapping[str, str] | None = None
-) -> Mapping[str, object]:
-    """Return a diagnosis as the JSON of a gap report, without any NaN or infinity.
-
-    Parameters
-    ----------
-    model
-        The file that the amended model was written to.
-    run_ids
-        Ids of the runs by the names of their files; a file without one is told by its name.
-    """
-    one, ids = diagnosis, run_ids or {}
-    return {
-        "format": DIAGNOSIS_FORMAT,
-        "version": DIAGNOSIS_VERSION,
-        "campaign": {
-            "specimen": one.specimen,
-            "nominal": one.nominal,
-            "runs": one.runs,
-            "used_for_fit": [ids.get(file, file) for file in one.used_for_fit],
-            "held_out": [ids.get(file, file) for file in one.held_out],
-            "left_out": left_out_json(one.left_out),
-        },
-        "verdict": one.verdict.value,
-        "in_words": list(verdict_sentences(one)),
-        "effects": list(one.effects),
-        "ranking": _ranking_json(one.ranking),
-        "confusable_with": list(one.confusable_with),
-        "residual_unknown": one.residual_unknown,
-        "unknown": None if one.unknown is None else _unknown_gap_json(one.unknown),
-        "would_have_seen_mN": finite_or_none(one.detection_limit_mN),
-        "tolerance_mN": finite_or_none(one.tolerance_mN),
-        "where": _finite_values(one.where.document()),
-        "shrink": None if one.shrink is None else shrink_json(one.shrink),
-        "model": model,
-        "next_experiment": _next_run_json(one.next_experiment),
-        "cannot_answer": list(one.limitations),
-        "remarks": list(one.remarks),
-        "calibration": one.calibration,
-        "evidence": None if one.decision_inputs is None else one.decision_inputs.document(),
-        "timings_s": _finite_values(one.timings_s),
-    }
-
-
-def shrink_report_json(shrink: GapReduction) -> Mapping[str, object]:
-    """Return how far the gap shrinks as JSON of its own."""
-    return {"format": DIAGNOSIS_FORMAT, "version": DIAGNOSIS_VERSION, "shrink": shrink_json(shrink)}
-
-
-def next_experiment_json(found: NextExperiment | None) -> Mapping[str, object]:
-    """Return the runs to make next as JSON of their own."""
-    runs = () if found is None else found.runs
-    return {
-        "format": "dragrig-next",
-        "version": DIAGNOSIS_VERSION,
-        "why": None if found is None else found.reason,
-        "minutes": None if found is None else finite_or_none(found.minutes),
-        "tried": 0 if found is None else found.compared,
-        "runs": [_planned_run_json(one) for one in runs],
-    }
-
-
-def _next_run_json(found: NextExperiment | None) -> JsonObject | None:
-    return None if found is None else {**_planned_run_json(found.runs[0]), "tried": found.compared, "why": found.reason}
-
-
-def _planned_run_json(one: NextRun) -> JsonObject:
-    return {
-        "protocol": one.step.kind,
-        **{name: _finite_values(value) for name, value in one.settings.items()},
-        "wait_s": finite_or_none(one.step.wait_s),
-        "repeats": one.step.repeats,
-        "minutes": finite_or_none(one.minutes),
-        "between": [one.after.truth, one.after.rival or NO_GAP],
-        "d_prime": {"before": finite_or_none(one.before.d_prime), "after": finite_or_none(one.after.d_prime)},
-        "left": {
-            "before": finite_or_none(one.before.remaining_share),
-            "after": finite_or_none(one.after.remaining_share),
-        },
-    }
-
-
-def shrink_json(shrink: GapReduction) -> JsonObject:
-    """Return how far the gap shrinks as a part of the report."""
-    one = shrink
-    return {
-        "gap_before_mN": finite_or_none(one.gap_before_mN),
-        "gap_after_mN": finite_or_none(one.gap_after_mN),
-        "noise_floor_mN": finite_or_none(one.noise_floor_mN),
-        "closed": finite_or_none(one.closed),
-        "closed_95ci": None if one.closed_95ci is None else [finite_or_none(end) for end in one.closed_95ci],
-        "boundary_mm_s": finite_or_none(one.boundary_mm_s),
-        "r2_eq15": _before_after_json(one.r2_eq15),
-        "r2_corr": _before_after_json(one.r2_corr),
-        "runs": list(one.runs),
-    }
-
-
-def round_probabilities(probabilities: Sequence[float]) -> tuple[float, ...]:
-    """Round probabilities to millionths that sum to 1, by largest remainders; what is no number counts as 0."""
-    known = [max(one, 0.0) if isfinite(one) else 0.0 for one in probabilities]
-    total = sum(known)
-    if not total > 0:
-        return tuple(0.0 for _ in known)
-    exact = [PROBABILITY_STEPS * one / total for one in known]
-    steps = [floor(one) for one in exact]
-    by_remainder = sorted(range(len(exact)), key=lambda at: steps[at] - exact[at])
-    for at in by_remainder[: PROBABILITY_STEPS - sum(steps)]:
-        steps[at] += 1
-    return tuple(one / PROBABILITY_STEPS for one in steps)
-
-
-def _ranking_json(ranking: Iterable[RankedHypothesis]) -> list[JsonObject]:
-    known = tuple(ranking)
-    return [
-        {
-            "hypothesis": one.hypothesis,
-            "probability": probability,
-            "parameters": {quantity.name: _parameter_json(quantity) for quantity in one.parameters},
-            "held_out_improvement": finite_or_none(one.held_out_improvement),
-        }
-        for one, probability in zip(known, round_probabilities([one.probability for one in known]), strict=True)
-    ]
-
-
-def _parameter_json(one: EstimatedQuantity) -> JsonObject:
-    interval = [finite_or_none(end) for end in one.interval]
-    return {
-        "value": finite_or_none(one.value),
-        "sd": finite_or_none(one.standard_error),
-        "unit": one.unit,
-        "interval_95": interval,
-    }
-
-
-def _before_after_json(one: R2BeforeAfter) -> JsonObject:
-    return {
-        "before": {"below": finite_or_none(one.before_below), "above": finite_or_none(one.before_above)},
-        "after": {"below": finite_or_none(one.after_below), "above": finite_or_none(one.after_above)},
-    }
-
-
-def _unknown_gap_json(one: UnexplainedGap) -> JsonObject:
-    return {
-        "lives_in": one.location,
-        "shape": one.dependence,
-        "expression": one.expression or None,
-        "held_out": finite_or_none(one.held_out_share),
-    }
-
-
-def _finite_values(value: object) -> object:
-    """Return a value of tables and lists with null in place of numbers that JSON does not know."""
-    match value:
-        case Mapping():
-            return {str(key): _finite_values(one) for key, one in value.items()}
-        case list() | tuple():
-            return [_finite_values(one) for one in value]
-        case float():
-            return finite_or_none(value)
-        case _:
-            return value
-
-
-PROBABILITY_COLUMN = Column("probability", "probability", decimals(3))
-
-
-def diagnosis_tables(diagnosis: Diagnosis) -> dict[str, Table]:
-    """Return all tables by name; one that has nothing to say has no rows."""
-    made = (
-        _location_table(diagnosis),
-        _ranking_table(diagnosis),
-        _parameter_table(diagnosis),
-        _r2_table(diagnosis),
-        _runs_table(diagnosis),
-    )
-    return {table.name: table for table in made}
-
-
-def _location_table(diagnosis: Diagnosis) -> Table:
-    columns = (Column("axis", "axis"), Column("where", "most of it"), Column("p", "p", significant(2)))
-    rows = tuple((one.axis, one.where, one.p) for one in axis_texts(diagnosis.where))
-    return Table("where", "p: chance of this without a gap", columns, rows)
-
-
-def _ranking_table(diagnosis: Diagnosis) -> Table:
-    columns = (
-        Column("name", "hypothesis"),
-        Column("hypothesis", "id"),
-        PROBABILITY_COLUMN,
-        Column("held_out_improvement", "takes away, held out", lambda value: f"{100 * value:.0f} %".replace("-", "−")),
-    )
-    ranked = sorted(diagnosis.ranking, key=lambda one: -one.probability)
-    rows = tuple(
-        (capitalise(display_name(one.hypothesis)), one.hypothesis, one.probability, one.held_out_improvement)
-        for one in ranked
-    )
-    return Table("ranking", "Held out: part of the excess squares, on runs not in the fit", columns, rows)
-
-
-def _parameter_table(diagnosis: Diagnosis) -> Table:
-    columns = (
-        Column("parameter", "parameter"),
-        Column("value", "value", significant(3)),
-        Column("low", "95 % from", significant(3)),
-        Column("high", "to", significant(3)),
-        Column("unit", "unit"),
-        Column("meaning", "what it is"),
-    )
-    found = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
-    rows = tuple(
-        (
-            one.name,
-            one.value,
-            *one.interval,
-            "" if one.unit == "1" else one.unit,
-            _parameter_meaning(one.name, diagnosis),
-        )
-        for one in (() if found is None else found.parameters)
-    )
-    return Table("parameters", "How large it is, fitted again with all parameters of the specimen", columns, rows)
-
-
-def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
-    """Return what a parameter is; nothing where several effects have one of its name."""
-    known = [catalogue()[one] for one in diagnosis.effects if one in catalogue()]
-    found = [each.meaning for effect in known for each in effect.parameters if parameter.endswith(each.name)]
-    return found[0] if len(found) == 1 else ""
-
-
-def _r2_table(diagnosis: Diagnosis) -> Table:
-    shrink = diagnosis.shrink
-    at = printed.BOUNDARY_MM_S if shrink is None or shrink.boundary_mm_s is None else shrink.boundary_mm_s
-    columns = (
-        Column("form", "R² of steady drag"),
-        Column("model", "model"),
-        Column("below", f"up to {at:g} mm/s", decimals(4)),
-        Column("above", "above", decimals(4)),
-    )
-    rows = () if shrink is None else _r2_table_rows(shrink, named=bool(diagnosis.effects))
-    caption = "The paper's values are quoted: its measurements, on another gut, are not in its text"
-    return Table("shrink", caption, columns, rows)
-
-
-def _r2_table_rows(shrink: GapReduction, *, named: bool) -> tuple[tuple[Cell, ...], ...]:
-    forms = (("ratio of Eq. 15", shrink.r2_eq15), ("squared correlation", shrink.r2_corr))
-    return (
-        *(row for name, one in forms for row in _r2_before_after(name, one)[: 2 if named else 1]),
-        ("as the paper prints it", "the paper's", printed.R2_BELOW, printed.R2_ABOVE),
-    )
-
-
-def _r2_before_after(name: str, one: R2BeforeAfter) -> tuple[tuple[Cell, ...], ...]:
-    before = (name, "without the effect", one.before_below, one.before_above)
-    return before, (name, "with it", one.after_below, one.after_above)
-
-
-def _runs_table(diagnosis: Diagnosis) -> Table:
-    columns = (Column("part", "part in it"), Column("runs", "runs", general_format), Column("files", "files"))
-    fitted, held = set(diagnosis.used_for_fit), set(diagnosis.held_out)
-    parts = {
-        "fit, and judged on in turn": fitted & held,
-        "fit": fitted - held,
-        "judged on only": held - fitted,
-    }
-    used = tuple((part, len(files), ", ".join(sorted(files))) for part, files in parts.items() if files)
-    left_out = tuple((f"left out: {one.reason}", 1, one.what) for one in diagnosis.left_out)
-    return Table("runs", f"Of specimen {diagnosis.specimen}", columns, (*used, *left_out))
-
-
+"""JSON has probabilities in millionths."""
 MAX_RANKED = 8
-"""So many hypotheses are told; the others are in the JSON."""
-
+"""Hypotheses that a terminal and a window list; those beyond are next to impossible in any campaign seen so far."""
 MAX_LEFT_OUT = 12
+CAMPAIGN_COLUMNS = (
+    Column("campaign", "campaign"),
+    Column("verdict", "verdict"),
+    Column("probability", "probability"),
+    Column("confusable_with", "indistinguishable"),
+    Column("gap_mN", "gap, mN", shortest(3)),
+    Column("closed", "gap closed"),
+    Column("closed_95", "95 % interval"),
+)
 
 
-def diagnosis_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
-    """Yield all that a diagnosis says, the verdict first."""
-    yield "\n".join(verdict_sentences(diagnosis))
-    if diagnosis.effects:
-        yield "\n".join(map(effect_description, diagnosis.effects))
-    yield _confidence_text(diagnosis)
-    yield from _location_parts(diagnosis)
-    yield _ranking_part(diagnosis)
-    yield from _parameter_parts(diagnosis)
-    if diagnosis.shrink is not None:
-        yield from shrink_parts(diagnosis.shrink, named=bool(diagnosis.effects))
-    if diagnosis.limitations:
-        yield _titled_lines("These runs cannot answer", map(as_sentence, diagnosis.limitations))
-    if diagnosis.next_experiment is not None:
-        yield f"To run next\n  {diagnosis.next_experiment.reason}"
-    if diagnosis.left_out:
-        yield _titled_lines("Left out", _left_out_lines({one.what: one.reason for one in diagnosis.left_out}))
-    if diagnosis.remarks:
-        yield "\n".join(f"! {one}" for one in diagnosis.remarks)
-
-
-def shrink_parts(shrink: "GapReduction", *, named: bool = True) -> "Iterator[RenderableType]":
-    """Yield how far the gap shrinks, and R² in both forms beside the paper's; before only where no effect is named."""
-    yield "\n".join(shrink_sentences(shrink, named=named))
-    forms = (("Eq. 15", shrink.r2_eq15), ("correlation²", shrink.r2_corr))
-    if all(value is None for _, one in forms for value in _r2_values(one)):
-        return
-    rows = [row for name, one in forms for row in list(_r2_rows_text(name, one))[: 2 if named else 1]]
-    paper = ("the paper, its own gut", "", f"{printed.R2_BELOW:.4f}", f"{printed.R2_ABOVE:.4f}")
-    at = printed.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
-    header = ("", "", f"up to {at:g} mm/s", "above")
-    title = "R² of steady drag; the paper's is quoted, its measurements are not in its text"
-    yield terminal_table(title, header, [*rows, paper], (2, 3))
-
-
-def _confidence_text(diagnosis: "Diagnosis") -> str:
-    seen = "" if diagnosis.verdict is Verdict.NO_GAP else f" {detection_limit_sentence(diagnosis)}"
-    used = count_text(diagnosis.runs, "run")
-    fitted = f"{len(diagnosis.used_for_fit)} in the fit, {len(diagnosis.held_out)} held out in turn"
-    return (
-        f"{calibration_sentence(diagnosis)}{seen}\n"
-        f"Specimen {diagnosis.specimen}, nominal model {diagnosis.nominal}: {used}, {fitted}. "
-        f"What is below {diagnosis.tolerance_mN:g} mN does not matter (--tolerance)."
-    )
-
-
-def _location_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
-    rows = [
-        (one.axis, one.where, p_value_text(one.p) if isfinite(one.p) else "") for one in axis_texts(diagnosis.where)
-    ]
-    if rows:
-        title = "Where: shares of what is above noise and scatter of repeats; p is the chance without a gap"
-        yield terminal_table(title, ("", "", ""), rows)
-    yield domain_sentence(diagnosis.where)
-
-
-def _ranking_part(diagnosis: "Diagnosis") -> "RenderableType":
-    ranked = sorted(diagnosis.ranking, key=lambda one: -one.probability)
-    rows = [(one.hypothesis, probability_text(one.probability), _held_out_text(one), display_name(one.hypothesis))
-            for one in ranked[:MAX_RANKED]]  # fmt: skip
-    more = len(ranked) - len(rows)
-    title = "Which" + (f", the first {MAX_RANKED} of {len(ranked)}" if more else "")
-    return terminal_table(title, ("hypothesis", "probability", "takes away, held out", ""), rows, (1, 2))
-
-
-def _parameter_parts(diagnosis: "Diagnosis") -> "Iterator[RenderableType]":
-    found = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
-    if found is None or not found.parameters:
-        return
-    rows = [(one.name, rounded_to_error(one.value, one.standard_error), interval_text(one), unit_text(one.unit))
-            for one in found.parameters]  # fmt: skip
-    yield terminal_table("How large", ("parameter", "value", "95 % interval", ""), rows, (1, 2))
-
-
-def _held_out_text(one: "RankedHypothesis") -> str:
-    return "" if one.held_out_improvement is None else percent_text(one.held_out_improvement)
-
-
-def _r2_rows_text(name: str, one: "R2BeforeAfter") -> Iterator[tuple[str, str, str, str]]:
-    yield name, "before", _four_decimals(one.before_below), _four_decimals(one.before_above)
-    yield "", "after", _four_decimals(one.after_below), _four_decimals(one.after_above)
-
-
-def _r2_values(one: "R2BeforeAfter") -> "tuple[float | None, ...]":
-    return one.before_below, one.before_above, one.after_below, one.after_above
-
-
-def _four_decimals(value: float | None) -> str:
-    return "-" if value is None or not isfinite(value) else f"{value:.4f}"
-
-
-def _left_out_lines(reasons: Mapping[str, str]) -> Iterator[str]:
-    for place, (what, reason) in enumerate(reasons.items()):
-        if place == MAX_LEFT_OUT:
-            yield f"and {len(reasons) - MAX_LEFT_OUT} more"
-            return
-        yield f"{what}: {reason}"
-
-
-def _titled_lines(title: str, lines: Iterator[str]) -> str:
-    return "\n".join((title, *(f"  {one}" for one in lines)))
-
-
-def inline_diagnosis_figures(diagnosis: Diagnosis) -> dict[str, InlineFigure]:
-    """Draw all figures; runs are missing where the diagnosis has no views of them."""
-    from dragrig.present.diagnosis_figures import (
-        before_after_figure,
-        location_figure,
-        ranking_figure,
-        representative_runs,
-    )
-    from dragrig.present.figure_files import inline_figure
-
-    drawn = {
-        "where": inline_figure(
-            location_figure(diagnosis.where),
-            "A map of channels, protocols and phases; below it, shares of the excess along speed, position, session, "
-            "strain and frequency.",
-            "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of the "
-            "residual each domain accounts for. Below, shares of the excess, in colour where they stand out.",
-        ),
-        "ranking": inline_figure(
-            ranking_figure(diagnosis),
-            "Horizontal bars: the probability of each hypothesis, the most probable first.",
-            "Probability of each hypothesis that is not next to impossible.",
-        ),
-    }
-    views = representative_runs(diagnosis.traces)
-    if views:
-        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
-        drawn["before-after"] = inline_figure(
-            before_after_figure(views, floor, named=bool(diagnosis.effects)),
-            "A row for each run: left, the measurement and what the model says; right, what is left of it.",
-            "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model "
-            "without an effect explains worst. The grey band is noise and scatter of repeats.",
-        )
-    return drawn
-
-
-def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
-    """Return the report as one HTML page.
+def diagnosis_document(
+    diagnosis: Diagnosis,
+    *,
+    source: str = "",
+    model: str | None = None,
+    run_ids: Mapping[str, str] | None = None,
+) -> Document:
+    """Lay out a diagnosis.
 
     Parameters
     ----------
@@ -486,40 +95,458 @@ def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = N
         The campaign.
     model
         The file that the amended model was written to; None where there is none.
+    run_ids
+        Ids of the runs by the names of their files, for the JSON; a file without one is named.
     """
-    verdict, *more = verdict_sentences(diagnosis)
-    return render_template(
-        "gap.html",
-        {
-            "title": f"Gap diagnosis: {diagnosis.specimen}",
-            "verdict": verdict,
-            "more": more,
-            "effects": [effect_description(one) for one in diagnosis.effects],
-            "meaning": calibration_sentence(diagnosis),
-            "seen": "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis),
-            "cannot_answer": [as_sentence(one) for one in diagnosis.limitations],
-            "settings": _diagnosis_settings(diagnosis, source),
-            "where": domain_sentence(diagnosis.where),
-            "shrink": ()
-            if diagnosis.shrink is None
-            else shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects)),
-            "unknown": diagnosis.unknown,
-            "remarks_": diagnosis.remarks,
-            "model": model,
-            "diagnosis": diagnosis,
-            "tables": diagnosis_tables(diagnosis),
-            "pictures": inline_diagnosis_figures(diagnosis),
-        },
+    answer, *lead = verdict_sentences(diagnosis)
+    return Document(
+        title=f"Gap diagnosis: {diagnosis.specimen}",
+        answer=answer,
+        lead=tuple(lead),
+        sections=(
+            _confidence_section(diagnosis, source),
+            _location_section(diagnosis),
+            _ranking_section(diagnosis),
+            _size_section(diagnosis, model),
+            _runs_section(diagnosis),
+        ),
+        data=diagnosis_json(diagnosis, model=model, run_ids=run_ids),
     )
 
 
-def _diagnosis_settings(diagnosis: Diagnosis, source: str) -> dict[str, str]:
+def shrink_document(shrink: GapReduction) -> Document:
+    """Lay out how far an amended model closes the gap on fresh runs."""
+    *sizes, closed = shrink_sentences(shrink)
+    return Document(
+        title="Gap reduction on fresh runs",
+        answer=closed,
+        lead=tuple(sizes),
+        sections=(Section("r2", "", (_r2_table(shrink, named=True),)),),
+        data=shrink_report_json(shrink),
+    )
+
+
+def next_experiment_document(recommendation: NextExperiment | None) -> Document:
+    """Lay out which runs to make next."""
+    if recommendation is None:
+        answer = "No run of the grid would separate the leading hypotheses any better."
+        return Document(title="Next runs", answer=answer, data=next_experiment_json(None))
+    columns = (
+        Column("run", "run"),
+        Column("minutes", "min", decimals(1)),
+        Column("effect", "what it adds to the runs above"),
+    )
+    rows = tuple(
+        (run_text(run.step), run.minutes, separation_text(run.before, run.after)) for run in recommendation.runs
+    )
+    caption = f"{recommendation.minutes:.1f} min of rig time in all"
+    return Document(
+        title="Next runs",
+        answer=recommendation.reason,
+        sections=(Section("runs", "Recommended runs", (Table("next-runs", caption, columns, rows),)),),
+        data=next_experiment_json(recommendation),
+    )
+
+
+def campaigns_document(diagnoses: Sequence[tuple[str, Diagnosis | None, str]]) -> Document:
+    """Lay out the diagnoses of several campaigns: folder, diagnosis, and why there is none."""
+    rows = tuple(_campaign_row(*entry) for entry in diagnoses)
+    table = Table("campaigns", "", CAMPAIGN_COLUMNS, rows)
+    return Document(title=f"{len(rows)} campaigns", sections=(Section("campaigns", "", (table,)),))
+
+
+def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
+    nine_of_ten = "A probability of 0.9 means that of ten such verdicts nine were right there."
+    limit = "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis)
+    calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
+    next_runs = diagnosis.next_experiment
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
-    told = {
-        "Campaign": source,
-        "Specimen": diagnosis.specimen,
-        "Nominal model": diagnosis.nominal,
-        "Runs": f"{used} used, {len(diagnosis.left_out)} left out",
-        "Too small to matter": f"below {diagnosis.tolerance_mN:g} mN (--tolerance)",
+    return Section(
+        "confidence",
+        "Confidence",
+        (
+            *(Text(effect_description(effect)) for effect in diagnosis.effects),
+            Text(" ".join(filter(None, calibration)), TextKind.CAUTION),
+            Section("open", "Open questions", (Items(tuple(map(as_sentence, diagnosis.limitations))),)),
+            Section("next", "What to run next", (Text("" if next_runs is None else next_runs.reason),)),
+            Facts(
+                {
+                    "Campaign": source,
+                    "Specimen": diagnosis.specimen,
+                    "Nominal model": diagnosis.nominal,
+                    "Runs": f"{used} used ({len(diagnosis.used_for_fit)} in the fit, {len(diagnosis.held_out)} held "
+                    f"out in turn), {len(diagnosis.left_out)} left out",
+                    "Tolerance": f"{diagnosis.tolerance_mN:g} mN; smaller gaps are ignored (--tolerance)",
+                }
+            ),
+            Items(diagnosis.remarks, remarks=True),
+        ),
+    )
+
+
+def _location_section(diagnosis: Diagnosis) -> Section:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.diagnosis_figures import location_figure
+
+        return location_figure(diagnosis.where)
+
+    basis = "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen."
+    columns = (Column("axis", "axis"), Column("where", "most of the excess"), Column("p", "p-value without a gap"))
+    rows = tuple(
+        (axis.axis, axis.where, FormattedNumber(axis.p, p_value_text(axis.p))) for axis in axis_texts(diagnosis.where)
+    )
+    return Section(
+        "where",
+        "1. Where",
+        (
+            Text(domain_sentence(diagnosis.where)),
+            Text(basis if diagnosis.where.present else "", TextKind.EXPLANATION),
+            Figure(
+                "location",
+                "A map of channels, protocols and phases; below it, shares of the excess along speed, position, "
+                "session, strain and frequency.",
+                "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of "
+                "the residual each coordinate predicts. Below, shares of the excess, in colour where significant.",
+                draw,
+            ),
+            Table("location", "", columns, rows),
+        ),
+    )
+
+
+def _ranking_section(diagnosis: Diagnosis) -> Section:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.diagnosis_figures import ranking_figure
+
+        return ranking_figure(diagnosis)
+
+    return Section(
+        "which",
+        "2. Which",
+        (
+            Figure(
+                "ranking",
+                "Horizontal bars: the probability of each hypothesis, the most probable first.",
+                "Probability of each hypothesis; those near zero are left out.",
+                draw,
+            ),
+            ranking_table(diagnosis),
+            Section("unknown", "What no effect of the catalogue explains", _unknown_blocks(diagnosis.unknown)),
+        ),
+    )
+
+
+def ranking_table(diagnosis: Diagnosis) -> Table:
+    """Tabulate the hypotheses, the most probable first."""
+    columns = (
+        Column("name", "hypothesis"),
+        Column("hypothesis", "id"),
+        Column("probability", "probability"),
+        Column("held_out_improvement", "gap explained on held-out runs", percent()),
+        Column("role", ""),
+    )
+    ranked = sorted(diagnosis.ranking, key=lambda hypothesis: -hypothesis.probability)
+    rows = tuple(
+        (
+            capitalise(display_name(hypothesis.hypothesis)),
+            hypothesis.hypothesis,
+            FormattedNumber(hypothesis.probability, probability_text(hypothesis.probability)),
+            hypothesis.held_out_improvement,
+            hypothesis_role(hypothesis, diagnosis),
+        )
+        for hypothesis in ranked
+    )
+    return Table("ranking", "", columns, rows, brief_rows=MAX_RANKED)
+
+
+def hypothesis_role(hypothesis: RankedHypothesis, diagnosis: Diagnosis) -> str:
+    """Return what a hypothesis is in the diagnosis: the verdict, indistinguishable from it, or ""."""
+    if is_stated_verdict(hypothesis, diagnosis):
+        return "verdict"
+    untried = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
+    alike = set(hypothesis.hypothesis.split("+")) & (set(diagnosis.confusable_with) - set(untried))
+    return "indistinguishable with these runs" if alike else ""
+
+
+def _unknown_blocks(unknown: UnexplainedGap | None) -> tuple[Text | Code, ...]:
+    if unknown is None:
+        return ()
+    whole = Text(f"{unknown.location} {unknown.dependence}".strip())
+    if not unknown.expression:
+        return (whole,)
+    share = (
+        ""
+        if unknown.held_out_share is None
+        else f"It explains {percent_text(unknown.held_out_share)} of it on held-out runs. "
+    )
+    return whole, Code(unknown.expression), Text(f"{share}It is descriptive and names no cause.", TextKind.EXPLANATION)
+
+
+def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.diagnosis_figures import before_after_figure, representative_runs
+
+        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+        return before_after_figure(representative_runs(diagnosis.traces), floor, named=bool(diagnosis.effects))
+
+    shrink, named = diagnosis.shrink, bool(diagnosis.effects)
+    reduction = "" if shrink is None else " ".join(shrink_sentences(shrink, named=named))
+    before_after = Figure(
+        "before-after",
+        "A row for each run: left, the measurement and what the model says; right, the residual.",
+        "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model without "
+        "an effect explains worst. The grey band is noise and scatter of repeats.",
+        draw,
+    )
+    dry_run = f"dragrig run drag --model {model}\ndragrig gap evaluate {model} FRESH_RUNS"
+    amended = (
+        Text(
+            f"The amended model is in `{model}`. A dry run with it contains the effect, and fresh runs on the same "
+            "specimen at other speeds show whether the gap shrinks as predicted:"
+        ),
+        Code(dry_run),
+    )
+    return Section(
+        "how-much",
+        "3. How much",
+        (
+            _parameter_table(diagnosis),
+            Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
+            Section("model", "The simulated rig with the effect", amended if model else ()),
+            *((before_after,) if diagnosis.traces else ()),
+            *(() if shrink is None else (_r2_table(shrink, named=named),)),
+        ),
+    )
+
+
+def _parameter_table(diagnosis: Diagnosis) -> Table:
+    columns = (
+        Column("parameter", "parameter"),
+        Column("value", "value"),
+        Column("interval_95", "95 % interval"),
+        Column("unit", "unit"),
+        Column("meaning", "meaning"),
+    )
+    verdict = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            parameter.name,
+            FormattedNumber(parameter.value, rounded_to_error(parameter.value, parameter.standard_error)),
+            interval_text(parameter),
+            unit_text(parameter.unit),
+            _parameter_meaning(parameter.name, diagnosis),
+        )
+        for parameter in (() if verdict is None else verdict.parameters)
+    )
+    return Table("parameters", "Refitted with all parameters of the specimen", columns, rows)
+
+
+def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
+    """Return what a parameter is; nothing where several effects have one of its name."""
+    known = [catalogue()[effect] for effect in diagnosis.effects if effect in catalogue()]
+    meanings = [own.meaning for effect in known for own in effect.parameters if parameter.endswith(own.name)]
+    return meanings[0] if len(meanings) == 1 else ""
+
+
+def _r2_table(shrink: GapReduction, *, named: bool) -> Table:
+    """Tabulate R² of steady drag beside what the paper prints; empty where the runs give none."""
+    boundary = published.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
+    columns = (
+        Column("form", "R² of steady drag"),
+        Column("model", "model"),
+        Column("below", f"up to {boundary:g} mm/s", decimals(4)),
+        Column("above", "above", decimals(4)),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for form, r2 in (("Eq. 15", shrink.r2_eq15), ("correlation²", shrink.r2_corr)):
+        rows.append((form, "without the effect", r2.before_below, r2.before_above))
+        if named:
+            rows.append((form, "with it", r2.after_below, r2.after_above))
+    if all(value is None for row in rows for value in row[2:]):
+        rows = []
+    else:
+        rows.append(("as printed", "the paper's", published.R2_BELOW, published.R2_ABOVE))
+    caption = "The paper's values are quoted: its measurements, on another gut, are not in its text"
+    return Table("r2", caption, columns, tuple(rows))
+
+
+def _runs_section(diagnosis: Diagnosis) -> Section:
+    fitted, held = set(diagnosis.used_for_fit), set(diagnosis.held_out)
+    uses = {"fit and held out in turn": fitted & held, "fit only": fitted - held, "held out only": held - fitted}
+    columns = (Column("use", "use"), Column("runs", "runs", shortest()), Column("files", "files"))
+    rows = tuple((use, len(files), ", ".join(sorted(files))) for use, files in uses.items() if files)
+    left_out = (Column("file", "left out"), Column("reason", "reason"))
+    return Section(
+        "runs",
+        "4. The runs",
+        (
+            Section("used", "Runs used", (Table("runs", "", columns, rows),), collapsed=True),
+            Table(
+                "left-out",
+                "",
+                left_out,
+                tuple((one.what, one.reason) for one in diagnosis.left_out),
+                brief_rows=MAX_LEFT_OUT,
+            ),
+        ),
+    )
+
+
+def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tuple[Cell, ...]:
+    if diagnosis is None:
+        return source, f"not diagnosed: {why_not}", "", "", "", "", ""
+    verdict = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
+    shrink = diagnosis.shrink
+    closed = None if shrink is None or not diagnosis.effects else shrink.closed
+    interval = None if shrink is None or not diagnosis.effects else shrink.closed_95ci
+    return (
+        source,
+        " + ".join(diagnosis.effects) or diagnosis.verdict.value.replace("_", " "),
+        "" if verdict is None else FormattedNumber(verdict.probability, probability_text(verdict.probability)),
+        ", ".join(diagnosis.confusable_with),
+        "" if shrink is None else shrink.gap_before_mN,
+        "" if closed is None else FormattedNumber(closed, percent_text(closed)),
+        "" if interval is None else f"{percent_text(interval[0])} to {percent_text(interval[1])}",
+    )
+
+
+def diagnosis_json(
+    diagnosis: Diagnosis, *, model: str | None = None, run_ids: Mapping[str, str] | None = None
+) -> Mapping[str, object]:
+    """Return a diagnosis as the JSON of a gap report, without any NaN or infinity; as `diagnosis_document`."""
+    ids = run_ids or {}
+    return to_json_object(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "campaign": {
+                "specimen": diagnosis.specimen,
+                "nominal": diagnosis.nominal,
+                "runs": diagnosis.runs,
+                "used_for_fit": [ids.get(file, file) for file in diagnosis.used_for_fit],
+                "held_out": [ids.get(file, file) for file in diagnosis.held_out],
+                "left_out": exclusions_json(diagnosis.left_out),
+            },
+            "verdict": diagnosis.verdict.value,
+            "in_words": verdict_sentences(diagnosis),
+            "effects": diagnosis.effects,
+            "ranking": _ranking_json(diagnosis.ranking),
+            "confusable_with": diagnosis.confusable_with,
+            "residual_unknown": diagnosis.residual_unknown,
+            "unknown": None
+            if diagnosis.unknown is None
+            else {
+                "lives_in": diagnosis.unknown.location,
+                "shape": diagnosis.unknown.dependence,
+                "expression": diagnosis.unknown.expression or None,
+                "held_out": diagnosis.unknown.held_out_share,
+            },
+            "would_have_seen_mN": diagnosis.detection_limit_mN,
+            "tolerance_mN": diagnosis.tolerance_mN,
+            "where": diagnosis.where.document(),
+            "shrink": None if diagnosis.shrink is None else _shrink_json(diagnosis.shrink),
+            "model": model,
+            "next_experiment": _next_run_json(diagnosis.next_experiment),
+            "cannot_answer": diagnosis.limitations,
+            "remarks": diagnosis.remarks,
+            "calibration": diagnosis.calibration,
+            "evidence": None if diagnosis.decision_inputs is None else diagnosis.decision_inputs.document(),
+            "timings_s": diagnosis.timings_s,
+        }
+    )
+
+
+def shrink_report_json(shrink: GapReduction) -> Mapping[str, object]:
+    """Return how far the gap shrinks as a JSON document of its own."""
+    return to_json_object({"format": FORMAT, "version": VERSION, "shrink": _shrink_json(shrink)})
+
+
+def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, object]:
+    """Return the recommended runs as a JSON document of their own."""
+    runs = () if recommendation is None else recommendation.runs
+    return to_json_object(
+        {
+            "format": NEXT_FORMAT,
+            "version": VERSION,
+            "why": None if recommendation is None else recommendation.reason,
+            "minutes": None if recommendation is None else recommendation.minutes,
+            "tried": 0 if recommendation is None else recommendation.compared,
+            "runs": [_planned_run_json(run) for run in runs],
+        }
+    )
+
+
+def round_probabilities(probabilities: Sequence[float]) -> tuple[float, ...]:
+    """Round probabilities to millionths that sum to 1, by largest remainders; what is not finite counts as 0."""
+    known = [max(probability, 0.0) if isfinite(probability) else 0.0 for probability in probabilities]
+    total = sum(known)
+    if not total > 0:
+        return tuple(0.0 for _ in known)
+    exact = [PROBABILITY_STEPS * probability / total for probability in known]
+    steps = [floor(share) for share in exact]
+    by_remainder = sorted(range(len(exact)), key=lambda at: steps[at] - exact[at])
+    for at in by_remainder[: PROBABILITY_STEPS - sum(steps)]:
+        steps[at] += 1
+    return tuple(count / PROBABILITY_STEPS for count in steps)
+
+
+def _ranking_json(ranking: Iterable[RankedHypothesis]) -> list[Mapping[str, object]]:
+    hypotheses = tuple(ranking)
+    probabilities = round_probabilities([hypothesis.probability for hypothesis in hypotheses])
+    return [
+        {
+            "hypothesis": hypothesis.hypothesis,
+            "probability": probability,
+            "parameters": {
+                parameter.name: {
+                    "value": parameter.value,
+                    "sd": parameter.standard_error,
+                    "unit": parameter.unit,
+                    "interval_95": parameter.interval,
+                }
+                for parameter in hypothesis.parameters
+            },
+            "held_out_improvement": hypothesis.held_out_improvement,
+        }
+        for hypothesis, probability in zip(hypotheses, probabilities, strict=True)
+    ]
+
+
+def _next_run_json(recommendation: NextExperiment | None) -> Mapping[str, object] | None:
+    if recommendation is None:
+        return None
+    first = _planned_run_json(recommendation.runs[0])
+    return {**first, "tried": recommendation.compared, "why": recommendation.reason}
+
+
+def _planned_run_json(run: NextRun) -> Mapping[str, object]:
+    return {
+        "protocol": run.step.kind,
+        **run.settings,
+        "wait_s": run.step.wait_s,
+        "repeats": run.step.repeats,
+        "minutes": run.minutes,
+        "between": [run.after.truth, run.after.rival or NO_GAP],
+        "d_prime": {"before": run.before.d_prime, "after": run.after.d_prime},
+        "left": {"before": run.before.remaining_share, "after": run.after.remaining_share},
     }
-    return {name: value for name, value in told.items() if value}
+
+
+def _shrink_json(shrink: GapReduction) -> Mapping[str, object]:
+    def sides(r2: R2BeforeAfter) -> Mapping[str, object]:
+        return {
+            "before": {"below": r2.before_below, "above": r2.before_above},
+            "after": {"below": r2.after_below, "above": r2.after_above},
+        }
+
+    return {
+        "gap_before_mN": shrink.gap_before_mN,
+        "gap_after_mN": shrink.gap_after_mN,
+        "noise_floor_mN": shrink.noise_floor_mN,
+        "closed": shrink.closed,
+        "closed_95ci": shrink.closed_95ci,
+        "boundary_mm_s": shrink.boundary_mm_s,
+        "r2_eq15": sides(shrink.r2_eq15),
+        "r2_corr": sides(shrink.r2_corr),
+        "runs": shrink.runs,
+    }

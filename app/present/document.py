@@ -1,66 +1,53 @@
-"""Tables and figures of a result, with the digits of their numbers, independent of where they are shown.
+"""A result as a document of sentences, tables and figures, which says nothing of where it is shown.
 
-A `Table` is shown rounded to a reader and exported to CSV with every digit. A number with a known error is rounded to
-the second digit of that error.
+One function per result builds its `Document`; a renderer each for terminal (`present.terminal`), HTML page
+(`present.html_page`) and window (`window.document_view`) shows any document, and `--json` prints its `data`.
+
+A block that holds nothing (a table without rows, a section without blocks) is shown nowhere, so that whoever builds a
+document need not ask. Between backticks stands what is typed or is the name of a file.
 """
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from math import floor, isfinite, log10
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import isfinite
+from typing import TYPE_CHECKING, TypeAlias
 
-from markupsafe import Markup
+from dragrig.present.numbers import UNKNOWN, NumberFormat, significant
 
-from dragrig.analysis.estimates import Estimate, EstimatedQuantity
-from dragrig.analysis.paper.published import percent, rounded
-
-Cell = str | float | int | None
-"""What stands in a cell: a word, a number in the column's unit, or nothing."""
-
-
-def significant(count: int) -> Callable[[float], str]:
-    """Return what spells a number to so many significant digits."""
-    return lambda value: rounded(value, count)
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
 
 
-def four_significant(value: float) -> str:
-    """Spell a number to four significant digits."""
-    return rounded(value, 4)
+@dataclass(frozen=True, slots=True)
+class FormattedNumber:
+    """A number whose digits depend on its error: how it is written, beside the value to sort by and to export."""
+
+    value: float | None
+    text: str
 
 
-def general_format(value: float) -> str:
-    """Spell a number with the digits that it has: 0.5, 11."""
-    return f"{value:g}".replace("-", "−")
+Cell: TypeAlias = str | float | int | FormattedNumber | None
+"""A word, a number in the column's unit, or None for what is not known."""
 
 
-def three_significant(value: float) -> str:
-    """Spell a number with three digits at most: 0.5, 20, 33.3."""
-    return f"{value:.3g}".replace("-", "−")
-
-
-def decimals(count: int) -> Callable[[float], str]:
-    """Return what spells a number to so many decimal places."""
-    return lambda value: f"{value:.{count}f}".replace("-", "−")
-
-
-def percent_difference(value: float) -> str:
-    """Spell a relative difference in per cent, with its sign."""
-    return percent(value, 1 if abs(value) < 0.0095 else 2)
+FOUR_DIGITS = significant(4)
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name in the CSV file (unit included), its heading, and how its numbers are spelled."""
+    """A column: its name in a CSV file (unit included), its heading, and the format of its numbers."""
 
     name: str
     heading: str
-    spell: Callable[[float], str] = four_significant
+    number_format: NumberFormat = FOUR_DIGITS
 
 
 @dataclass(frozen=True, slots=True)
 class RenderedCell:
-    """A cell as a page has it: its words, its number for sorting ("" where there is none), what it links to."""
+    """A cell as it is shown: its text, its number to sort by ("" where there is none), the id that it links to."""
 
     text: str
     number: str = ""
@@ -74,9 +61,13 @@ class Table:
     Attributes
     ----------
     name
-        Stem of its CSV file.
+        Id in the document, and stem of its CSV file.
     links
-        Ids of the page that the rows' first cells lead to, "" for none; or nothing at all.
+        Ids of the document that the rows' first cells lead to, "" for none; or nothing at all.
+    brief_rows
+        How many rows a terminal or a window shows; the page and the CSV file have all.
+    file
+        The CSV file beside the page, where there is one.
     """
 
     name: str
@@ -84,32 +75,48 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     links: tuple[str, ...] = ()
-
-    @property
-    def spelled(self) -> tuple[tuple[str, ...], ...]:
-        """The rows as a reader sees them."""
-        return tuple(
-            tuple(_rounded_text(cell, column) for cell, column in zip(row, self.columns, strict=True))
-            for row in self.rows
-        )
+    brief_rows: int | None = None
+    file: str = ""
 
     @property
     def cells(self) -> tuple[tuple[RenderedCell, ...], ...]:
-        """The rows as a page has them."""
+        """The rows as they are shown."""
         links = self.links or ("",) * len(self.rows)
         return tuple(
             tuple(
-                RenderedCell(text, "" if isinstance(cell, str) else _exact_text(cell), link if place == 0 else "")
-                for place, (text, cell) in enumerate(zip(spelled, row, strict=True))
+                _rendered(cell, column, link if place == 0 else "")
+                for place, (cell, column) in enumerate(zip(row, self.columns, strict=True))
             )
-            for spelled, row, link in zip(self.spelled, self.rows, links, strict=True)
+            for row, link in zip(self.rows, links, strict=True)
         )
+
+    @property
+    def brief_cells(self) -> tuple[tuple[RenderedCell, ...], ...]:
+        """The first `brief_rows` rows as they are shown."""
+        return replace(self, rows=self.rows[: self.brief_rows], links=self.links[: self.brief_rows]).cells
+
+    @property
+    def omitted_text(self) -> str:
+        """How many rows a brief table leaves out; "" for none."""
+        omitted = 0 if self.brief_rows is None else len(self.rows) - self.brief_rows
+        return f"and {omitted} more" if omitted > 0 else ""
 
     @property
     def numeric(self) -> tuple[bool, ...]:
         """Which columns hold numbers."""
         return tuple(
-            any(isinstance(row[index], float | int) for row in self.rows) for index in range(len(self.columns))
+            any(isinstance(row[index], float | int | FormattedNumber) for row in self.rows)
+            for index in range(len(self.columns))
+        )
+
+    def select(self, *names: str, caption: str = "") -> "Table":
+        """Return the table with these columns only, in this order."""
+        order = [[column.name for column in self.columns].index(name) for name in names]
+        return replace(
+            self,
+            caption=caption or self.caption,
+            columns=tuple(self.columns[index] for index in order),
+            rows=tuple(tuple(row[index] for index in order) for row in self.rows),
         )
 
     def csv(self) -> str:
@@ -120,99 +127,227 @@ class Table:
         writer.writerows([_exact_text(cell) for cell in row] for row in self.rows)
         return text.getvalue()
 
-
-def _rounded_text(cell: Cell, column: Column) -> str:
-    if isinstance(cell, str):
-        return cell
-    if cell is None or not isfinite(cell):
-        return "–"
-    return column.spell(cell)
+    def __bool__(self) -> bool:
+        return bool(self.rows)
 
 
-def _exact_text(cell: Cell) -> str:
-    if cell is None or (isinstance(cell, float) and not isfinite(cell)):
-        return ""
-    return repr(float(cell)) if isinstance(cell, float) else str(cell)
-
-
-DIGITS_WITHOUT_ERROR = 4
-"""Digits of a number whose error is not known."""
-MAX_DECIMALS = 9
-
-
-def rounded_to_error(value: float | None, error: float | None) -> str:
-    """Spell a number to the second digit of its error; `-` where there is no number."""
-    if value is None or not isfinite(value):
-        return "-"
-    return f"{value:.{_decimals(error)}f}" if _is_positive(error) else f"{value:.{DIGITS_WITHOUT_ERROR}g}"
-
-
-def error_text(error: float | None) -> str:
-    """Spell an error with two digits; nothing where it is not known."""
-    if error is None or not isfinite(error):
-        return ""
-    return f"{error:.{_decimals(error)}f}" if _is_positive(error) else f"{error:.2g}"
-
-
-def interval_text(quantity: EstimatedQuantity) -> str:
-    """Spell the 95 % interval to the second digit of the error: 3.242 to 3.290."""
-    return range_text(quantity.interval, quantity.standard_error)
-
-
-def range_text(interval: tuple[float, float] | None, error: float | None) -> str:
-    """Spell an interval; nothing where it is not known."""
-    if interval is None or not all(isfinite(one) for one in interval):
-        return ""
-    return " to ".join(rounded_to_error(one, error) for one in interval)
-
-
-def estimate_cells(estimate: Estimate) -> tuple[str, str]:
-    """Spell an estimate and its standard error for two columns; a missing one by the reason."""
-    if estimate.value is None:
-        return f"- ({estimate.reason})" if estimate.reason else "-", ""
-    return rounded_to_error(estimate.value, estimate.standard_error), error_text(estimate.standard_error)
-
-
-def unit_text(unit: str) -> str:
-    """Spell a unit for a table: nothing for a pure number."""
-    return "" if unit == "1" else unit
-
-
-def p_value_text(p_value: float) -> str:
-    """Spell a probability: p = 0.39, p < 0.0001."""
-    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
-
-
-def _is_positive(error: float | None) -> bool:
-    return error is not None and isfinite(error) and error > 0
-
-
-def _decimals(error: float | None) -> int:
-    if error is None or not _is_positive(error):
-        return 0
-    return min(max(0, 1 - floor(log10(error))), MAX_DECIMALS)
-
-
-@dataclass(frozen=True, slots=True)
-class InlineFigure:
-    """A figure of a page.
+@dataclass(frozen=True, slots=True, eq=False)
+class Figure:
+    """A figure.
 
     Attributes
     ----------
-    svg
-        The drawing, an element of the page; it says what it shows to those who cannot see it.
+    name
+        Id in the document, and stem of its file.
+    shows
+        What is to be seen, for those who cannot see it.
     caption
-        What stands below.
-    glyphs
-        Letters that the drawing refers to, by id; a page has each of them once.
+        Stands below.
+    drawing
+        Draws it when a renderer asks, so that matplotlib loads only there; or the SVG that was drawn already.
     """
 
-    svg: Markup
+    name: str
+    shows: str
     caption: str
-    glyphs: Mapping[str, str]
+    drawing: "Callable[[], MatplotlibFigure] | str"
+
+    def svg(self) -> str:
+        """Return the figure as a whole SVG document."""
+        if isinstance(self.drawing, str):
+            return self.drawing
+        from dragrig.present.files import svg_text
+
+        return svg_text(self.drawing())
 
 
-def shared_glyphs(pictures: Iterable[InlineFigure]) -> Markup:
-    """Return the letters of several drawings, each once."""
-    together = {name: path for picture in pictures for name, path in picture.glyphs.items()}
-    return Markup("".join(together.values()))  # noqa: S704  # serialised by ElementTree
+class TextKind(StrEnum):
+    """What a paragraph is for."""
+
+    STATEMENT = "statement"
+    EXPLANATION = "explanation"
+    """How to read what follows; for a page, which stands alone. Terminal and window leave it out."""
+    CAUTION = "caution"
+    """How far to trust the result."""
+    QUOTATION = "quotation"
+    """What somebody else says."""
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+    kind: TextKind = TextKind.STATEMENT
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Items:
+    """A list; `remarks` are what a reader must know beside the result. `brief` is how many a terminal shows."""
+
+    items: tuple[str, ...]
+    remarks: bool = False
+    brief: int | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.items)
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """Names with their values, such as settings."""
+
+    values: Mapping[str, str]
+
+    def __bool__(self) -> bool:
+        return any(self.values.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """What is typed, or a text that stands as it is."""
+
+    text: str
+
+    def __bool__(self) -> bool:
+        return bool(self.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Blocks under a heading.
+
+    Attributes
+    ----------
+    name
+        Id in the document.
+    collapsed
+        Whether a page folds it away; a terminal leaves it out.
+    note
+        Stands in grey beside the heading of a collapsed section.
+    """
+
+    name: str
+    heading: str
+    blocks: "tuple[Block, ...]"
+    collapsed: bool = False
+    note: str = ""
+
+    @property
+    def content(self) -> "tuple[Block, ...]":
+        """The blocks that hold something."""
+        return tuple(block for block in self.blocks if block)
+
+    @property
+    def folds(self) -> bool:
+        """Whether several sections in it are folded away, so that a page can open all of them at once."""
+        return sum(isinstance(block, Section) and block.collapsed for block in self.content) > 1
+
+    def __bool__(self) -> bool:
+        return bool(self.content)
+
+
+Block: TypeAlias = Text | Items | Facts | Code | Table | Figure | Section
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """A result, laid out once.
+
+    Attributes
+    ----------
+    title
+        What this is: the page's title.
+    answer
+        The sentence that matters most; the title where there is none.
+    lead
+        Sentences that belong to the answer.
+    problem
+        What makes the result doubtful, such as a run marked bad.
+    source
+        The file or campaign, or what kind of document this is; stands above the answer.
+    badges
+        Backends that the data come from.
+    data
+        What `--json` prints, with exact numbers and keys that stay as they are.
+    """
+
+    title: str
+    sections: tuple[Section, ...] = ()
+    answer: str = ""
+    lead: tuple[str, ...] = ()
+    problem: str = ""
+    source: str = ""
+    badges: tuple[str, ...] = ()
+    data: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def content(self) -> tuple[Section, ...]:
+        """The sections that hold something."""
+        return tuple(section for section in self.sections if section)
+
+    def figures(self) -> Iterator[Figure]:
+        """Yield every figure, in order."""
+        for block in _blocks_of(self.content):
+            if isinstance(block, Figure):
+                yield block
+
+    def tables(self) -> Iterator[Table]:
+        """Yield every table, in order."""
+        for block in _blocks_of(self.content):
+            if isinstance(block, Table):
+                yield block
+
+    def drawn(self, progress: Callable[[int, int], None] = lambda _done, _total: None) -> "Document":
+        """Return the document with its figures drawn, so that another process or thread can show it."""
+        total = sum(1 for _ in self.figures())
+        drawn: dict[str, str] = {}
+        for done, figure in enumerate(self.figures()):
+            progress(done, total)
+            drawn[figure.name] = figure.svg()
+        progress(total, total)
+        return replace(self, sections=tuple(_with_drawings(section, drawn) for section in self.content))
+
+
+def _blocks_of(blocks: "tuple[Block, ...]") -> "Iterator[Block]":
+    for block in blocks:
+        yield block
+        if isinstance(block, Section):
+            yield from _blocks_of(block.content)
+
+
+def _with_drawings(section: Section, drawn: Mapping[str, str]) -> Section:
+    def with_drawing(block: Block) -> Block:
+        match block:
+            case Figure():
+                return replace(block, drawing=drawn[block.name])
+            case Section():
+                return _with_drawings(block, drawn)
+            case _:
+                return block
+
+    return replace(section, blocks=tuple(map(with_drawing, section.content)))
+
+
+def _rendered(cell: Cell, column: Column, link: str) -> RenderedCell:
+    match cell:
+        case str():
+            return RenderedCell(cell, "", link)
+        case FormattedNumber():
+            return RenderedCell(cell.text, _exact_text(cell), link)
+        case None:
+            return RenderedCell(UNKNOWN, "", link)
+        case _:
+            text = column.number_format(cell) if isfinite(cell) else UNKNOWN
+            return RenderedCell(text, _exact_text(cell), link)
+
+
+def _exact_text(cell: Cell) -> str:
+    if isinstance(cell, FormattedNumber):
+        cell = cell.value
+    if cell is None or (isinstance(cell, float) and not isfinite(cell)):
+        return ""
+    return repr(float(cell)) if isinstance(cell, float) else str(cell)

@@ -3,7 +3,7 @@
 import threading
 import warnings
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +22,6 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.runfile.model import Attribute, RunInfo, RunStatus
 
 TITLE_PT: Final = 19.0
 TEXT_PT: Final = 13.5
@@ -336,44 +335,7 @@ HEADER_IN = 1.0
 """Height of a header without trouble."""
 
 _BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
-_KIND_TITLES = {
-    "drag": "Drag",
-    "coulomb": "Coulomb friction",
-    "blank": "Blank run",
-    "return": "Return",
-    "motion": "Motion",
-    "relaxation": "Relaxation",
-}
 _HEADER_LINE_IN = 0.3
-
-
-def run_title(info: RunInfo) -> str:
-    """Say in a few words what a run is: its kind, its speed or strain, its specimen."""
-    kind = _KIND_TITLES.get(info.kind, info.kind.replace("_", " ").capitalize())
-    parameters = info.header.protocol
-    speed, strain = _numeric_attribute(parameters, "speed_mm_s"), _numeric_attribute(parameters, "shear_strain")
-    if info.kind == "relaxation" and strain is not None:
-        kind += f" at {100 * strain:g} % shear strain"
-    elif speed is not None:
-        kind += f" at {speed:g} mm/s"
-    name = str(info.header.specimen.get("name", "")).strip()
-    return f"{kind} · {name}" if name else kind
-
-
-def run_subtitle(info: RunInfo) -> str:
-    """Say when a run began and which file it is."""
-    began = info.header.start_time.strftime("%Y-%m-%d %H:%M:%S")
-    offset = info.header.start_time.isoformat()[-6:]
-    return f"{began} {offset}  ·  run {info.header.run_id[:8]}  ·  {info.path.name}"
-
-
-def run_problem(info: RunInfo, bad_reason: str | None = None) -> str:
-    """Say what is wrong with a run: that it was marked bad, or how it ended early; empty for a good one."""
-    if bad_reason is not None:
-        return f"marked bad: {bad_reason}"
-    if info.status is RunStatus.COMPLETE:
-        return ""
-    return f"{info.status}: {info.reason}" if info.reason else str(info.status)
 
 
 def header_height_in(trouble: str) -> float:
@@ -387,14 +349,6 @@ def write_title(figure: Figure, left_in: float, title: str, subtitle: str) -> Te
     left = left_in / width
     figure.text(left, 1 - 0.5 / height, title, fontsize=TITLE_PT, fontweight="bold", color=BLACK, va="baseline")
     return figure.text(left, 1 - 0.84 / height, subtitle, fontsize=SMALL_PT, color=GREY, va="baseline")
-
-
-def write_run_header(figure: Figure, left_in: float, info: RunInfo, trouble: str) -> None:
-    """Write title, subtitle and trouble at the figure's upper edge, and a badge for the backend in its corner."""
-    complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
-    write_title(figure, left_in, run_title(info), run_subtitle(info) + complete)
-    write_problem(figure, left_in, trouble)
-    write_badge(figure, info.header.backend)
 
 
 def write_problem(figure: Figure, left_in: float, trouble: str) -> None:
@@ -435,8 +389,3 @@ def shortened_to_width(text: str, size_pt: float, room_in: float) -> str:
         return text
     kept = bisect_right(range(len(text)), room_in, key=lambda count: bold * text_width_in(text[:count] + "…", size_pt))
     return text[: kept - 1].rstrip() + "…"
-
-
-def _numeric_attribute(parameters: Mapping[str, Attribute], name: str) -> float | None:
-    value = parameters.get(name)
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

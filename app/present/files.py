@@ -1,10 +1,42 @@
-"""Pages, tables and texts written into files; names of the files of the paper report."""
+"""Results written into files: texts, pages, and figures as PNG or SVG; a file is written whole or not at all."""
 
-from collections.abc import Mapping
+import io
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from itertools import chain, count
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dragrig.config.errors import OutputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from dragrig.present.document import Document
+
+FIGURE_FORMATS = {".png": {"Software": "dragrig"}, ".svg": {"Date": None, "Creator": "dragrig"}}
+"""Endings of files that can be written, and what such a file says of itself: never when it was made."""
+
+
+PAPER_REPORT_FILE = "report.html"
+PAPER_MODEL_FILE = "model.toml"
+"""The identified friction model, as the simulator loads it."""
+PAPER_TABLES = (
+    "elements",
+    "skew-maximum",
+    "skew-resistance",
+    "coulomb",
+    "forces",
+    "parameters",
+    "combinations",
+    "joint-runs",
+    "drag",
+    "determination",
+    "eq15-examples",
+    "findings",
+)
+"""Stems of the CSV files, in the order of the report."""
 
 
 def existing_files(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
@@ -62,21 +94,68 @@ def unused_path(path: Path, suffix: str = "") -> Path:
     return next(candidate for candidate in chain([path], numbered) if not candidate.exists())
 
 
-PAPER_REPORT_FILE = "report.html"
-PAPER_MODEL_FILE = "model.toml"
-"""The identified friction model, as the simulator loads it."""
-PAPER_TABLES = (
-    "elements",
-    "skew-maximum",
-    "skew-resistance",
-    "coulomb",
-    "forces",
-    "parameters",
-    "combinations",
-    "joint-runs",
-    "drag",
-    "determination",
-    "eq15-examples",
-    "findings",
-)
-"""Stems of the CSV files, in the order of the report."""
+def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
+    """Write a picture as PNG or SVG, by its name's ending, and return the path.
+
+    Raises
+    ------
+    OutputError
+        When the ending is another one, the file exists and may not be replaced, or the folder cannot be written to.
+    """
+    ending = path.suffix.lower()
+    if ending not in FIGURE_FORMATS:
+        raise OutputError(f"{path}: a picture is written as {' or '.join(FIGURE_FORMATS)}; change the name's ending.")
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path}: is there already; choose another name or say --overwrite.")
+    content = _figure_bytes(figure, ending)
+    try:
+        _write_whole(content, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
+    return path
+
+
+def save_figure_in(folder: Path, name: str, figure: "Figure", overwrite: bool = False) -> Path:
+    """Write a picture under a name that nobody chose: where it is taken, a number is added to it.
+
+    The folder is made if there is none. Raises as `save_figure` does.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise OutputError(f"{folder}: is a file; name a folder for the pictures.") from error
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
+    path = folder / name
+    return save_figure(figure, path if overwrite else unused_path(path, path.suffix), overwrite)
+
+
+def save_figures(document: "Document", folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Write every figure of a document as PNG under its name; yields each path as it is written."""
+    for figure in document.figures():
+        if not isinstance(figure.drawing, str):
+            yield save_figure_in(folder, f"{figure.name}.png", figure.drawing(), overwrite)
+
+
+def svg_text(figure: "Figure") -> str:
+    """Return a figure as a whole SVG document; the same figure gives the same text."""
+    return _figure_bytes(figure, ".svg").decode("utf-8")
+
+
+def _figure_bytes(figure: "Figure", ending: str) -> bytes:
+    from dragrig.present.drawing import figure_style
+
+    content = io.BytesIO()
+    with figure_style():
+        figure.savefig(content, format=ending[1:], metadata=FIGURE_FORMATS[ending])
+    return content.getvalue()
+
+
+def _write_whole(content: bytes, path: Path) -> None:
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        unfinished.write_bytes(content)
+        unfinished.replace(path)
+    finally:
+        with suppress(OSError):
+            unfinished.unlink(missing_ok=True)

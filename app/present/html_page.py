@@ -1,44 +1,40 @@
-"""HTML pages from templates: single files that need no network."""
+"""Documents as HTML pages: single files with their figures inside, which need no network."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+from zlib import crc32
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from dragrig.present.document import InlineFigure, shared_glyphs
+from dragrig.present.document import Block, Document
 from dragrig.rig.session import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
+_CODE = re.compile(r"`([^`]+)`")
 
 
-def without_breaks(text: str) -> str:
-    """Let no line break come between a number and its unit, nor around an equals sign before a number."""
-    return _NO_BREAK.sub("\u00a0", text)
-
-
-def typographic_apostrophes(value: object) -> object:
-    """Set the apostrophes of a text as a printer does."""
-    return _APOSTROPHE.sub("\u2019", value) if type(value) is str else value
+def render_page(document: Document) -> str:
+    """Return a document as one HTML page; the letters of all its figures stand in the page once."""
+    figures = {figure.name: inline_svg(figure.svg(), figure.shows) for figure in document.figures()}
+    glyphs = {name: path for figure in figures.values() for name, path in figure.glyphs.items()}
+    return render_template(
+        "document.html",
+        {
+            "title": document.title,
+            "document": document,
+            "kind_of": _kind_of,
+            "drawings": {name: _markup(figure.element) for name, figure in figures.items()},
+            "glyphs": _markup("".join(glyphs.values())),
+        },
+    )
 
 
 def render_template(template: str, context: Mapping[str, object]) -> str:
-    """Fill a template of this package into a page that needs nothing but itself.
-
-    Whatever stands in the context is escaped, and a name that is missing raises. The letters of all `pictures` stand in
-    the page once.
-
-    Parameters
-    ----------
-    context
-        What the template names: its `title` at least, and its `pictures` by name.
-    """
-    pictures = context.get("pictures", {})
-    drawn = pictures.values() if isinstance(pictures, Mapping) else ()
-    shared = {
-        "software": software_version(),
-        "glyphs": shared_glyphs(one for one in drawn if isinstance(one, InlineFigure)),
-    }
+    """Fill a template of this package; what stands in the context is escaped, and a name that is missing raises."""
     environment = Environment(
         loader=PackageLoader("dragrig.present", "templates"),
         autoescape=True,
@@ -48,5 +44,165 @@ def render_template(template: str, context: Mapping[str, object]) -> str:
         keep_trailing_newline=True,
         finalize=typographic_apostrophes,
     )
-    environment.filters["kept"] = without_breaks
-    return environment.get_template(template).render({**shared, **context})
+    environment.filters["prose"] = prose
+    return environment.get_template(template).render({"software": software_version(), "glyphs": "", **context})
+
+
+def prose(text: str) -> Markup:
+    """Return a sentence as HTML: what stands between backticks as code, and no line break before a unit."""
+    escaped = str(escape(typographic_apostrophes(without_breaks(text))))
+    return _markup(_CODE.sub(r'<span class="file">\1</span>', escaped))
+
+
+def without_breaks(text: str) -> str:
+    """Let no line break come between a number and its unit, nor around an equals sign before a number."""
+    return _NO_BREAK.sub("\u00a0", text)
+
+
+def typographic_apostrophes(value: object) -> object:
+    """Replace the straight apostrophes of a text by typographic ones."""
+    return _APOSTROPHE.sub("\u2019", value) if type(value) is str else value
+
+
+def _kind_of(block: Block) -> str:
+    return type(block).__name__.lower()
+
+
+def _markup(html: str) -> Markup:
+    return Markup(html)  # noqa: S704  # escaped above, or serialised by ElementTree
+
+
+_NAMESPACE = re.compile(r"\{[^}]*\}")
+_REFERENCE = re.compile(r"#([\w.:-]+)")
+_GLYPH = re.compile(r"[A-Za-z]+[\w-]*-[0-9a-f]+$")
+_NUMBER = re.compile(r"-?\d+\.\d+")
+_LINE = re.compile(r"M -?[\d.]+ -?[\d.]+\s*(?:[ML] -?[\d.]+ -?[\d.]+\s*)*")
+_POINT = re.compile(r"([ML]) (-?[\d.]+) (-?[\d.]+)")
+_NUMERIC_ATTRIBUTES = frozenset({"x", "y", "width", "height", "viewBox", "points", "transform"})
+"""Attributes that hold nothing but numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class InlineSvg:
+    """A figure as an element of a page, and the letters it is written with, which a page defines once.
+
+    Attributes
+    ----------
+    element
+        The `svg` element.
+    glyphs
+        Outlines of letters by their id; equal ids are equal letters in every figure.
+    """
+
+    element: str
+    glyphs: Mapping[str, str]
+
+
+def inline_svg(text: str, shows: str) -> InlineSvg:
+    """Return an SVG as an element of an HTML page.
+
+    Metadata, styles and ids that nothing refers to are left out; the other ids begin with what tells this figure from
+    others. Lines are written from point to point, to a tenth of a unit. What the figure shows is its label for those
+    who cannot see it.
+
+    Parameters
+    ----------
+    text
+        A whole SVG document, as matplotlib writes it with letters as paths.
+    shows
+        What is to be seen.
+    """
+    root = ET.fromstring(text)  # noqa: S314  # our own figure
+    _strip_metadata(root)
+    wanted = {
+        name for element in root.iter() for value in element.attrib.values() for name in _REFERENCE.findall(value)
+    }
+    key = f"f{crc32(text.encode()):08x}-"
+    for element in root.iter():
+        _shorten_attributes(element, key, wanted)
+    glyphs = dict(_extract_glyphs(root))
+    size = root.attrib["viewBox"]
+    root.attrib.clear()
+    root.attrib.update({"viewBox": size, "role": "img", "aria-label": shows})
+    return InlineSvg(_serialise(root), glyphs)
+
+
+def _extract_glyphs(root: ET.Element) -> Iterator[tuple[str, str]]:
+    for parent in root.iter("defs"):
+        for child in list(parent):
+            name = child.get("id", "")
+            if _GLYPH.match(name):
+                parent.remove(child)
+                yield name, _serialise(child)
+
+
+def _serialise(element: ET.Element) -> str:
+    return ET.tostring(element, encoding="unicode").replace(" />", "/>")
+
+
+def _strip_metadata(root: ET.Element) -> None:
+    for element in list(root.iter()):
+        element.tag = _NAMESPACE.sub("", element.tag)
+        element.attrib = {_NAMESPACE.sub("", name): value for name, value in element.attrib.items()}
+        element.text = element.text.strip() if element.text else None
+        element.tail = None
+        for child in list(element):
+            if _NAMESPACE.sub("", str(child.tag)) in {"metadata", "style"}:
+                element.remove(child)
+
+
+def _shorten_attributes(element: ET.Element, key: str, wanted: set[str]) -> None:
+    for name, value in list(element.attrib.items()):
+        if name == "id":
+            if value in wanted:
+                element.set(name, _prefix_id(value, key))
+            else:
+                del element.attrib[name]
+        elif name == "d":
+            element.set(name, _short_path(value))
+        elif name in _NUMERIC_ATTRIBUTES:
+            element.set(name, _NUMBER.sub(_three_decimals, value))
+        elif "#" in value:
+            element.set(name, _prefix_references(value, key, wanted))
+
+
+def _prefix_references(value: str, key: str, wanted: set[str]) -> str:
+    if not value.startswith(("#", "url(#")):
+        return value
+    return _REFERENCE.sub(lambda found: f"#{_prefix_id(found[1], key)}" if found[1] in wanted else found[0], value)
+
+
+def _prefix_id(name: str, key: str) -> str:
+    return name if _GLYPH.match(name) else key + name
+
+
+def _short_path(data: str) -> str:
+    short = _LINE.sub(lambda found: _relative_polyline(found[0]), _NUMBER.sub(_three_decimals, data))
+    return " ".join(short.split())
+
+
+def _relative_polyline(line: str) -> str:
+    """Write a line from point to point, in tenths, without steps that do not move."""
+    points = [(kind, round(10 * float(x)), round(10 * float(y))) for kind, x, y in _POINT.findall(line)]
+    written, pen = "", (0, 0)
+    for kind, x, y in points:
+        if kind == "M":
+            written += f"M{_point_text(x, y)}l"
+        elif (x, y) != pen or written.endswith("l"):
+            step = _point_text(x - pen[0], y - pen[1])
+            written += step if written.endswith("l") or step.startswith("-") else f" {step}"
+        pen = x, y
+    return written.removesuffix("l")
+
+
+def _point_text(x: int, y: int) -> str:
+    second = _tenths_text(y)
+    return _tenths_text(x) + (second if second.startswith("-") else f" {second}")
+
+
+def _tenths_text(value: int) -> str:
+    return re.sub(r"^(-?)0\.", r"\1.", f"{value / 10:g}")
+
+
+def _three_decimals(found: re.Match[str]) -> str:
+    return f"{float(found[0]):.3f}".rstrip("0").rstrip(".")

@@ -45,18 +45,18 @@ from dragrig.present.drawing import (
     hide_time_labels,
     label_curves,
     new_figure,
-    run_problem,
     set_log_x,
     set_y_label,
     shortened_to_width,
     text_width_in,
     write_badge,
     write_problem,
-    write_run_header,
     write_title,
 )
-from dragrig.present.friction_model import TABLE1_DASHES, model_text
+from dragrig.present.model_figures import TABLE1_DASHES, model_text
+from dragrig.present.numbers import value_with_error
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION
+from dragrig.present.run import run_problem
 from dragrig.present.run_figures import (
     FOOT_IN,
     LEFT_IN,
@@ -70,7 +70,7 @@ from dragrig.present.run_figures import (
     gaps_after_samples,
     min_max_envelope,
     steady_level,
-    value_with_error,
+    write_run_header,
 )
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run

@@ -1,116 +1,134 @@
-"""Isolability laid out for a reader: which effects a set of runs can distinguish."""
+"""Isolability laid out for a reader: which effects a set of runs can distinguish, and how small a one they show."""
 
-from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from dragrig.analysis.gap.diagnosis_text import as_sentence, capitalise, display_name
-from dragrig.analysis.gap.isolability import (
-    CONFUSED_SIN2,
-    DETECTABLE_D_PRIME,
-    Isolability,
-    isolability_sentences,
-)
-from dragrig.present.diagnosis_figures import isolability_figure
-from dragrig.present.document import Column, Table, decimals, general_format, significant
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.html_page import render_template
-from dragrig.present.identification import finite_or_none
+from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
+from dragrig.present.document import Column, Document, Figure, Items, Section, Table, Text, TextKind
+from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import decimals, shortest, significant, unit_text
 
-ISOLABILITY_FORMAT, ISOLABILITY_VERSION = "dragrig-isolability", 1
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+FORMAT, VERSION = "dragrig-isolability", 1
+MAX_PAIRS = 20
+"""Pairs that a terminal lists."""
 
 
-def isolability_json(found: Isolability) -> Mapping[str, object]:
-    """Return it as JSON without any NaN or infinity."""
-    return {
-        "format": ISOLABILITY_FORMAT,
-        "version": ISOLABILITY_VERSION,
-        "source": found.source,
-        "planned": found.planned,
-        "runs": dict(found.runs),
-        "duration_s": finite_or_none(found.duration_s),
-        "in_words": list(isolability_sentences(found)),
-        "seen_from_d_prime": DETECTABLE_D_PRIME,
-        "close_below_sin2": CONFUSED_SIN2,
-        "summary": {name: finite_or_none(value) for name, value in found.summary().items()},
-        "effects": [
-            {
-                "id": one.effect,
-                "channel": one.channel,
-                "usual": one.usual,
-                "unit": one.unit,
-                "d_prime": finite_or_none(one.d_prime),
-                "least_seen": finite_or_none(one.smallest),
-                "least_seen_mN": finite_or_none(one.smallest_mN),
-            }
-            for one in found.effects
-        ],
-        "pairs": [
-            {
-                "effects": list(one.effects),
-                "channel": one.channel,
-                "sin2": finite_or_none(one.sin2),
-                "typical_sin2": [finite_or_none(each) for each in one.typical_sin2],
-                "d_prime": [finite_or_none(each) for each in one.d_prime],
-                "confused": one.confused,
-            }
-            for one in found.pairs
-        ],
-        "remarks": list(found.remarks),
-    }
+def isolability_document(isolability: Isolability) -> Document:
+    """Lay out which effects runs can distinguish."""
 
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.diagnosis_figures import isolability_figure
 
-MAX_PAIRS = 40
+        return isolability_figure(isolability)
 
-
-def isolability_page(found: Isolability) -> str:
-    """Return the page."""
-    first, *more = isolability_sentences(found)
-    shown = inline_figure(
-        isolability_figure(found),
+    answer, *lead = isolability_sentences(isolability)
+    angles = (
+        "The parameters of the specimen, what differs from run to run, and details that any model is a little wrong in "
+        "have taken from each effect what they can. What remains of one effect has an angle to the best that another "
+        f"can do. A sin² below {CONFUSED_SIN2:.2f} is marked: a real effect differs from the catalogue's form of it by "
+        "as much."
+    )
+    visibility = (
+        "d′ is the norm of what remains of an effect, in standard deviations of noise. From "
+        f"{DETECTABLE_D_PRIME:.0f} on it is nearly always detected. The smallest size is where d′ comes to that, and "
+        "never below the force that is too small to matter."
+    )
+    matrix = Figure(
+        "matrix",
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
-        "they are near each other. Above: d′ between them at their usual sizes. Near ones are neighbours.",
+        "they are similar. Above: d′ between them at their usual sizes. Similar effects are neighbours.",
+        draw,
     )
-    return render_template(
-        "isolability.html",
-        {
-            "title": f"What {found.source} can tell apart",
-            "first": first,
-            "more": more,
-            "close": CONFUSED_SIN2,
-            "seen": DETECTABLE_D_PRIME,
-            "tables": {"effects": _effects_table(found), "pairs": _pairs_table(found)},
-            "pictures": {"matrix": shown},
-            "remarks_": [as_sentence(one) for one in found.remarks],
-        },
+    return Document(
+        title=f"What {isolability.source} can distinguish",
+        answer=answer,
+        lead=tuple(lead),
+        sections=(
+            Section(
+                "apart",
+                "1. What can be distinguished",
+                (matrix, Text(angles, TextKind.EXPLANATION), _pair_table(isolability)),
+            ),
+            Section(
+                "seen",
+                "2. What can be detected",
+                (Text(visibility, TextKind.EXPLANATION), _effect_table(isolability)),
+            ),
+            Section("limits", "3. Limits", (Items(tuple(map(as_sentence, isolability.remarks)), remarks=True),)),
+        ),
+        data=to_json_object(
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "source": isolability.source,
+                "planned": isolability.planned,
+                "runs": isolability.runs,
+                "duration_s": isolability.duration_s,
+                "in_words": isolability_sentences(isolability),
+                "seen_from_d_prime": DETECTABLE_D_PRIME,
+                "close_below_sin2": CONFUSED_SIN2,
+                "summary": isolability.summary(),
+                "effects": [
+                    {
+                        "id": effect.effect,
+                        "channel": effect.channel,
+                        "usual": effect.usual,
+                        "unit": effect.unit,
+                        "d_prime": effect.d_prime,
+                        "least_seen": effect.smallest,
+                        "least_seen_mN": effect.smallest_mN,
+                    }
+                    for effect in isolability.effects
+                ],
+                "pairs": [
+                    {
+                        "effects": pair.effects,
+                        "channel": pair.channel,
+                        "sin2": pair.sin2,
+                        "typical_sin2": pair.typical_sin2,
+                        "d_prime": pair.d_prime,
+                        "confused": pair.confused,
+                    }
+                    for pair in isolability.pairs
+                ],
+                "remarks": isolability.remarks,
+            }
+        ),
     )
 
 
-def _effects_table(found: Isolability) -> Table:
+def _effect_table(isolability: Isolability) -> Table:
     columns = (
         Column("effect", "effect"),
-        Column("channel", "seen in"),
+        Column("id", "id"),
+        Column("channel", "channel"),
         Column("d_prime", "d′ at the usual size", decimals(0)),
-        Column("usual", "usual size", general_format),
-        Column("least", "smallest seen", significant(2)),
+        Column("usual", "usual size", shortest()),
+        Column("least", "smallest detected", significant(2)),
         Column("unit", "unit"),
-        Column("least_mN", "as mN", significant(2)),
+        Column("least_mN", "as force, mN", significant(2)),
     )
     rows = tuple(
         (
-            capitalise(display_name(one.effect)),
-            one.channel,
-            one.d_prime,
-            one.usual,
-            one.smallest,
-            "" if one.unit == "1" else one.unit,
-            one.smallest_mN,
+            capitalise(display_name(effect.effect)),
+            effect.effect,
+            effect.channel,
+            effect.d_prime,
+            effect.usual,
+            "never" if effect.smallest is None else effect.smallest,
+            unit_text(effect.unit),
+            effect.smallest_mN,
         )
-        for one in found.effects
+        for effect in isolability.effects
     )
-    return Table("effects", "How clearly each effect is seen, near ones together", columns, rows)
+    return Table("effects", "Similar effects together", columns, rows)
 
 
-def _pairs_table(found: Isolability) -> Table:
+def _pair_table(isolability: Isolability) -> Table:
     columns = (
         Column("first", "first"),
         Column("second", "second"),
@@ -122,13 +140,12 @@ def _pairs_table(found: Isolability) -> Table:
     )
     rows = tuple(
         (
-            capitalise(display_name(one.effects[0])),
-            capitalise(display_name(one.effects[1])),
-            one.sin2,
-            *one.typical_sin2,
-            one.separation,
-            "hardly told apart" if one.confused else "",
+            *(capitalise(display_name(effect)) for effect in pair.effects),
+            pair.sin2,
+            *pair.typical_sin2,
+            pair.separation,
+            "hardly distinguishable" if pair.confused else "",
         )
-        for one in found.pairs[:MAX_PAIRS]
+        for pair in isolability.pairs
     )
-    return Table("pairs", f"The closest {len(rows)} of {len(found.pairs)} pairs", columns, rows)
+    return Table("pairs", "Pairs of effects, the most similar first", columns, rows, brief_rows=MAX_PAIRS)

@@ -1,33 +1,47 @@
 """Values as JSON knows them: dataclasses become objects, NaN and infinities null."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import date
+from math import isfinite
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dragrig.analysis.estimates import Exclusion
+
+
+def to_json_object(values: Mapping[str, object]) -> dict[str, object]:
+    """Return named values as a JSON object, without any NaN or infinity."""
+    return {name: to_json_value(value) for name, value in values.items()}
 
 
 def to_json_value(value: object) -> object:
-    """Turn a value into what JSON knows: dataclasses become objects, NaN and infinities null, the rest its text."""
+    """Turn a value into what JSON knows; what is neither a number, a text nor a collection becomes its text."""
     if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
         value = value.tolist()
     match value:
         case Mapping():
-            return {str(key): to_json_value(one) for key, one in value.items()}
+            return {str(key): to_json_value(item) for key, item in value.items()}
         case list() | tuple() | set() | frozenset():
-            return [to_json_value(one) for one in value]
+            return [to_json_value(item) for item in value]
         case _ if is_dataclass(value):
-            return {one.name: to_json_value(getattr(value, one.name)) for one in fields(value)}
+            return {item.name: to_json_value(getattr(value, item.name)) for item in fields(value)}
         case _:
-            return _json_scalar(value)
+            return _scalar(value)
 
 
-def _json_scalar(value: object) -> str | float | bool | None:
+def _scalar(value: object) -> str | float | bool | None:
     match value:
         case float():
-            return value if math.isfinite(value) else None
+            return value if isfinite(value) else None
         case None | bool() | int():
             return value
         case date():
             return value.isoformat()
         case _:
             return str(value)
+
+
+def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:
+    """Return what was left out, and why."""
+    return [{"what": item.what, "reason": item.reason} for item in left_out]

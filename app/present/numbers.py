@@ -1,11 +1,111 @@
-"""Times, sizes, numbers and text columns as a person reads them."""
+"""How numbers, times and sizes are written for a reader; exact values stay in JSON, CSV and run files."""
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
+from decimal import Decimal
+from math import floor, isfinite, log10
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from dragrig.analysis.estimates import Estimate, EstimatedQuantity
+
+NumberFormat: TypeAlias = Callable[[float], str]
+UNKNOWN = "–"
+"""Shown for a value that is missing or not finite."""
+DIGITS_WITHOUT_ERROR = 4
+MAX_DECIMALS = 9
+
+
+def significant(digits: int) -> NumberFormat:
+    """Return a format with so many significant digits and no exponent: 0.0816, 113, −7.2."""
+
+    def text(value: float) -> str:
+        return "0" if value == 0 else _minus(format(Decimal(f"{value:.{digits - 1}e}"), "f"))
+
+    return text
+
+
+def decimals(digits: int, *, signed: bool = False) -> NumberFormat:
+    """Return a format with so many decimal places; `signed` writes the plus sign too."""
+    return lambda value: _minus(f"{value:{'+' if signed else ''}.{digits}f}")
+
+
+def shortest(digits: int = 6) -> NumberFormat:
+    """Return a format with at most so many digits and no trailing zeros: 0.5, 11."""
+    return lambda value: _minus(f"{value:.{digits}g}")
+
+
+def percent(digits: int = 0) -> NumberFormat:
+    """Return a format for shares: 71 %."""
+    return lambda value: _minus(f"{100 * value:.{digits}f} %")
+
+
+def shortest_percent(value: float) -> str:
+    """Write a share with the digits that it has: 150 %, 2.5 %."""
+    return _minus(f"{100 * value:g} %")
+
+
+def percent_difference(value: float) -> str:
+    """Write a relative difference with its sign: +20 %, −0.4 %."""
+    digits = 1 if abs(value) < 0.0095 else 2
+    return f"{'+' if value > 0 else ''}{significant(digits)(100 * value)} %"
+
+
+def rounded_to_error(value: float | None, error: float | None) -> str:
+    """Write a number to the second digit of its standard error; with four digits where the error is not known."""
+    if value is None or not isfinite(value):
+        return UNKNOWN
+    places = _places_of(error)
+    return _minus(f"{value:.{DIGITS_WITHOUT_ERROR}g}" if places is None else f"{value:.{places}f}")
+
+
+def error_text(error: float | None) -> str:
+    """Write a standard error with two digits; nothing where it is not known."""
+    if error is None or not isfinite(error):
+        return ""
+    places = _places_of(error)
+    return f"{error:.2g}" if places is None else f"{error:.{places}f}"
+
+
+def value_with_error(value: float | None, error: float | None) -> str:
+    """Write a value with its standard error, both to the error's second digit: 113.24 ± 0.21."""
+    text, known = rounded_to_error(value, error), _places_of(error) is not None
+    return f"{text} ± {error_text(error)}" if known and value is not None else text
+
+
+def estimate_text(estimate: "Estimate") -> str:
+    """Write an estimate with its error and its 95 % interval, or why there is none."""
+    if estimate.value is None:
+        return f"{UNKNOWN} ({estimate.reason})" if estimate.reason else UNKNOWN
+    interval = range_text(estimate.interval, estimate.standard_error)
+    return value_with_error(estimate.value, estimate.standard_error) + (f" (95 %: {interval})" if interval else "")
+
+
+def range_text(interval: tuple[float, float] | None, error: float | None) -> str:
+    """Write an interval to the second digit of the error: 3.242 to 3.290; nothing where it is not known."""
+    if interval is None or not all(map(isfinite, interval)):
+        return ""
+    return " to ".join(rounded_to_error(end, error) for end in interval)
+
+
+def interval_text(quantity: "EstimatedQuantity") -> str:
+    """Write the 95 % interval of a quantity."""
+    return range_text(quantity.interval, quantity.standard_error)
+
+
+def unit_text(unit: str) -> str:
+    """Write a unit; nothing for a pure number."""
+    return "" if unit == "1" else unit
+
+
+def p_value_text(p_value: float) -> str:
+    """Write a p-value: p = 0.39, p < 0.0001; nothing where there is none."""
+    if not isfinite(p_value):
+        return ""
+    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
 
 
 def duration_text(seconds: float) -> str:
-    """Spell a time: 850 ms, 12.3 s, 4 min 10 s, 2 h 05 min."""
+    """Write a time: 850 ms, 12.3 s, 4 min 10 s, 2 h 05 min."""
     if seconds < 1:
         return f"{1000 * seconds:.0f} ms"
     if seconds < 59.95:
@@ -17,7 +117,7 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(count: float) -> str:
-    """Spell a number of bytes: 820 B, 4.2 kB, 31 MB."""
+    """Write a number of bytes: 820 B, 4.2 kB, 31 MB."""
     for unit in ("B", "kB", "MB", "GB"):
         if count < 1000:
             return f"{count:.0f} {unit}" if count >= 10 or unit == "B" else f"{count:.1f} {unit}"
@@ -25,29 +125,12 @@ def size_text(count: float) -> str:
     return f"{count:.1f} TB"
 
 
-def number_text(value: float | None, digits: int = 3) -> str:
-    """Spell a number; nothing for one that is not there."""
-    return "" if value is None or value != value else f"{value:.{digits}g}"  # noqa: PLR0124  # NaN
+def _minus(text: str) -> str:
+    return text.replace("-", "−")
 
 
-def text_columns(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lay out a table as text: numbers to the right, words to the left, two spaces between columns."""
-    table = [tuple(row) for row in rows]
-    widths = [max(len(cell) for cell in column) for column in zip(header, *table, strict=True)]
-    right = [_is_numeric(column) for column in zip(*table, strict=True)] if table else [False] * len(header)
-    lines = []
-    for row in (tuple(header), *table):
-        cells = [
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(row, widths, right, strict=True)
-        ]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
-
-
-def _is_numeric(cells: Sequence[str]) -> bool:
-    return all(_NUMBER.fullmatch(cell) for cell in cells if cell)
-
-
-_NUMBER = re.compile(r"[-−+±]?[\d.,]+(e[-+]?\d+)?( .*)?")
-"""A number, with a unit or whatever follows a space."""
+def _places_of(error: float | None) -> int | None:
+    """Return the decimal places that two digits of an error take; None for an error that is not known."""
+    if error is None or not isfinite(error) or error <= 0:
+        return None
+    return min(max(0, 1 - floor(log10(error))), MAX_DECIMALS)

@@ -1,8 +1,9 @@
-"""The report on the paper's programme, simulated and identified: tables, figures, page."""
+"""The report on the paper's programme, simulated and identified."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,32 +22,49 @@ from dragrig.analysis.identification.steady_drag import DragSetup, steady_force_
 from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARIATIONS, CapsuleModel
 from dragrig.analysis.models.nominal_model import Variation
 from dragrig.analysis.paper import friction_findings as coulomb_test
-from dragrig.analysis.paper import published as printed
+from dragrig.analysis.paper import published
 from dragrig.analysis.paper.friction_findings import determination_examples
-from dragrig.analysis.paper.published import PaperFinding, percent, rounded
+from dragrig.analysis.paper.published import PaperFinding
 from dragrig.analysis.paper.reproduction import ElementRow
 from dragrig.analysis.paper.wall_findings import ELEMENT_SYMBOLS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule
 from dragrig.present.document import (
+    Block,
     Cell,
+    Code,
     Column,
-    InlineFigure,
+    Document,
+    Facts,
+    Figure,
+    Items,
+    Section,
     Table,
-    decimals,
-    general_format,
-    percent_difference,
-    significant,
+    Text,
+    TextKind,
 )
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, forces_figure, skew_figure, wall_figure
-from dragrig.present.html_page import render_template
-from dragrig.present.identification_figures import coulomb_figure, drag_figure, joint_fit_figure
-from dragrig.present.run_figures import value_with_error
+from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, WALL_TEXTS
+from dragrig.present.numbers import (
+    decimals,
+    percent,
+    percent_difference,
+    shortest,
+    shortest_percent,
+    significant,
+    value_with_error,
+)
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.session import software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+PAPER_TITLE = "The paper's programme, simulated and identified"
+_VISCOUS_TEXTS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
+MAX_LOG_LAW_P = 0.05
+"""Below this p-value of the lack of fit, the growth is not called logarithmic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +153,7 @@ def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -
         SIMULATED_COLUMN,
         Column("prior_low", "before: from"),
         Column("prior_high", "to"),
-        Column("learnt", "learnt", lambda value: f"{100 * value:.0f} %"),
+        Column("learnt", "learnt", percent()),
         Column("meaning", "what it is"),
         Column("standard_error", "±", significant(2)),
         Column("unit", "unit"),
@@ -156,7 +174,7 @@ def _combination_table(fit: JointFit | None, model: FrictionModelSettings) -> Ta
         VALUE_COLUMN,
         *INTERVAL_COLUMNS,
         SIMULATED_COLUMN,
-        Column("half_width", "±", lambda value: f"{100 * value:.2g} %"),
+        Column("half_width", "±", _two_digit_percent),
         Column("meaning", "what it is"),
     )
     rows = tuple(
@@ -205,7 +223,7 @@ def _factor_cells(one: RunResidual, variation: Variation, put_in: float) -> tupl
     return (found.value, put_in) if shown else (None, None)
 
 
-SPEED_COLUMN = Column("speed_mm_s", "v, mm/s", general_format)
+SPEED_COLUMN = Column("speed_mm_s", "v, mm/s", shortest())
 SKEW_POINTS = 120
 
 
@@ -229,7 +247,7 @@ def paper_tables(results: PaperReportData) -> dict[str, Table]:
 def _element_table(results: PaperReportData) -> Table:
     columns = (
         Column("element", "element"),
-        Column("strain", "strain", lambda value: f"{100 * value:g} %"),
+        Column("strain", "strain", shortest_percent),
         Column("unit", "unit"),
         Column("table1", "Table 1"),
         Column("eq14", "Eq. 14"),
@@ -258,7 +276,7 @@ def _element_table(results: PaperReportData) -> Table:
 
 
 def _skew_maximum_table(results: PaperReportData) -> Table:
-    forces = steady_forces(printed.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
+    forces = steady_forces(published.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
     columns = (
         SPEED_COLUMN,
         Column("largest_skew_mN", "largest P(x) S, mN"),
@@ -298,7 +316,7 @@ def _coulomb_table(results: PaperReportData) -> Table:
     weight = coulomb_test.coulomb_weight_mN()
     whole, without = coulomb_test.coulomb_coefficient(), coulomb_test.coulomb_coefficient(viscous)
     rows: list[tuple[Cell, ...]] = [
-        ("the paper's force, as printed", printed.COULOMB_FORCE_MN, None, viscous, whole, None, without, None),
+        ("the paper's force, as printed", published.COULOMB_FORCE_MN, None, viscous, whole, None, without, None),
         _simulated_coulomb_row("the model that was simulated", results.model.friction_coefficient, viscous, weight),
     ]
     found = results.coulomb
@@ -317,11 +335,11 @@ def _simulated_coulomb_row(source: str, mu: float, viscous_mN: float, weight_mN:
 
 
 def _force_table(results: PaperReportData) -> Table:
-    forces = steady_forces(printed.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
+    forces = steady_forces(published.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
     columns = (
         SPEED_COLUMN,
         *(Column(f"{name}_mN", f"{name}, mN", decimals(2)) for name in ("f_e", "f_v", "f_c", "total")),
-        Column("f_e_share", "share of f_e", lambda value: f"{100 * value:.0f} %"),
+        Column("f_e_share", "share of f_e", percent()),
     )
     values = (forces.speed_mm_s, forces.f_e, forces.f_v, forces.f_c, forces.total, forces.f_e / forces.total)
     return Table("forces", "The model's forces at steady speed", columns, _rows_of_columns(*values))
@@ -330,7 +348,7 @@ def _force_table(results: PaperReportData) -> Table:
 def _drag_table(results: PaperReportData) -> Table:
     columns = (
         SPEED_COLUMN,
-        Column("runs", "runs", general_format),
+        Column("runs", "runs", shortest()),
         Column("measured_mN", "measured, mN", decimals(2)),
         Column("measured_low_mN", "95 % from", decimals(2)),
         Column("measured_high_mN", "to", decimals(2)),
@@ -358,7 +376,7 @@ def _drag_table(results: PaperReportData) -> Table:
 def _determination_table(results: PaperReportData) -> Table:
     columns = (
         Column("band", "simulated runs, band"),
-        Column("speeds", "speeds", general_format),
+        Column("speeds", "speeds", shortest()),
         Column("eq15_ratio", "ratio of Eq. 15", decimals(4)),
         Column("squared_correlation", "squared correlation", decimals(4)),
     )
@@ -404,120 +422,43 @@ def _value_and_error(estimate: Estimate) -> tuple[float | None, float | None]:
     return estimate.value, estimate.standard_error
 
 
-def inline_paper_figures(results: PaperReportData) -> dict[str, InlineFigure]:
-    """Draw all figures; what was not identified is missing."""
-    model, capsule, thickness = results.model, results.capsule, results.wall_thickness_mm
-    drawn = {
-        "wall": inline_figure(
-            wall_figure(_identified_elements(results)),
-            "Five panels, one for each element against strain: Table 1's points, Eq. 14's curve, which misses them, "
-            "the quadratic through them, and the identified values with their intervals.",
-            "The wall's elements against strain.",
+def paper_document(results: PaperReportData, tables: Mapping[str, Table], model: str | None = None) -> Document:
+    """Lay out the report; `tables` are from `paper_tables`, `model` names the file of the identified model."""
+    return Document(
+        title=PAPER_TITLE,
+        lead=(
+            "What the friction model of “Modeling of Velocity-dependent Frictional Resistance of a Capsule Robot "
+            "Inside an Intestine” (2012) predicts, what comes back when its tests are simulated and identified, and "
+            "where the paper is inconsistent. Nothing here was measured on a gut: every run is simulated, and the "
+            "paper's own data are not in its text.",
         ),
-        "skew": inline_figure(
-            skew_figure(model, capsule, thickness),
-            "Skew resistance along the contact at six speeds; each curve rises to a maximum inside the hemisphere and "
-            "falls towards the equator, beside the capsule it stays constant for 20 mm.",
-            "After the paper's Fig. 7. A dot marks each curve's largest value.",
+        sections=(
+            _settings_section(results),
+            _wall_section(results, tables),
+            _skew_section(results, tables),
+            _coulomb_section(results, tables),
+            Section(
+                "forces",
+                "5. The parts of the friction against speed (Fig. 9)",
+                (_forces_drawing(results), _with_file(tables["forces"])),
+            ),
+            _joint_section(results, tables, model),
+            _drag_section(results, tables),
+            _findings_section(results, tables),
+            _files_section(tables, model),
         ),
-        "forces": inline_figure(
-            forces_figure(model, capsule, thickness, printed.SPEEDS_MM_S),
-            "Environmental resistance, viscous friction, Coulomb friction and their sum against speed.",
-            "After the paper's Fig. 9, by the model that was simulated.",
-        ),
-    }
-    if results.coulomb_trace is not None:
-        drawn["coulomb"] = inline_figure(
-            coulomb_figure(results.coulomb_trace, results.coulomb, printed.COULOMB_FORCE_MN),
-            "Force of the simulated Coulomb test against time, raw and filtered, with its mean and the printed one.",
-            "After the paper's Fig. 8: the simulated run, zero taken off. The orange line is the paper's mean.",
-        )
-    joint = results.identification.joint
-    if joint is not None:
-        drawn["joint"] = inline_figure(
-            joint_fit_figure(joint),
-            "Left, the 95 % interval of each parameter before and after the runs, and of what they combine to; right, "
-            "χ² per degree of freedom of each run.",
-            "The joint fit. Left, on a scale on which all parameters were known equally well before; right, 1 where "
-            "nothing but noise and the variation between runs is left.",
-        )
-    drag = results.identification.drag
-    if drag is not None:
-        drawn["drag"] = _inline_drag_figure(drag, results)
-    return drawn
-
-
-def _inline_drag_figure(drag: DragResult, results: PaperReportData) -> InlineFigure:
-    found = results.identified_model
-    figure = drag_figure(
-        drag,
-        found or results.model,
-        results.capsule,
-        results.wall_thickness_mm,
-        printed.BOUNDARY_MM_S,
-        printed.SENSOR_ACCURACY_MN,
-        "simulated",
-        results.model if found is not None else None,
-    )
-    return inline_figure(
-        figure,
-        "Measured drag of the simulated runs with intervals against speed, the curves of the identified and of the "
-        "simulated model, and the fitted logarithm; below, the differences from the identified model.",
-        "After the paper's Fig. 11: simulated runs in place of the paper's measurements, which its text does not hold, "
-        "the model as it was identified from all runs, and the model that was simulated. Bars are 95 % intervals.",
     )
 
 
-def _identified_elements(results: PaperReportData) -> dict[str, list[tuple[float, EstimatedQuantity]]]:
-    found: dict[str, list[tuple[float, EstimatedQuantity]]] = {}
-    for row in results.elements:
-        if row.identified is not None:
-            found.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
-    return found
-
-
-PAPER_TITLE = "The paper's programme, simulated and identified"
-_WALL_TEXTS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
-_VISCOUS_TEXTS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
-
-
-def paper_page(
-    results: PaperReportData,
-    tables: Mapping[str, Table],
-    pictures: Mapping[str, InlineFigure],
-    model: str | None = None,
-) -> str:
-    """Return the whole report as one HTML page; `model` names the file of the identified model beside it."""
-    return render_template(
-        "paper.html",
-        {
-            "title": PAPER_TITLE,
-            "settings": _simulation_settings(results),
-            "wall": _WALL_TEXTS.get(results.model.wall, results.model.wall),
-            "papers_own": results.model == printed.PAPER_MODEL,
-            "elements": _element_agreement(results.elements),
-            "joint": _joint_fit_summary(results),
-            "model": model,
-            "identification": results.identification,
-            "findings": results.findings,
-            "tables": tables,
-            "printed": printed,
-            "spelled": rounded,
-            "percent": percent,
-            "with_error": value_with_error,
-            "pictures": pictures,
-        },
-    )
-
-
-def _simulation_settings(results: PaperReportData) -> dict[str, str]:
-    simulated, model = results.rig.simulated, results.model
+def _settings_section(results: PaperReportData) -> Section:
+    simulated, model, identification = results.rig.simulated, results.model, results.identification
     noise, variation = simulated.noise, simulated.variation
-    return {
+    settings = {
         "Software": f"{software_version()}, simulated rig",
         "Seed": str(simulated.seed),
-        "Programme": f"plan paper: {results.runs} runs, ways back included, at {results.rig.sampling.rate_hz:g} Hz",
-        "Wall": _WALL_TEXTS.get(model.wall, model.wall),
+        "Programme": f"plan paper: {results.runs} runs, return strokes included, at "
+        f"{results.rig.sampling.rate_hz:g} Hz",
+        "Wall": WALL_TEXTS.get(model.wall, model.wall),
         "Viscous friction": _VISCOUS_TEXTS[model.viscous],
         "Coulomb friction": f"μ = {model.friction_coefficient:g}",
         "Sensor": f"noise {noise.white_mN:g} mN white and {noise.slow_mN:g} mN slow ({noise.slow_correlation_s:g} s), "
@@ -525,28 +466,349 @@ def _simulation_settings(results: PaperReportData) -> dict[str, str]:
         "Between runs": f"stiffness varies by {100 * variation.run_stiffness:g} %, "
         f"μ by {100 * variation.run_friction:g} % (standard deviations)",
     }
+    left_out = identification.left_out
+    reasons = ", or because ".join(dict.fromkeys(run.reason for run in left_out))
+    used = f"{len(identification.used)} runs were used and {len(left_out)} left out, each because {reasons}."
+    return Section(
+        "what",
+        "1. What was simulated",
+        (
+            Facts(settings),
+            Text("The same seed makes the same runs. They lie beside this page and are a campaign like any other."),
+            Items(identification.remarks, remarks=True),
+            Text(used if left_out else ""),
+        ),
+    )
 
 
-def _joint_fit_summary(results: PaperReportData) -> dict[str, object] | None:
-    """Say what the joint fit gave back; None without one that converged."""
+def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.model_figures import wall_figure
+
+        identified: dict[str, list[tuple[float, EstimatedQuantity]]] = {}
+        for row in results.elements:
+            if row.identified is not None:
+                identified.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
+        return wall_figure(identified)
+
+    relaxation = results.identification.relaxation
+    fits = () if relaxation is None else relaxation.fits
+    elements = _with_file(tables["elements"])
+    shown = ("element", "strain", "unit", "table1", "eq14", "eq14_relative_difference", "quadratic")
+    names = (*shown[:3], "simulated", "identified", "identified_low", "identified_high")
+    differences = ("identified_relative_difference_from_simulated", "table1")
+    identified = elements.select(*names, *differences, "identified_relative_difference_from_table1")
+    has_identified = any(row.identified is not None for row in results.elements)
+    return Section(
+        "wall",
+        "2. Table 1, Eq. 14, and the identified wall",
+        (
+            Text(
+                "Eq. 14 is not a fit of Table 1; a least-squares quadratic through the same four points is closer. "
+                f"Relaxations were simulated with {WALL_TEXTS.get(results.model.wall, results.model.wall)}. "
+                f"{_element_agreement(results)}"
+            ),
+            Figure(
+                "wall",
+                "Five panels, one for each element against strain: Table 1's points, Eq. 14's curve, which misses "
+                "them, the quadratic through them, and the identified values with their intervals.",
+                "The wall's elements against strain.",
+                draw,
+            ),
+            elements.select(*shown, "quadratic_relative_difference"),
+            Section(
+                "identified-elements",
+                "Identified from the simulated relaxations",
+                (replace(identified, name="identified-elements-table"),) if has_identified else (),
+            ),
+            Items(() if relaxation is None else relaxation.remarks, remarks=True),
+            Section(
+                "five-elements",
+                "Do five elements suffice?",
+                (Items(tuple(f"{100 * fit.shear_strain:g} %: {fit.test.sentence}" for fit in fits if fit.test)),),
+            ),
+        ),
+    )
+
+
+def _element_agreement(results: PaperReportData) -> str:
+    """Say how the identified elements agree with the simulated ones."""
+    rows = [row for row in results.elements if row.identified is not None]
+    if not rows:
+        relaxation = results.identification.relaxation
+        reasons = "" if relaxation is None else f": {'; '.join(relaxation.remarks)}"
+        return f"No element was identified{reasons}."
+    worst = max(abs(row.difference or 0.0) for row in rows)
+    return (
+        f"Of {len(results.elements)} elements {len(rows)} were identified; the 95 % intervals of "
+        f"{sum(bool(row.inside) for row in rows)} contain the simulated value, and the largest difference is "
+        f"{percent_difference(worst).removeprefix('+')}. The simulated values vary a little from run to run, as they "
+        "do on one gut; the column “simulated” has each run's own value."
+    )
+
+
+def _skew_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.model_figures import skew_figure
+
+        return skew_figure(results.model, results.capsule, results.wall_thickness_mm)
+
+    why = next(finding.title for finding in results.findings if finding.key == "maximum")
+    return Section(
+        "skew",
+        "3. Skew resistance along the contact (Fig. 7)",
+        (
+            Text(
+                f"The largest value lies inside the contact, not at the equator where the strain is largest: “{why}”."
+            ),
+            Figure(
+                "skew-curves",
+                "Skew resistance along the contact at six speeds; each curve rises to a maximum inside the hemisphere "
+                "and falls towards the equator, beside the capsule it stays constant for 20 mm.",
+                "After the paper's Fig. 7. A dot marks each curve's largest value.",
+                draw,
+            ),
+            _with_file(tables["skew-maximum"]),
+        ),
+    )
+
+
+def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
+    trace = results.coulomb_trace
+    blocks: list[Block] = [
+        Text(
+            f"{published.COULOMB_FORCE_MN:.2f} mN over the weight of {published.COULOMB_MASS_G:g} g give the paper's "
+            f"μ = {published.FRICTION_COEFFICIENT:g} when all of it counts as Coulomb friction. The model attributes a "
+            "part of that force to viscous friction and counts it twice, so that it predicts more than the paper "
+            "measured."
+        )
+    ]
+    if trace is not None:
+
+        def draw() -> "MatplotlibFigure":
+            from dragrig.present.identification_figures import coulomb_figure
+
+            return coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN)
+
+        blocks.append(
+            Figure(
+                "coulomb-run",
+                "Force of the simulated Coulomb test against time, raw and filtered, its mean and the printed one.",
+                "After the paper's Fig. 8: the simulated run, zero subtracted. The orange line is the paper's mean.",
+                draw,
+            )
+        )
+    coulomb = results.identification.coulomb
+    remarks = Items(() if coulomb is None else coulomb.remarks, remarks=True)
+    blocks += [_with_file(tables["coulomb"]), remarks]
+    return Section("coulomb", "4. Coulomb friction at 0.5 mm/s (Fig. 8)", tuple(blocks))
+
+
+def _forces_drawing(results: PaperReportData) -> Figure:
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.model_figures import forces_figure
+
+        return forces_figure(results.model, results.capsule, results.wall_thickness_mm, published.SPEEDS_MM_S)
+
+    return Figure(
+        "force-curves",
+        "Environmental resistance, viscous friction, Coulomb friction and their sum against speed.",
+        "After the paper's Fig. 9, by the model that was simulated.",
+        draw,
+    )
+
+
+def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model: str | None) -> Section:
     fit = results.identification.joint
-    if fit is None or not fit.converged:
-        return None
-    return {
-        "fit": fit,
-        "parameters": intervals_holding_truth(fit.parameters, results.model),
-        "combinations": intervals_holding_truth(fit.combinations, results.model),
-        "unknown": [one.name for one in fit.parameters if not one.determined],
-    }
+    heading = "6. Joint fit of all runs"
+    if fit is None:
+        return Section("joint", heading, (Text("There was no joint fit."),))
+
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.identification_figures import joint_fit_figure
+
+        return joint_fit_figure(fit)
+
+    drawing = Figure(
+        "joint-fit",
+        "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
+        "degree of freedom of each run.",
+        "The joint fit. Left, on a scale on which all parameters were known equally well before; right, 1 where only "
+        "noise and the variation between runs remain.",
+        draw,
+    )
+    if not fit.converged:
+        failed = Text("The joint fit did not converge, so that none of its numbers is reported.")
+        return Section("joint", heading, (failed, drawing, Items(fit.remarks, remarks=True)))
+    rest = "noise and the variation between runs"
+    remainder = f"only {rest} remain (p = {fit.p_value:.2f})" if fit.holds else f"more than {rest} remains"
+    parameters = intervals_holding_truth(fit.parameters, results.model)
+    combinations = intervals_holding_truth(fit.combinations, results.model)
+    unknown = " and ".join(parameter.name for parameter in fit.parameters if not parameter.determined)
+    learnt = "“Learnt” is the share by which the runs narrowed a parameter's interval."
+    dry_run = (
+        Text(
+            f"The identified friction model is like those that ship, and is in `{model}` beside this page. A dry run "
+            "with it is a dry run of this specimen:"
+        ),
+        Code(f"dragrig run drag --model {model}"),
+    )
+    return Section(
+        "joint",
+        heading,
+        (
+            Text(
+                f"One fit of the friction model to all {len(fit.runs)} runs together, in which each run has a zero and "
+                "factors of its own, and each parameter has a prior for any specimen. χ² is "
+                f"{fit.chi2 / fit.degrees:.3f} per degree of freedom ({fit.degrees}): {remainder}. The 95 % intervals "
+                f"of {parameters[0]} of the {parameters[1]} parameters that the runs determine, and of "
+                f"{combinations[0]} of {combinations[1]} combinations, contain the simulated value."
+            ),
+            drawing,
+            _with_file(tables["parameters"]).select(
+                "parameter", "value", "low", "high", "simulated", "prior_low", "prior_high", "learnt", "meaning"
+            ),
+            Text(f"{learnt} The runs do not determine {unknown}." if unknown else learnt),
+            Items(fit.remarks, remarks=True),
+            _with_file(tables["combinations"]),
+            Section("specimen-model", "This specimen on the simulated rig", dry_run if model else ()),
+        ),
+    )
 
 
-def _element_agreement(rows: tuple[ElementRow, ...]) -> dict[str, object]:
-    """Say how the identified elements agree with what was simulated."""
-    found = [row for row in rows if row.identified is not None]
-    worst = max((abs(row.difference or 0.0) for row in found), default=0.0)
-    return {
-        "all": len(rows),
-        "found": len(found),
-        "inside": sum(bool(row.inside) for row in found),
-        "worst": percent(worst).removeprefix("+"),
-    }
+def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
+    drag = results.identification.drag
+    heading = "7. The model's curve with simulated measurements (Fig. 11)"
+    if drag is None:
+        return Section("drag", heading, (Text("No drag was identified."),))
+
+    def draw() -> "MatplotlibFigure":
+        return _drag_figure(drag, results)
+
+    own = ", the paper's own" if results.model == published.PAPER_MODEL else ""
+    beside = (
+        "The zero of each run comes from the joint fit, and so does the model beside the runs; “as simulated” is the "
+        f"curve of the simulated model{own}."
+        if results.identified_model is not None
+        else "The model beside the runs is the simulated one."
+    )
+    boundary = "The runs do not determine a boundary." if drag.boundary is None else drag.boundary.sentence
+    return Section(
+        "drag",
+        heading,
+        (
+            Text(beside),
+            Figure(
+                "drag-figure",
+                "Measured drag of the simulated runs with intervals against speed, the curves of the identified and of "
+                "the simulated model, and the fitted logarithm; below, the differences from the identified model.",
+                "After the paper's Fig. 11: simulated runs in place of the paper's measurements, which its text does "
+                "not contain, the model identified from all runs, and the simulated model. Bars are 95 % intervals.",
+                draw,
+            ),
+            _with_file(tables["drag"]).select(
+                *("speed_mm_s", "runs", "measured_mN", "measured_low_mN", "measured_high_mN", "model_mN"),
+                *("difference_mN", "ln_law_mN", "simulated_model_mN"),
+            ),
+            Section(
+                "drag-r2",
+                "R²",
+                (
+                    Text(
+                        f"The paper prints R² = {published.R2_BELOW:.4f} below {published.BOUNDARY_MM_S:g} mm/s and "
+                        f"{published.R2_ABOVE:.4f} above. These are quoted: the measurements behind them are not in "
+                        "its text, and no software can reproduce them.",
+                        TextKind.QUOTATION,
+                    ),
+                    Text(
+                        "The numbers below are about the simulated runs and the model identified from them. The runs "
+                        "follow it by construction up to noise and the variation between runs, so that they show how "
+                        "far R² can be trusted at that scatter, and nothing about a gut."
+                    ),
+                    _with_file(tables["determination"]),
+                ),
+            ),
+            Section("drag-log-law", "ln v", (Text(_log_law_text(drag)),)),
+            Section("drag-boundary", "Boundary", (Text(boundary),)),
+            Items(drag.remarks, remarks=True),
+        ),
+    )
+
+
+def _drag_figure(drag: DragResult, results: PaperReportData) -> "MatplotlibFigure":
+    from dragrig.present.identification_figures import drag_figure
+
+    identified = results.identified_model
+    return drag_figure(
+        drag,
+        identified or results.model,
+        results.capsule,
+        results.wall_thickness_mm,
+        published.BOUNDARY_MM_S,
+        published.SENSOR_ACCURACY_MN,
+        "simulated",
+        results.model if identified is not None else None,
+    )
+
+
+def _log_law_text(drag: DragResult) -> str:
+    law = drag.log_law
+    if law is None:
+        return "The runs support no law of ln v."
+    text = (
+        f"The least-squares law is ({value_with_error(law.intercept.value, law.intercept.standard_error)}) mN + "
+        f"({value_with_error(law.slope.value, law.slope.standard_error)}) mN · ln(v / 1 mm/s), with R² = {law.r2:.3f}."
+    )
+    if law.lack_of_fit_p is None:
+        return text
+    chance = "below 0.01" if law.lack_of_fit_p < 1e-4 else significant(2)(100 * law.lack_of_fit_p)
+    verdict = ": the growth is not logarithmic" if law.lack_of_fit_p < MAX_LOG_LAW_P else ""
+    return f"{text} The probability that runs which follow it deviate as much as these is {chance} %{verdict}."
+
+
+def _findings_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
+    examples = _with_file(tables["eq15-examples"])
+    findings = tuple(
+        Section(
+            finding.key,
+            f"8.{number} {finding.title}",
+            (
+                Text(f"{finding.where}: {finding.paper}", TextKind.QUOTATION),
+                Text(finding.shown),
+                Facts({quantity.quantity: str(quantity) for quantity in finding.numbers}),
+                Text(f"dragrig: {finding.practice}"),
+                *((examples,) if finding.key == "eq15" else ()),
+            ),
+        )
+        for number, finding in enumerate(results.findings, 1)
+    )
+    return Section(
+        "findings",
+        "8. Where the paper is inconsistent",
+        (
+            Text(
+                "Computed from the paper's own equations and numbers, as printed, whatever was simulated above: what "
+                "the paper has (in grey), what the numbers show, and what dragrig does. All of them are in "
+                "`findings.csv`."
+            ),
+            *findings,
+        ),
+    )
+
+
+def _files_section(tables: Mapping[str, Table], model: str | None) -> Section:
+    files = [f"`{name}.csv` {table.caption}" for name, table in tables.items()]
+    if model is not None:
+        files.append(
+            f"`{model}` The identified friction model; `dragrig run` and `dragrig model` load it with `--model`."
+        )
+    files.append("`*.h5` The runs; `dragrig info`, `table`, `show` and `identify` read them.")
+    return Section("files", "9. Files", (Text("Beside this page, with every digit:"), Items(tuple(files))))
+
+
+def _with_file(table: Table) -> Table:
+    return replace(table, file=f"{table.name}.csv")
+
+
+def _two_digit_percent(value: float) -> str:
+    return f"{100 * value:.2g} %"

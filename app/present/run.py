@@ -1,23 +1,36 @@
 """A run laid out for a reader: measures, checks, events, settings."""
 
-from collections.abc import Mapping
-from math import floor, log10
-from typing import Final
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final
 
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.measures import RunMeasures, measure
-from dragrig.present.document import Cell, Column, InlineFigure, Table, decimals, general_format, significant
-from dragrig.present.drawing import (
-    run_problem,
-    run_title,
+from dragrig.present.document import (
+    Cell,
+    Code,
+    Column,
+    Document,
+    Facts,
+    Figure,
+    FormattedNumber,
+    Section,
+    Table,
 )
-from dragrig.present.figure_files import inline_figure
-from dragrig.present.html_page import render_template
-from dragrig.present.run_figures import (
-    run_figure,
-)
-from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo
+from dragrig.present.numbers import decimals, range_text, shortest, value_with_error
+from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo, RunStatus
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+GENERAL: Final = shortest()
+_KIND_TITLES = {
+    "drag": "Drag",
+    "coulomb": "Coulomb friction",
+    "blank": "Blank run",
+    "return": "Return",
+    "motion": "Motion",
+    "relaxation": "Relaxation",
+}
 UNIT_SUFFIXES: Final = {
     "_mm_s2": "mm/s²",
     "_mm_s": "mm/s",
@@ -44,39 +57,41 @@ def attribute_texts(values: Mapping[str, Attribute]) -> dict[str, str]:
 
 
 def check_texts(checks: Mapping[str, Attribute]) -> dict[str, str]:
-    """Say what was looked at right after the run, each with what was seen."""
-    told = {key: value for key, value in checks.items() if key not in {"slip_time_s", "following_error_mm"}}
-    words = attribute_texts({key: float(f"{one:.3g}") if isinstance(one, float) else one for key, one in told.items()})
+    """Return what was checked right after the run."""
+    shown = {key: value for key, value in checks.items() if key not in {"slip_time_s", "following_error_mm"}}
+    texts = attribute_texts(
+        {key: float(f"{value:.3g}") if isinstance(value, float) else value for key, value in shown.items()}
+    )
     following, slip = checks.get("following_error_mm"), checks.get("slip_time_s")
     if isinstance(following, int | float):
-        words["largest distance from the command"] = f"{1000 * following:.1f} µm"
+        texts["largest following error"] = f"{1000 * following:.1f} µm"
     if isinstance(slip, int | float):
-        words["slip during the hold"] = f"at {slip:.1f} s" if slip >= 0 else "none seen"
-    return words
+        texts["slip during the hold"] = f"at {slip:.1f} s" if slip >= 0 else "none seen"
+    return texts
 
 
 def recording_texts(info: RunInfo) -> dict[str, str]:
-    """Say when, by whom and with what a run was recorded."""
+    """Return when, by whom and with what a run was recorded."""
     header, entry = info.header, info.header.entry
-    told = {
+    texts = {
         "Run": header.run_id,
         "Began": f"{header.start_time:{_TIME_FORMAT}}",
         "Ended": "" if info.end_time is None else f"{info.end_time:{_TIME_FORMAT}}",
         "Operator": str(entry.get("operator", "")),
         "Note": str(entry.get("note", "")),
         "Plan": str(entry.get("plan", "")),
-        "Samples": f"{info.samples} at {general_format(header.sample_rate_hz)} Hz",
-        "Channels": ", ".join(f"{one.name} ({one.units})" for one in header.channels),
+        "Samples": f"{info.samples} at {GENERAL(header.sample_rate_hz)} Hz",
+        "Channels": ", ".join(f"{channel.name} ({channel.units})" for channel in header.channels),
         "Software": str(entry.get("software", "")),
         "SHA-256 of the samples": info.raw_sha256,
     }
-    return {name: value for name, value in told.items() if value}
+    return {name: value for name, value in texts.items() if value}
 
 
 def further_attribute_texts(info: RunInfo) -> dict[str, str]:
-    """Say what else stands in the file's head."""
-    said = {"operator", "note", "plan", "software"}
-    return attribute_texts({key: value for key, value in info.header.entry.items() if key not in said})
+    """Return what else the file's header holds."""
+    shown = {"operator", "note", "plan", "software"}
+    return attribute_texts({key: value for key, value in info.header.entry.items() if key not in shown})
 
 
 def _attribute_label(name: str) -> str:
@@ -91,24 +106,107 @@ def _attribute_text(name: str, value: Attribute) -> str:
     if isinstance(value, str):
         return value
     unit = UNIT_SUFFIXES.get(_unit_suffix(name), "")
-    number = str(value) if isinstance(value, int) else general_format(value)
+    number = str(value) if isinstance(value, int) else GENERAL(value)
     if name == "shear_strain":
-        return f"{general_format(100 * value)} %"
+        return f"{GENERAL(100 * value)} %"
     return f"{number}{'' if unit == '°' else ' '}{unit}".rstrip()
 
 
 def _unit_suffix(name: str) -> str:
-    return next((one for one in UNIT_SUFFIXES if name.endswith(one) and name != one[1:]), "")
+    return next((suffix for suffix in UNIT_SUFFIXES if name.endswith(suffix) and name != suffix[1:]), "")
+
+
+def run_document(run: Run, bad_reason: str | None = None) -> Document:
+    """Lay out a run; `bad_reason` is why it was marked bad, None for one that was not."""
+
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.run_figures import run_figure
+
+        return run_figure(run, bad_reason=bad_reason)
+
+    info, header = run.info, run.info.header
+    problem = run_problem(info, bad_reason)
+    return Document(
+        title=run_title(info),
+        source=info.path.name,
+        badges=(header.backend,),
+        problem=f"Not a good run: {problem}" if problem else "",
+        sections=(
+            Section("measures", "Measures", (run_drawing(info, draw), measures_table(measure(run)))),
+            Section("checks", "Checked right after the run", (Facts(check_texts(info.checks)),)),
+            Section("events", "Events", (_event_table(run.events),)),
+            Section(
+                "settings",
+                "Settings",
+                (
+                    Section("recorded", "Recorded", (Facts(recording_texts(info)),)),
+                    Section("protocol", f"Protocol: {info.kind}", (Facts(attribute_texts(header.protocol)),)),
+                    Section("capsule", "Capsule", (Facts(attribute_texts(header.capsule)),)),
+                    Section("specimen", "Specimen", (Facts(attribute_texts(header.specimen)),)),
+                    Section("further", "Further", (Facts(further_attribute_texts(info)),)),
+                    Section(
+                        "all-settings",
+                        "All settings of the session, as `dragrig run` takes them from this file",
+                        (Code(header.settings_toml),),
+                        collapsed=True,
+                    ),
+                ),
+            ),
+        ),
+    )
+
+
+def run_drawing(info: RunInfo, draw: "Callable[[], MatplotlibFigure]", name: str = "run") -> Figure:
+    """Return the figure of a run (force over position and speed), which `draw` draws."""
+    return Figure(
+        name,
+        f"{run_title(info)}: force, position and speed against time, with the phases of the motion.",
+        "Force as recorded (light) and filtered, position beside its command, and speed; the phases of the motion are "
+        "shaded.",
+        draw,
+    )
+
+
+def run_title(info: RunInfo) -> str:
+    """Say in a few words what a run is: its kind, its speed or strain, its specimen."""
+    kind = _KIND_TITLES.get(info.kind, info.kind.replace("_", " ").capitalize())
+    parameters = info.header.protocol
+    speed, strain = _numeric_attribute(parameters, "speed_mm_s"), _numeric_attribute(parameters, "shear_strain")
+    if info.kind == "relaxation" and strain is not None:
+        kind += f" at {100 * strain:g} % shear strain"
+    elif speed is not None:
+        kind += f" at {speed:g} mm/s"
+    name = str(info.header.specimen.get("name", "")).strip()
+    return f"{kind} · {name}" if name else kind
+
+
+def run_subtitle(info: RunInfo) -> str:
+    """Say when a run began and which file it is."""
+    began = info.header.start_time.strftime("%Y-%m-%d %H:%M:%S")
+    offset = info.header.start_time.isoformat()[-6:]
+    return f"{began} {offset}  ·  run {info.header.run_id[:8]}  ·  {info.path.name}"
+
+
+def run_problem(info: RunInfo, bad_reason: str | None = None) -> str:
+    """Say what is wrong with a run: that it was marked bad, or how it ended early; empty for a good one."""
+    if bad_reason is not None:
+        return f"marked bad: {bad_reason}"
+    if info.status is RunStatus.COMPLETE:
+        return ""
+    return f"{info.status}: {info.reason}" if info.reason else str(info.status)
+
+
+def _numeric_attribute(parameters: Mapping[str, Attribute], name: str) -> float | None:
+    value = parameters.get(name)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def measures_table(measures: RunMeasures) -> Table:
-    """Tabulate what the run says in a few numbers, each with its uncertainty or why it is missing."""
+    """Tabulate the measures of a run with their standard errors, or why they are missing."""
     columns = (
         Column("quantity", "quantity"),
-        Column("value", "value", _ten_significant),
-        Column("standard_error", "±", significant(2)),
-        Column("low", "95 % from", _ten_significant),
-        Column("high", "to", _ten_significant),
+        Column("value", "value ± standard error"),
+        Column("interval_95", "95 % interval"),
         Column("unit", "unit"),
         Column("remark", "how"),
     )
@@ -120,66 +218,16 @@ def measures_table(measures: RunMeasures) -> Table:
         _measure_row("force at the end of the hold", measures.hold_force, "mN", "mean"),
         _measure_row("speed", measures.speed, "mm/s", "slope of the position in the steady phase"),
     )
-    return Table("measures", "± is one standard error", columns, rows)
+    return Table("measures", "", columns, rows)
 
 
-def events_table(events: tuple[RunEvent, ...]) -> Table:
-    """Tabulate what happened during the run."""
-    columns = (Column("time_s", "time, s", decimals(3)), Column("kind", "what"), Column("message", "in words"))
-    return Table(
-        "events", "By the run's own clock", columns, tuple((one.time_s, one.kind, one.message) for one in events)
-    )
+def _measure_row(name: str, estimate: Estimate, unit: str, how: str) -> tuple[Cell, ...]:
+    value = FormattedNumber(estimate.value, value_with_error(estimate.value, estimate.standard_error))
+    interval = range_text(estimate.interval, estimate.standard_error)
+    return name, value, interval, unit, estimate.reason or how
 
 
-def _measure_row(name: str, one: Estimate, unit: str, how: str) -> tuple[Cell, ...]:
-    low, high = one.interval or (None, None)
-    value, low, high = (_round_to_error(each, one.standard_error) for each in (one.value, low, high))
-    return name, value, one.standard_error, low, high, unit, one.reason or how
-
-
-def _round_to_error(value: float | None, error: float | None) -> float | None:
-    """Round a number to the digits that its error leaves it, three decimal places at most."""
-    if value is None or not error:
-        return value
-    return round(value, max(0, min(3, 1 - floor(log10(error)))))
-
-
-def _ten_significant(value: float) -> str:
-    return f"{value:.10g}".replace("-", "−")
-
-
-def run_page(run: Run, bad_reason: str | None = None) -> str:
-    """Return the report on a run as one HTML page.
-
-    Parameters
-    ----------
-    bad_reason
-        Why somebody marked the run bad; None when nobody did.
-    """
-    info = run.info
-    tables = {one.name: one for one in (measures_table(measure(run)), events_table(run.events))}
-    return render_template(
-        "run.html",
-        {
-            "title": run_title(info),
-            "info": info,
-            "trouble": run_problem(info, bad_reason),
-            "recorded": recording_texts(info),
-            "checks": check_texts(info.checks),
-            "protocol": attribute_texts(info.header.protocol),
-            "capsule": attribute_texts(info.header.capsule),
-            "specimen": attribute_texts(info.header.specimen),
-            "further": further_attribute_texts(info),
-            "tables": tables,
-            "pictures": {"run": inline_run_figure(run, bad_reason)},
-        },
-    )
-
-
-def inline_run_figure(run: Run, bad_reason: str | None = None) -> InlineFigure:
-    """Draw a run, force over position and speed."""
-    return inline_figure(
-        run_figure(run, bad_reason=bad_reason),
-        f"{run_title(run.info)}: force, position and speed against time, with the phases of the motion.",
-        "Force as recorded (light) and filtered, position beside its command, and speed; shaded, the motion's phases.",
-    )
+def _event_table(events: tuple[RunEvent, ...]) -> Table:
+    columns = (Column("time_s", "time, s", decimals(3)), Column("kind", "event"), Column("message", "message"))
+    rows = tuple((event.time_s, event.kind, event.message) for event in events)
+    return Table("events", "By the clock of the run", columns, rows)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import floor, log10
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,19 +24,22 @@ from dragrig.present.drawing import (
     new_figure,
     panel_height_in,
     panel_width_in,
-    run_problem,
     set_log_x,
     set_time_range,
     set_y_label,
     spread_labels,
     text_width_in,
+    write_badge,
     write_legend,
-    write_run_header,
+    write_problem,
+    write_title,
 )
+from dragrig.present.numbers import value_with_error
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, PALE, PAPER, PURPLE, VERMILLION
+from dragrig.present.run import run_problem, run_subtitle, run_title
 from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray, PhaseArray
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, FilteredTrace, Run, RunEvent
+from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, FilteredTrace, Run, RunEvent, RunInfo, RunStatus
 
 ENVELOPE_COLUMNS = 2000
 """Columns that an envelope keeps; about the pixels that a picture is wide."""
@@ -155,14 +157,6 @@ def steady_level(run: Run) -> SteadyLevel | None:
     inside = run.trace.time[stretch]
     text = f"steady {value_with_error(estimate.value, estimate.standard_error)} mN"
     return SteadyLevel(float(inside[0]), float(inside[-1]), estimate.value, text)
-
-
-def value_with_error(value: float, standard_error: float | None) -> str:
-    """Spell a value with its error, both to the error's second digit: 113.24 ± 0.21."""
-    if standard_error is None or not standard_error > 0:
-        return f"{value:.4g}".replace("-", "−")
-    digits = max(0, 1 - floor(log10(standard_error)))
-    return f"{value:.{digits}f} ± {standard_error:.{digits}f}".replace("-", "−")
 
 
 PHASE_TINTS = ("#F5F6F7", "#FCEED3", "#EAF4FB", "#FBE4D6", "#F3EEF7")
@@ -639,6 +633,14 @@ def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
 
 
 RUN_FORCE_IN, RUN_SMALL_IN = 3.5, 1.45
+
+
+def write_run_header(figure: Figure, left_in: float, info: RunInfo, trouble: str) -> None:
+    """Write title, subtitle and trouble at the figure's upper edge, and a badge for the backend in its corner."""
+    complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
+    write_title(figure, left_in, run_title(info), run_subtitle(info) + complete)
+    write_problem(figure, left_in, trouble)
+    write_badge(figure, info.header.backend)
 
 
 def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:

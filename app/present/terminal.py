@@ -1,39 +1,114 @@
-"""Terminal output of results: sentences, and tables that wrap in a narrow window."""
+"""Documents in a terminal: sentences and tables; figures are left to pages and files."""
 
+import io
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from dragrig.present.document import Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
+
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, RenderableType
 
 PIPE_WIDTH = 200
-"""Columns where nobody's window limits them: in files and pipes."""
+"""Columns where no window limits them: in files and pipes."""
 
 
-def print_parts(parts: "Iterable[RenderableType]") -> None:
-    """Print sentences and tables on standard output, an empty line between them; on a terminal the first is bold."""
+def print_document(document: Document) -> None:
+    """Print a document on standard output; a table wraps where the window is narrow."""
     from rich.console import Console
 
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else PIPE_WIDTH, highlight=False)
-    for place, part in enumerate(parts):
-        if place:
-            console.print()
-        style = "bold" if place == 0 and isinstance(part, str) else None
-        console.print(part, markup=False, style=style, soft_wrap=isinstance(part, str))
+    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    _print(document, Console(file=sys.stdout, width=width, highlight=False))
 
 
-def terminal_table(
-    title: str, header: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()
-) -> "RenderableType":
-    """Return a table without lines below its title; `numbers` are the columns whose cells stand to the right."""
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
+def document_text(document: Document, width: int = PIPE_WIDTH) -> str:
+    """Return a document as it is printed."""
+    from rich.console import Console
 
-    made = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=any(header), header_style="none")
-    for place, name in enumerate(header):
-        made.add_column(Text(name), justify="right" if place in numbers else "left", overflow="fold")
-    for row in rows:
-        made.add_row(*(Text(cell) for cell in row))
-    return Group(Text(title, style="bold"), made)
+    text = io.StringIO()
+    _print(document, Console(file=text, width=width, highlight=False))
+    return text.getvalue()
+
+
+def _print(document: Document, console: "Console") -> None:
+    from rich.text import Text as RichText
+
+    head = [document.source] if document.source and not document.answer else []
+    head += [f"! {document.problem}"] if document.problem else []
+    lines = [*head, *document.lead]
+    console.print(RichText(_plain(document.answer or document.title), style="bold"), soft_wrap=True)
+    for line in lines:
+        console.print(RichText(_plain(line)), soft_wrap=True)
+    for section in document.content:
+        for part in _section(section, level=0):
+            console.print(part, soft_wrap=isinstance(part, RichText))
+
+
+def _section(section: Section, level: int) -> "Iterator[RenderableType]":
+    """Yield a blank line, the heading and the blocks; nothing of a section that a terminal leaves out."""
+    from rich.text import Text as RichText
+
+    parts: list[RenderableType] = []
+    for block in section.content:
+        if isinstance(block, Table) and block.caption and parts:
+            parts.append(RichText(""))
+        parts += _block(block, level)
+    if section.collapsed or not parts:
+        return
+    yield RichText("")
+    if section.heading:
+        yield RichText(section.heading, style="bold" if level == 0 else "underline")
+    yield from parts
+
+
+def _block(block: Block, level: int) -> "Iterator[RenderableType]":
+    from rich.text import Text as RichText
+
+    match block:
+        case Text() if block.kind is not TextKind.EXPLANATION:
+            yield RichText(_plain(block.text))
+        case Items():
+            mark = "! " if block.remarks else "  "
+            yield from (RichText(f"{mark}{_plain(item)}") for item in block.items[: block.brief])
+            if block.brief is not None and len(block.items) > block.brief:
+                yield RichText(f"  and {len(block.items) - block.brief} more")
+        case Facts():
+            width = max(map(len, block.values))
+            yield from (RichText(f"  {name:{width}}  {value}") for name, value in block.values.items() if value)
+        case Code():
+            yield from (RichText(f"  {line}") for line in block.text.splitlines())
+        case Table():
+            yield from _table(block)
+        case Section():
+            yield from _section(block, level + 1)
+        case Figure() | Text():
+            pass
+
+
+def _table(block: Table) -> "Iterator[RenderableType]":
+    from rich.table import Table as RichTable
+    from rich.text import Text as RichText
+
+    headings = [column.heading for column in block.columns]
+    table = RichTable(
+        box=None,
+        pad_edge=False,
+        padding=(0, 2, 0, 0),
+        show_header=any(headings),
+        header_style="none",
+        title_style="none",
+    )
+    for heading, numeric in zip(headings, block.numeric, strict=True):
+        table.add_column(RichText(heading), justify="right" if numeric else "left", overflow="fold")
+    for row in block.brief_cells:
+        table.add_row(*(RichText(cell.text) for cell in row))
+    if block.caption:
+        yield RichText(block.caption, style="italic")
+    yield table
+    if block.omitted_text:
+        yield RichText(block.omitted_text)
+
+
+def _plain(text: str) -> str:
+    return text.replace("`", "")

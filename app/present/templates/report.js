@@ -51,6 +51,6 @@ for (const section of document.querySelectorAll("[data-folded]")) {
     say();
   });
   for (const one of parts) one.addEventListener("toggle", say);
-  section.prepend(button);
+  parts[0].before(button);
   say();
 }

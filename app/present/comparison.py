@@ -1,0 +1,181 @@
+"""A comparison laid out for a reader: pairs of runs, differences by condition, and what had no partner."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from dragrig.analysis.comparison.comparison import (
+    Comparison,
+    GroupDifference,
+    MeasureDifference,
+    RunPair,
+    comparison_rows,
+)
+from dragrig.analysis.estimates import NORMAL_95, Exclusion
+from dragrig.present.document import Cell, Column, Document, Facts, Figure, Items, Section, Table
+from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import decimals, shortest
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+MAX_UNPAIRED = 12
+"""Runs without a partner that a terminal lists."""
+ONE_DECIMAL, SIGNED = decimals(1), decimals(1, signed=True)
+
+
+def comparison_document(comparison: Comparison) -> Document:
+    """Lay out a comparison; differences are B − A, forces in mN."""
+
+    def draw() -> "MatplotlibFigure":
+        from dragrig.present.campaign_figures import comparison_overview_figure
+
+        return comparison_overview_figure(comparison)
+
+    answer, *lead = comparison.sentences
+    overview = Figure(
+        "overview",
+        "Steady force against speed of both sides, and the differences by kind, speed and strain.",
+        "Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.",
+        draw,
+    )
+    unpaired = _exclusions("without-partner", comparison.alone_a, comparison.alone_b)
+    left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)
+    return Document(
+        title=f"{comparison.a.name} and {comparison.b.name}",
+        answer=answer,
+        lead=tuple(lead),
+        sections=(
+            Section("sides", "", (Facts({"A": comparison.a.name, "B": comparison.b.name}), overview)),
+            Section("conditions", "Largest differences first, in standard errors", (_group_table(comparison.groups),)),
+            Section("pairs", "Pairs of runs", (_pair_table(comparison.pairs),)),
+            Section("unpaired", "Without a partner", (unpaired,)),
+            Section("excluded", "Left out", (left_out,)),
+            Section("remarks", "", (Items(comparison.remarks, remarks=True),)),
+        ),
+        data=comparison_json(comparison),
+    )
+
+
+def comparison_json(comparison: Comparison) -> Mapping[str, object]:
+    """Return a comparison as JSON; forces in mN."""
+    return to_json_object(
+        {
+            "a": comparison.a.name,
+            "b": comparison.b.name,
+            "sentences": comparison.sentences,
+            "remarks": comparison.remarks,
+            "zero_allowed_mN": comparison.zero_mN,
+            "measures": list(comparison_rows(comparison)),
+            "pairs": [
+                {
+                    "condition": str(pair.condition),
+                    "a_file": pair.a.file,
+                    "b_file": pair.b.file,
+                    "shift_s": pair.shift_s,
+                    "verdict": pair.verdict,
+                    "phases": pair.phases,
+                    "motion": pair.motion,
+                    "remarks": pair.remarks,
+                }
+                for pair in comparison.pairs
+            ],
+            "conditions": [
+                {
+                    "condition": str(group.condition),
+                    "measure": group.measure,
+                    "pairs": group.pairs,
+                    "a_mN": group.a,
+                    "b_mN": group.b,
+                    "b_minus_a_mN": group.value,
+                    "noise_error_mN": group.noise,
+                    "error_with_scatter_mN": group.error,
+                    "relative": group.relative,
+                    "trace_rms_mN": group.rms_mN,
+                    "verdict": group.verdict,
+                }
+                for group in comparison.groups
+            ],
+            "without_partner": {"a": comparison.alone_a, "b": comparison.alone_b},
+            "left_out": {"a": comparison.a.left_out, "b": comparison.b.left_out},
+        }
+    )
+
+
+def _group_table(groups: Iterable[GroupDifference]) -> Table:
+    columns = (
+        Column("condition", "condition"),
+        Column("measure", "measure"),
+        Column("pairs", "pairs", shortest()),
+        Column("a_mN", "A, mN", ONE_DECIMAL),
+        Column("b_mN", "B, mN", ONE_DECIMAL),
+        Column("difference_mN", "B − A", SIGNED),
+        Column("half_width_mN", "± 95 %", ONE_DECIMAL),
+        Column("relative", "%", lambda relative: SIGNED(100 * relative)),
+        Column("errors", "standard errors", shortest(2)),
+        Column("verdict", ""),
+        Column("rms_mN", "rms, mN", ONE_DECIMAL),
+    )
+    rows = tuple(
+        (
+            str(group.condition),
+            group.measure,
+            group.pairs,
+            group.a,
+            group.b,
+            group.value,
+            NORMAL_95 * group.error,
+            "" if group.relative is None else group.relative,
+            group.times_error,
+            group.verdict.value,
+            group.rms_mN,
+        )
+        for group in groups
+    )
+    return Table("conditions-table", "", columns, rows)
+
+
+def _pair_table(pairs: Iterable[RunPair]) -> Table:
+    columns = (
+        Column("condition", "condition"),
+        Column("a_file", "A"),
+        Column("b_file", "B"),
+        Column("measure", "measure"),
+        Column("a_mN", "A, mN", ONE_DECIMAL),
+        Column("b_mN", "B, mN", ONE_DECIMAL),
+        Column("difference_mN", "B − A", SIGNED),
+        Column("half_width_mN", "± 95 %", ONE_DECIMAL),
+        Column("verdict", ""),
+        Column("rms_mN", "rms, mN", ONE_DECIMAL),
+        Column("largest_mN", "largest, mN", ONE_DECIMAL),
+        Column("at_s", "at, s", decimals(2)),
+        Column("phase", "phase"),
+    )
+    return Table("pairs-table", "", columns, tuple(row for pair in pairs for row in _pair_rows(pair)))
+
+
+def _pair_rows(pair: RunPair) -> Iterator[tuple[Cell, ...]]:
+    whole = next((phase for phase in pair.phases if phase.phase == "all"), None)
+    trace: tuple[Cell, ...] = ("", "", "", "")
+    if whole is not None:
+        names = (phase.phase for phase in pair.phases if phase.at_s == whole.at_s and phase.phase != "all")
+        trace = (whole.rms_mN, whole.largest_mN, whole.at_s, next(names, ""))
+    for place, measure in enumerate(pair.main):
+        head = (str(pair.condition), pair.a.file, pair.b.file) if place == 0 else ("", "", "")
+        tail = trace if place == 0 else ("", "", "", "")
+        yield *head, measure.measure, *_difference_cells(measure), *tail
+
+
+def _difference_cells(measure: MeasureDifference) -> tuple[Cell, ...]:
+    half_width = None if measure.error is None else NORMAL_95 * measure.error
+    verdict = measure.reason if measure.value is None else measure.verdict.value
+    return *measure.compared, measure.value, half_width, verdict
+
+
+def _exclusions(name: str, of_a: Iterable[Exclusion], of_b: Iterable[Exclusion]) -> Table:
+    columns = (Column("side", "side"), Column("what", "what"), Column("reason", "reason"))
+    rows = tuple(
+        (side, exclusion.what, exclusion.reason)
+        for side, exclusions in (("A", of_a), ("B", of_b))
+        for exclusion in exclusions
+    )
+    return Table(name, "", columns, rows, brief_rows=MAX_UNPAIRED)

@@ -1,0 +1,86 @@
+"""The catalogue of effects laid out for a reader, by the place where they act."""
+
+from collections.abc import Mapping, Sequence
+
+from dragrig.present.document import Column, Document, Facts, Section, Table, Text
+from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import shortest, unit_text
+from dragrig.sim_backend.effects.base import Effect, EffectParameter, Location
+
+
+def effects_document(effects: Sequence[Effect]) -> Document:
+    """Lay out what the friction model leaves out and a rig or a gut can have."""
+    sections = (
+        Section(
+            place.value,
+            place.value.capitalize(),
+            tuple(_effect_section(effect) for effect in effects if effect.location is place),
+        )
+        for place in Location
+    )
+    data = [
+        {
+            "id": effect.id,
+            "name": effect.name,
+            "place": effect.location,
+            "domain": effect.coordinate,
+            "summary": effect.summary,
+            "exposes": effect.visible_in,
+            "channel": effect.channel,
+            "parameters": [_parameter_json(parameter) for parameter in effect.parameters],
+            "aliases": effect.confused_with,
+            "nominal": effect.nominal or None,
+            "source": effect.source,
+        }
+        for effect in effects
+    ]
+    return Document(
+        title=f"{len(effects)} effects that the friction model leaves out",
+        sections=tuple(sections),
+        data=to_json_object({"effects": data}),
+    )
+
+
+def _parameter_json(parameter: EffectParameter) -> Mapping[str, object]:
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "role": parameter.role,
+        "usual": parameter.default,
+        "low": parameter.low,
+        "high": parameter.high,
+        "meaning": parameter.meaning,
+        "tried": parameter.grid,
+        "possible": parameter.bounds,
+    }
+
+
+def _effect_section(effect: Effect) -> Section:
+    columns = (
+        Column("parameter", "parameter"),
+        Column("unit", "unit"),
+        Column("usual", "usual", shortest()),
+        Column("low", "from", shortest()),
+        Column("high", "to", shortest()),
+        Column("meaning", ""),
+    )
+    rows = tuple(
+        (
+            parameter.name,
+            unit_text(parameter.unit),
+            parameter.default,
+            parameter.low,
+            parameter.high,
+            f"{parameter.role}: {parameter.meaning}",
+        )
+        for parameter in effect.parameters
+    )
+    facts = {
+        "seen in": f"{effect.visible_in} ({effect.channel})",
+        "similar": ", ".join(effect.confused_with),
+        "nominal model": effect.nominal,
+        "source": effect.source,
+    }
+    return Section(
+        effect.id, effect.id, (Text(effect.summary), Table(f"{effect.id}-parameters", "", columns, rows), Facts(facts))
+    )

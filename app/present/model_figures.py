@@ -1,0 +1,272 @@
+"""Figures of the friction model: forces against speed, skew resistance, wall parameters (the paper's Figs. 9 and 7)."""
+
+from collections.abc import Mapping, Sequence
+from math import inf
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dragrig.analysis.estimates import EstimatedQuantity
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule
+from dragrig.present.drawing import (
+    SMALL_PT,
+    TEXT_PT,
+    CurveLabel,
+    PanelBox,
+    add_panel,
+    figure_style,
+    fit_y_range,
+    label_curves,
+    new_figure,
+    sequential_colours,
+    set_log_x,
+    set_y_label,
+    text_width_in,
+    write_title,
+)
+from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, WALL_UNITS
+from dragrig.present.numbers import percent_difference
+from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
+from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.friction import (
+    ParameterSetDifference,
+    WallKind,
+    parameter_set_differences,
+    skew_resistance,
+    steady_forces,
+    wall_parameters,
+)
+
+MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.5, 100.0
+"""Range of the speed axis, unless speeds beyond it are asked for."""
+MAX_CURVES = 7
+
+MODEL_LEFT_IN, MODEL_FOOT_IN = 1.15, 0.85
+
+
+def forces_figure(
+    model: FrictionModelSettings,
+    capsule: Capsule,
+    wall_thickness_mm: float,
+    speeds_mm_s: Sequence[float] = (),
+    log_speed: bool = True,
+) -> Figure:
+    """Draw f_e, f_v, f_c and their sum against speed (the paper's Fig. 9), with dots at the speeds given.
+
+    Raises
+    ------
+    SettingsError
+        For a speed that is not positive.
+    """
+    dots = steady_forces(np.asarray(speeds_mm_s, dtype=float), model, capsule, wall_thickness_mm)
+    low, high = min([MIN_SPEED_MM_S, *speeds_mm_s]), max([MAX_SPEED_MM_S, *speeds_mm_s])
+    speed = np.geomspace(low, high, 600)
+    line = steady_forces(speed, model, capsule, wall_thickness_mm)
+    with figure_style():
+        figure = new_figure(12.0, 7.6)
+        write_title(figure, MODEL_LEFT_IN, "Friction against speed", model_text(model))
+        axes = add_panel(figure, PanelBox(MODEL_LEFT_IN, MODEL_FOOT_IN, 8.6, 5.6))
+        labels = []
+        for text, values, at_dots, colour, width in (
+            ("total", line.total, dots.total, BLACK, 3.4),
+            ("$f_c$  Coulomb", line.f_c, dots.f_c, VERMILLION, 2.4),
+            ("$f_e$  environmental", line.f_e, dots.f_e, BLUE, 2.4),
+            ("$f_v$  viscous", line.f_v, dots.f_v, GREEN, 2.4),
+        ):
+            axes.plot(speed, values, color=colour, linewidth=width)
+            axes.plot(dots.speed_mm_s, at_dots, "o", color=colour, markersize=8, markeredgecolor="white", clip_on=False)
+            labels.append(CurveLabel(float(values[-1]), text, colour, math=True))
+        axes.set_ylim(0, 1.06 * float(line.total.max()))
+        if log_speed:
+            set_log_x(axes, low, high)
+        else:
+            axes.set_xlim(0, high)
+        axes.set_xlabel("Speed (mm/s)")
+        set_y_label(axes, "Force (mN)")
+        label_curves(axes, labels)
+        return figure
+
+
+def skew_figure(
+    model: FrictionModelSettings,
+    capsule: Capsule,
+    wall_thickness_mm: float,
+    speeds_mm_s: Sequence[float] = SKEW_SPEEDS_MM_S,
+) -> Figure:
+    """Draw the skew resistance P(x) S along the capsule at several speeds (the paper's Fig. 7).
+
+    The hemisphere and the side of the capsule have scales of their own; a dot marks each curve's
+    largest value. Of more than seven speeds, seven are drawn.
+
+    Raises
+    ------
+    SettingsError
+        For a speed that is not positive.
+    """
+    speeds = spread_selection(speeds_mm_s)
+    steady = steady_forces(np.asarray(speeds), model, capsule, wall_thickness_mm)
+    equator = (
+        0.5
+        * capsule.diameter_mm
+        * float(np.sin(np.radians(capsule.contact_angle_deg + model.contact_angle_offset_deg)))
+    )
+    end = equator + model.side_contact_mm
+    front = np.linspace(0.0, equator, 800)
+    side = np.array([equator, end - 1e-6, end + 1e-6, end + 3.0])
+    with figure_style():
+        figure = new_figure(12.0, 7.6)
+        write_title(figure, MODEL_LEFT_IN, "Skew resistance along the capsule", model_text(model))
+        left = add_panel(figure, PanelBox(MODEL_LEFT_IN, MODEL_FOOT_IN, 5.9, 5.6))
+        right = add_panel(figure, PanelBox(MODEL_LEFT_IN + 5.9, MODEL_FOOT_IN, 3.2, 5.6), share_y=left)
+        labels = []
+        for speed, top, at, colour in zip(
+            speeds, steady.max_skew, steady.x_of_max_skew, sequential_colours(len(speeds)), strict=True
+        ):
+            beside = skew_resistance(side, speed, model, capsule, wall_thickness_mm)
+            left.plot(front, skew_resistance(front, speed, model, capsule, wall_thickness_mm), color=colour)
+            left.plot([at], [top], "o", color=colour, markersize=8, markeredgecolor="white")
+            right.plot(side, beside, color=colour)
+            labels.append(CurveLabel(float(beside[0]), f"{speed:g} mm/s", colour))
+        left.set_ylim(0, 1.08 * float(steady.max_skew.max()))
+        _label_skew_axes(left, right, equator, float(side[-1]))
+        label_curves(right, labels)
+        return figure
+
+
+def model_text(model: FrictionModelSettings, room_in: float = inf) -> str:
+    """Say in a line which model a picture shows: its choices, and the scales that are not 1, at least how many."""
+    wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
+    scales = [
+        f"{name.removesuffix('_scale').replace('_', ' ')} × {value:.3g}"
+        for name, value in model
+        if name.endswith("_scale") and value != 1
+    ]
+    friction = f"μ = {model.friction_coefficient:.3g}"
+    choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", friction)
+    whole = "  ·  ".join((*choices, *scales))
+    if text_width_in(whole, SMALL_PT) <= room_in:
+        return whole
+    return "  ·  ".join((*choices, f"{len(scales)} scales that are not 1"))
+
+
+def spread_selection(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:
+    """Return the speeds, rising and each once, or seven of them spread over all when there are more."""
+    speeds = sorted(set(speeds_mm_s))
+    if len(speeds) <= MAX_CURVES:
+        return tuple(speeds)
+    chosen: FloatArray = np.linspace(0, len(speeds) - 1, MAX_CURVES)
+    return tuple(speeds[round(place)] for place in chosen)
+
+
+def _label_skew_axes(left: Axes, right: Axes, equator_mm: float, end_mm: float) -> None:
+    left.set_xlim(0, equator_mm)
+    right.set_xlim(equator_mm, end_mm)
+    right.tick_params(labelleft=False, left=False)
+    right.spines["left"].set_color(GREY)
+    right.spines["left"].set_linestyle((0, (3, 2)))
+    right.set_facecolor("#F5F6F7")
+    set_y_label(left, "Skew resistance P(x) S (mN)")
+    left.set_xlabel("x on the hemisphere (mm)")
+    right.set_xlabel("x beside the capsule (mm)")
+    left.text(0.985, 0.03, "equator", transform=left.transAxes, ha="right", fontsize=SMALL_PT, color=GREY)
+
+
+_WALL_SYMBOLS = {"E1": "$E_1$", "E2": "$E_2$", "E3": "$E_3$", "eta1": r"$\eta_1$", "eta2": r"$\eta_2$"}
+
+WALL_LEFT_IN, WALL_FOOT_IN = 1.15, 0.8
+WALL_WIDE_IN, WALL_TALL_IN = 2.7, 2.55
+WALL_STEP_X_IN, WALL_STEP_Y_IN = 3.85, 3.6
+TABLE1_DASHES = (0, (4, 2))
+
+
+def wall_figure(identified: Mapping[str, Sequence[tuple[float, EstimatedQuantity]]] | None = None) -> Figure:
+    """Draw each wall parameter against strain: Table 1, Eq. 14, and the quadratic through Table 1.
+
+    Parameters
+    ----------
+    identified
+        What relaxations gave, by parameter: strain and value, drawn with its interval.
+    """
+    entries, found = parameter_set_differences(), identified or {}
+    with figure_style():
+        figure = new_figure(12.0, 8.3)
+        write_title(
+            figure,
+            WALL_LEFT_IN,
+            "Wall parameters: Eq. 14 does not follow Table 1",
+            "of the five-element wall; in each panel the largest differences from Table 1",
+        )
+        for number, name in enumerate(WALL_UNITS):
+            place = _wall_box(number)
+            axes = add_panel(figure, place)
+            _draw_wall_parameter(
+                axes, name, [entry for entry in entries if entry.parameter == name], found.get(name, ())
+            )
+        _draw_wall_legend(add_panel(figure, _wall_box(len(WALL_UNITS))), with_identified=bool(found))
+        return figure
+
+
+def _wall_box(number: int) -> PanelBox:
+    column, row = number % 3, number // 3
+    return PanelBox(
+        WALL_LEFT_IN + WALL_STEP_X_IN * column, WALL_FOOT_IN + WALL_STEP_Y_IN * (1 - row), WALL_WIDE_IN, WALL_TALL_IN
+    )
+
+
+def _draw_wall_parameter(
+    axes: Axes, name: str, entries: list[ParameterSetDifference], identified: Sequence[tuple[float, EstimatedQuantity]]
+) -> None:
+    strain = np.linspace(0.0, 2.2, 200)
+    curves = {kind: _wall_values(kind, name, strain) for kind in ("eq14", "table1")}
+    points = np.array([entry.table1 for entry in entries])
+    axes.plot(100 * strain, curves["eq14"], color=BLUE)
+    axes.plot(100 * strain, curves["table1"], color=VERMILLION, linestyle=TABLE1_DASHES)
+    axes.plot(
+        [100 * entry.strain for entry in entries], points, "o", color=BLACK, markersize=8, markeredgecolor="white"
+    )
+    for strain_of, one in identified:
+        axes.plot([100 * strain_of] * 2, one.interval, color=GREEN, linewidth=1.8)
+        axes.plot([100 * strain_of], [one.value], "D", color=GREEN, markersize=7, markeredgecolor="white")
+    ends = [np.array(one.interval) for _, one in identified]
+    fit_y_range(axes, [np.zeros(1), points, *curves.values(), *ends], 0.01, 0.0)
+    axes.set_xlim(0, 220)
+    axes.set_xticks([0, 50, 100, 150, 200])
+    axes.set_xlabel("Strain (%)")
+    set_y_label(axes, f"{_WALL_SYMBOLS[name]} ({WALL_UNITS[name]})")
+    axes.yaxis.label.set_parse_math(True)
+    eq14 = max((entry.eq14_difference for entry in entries), key=abs)
+    fitted = max((entry.quadratic_difference for entry in entries), key=abs)
+    _write_above(axes, 0.0, "left", f"Eq. 14 {percent_difference(eq14)}", BLUE)
+    _write_above(axes, 1.0, "right", f"fit {percent_difference(fitted)}", VERMILLION)
+
+
+def _write_above(axes: Axes, x: float, side: Literal["left", "right"], text: str, colour: str) -> None:
+    axes.text(x, 1.02, text, transform=axes.transAxes, fontsize=SMALL_PT, color=colour, ha=side, va="bottom")
+
+
+def _draw_wall_legend(axes: Axes, with_identified: bool) -> None:
+    axes.set_axis_off()
+    axes.set_xlim(0, 1)
+    axes.set_ylim(0, 1)
+    rows: list[tuple[str, str, str | tuple[int, tuple[int, int]]]] = [
+        ("Table 1", BLACK, "o"),
+        ("Eq. 14, as printed", BLUE, "-"),
+        ("least-squares fit\nof a quadratic", VERMILLION, TABLE1_DASHES),
+    ]
+    if with_identified:
+        rows.append(("identified,\nsimulated runs", GREEN, "D"))
+    for y, (text, colour, mark) in zip(np.linspace(0.92, 0.3, len(rows)), rows, strict=True):
+        if isinstance(mark, str) and mark != "-":
+            axes.plot([0.09], [y], mark, color=colour, markersize=8)
+        else:
+            axes.plot([0.0, 0.18], [y, y], color=colour, linestyle=mark)
+        axes.text(0.25, y, text, va="center", fontsize=TEXT_PT, color=colour)
+    axes.text(0.0, 0.05, "Table 1 prints η in kPa; it is kPa·s.", fontsize=SMALL_PT, color=GREY, va="center")
+
+
+def _wall_values(kind: WallKind, name: str, strain: FloatArray) -> FloatArray:
+    wall = wall_parameters(kind, strain)
+    return {"E1": wall.E1, "E2": wall.E2, "E3": wall.E3, "eta1": wall.eta1, "eta2": wall.eta2}[name]

@@ -1,0 +1,132 @@
+"""A result's document in every renderer: what each shows, and what none shows."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+from dragrig.present.document import (
+    Code,
+    Column,
+    Document,
+    Facts,
+    Figure,
+    FormattedNumber,
+    Items,
+    Section,
+    Table,
+    Text,
+    TextKind,
+)
+from dragrig.present.html_page import render_page
+from dragrig.present.json_values import to_json_value
+from dragrig.present.numbers import decimals, significant
+from dragrig.present.terminal import document_text
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 10"><path d="M 0 0 L 10 10"/></svg>'
+TABLE = Table(
+    "forces",
+    "Steady force",
+    (Column("speed_mm_s", "mm/s", significant(2)), Column("force_mN", "force, mN", decimals(1)), Column("note", "")),
+    ((0.5, FormattedNumber(101.234, "101.2 ± 0.3"), "first"), (2.0, None, ""), (10.0, float("nan"), "")),
+    links=("detail", "", ""),
+    brief_rows=2,
+)
+DOCUMENT = Document(
+    title="Forces of <a> specimen",
+    answer="The force grows by 20 mN.",
+    lead=("Measured at 3 speeds.",),
+    problem="marked bad: it slid",
+    source="runs/first",
+    badges=("simulated",),
+    sections=(
+        Section(
+            "forces-section",
+            "1. Forces",
+            (
+                Text("See `dragrig show`."),
+                Text("How to read this.", TextKind.EXPLANATION),
+                Text("Take care.", TextKind.CAUTION),
+                TABLE,
+                Figure("curve", "A rising line.", "Force against speed.", SVG),
+                Items(("zero is off",), remarks=True),
+                Facts({"Operator": "M. K.", "Note": ""}),
+                Code("dragrig show runs/first"),
+                Section("detail", "The first run", (Text("It was the first."),), collapsed=True, note="001.h5"),
+            ),
+        ),
+        Section("empty", "Nothing to see", (Table("none", "", (Column("x", "x"),), ()), Items(()), Facts({"a": ""}))),
+    ),
+    data={"force_mN": [101.234, float("nan")]},
+)
+
+
+def test_a_terminal_shows_sentences_tables_and_remarks() -> None:
+    text = document_text(DOCUMENT)
+    assert text.startswith("The force grows by 20 mN.\n")
+    assert "Measured at 3 speeds." in text
+    assert "! marked bad: it slid" in text
+    assert "See dragrig show." in text
+    assert "Take care." in text
+    assert re.search(r"0\.50 +101\.2 ± 0\.3 +first", text)
+    assert "and 1 more" in text
+    assert "! zero is off" in text
+    assert re.search(r"Operator +M\. K\.", text)
+
+
+def test_a_terminal_leaves_out_what_only_a_page_can_show() -> None:
+    text = document_text(DOCUMENT)
+    assert "How to read this" not in text
+    assert "It was the first" not in text
+    assert "Force against speed" not in text
+
+
+def test_a_page_shows_everything_and_escapes_it() -> None:
+    page = render_page(DOCUMENT)
+    assert "<title>Forces of &lt;a&gt; specimen</title>" in page
+    assert '<span class="badge simulated">simulated</span>runs/first' in page
+    assert "How to read this" in page
+    assert '<span class="file">dragrig show</span>' in page
+    assert '<td class="number" data-number="101.234">101.2 ± 0.3</td>' in page
+    assert '<a href="#detail">0.50</a>' in page
+    assert '<details id="detail">' in page
+    assert '<path d="M0 0l10 10"/>' in page
+    assert 'aria-label="A rising line."' in page
+
+
+@pytest.mark.parametrize("text", [document_text(DOCUMENT), render_page(DOCUMENT)], ids=["terminal", "page"])
+def test_a_section_without_content_is_shown_nowhere(text: str) -> None:
+    assert "Nothing to see" not in text
+    assert "Note" not in text
+
+
+def test_a_narrow_terminal_wraps_cells_and_loses_none() -> None:
+    wide = replace(TABLE, rows=((1.0, 2.0, "a note that is longer than the window is wide"),), links=())
+    document = replace(DOCUMENT, sections=(Section("wide", "", (wide,)),))
+    text = document_text(document, width=40)
+    assert "window" in text
+    assert "…" not in text
+
+
+def test_a_missing_value_is_a_dash_on_the_screen_and_empty_in_the_file() -> None:
+    assert [row[1].text for row in TABLE.cells] == ["101.2 ± 0.3", "–", "–"]
+    assert TABLE.csv() == "speed_mm_s,force_mN,note\r\n0.5,101.234,first\r\n2.0,,\r\n10.0,,\r\n"
+
+
+def test_columns_are_selected_in_the_order_of_their_names() -> None:
+    chosen = TABLE.select("note", "speed_mm_s", caption="Speeds")
+    assert [column.heading for column in chosen.columns] == ["", "mm/s"]
+    assert chosen.rows[0] == ("first", 0.5)
+
+
+def test_figures_are_drawn_once_and_then_travel_with_the_document() -> None:
+    calls: list[tuple[int, int]] = []
+    drawn = DOCUMENT.drawn(lambda done, total: calls.append((done, total)))
+    assert [figure.drawing for figure in drawn.figures()] == [SVG]
+    assert calls == [(0, 1), (1, 1)]
+    assert render_page(drawn) == render_page(DOCUMENT)
+
+
+def test_json_knows_no_nan() -> None:
+    assert json.dumps(to_json_value(DOCUMENT.data), allow_nan=False) == '{"force_mN": [101.234, null]}'
