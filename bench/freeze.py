@@ -446,11 +446,11 @@ def record(inputs: Inputs, folder: Path, names: Sequence[str], jobs: int) -> Non
     """Record stages that are not there yet, each in a file of its own."""
     folder.mkdir(parents=True, exist_ok=True)
     available = stages(inputs)
-    wanted = [name for name in names if not _file(folder, name).exists()]
-    for name in sorted(set(names) - set(wanted)):
-        print(f"{name}: there already")
 
     def carry_out(name: str) -> None:
+        if _file(folder, name).exists():
+            print(f"{name}: there already")
+            return
         begun, used = time.perf_counter(), _child_seconds()
         with TemporaryDirectory(prefix="freeze-") as scratch:
             found = available[name](Shell(inputs, Path(scratch).resolve()))
@@ -459,7 +459,7 @@ def record(inputs: Inputs, folder: Path, names: Sequence[str], jobs: int) -> Non
         print(f"{name}: {len(found)} cases in {time.perf_counter() - begun:.0f} s{alone}", flush=True)
 
     with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(carry_out, wanted))
+        list(pool.map(carry_out, names))
 
 
 def _child_seconds() -> float:
