@@ -11,6 +11,7 @@ import pytest
 from effect_scenes import KINDS, changed, scene, sized
 
 from dragrig.sim_backend.effects.base import (
+    Channel,
     Effect,
     EncoderEffect,
     ForceEffect,
@@ -18,11 +19,13 @@ from dragrig.sim_backend.effects.base import (
     Role,
     SensorEffect,
     catalogue,
+    confusable_effects,
+    similar_effects,
 )
 from dragrig.sim_backend.effects.run_state import RunState
 
 EFFECTS = tuple(catalogue().values())
-every = pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.id)
+every = pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)
 STOPPED_S = 1.3
 
 
@@ -33,17 +36,31 @@ def seen(kind: str) -> RunState:
 
 @every
 def test_it_says_what_it_is(effect: Effect) -> None:
-    roles = [one.role for one in effect.parameters]
+    roles = [parameter.role for parameter in effect.parameters]
     assert roles.count(Role.SIZE) == 1
     assert roles.count(Role.PHASE) <= 1
     assert isinstance(effect, ForceEffect | SensorEffect | MotorEffect | EncoderEffect)
     assert effect.summary.endswith(".")
     assert effect.source
-    for one in effect.parameters:
-        assert one.low <= one.default <= one.high, one.name
-        assert all(one.low <= tried <= one.high for tried in one.grid), one.name
-        assert one.unit == "1" or "_" in one.name, one.name
+    for parameter in effect.parameters:
+        assert parameter.low <= parameter.default <= parameter.high, parameter.name
+        assert all(parameter.low <= value <= parameter.high for value in parameter.grid), parameter.name
+        assert parameter.unit == "1" or "_" in parameter.name, parameter.name
     assert effect.size.low <= 0
+
+
+@every
+def test_its_declarations_agree(effect: Effect) -> None:
+    known = catalogue()
+    assert {*effect.confused_with, *effect.similar_to} <= known.keys() - {effect.id}
+    assert (effect.phase is None) == (effect.period is None)
+    assert effect.spectral_line <= (effect.period is not None)
+    assert effect.moves_stage <= (effect.channel is Channel.POSITION)
+    assert (effect.position_form is not None) == (Channel.POSITION in effect.channels)
+    for other in effect.similar_to:
+        assert effect.id in similar_effects(other)
+    for other in effect.confused_with:
+        assert effect.id in confusable_effects(other)
 
 
 @every
@@ -72,12 +89,10 @@ def test_what_is_in_the_gut_does_not_show_without_it(effect: Effect) -> None:
 @every
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_finite_for_all_that_is_tried(effect: Effect, kind: str) -> None:
-    for one in effect.parameters:
-        for value in (one.low, one.high, *one.grid):
-            assert np.isfinite(changed(effect, seen(kind), {**effect.defaults, one.name: value})).all(), (
-                one.name,
-                value,
-            )
+    for parameter in effect.parameters:
+        for value in (parameter.low, parameter.high, *parameter.grid):
+            values = {**effect.defaults, parameter.name: value}
+            assert np.isfinite(changed(effect, seen(kind), values)).all(), (parameter.name, value)
 
 
 @every
