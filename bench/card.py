@@ -22,7 +22,7 @@ from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
-from dragrig.sim_backend.doubles import c_library as c_abi
+from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.fault_injection import FaultInjector
 
@@ -116,7 +116,7 @@ def main() -> None:
     card = Card(CountingBench(rig))
     double = Stopwatch(card)
     process = psutil.Process()
-    with c_abi.installed(card):
+    with c_library.installed(card):
         sampler = CardSampler(Connection(rig.hardware.card), rig, {}, MotionSamplingSync(), WallClock())
         sampler.arm(_acquisition(duration_s))
         sampler.start()

@@ -17,7 +17,7 @@ from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles import c_library as c_abi
+from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
@@ -105,7 +105,7 @@ def card_rig(
         if remote:
             rig = served(rig, stack.enter_context(CardServer(made)).port)
         else:
-            stack.enter_context(c_abi.installed(made))
+            stack.enter_context(c_library.installed(made))
         sync = MotionSamplingSync()
         connection = Connection(rig.hardware.card)
         stack.callback(connection.close)

@@ -17,29 +17,18 @@ import grpc
 import numpy as np
 from google.protobuf.message import Message
 from nidaqmx._stubs import nidaqmx_pb2 as pb
+from nidaqmx.error_codes import DAQmxErrors as Status
 from session_pb2 import SESSION_INITIALIZATION_BEHAVIOR_ATTACH_TO_EXISTING as ATTACH
 from session_pb2 import SESSION_INITIALIZATION_BEHAVIOR_INITIALIZE_NEW as NEW
 from session_pb2 import Session
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.card.daqmx import CardError, StatusCode
-from dragrig.sim_backend.doubles.card.tasks import AttributeValue
+from dragrig.sim_backend.doubles.card.daqmx import Attribute, AttributeValue, CardError
 
 Call = Callable[[Message], Message]
 
-_CALL_NAME = re.compile("(?P<what>Get|Set|Reset)(?P<group>[A-Z][A-Za-z]+?)Attribute(Ex)?(?P<type>[A-Z][A-Za-z0-9]*)?")
-_ATTRIBUTE_GROUPS = {
-    "Task": "task",
-    "Chan": "chan",
-    "Read": "read",
-    "Write": "write",
-    "Buffer": "buffer",
-    "Timing": "timing",
-    "Device": "device",
-    "SystemInfo": "system",
-    "PhysicalChan": "physical_chan",
-}
+_CALL_NAME = re.compile("(?P<what>Get|Set)(Task|Chan|Read|Write|Buffer|Timing|Device|SystemInfo)Attribute.*")
 
 
 class AttributeCalls:
@@ -58,38 +47,21 @@ class AttributeCalls:
     def find(self, method: str) -> Call | None:
         """Return what carries out a call; None when it is none of an attribute that the card has."""
         name = _CALL_NAME.fullmatch(method)
-        group = _ATTRIBUTE_GROUPS.get(name["group"]) if name else None
-        if name is None or group is None:
+        if name is None:
             return None
         respond = message_class(method, "Response")
-        match name["what"]:
-            case "Get":
-                return lambda request: _with_value(respond(), self._get(group, request))
-            case "Set":
-                return lambda request: self._set(group, request, respond())
-            case _:
-                return lambda request: self._reset(group, request, respond())
+        if name["what"] == "Get":
+            return lambda request: _with_value(respond(), self._get(request))
+        return lambda request: self._set(request, respond())
 
-    def _get(self, group: str, request: Message) -> AttributeValue:
-        subject = (
-            self._handle(request)
-            if _has_field(request, "task")
-            else _text_field(request, "device_name", "physical_channel")
-        )
-        return self._card.get_attribute(group, subject, _attribute_number(request), _text_field(request, "channel"))
+    def _get(self, request: Message) -> AttributeValue:
+        subject = self._handle(request) if _has_field(request, "task") else _text_field(request, "device_name")
+        return self._card.get_attribute(subject, _attribute_number(request), _text_field(request, "channel"))
 
-    def _set(self, group: str, request: Message, response: Message) -> Message:
-        value = getattr(request, _value_field(request))
-        held: AttributeValue = value if isinstance(value, int | float | str) else list(value)
-        self._card.set_attribute(
-            group, self._handle(request), _attribute_number(request), held, _text_field(request, "channel")
-        )
-        return response
-
-    def _reset(self, group: str, request: Message, response: Message) -> Message:
-        self._card.reset_attribute(
-            group, self._handle(request), _attribute_number(request), _text_field(request, "channel")
-        )
+    def _set(self, request: Message, response: Message) -> Message:
+        value: AttributeValue = getattr(request, _value_field(request))
+        channel = _text_field(request, "channel")
+        self._card.set_attribute(self._handle(request), _attribute_number(request), value, channel)
         return response
 
     def _handle(self, request: Message) -> int:
@@ -104,10 +76,7 @@ def message_class(method: str, kind: str) -> type[Message]:
 
 
 def _with_value(response: Message, value: AttributeValue) -> Message:
-    if isinstance(value, list):
-        getattr(response, _value_field(response)).extend(value)
-    else:
-        setattr(response, _value_field(response), value)
+    setattr(response, _value_field(response), value)
     return response
 
 
@@ -126,9 +95,6 @@ def _text_field(request: Message, *fields: str) -> str:
 
 def _has_field(of: Message, field: str) -> bool:
     return field in of.DESCRIPTOR.fields_by_name
-
-
-_TASK_NAME_ATTRIBUTE = 0x1276
 
 
 class _ReadRequest(Protocol):
@@ -158,7 +124,7 @@ class ServiceCalls:
             handle = self._sessions.get(session.name)
         if handle is None:
             raise CardError(
-                StatusCode.INVALID_TASK, f"Task specified is invalid or does not exist.\n\nTask Name: {session.name}"
+                Status.INVALID_TASK, f"Task specified is invalid or does not exist.\n\nTask Name: {session.name}"
             )
         return handle
 
@@ -168,14 +134,12 @@ class ServiceCalls:
         with self._lock:
             there = bool(name) and name in self._sessions
             if behaviour == ATTACH and not there:
-                raise CardError(StatusCode.INVALID_TASK, f"There is no session to attach to.\n\nTask Name: {name}")
+                raise CardError(Status.INVALID_TASK, f"There is no session to attach to.\n\nTask Name: {name}")
             if there and behaviour == NEW:
-                raise CardError(
-                    StatusCode.DUPLICATE_TASK, f"There is a session of this name already.\n\nTask Name: {name}"
-                )
+                raise CardError(Status.DUPLICATE_TASK, f"There is a session of this name already.\n\nTask Name: {name}")
             if not there:
                 handle = self._card.create_task(name)
-                name = str(self._card.get_attribute("task", handle, _TASK_NAME_ATTRIBUTE))
+                name = str(self._card.get_attribute(handle, Attribute.TASK_NAME))
                 self._sessions[name] = handle
         return pb.CreateTaskResponse(task=Session(name=name), new_session_initialized=not there)
 
@@ -202,15 +166,6 @@ class ServiceCalls:
         self._card.control(self.task(request.task), request.action_raw)
         return pb.TaskControlResponse()
 
-    def IsTaskDone(self, request: pb.IsTaskDoneRequest) -> pb.IsTaskDoneResponse:
-        """Say whether a task is done."""
-        return pb.IsTaskDoneResponse(is_task_done=self._card.is_task_done(self.task(request.task)))
-
-    def WaitUntilTaskDone(self, request: pb.WaitUntilTaskDoneRequest) -> pb.WaitUntilTaskDoneResponse:
-        """Wait until a task is done."""
-        self._card.wait_until_done(self.task(request.task), request.time_to_wait)
-        return pb.WaitUntilTaskDoneResponse()
-
     def CreateAIVoltageChan(self, request: pb.CreateAIVoltageChanRequest) -> pb.CreateAIVoltageChanResponse:
         """Add analog inputs."""
         self._card.create_ai_voltage_chan(
@@ -220,8 +175,6 @@ class ServiceCalls:
             request.terminal_config_raw,
             request.min_val,
             request.max_val,
-            request.units_raw,
-            request.custom_scale_name,
         )
         return pb.CreateAIVoltageChanResponse()
 
@@ -233,8 +186,6 @@ class ServiceCalls:
             request.name_to_assign_to_channel,
             request.min_val,
             request.max_val,
-            request.units_raw,
-            request.custom_scale_name,
         )
         return pb.CreateAOVoltageChanResponse()
 
@@ -244,14 +195,10 @@ class ServiceCalls:
             self.task(request.task),
             request.counter,
             request.name_to_assign_to_channel,
-            request.decoding_type_raw,
             request.zidx_enable,
             request.zidx_val,
-            request.zidx_phase_raw,
-            request.units_raw,
             request.dist_per_pulse,
             request.initial_pos,
-            request.custom_scale_name,
         )
         return pb.CreateCILinEncoderChanResponse()
 
@@ -275,7 +222,6 @@ class ServiceCalls:
             self.task(request.task),
             request.source,
             request.rate,
-            request.active_edge_raw,
             request.sample_mode_raw,
             request.samps_per_chan,
         )
@@ -283,7 +229,7 @@ class ServiceCalls:
 
     def CfgDigEdgeStartTrig(self, request: pb.CfgDigEdgeStartTrigRequest) -> pb.CfgDigEdgeStartTrigResponse:
         """Set the terminal whose edge starts a task."""
-        self._card.cfg_dig_edge_start_trig(self.task(request.task), request.trigger_source, request.trigger_edge_raw)
+        self._card.cfg_dig_edge_start_trig(self.task(request.task), request.trigger_source)
         return pb.CfgDigEdgeStartTrigResponse()
 
     def ReadAnalogF64(self, request: pb.ReadAnalogF64Request) -> pb.ReadAnalogF64Response:
@@ -296,30 +242,11 @@ class ServiceCalls:
         status, samples, out = self._read(self._card.read_counter_f64, request)
         return pb.ReadCounterF64ExResponse(status=status, samps_per_chan_read=samples, read_array=out)
 
-    def ReadAnalogScalarF64(self, request: pb.ReadAnalogScalarF64Request) -> pb.ReadAnalogScalarF64Response:
-        """Read one voltage."""
-        value = self._card.read_analog_scalar_f64(self.task(request.task), request.timeout)
-        return pb.ReadAnalogScalarF64Response(value=value)
-
-    def ReadCounterScalarF64(self, request: pb.ReadCounterScalarF64Request) -> pb.ReadCounterScalarF64Response:
-        """Read one position."""
-        value = self._card.read_counter_scalar_f64(self.task(request.task), request.timeout)
-        return pb.ReadCounterScalarF64Response(value=value)
-
     def ReadDigitalLines(self, request: pb.ReadDigitalLinesRequest) -> pb.ReadDigitalLinesResponse:
         """Read levels, a byte a line."""
         out = np.zeros(request.array_size_in_bytes, bool)
-        samples, lines = self._card.read_digital_lines(
-            self.task(request.task), request.num_samps_per_chan, request.fill_mode_raw, out
-        )
-        return pb.ReadDigitalLinesResponse(
-            read_array=out.tobytes(), samps_per_chan_read=samples, num_bytes_per_samp=lines
-        )
-
-    def ReadDigitalU32(self, request: pb.ReadDigitalU32Request) -> pb.ReadDigitalU32Response:
-        """Read levels, a word a channel."""
-        words = self._card.read_digital_u32(self.task(request.task), request.num_samps_per_chan, request.fill_mode_raw)
-        return pb.ReadDigitalU32Response(read_array=words, samps_per_chan_read=1)
+        samples = self._card.read_digital_lines(self.task(request.task), request.num_samps_per_chan, out)
+        return pb.ReadDigitalLinesResponse(read_array=out.tobytes(), samps_per_chan_read=samples, num_bytes_per_samp=1)
 
     def WriteDigitalLines(self, request: pb.WriteDigitalLinesRequest) -> pb.WriteDigitalLinesResponse:
         """Set levels, a byte a line."""
@@ -327,7 +254,6 @@ class ServiceCalls:
             self.task(request.task),
             request.num_samps_per_chan,
             request.auto_start,
-            request.data_layout_raw,
             np.frombuffer(request.write_array, bool),
         )
         return pb.WriteDigitalLinesResponse(samps_per_chan_written=written)
@@ -336,18 +262,11 @@ class ServiceCalls:
         """Set voltages or add to a waveform."""
         written = self._card.write_analog_f64(
             self.task(request.task),
-            request.num_samps_per_chan,
             request.auto_start,
             request.timeout,
-            request.data_layout_raw,
             np.array(request.write_array, np.float64),
         )
         return pb.WriteAnalogF64Response(samps_per_chan_written=written)
-
-    def ResetDevice(self, request: pb.ResetDeviceRequest) -> pb.ResetDeviceResponse:
-        """Put the card into its initial state."""
-        self._card.reset_device(request.device_name)
-        return pb.ResetDeviceResponse()
 
     def _read(
         self, read: Callable[[int, int, float, int, FloatArray], int], request: _ReadRequest
@@ -358,7 +277,7 @@ class ServiceCalls:
                 self.task(request.task), request.num_samps_per_chan, request.timeout, request.fill_mode_raw, out
             )
         except CardError as error:
-            if error.code != StatusCode.SAMPLES_NOT_YET_AVAILABLE:
+            if error.code != Status.SAMPLES_NOT_YET_AVAILABLE:
                 raise
             return error.code, error.samples, out  # a status beside the samples, so that they are not lost
         return 0, samples, out
@@ -395,7 +314,7 @@ def _handler(method: str, call: Call) -> "grpc.RpcMethodHandler[Message, Message
 def _abort(context: grpc.ServicerContext, method: str, error: CardError) -> NoReturn:
     counts = [(key, str(error.samples)) for start, key in _COUNT_KEYS.items() if method.startswith(start)]
     context.set_trailing_metadata((("ni-error", str(error.code)), *counts))
-    context.abort(grpc.StatusCode.UNKNOWN, error.message)
+    context.abort(grpc.Status.UNKNOWN, error.message)
 
 
 LOOPBACK = "127.0.0.1"

@@ -24,6 +24,7 @@ from dragrig.rig.hardware.card.connection import Connection, device_error
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import SampledTasks
 from dragrig.rig.hardware.lines import CardLines, SwitchStates
+from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
@@ -262,9 +263,12 @@ class HangingCard(Card):
         return super().read_analog_f64(task, samples, timeout_s, fill, out)
 
 
-@pytest.mark.parametrize("brakes_mm_s2", [3000.0, 50.0], ids=["hard", "beyond the profile's end"])
-def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float) -> None:
-    profile = stroke(travel_mm=25.0, speed_mm_s=50.0)
+@pytest.mark.parametrize(
+    ("brakes_mm_s2", "profile"),
+    [(3000.0, stroke(travel_mm=100.0, speed_mm_s=10.0)), (50.0, stroke(travel_mm=25.0, speed_mm_s=50.0))],
+    ids=["hard", "beyond the profile's end"],
+)
+def test_sampling_goes_on_until_a_stopped_stage_stands(brakes_mm_s2: float, profile: MotionProfile) -> None:
     stage = {"max_accel_mm_s2": min(brakes_mm_s2, 3000.0), "stop_accel_mm_s2": brakes_mm_s2}
     with card_rig(RigSettings.model_validate({"stage": stage})) as under_test:
         under_test.begin(profile)

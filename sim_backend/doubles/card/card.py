@@ -1,293 +1,40 @@
-"""The PCI-6229's double: what NI's driver does with it, call for call, on a `Bench`.
+"""The PCI-6229's double: what NI's driver does with it, call for call, on a simulated bench.
 
-The C library and the gRPC server are thin interfaces to it. Handles are positive integers. Every method raises
-`CardError`, which carries the driver's status code; any thread may call any method.
+It has the calls, options and attributes that this program uses. The C library (`c_library`) is a thin interface to it,
+and so is a gRPC server in the tests. Handles are positive integers. Every method raises `CardError`, which carries the
+driver's status code; any thread may call any method.
 """
 
 import math
 import time
-from collections.abc import Callable
 
+import numpy as np
+from nidaqmx.constants import (
+    ChannelType,
+    FillMode,
+    OverwriteMode,
+    ReadRelativeTo,
+    RegenerationMode,
+    TaskMode,
+)
+from nidaqmx.error_codes import DAQmxErrors as Status
 from nidaqmx.utils import flatten_channel_string, unflatten_channel_string
 
 from dragrig.rig.arrays import BoolArray, FloatArray
-from dragrig.sim_backend.doubles.card import engine as generating
 from dragrig.sim_backend.doubles.card import pci6229
-from dragrig.sim_backend.doubles.card import tasks as channels
-from dragrig.sim_backend.doubles.card.daqmx import (
-    BufferAttribute,
-    CardError,
-    ChannelAttribute,
-    ChannelKind,
-    DeviceAttribute,
-    ReadAttribute,
-    ReadRelativeTo,
-    Regeneration,
-    StatusCode,
-    SystemAttribute,
-    TaskAction,
-    TaskAttribute,
-    TimingAttribute,
-    WriteAttribute,
-)
-from dragrig.sim_backend.doubles.card.engine import OutputListener, TaskEngine, ignore_output
-from dragrig.sim_backend.doubles.card.streams import Bench
-from dragrig.sim_backend.doubles.card.tasks import (
-    AttributeValue,
-    CardTask,
-    VirtualChannel,
-    checked_sample_clock,
-    set_property,
-)
-from dragrig.sim_backend.doubles.card.transfers import ReadCalls, WriteCalls
+from dragrig.sim_backend.doubles.card.daqmx import Attribute, AttributeValue, CardError
+from dragrig.sim_backend.doubles.card.pci6229 import EncoderChannel, VirtualChannel
+from dragrig.sim_backend.doubles.card.streams import OutputWaveform
+from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputListener, TaskEngine
+from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
-_M_SERIES_CATEGORY, _PCI_BUS = 14643, 12582
-
-
-def driver_attributes(engine: TaskEngine) -> dict[int, AttributeValue]:
-    """Return the driver's version and what it knows."""
-    trouble = engine.bench.faults.active
-    missing = trouble.card_absent or trouble.card_gone or trouble.card_unplugged
-    return {
-        **dict(
-            zip(
-                (SystemAttribute.MAJOR, SystemAttribute.MINOR, SystemAttribute.UPDATE),
-                pci6229.DRIVER_VERSION,
-                strict=True,
-            )
-        ),
-        SystemAttribute.DEVICES: "" if missing else engine.wiring.device,
-        SystemAttribute.TASKS: "",
-        SystemAttribute.CHANNELS: "",
-        SystemAttribute.SCALES: "",
-    }
-
-
-def device_attributes(engine: TaskEngine, name: str) -> dict[int, AttributeValue]:
-    """Return what the card is and has; raises `CardError` when the driver knows no device of that name."""
-    device = engine.wiring.device
-    if name.lower() != device.lower():
-        raise CardError(StatusCode.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {name}")
-    engine.find()
-
-    def listed(names: tuple[str, ...]) -> str:
-        return ", ".join(f"{device}/{one}" for one in names)
-
-    lines, ports = listed(pci6229.LINES), listed(tuple(pci6229.PORTS))
-    return {
-        DeviceAttribute.PRODUCT: pci6229.PRODUCT,
-        DeviceAttribute.SERIAL: pci6229.SERIAL_NUMBER,
-        DeviceAttribute.PRODUCT_NUMBER: pci6229.PRODUCT_NUMBER,
-        DeviceAttribute.SIMULATED: False,
-        DeviceAttribute.CATEGORY: _M_SERIES_CATEGORY,
-        DeviceAttribute.BUS: _PCI_BUS,
-        DeviceAttribute.TERMINALS: ", ".join(f"/{device}/{one}" for one in pci6229.TERMINALS),
-        DeviceAttribute.AI: listed(pci6229.AI),
-        DeviceAttribute.AO: listed(pci6229.AO),
-        DeviceAttribute.CI: listed(pci6229.COUNTERS),
-        DeviceAttribute.CO: listed(pci6229.COUNTERS),
-        DeviceAttribute.DI_LINES: lines,
-        DeviceAttribute.DO_LINES: lines,
-        DeviceAttribute.DI_PORTS: ports,
-        DeviceAttribute.DO_PORTS: ports,
-        DeviceAttribute.AI_MAX_SINGLE_RATE: pci6229.AI_MAX_RATE_HZ,
-        DeviceAttribute.AI_MAX_RATE: pci6229.AI_MAX_RATE_HZ,
-        DeviceAttribute.AI_RANGES: [signed for one in pci6229.AI_RANGES_V for signed in (-one, one)],
-        DeviceAttribute.AO_RANGES: [-pci6229.AO_RANGE_V, pci6229.AO_RANGE_V],
-    }
-
-
-_ON_DEMAND, _SAMPLE_CLOCK = 10390, 10388
-_OVERWRITE_UNREAD, _KEEP_UNREAD = 10252, 10159
-_AI_FIFO = 4095
-
-
-class AttributeStore:
-    """Attributes of one card's tasks, channels and driver. Whoever calls a method holds the engine's lock."""
-
-    def __init__(self, engine: TaskEngine) -> None:
-        self._engine = engine
-
-    def get(self, group: str, subject: int | str, attribute: int, channel: str) -> AttributeValue:
-        """Return an attribute; see `Card.get_attribute`."""
-        match group:
-            case "system":
-                return _look_up(driver_attributes(self._engine), attribute)
-            case "device":
-                return _look_up(device_attributes(self._engine, str(subject)), attribute)
-            case "chan":
-                return self._of_channel(self._engine.task(int(subject)), channel, attribute)
-            case _:
-                return _look_up(self._of(group, attribute)(self._engine.task(int(subject))), attribute)
-
-    def set(self, group: str, handle: int, attribute: int, value: AttributeValue, channel: str) -> None:
-        """Set an attribute; see `Card.set_attribute`."""
-        if group == "read":
-            self._set_reading(self._engine.task(handle), attribute, value)
-            return
-        task = self._engine.idle(handle)
-        match group, attribute:
-            case "chan", _:
-                for one in _named_channels(task, channel):
-                    set_property(one, self._engine.wiring.device, attribute, value)
-            case "buffer", BufferAttribute.INPUT:
-                task.input_buffer = _integer(value)
-            case "buffer", BufferAttribute.OUTPUT:
-                task.output_buffer = _integer(value)
-            case "write", WriteAttribute.REGENERATION if value in list(Regeneration):
-                task.regeneration = _integer(value)
-            case _:
-                raise _unsupported_attribute(attribute)
-
-    def reset(self, group: str, handle: int, attribute: int) -> None:
-        """Put an attribute back; see `Card.reset_attribute`."""
-        defaults: dict[tuple[str, int], AttributeValue] = {
-            ("read", ReadAttribute.RELATIVE_TO): int(ReadRelativeTo.CURRENT_READ_POSITION),
-            ("read", ReadAttribute.OFFSET): 0,
-            ("read", ReadAttribute.OVERWRITE): _KEEP_UNREAD,
-            ("read", ReadAttribute.AUTO_START): True,
-            ("buffer", BufferAttribute.INPUT): 0,
-            ("buffer", BufferAttribute.OUTPUT): 0,
-            ("write", WriteAttribute.REGENERATION): int(Regeneration.ALLOWED),
-        }
-        if (group, attribute) not in defaults:
-            raise _unsupported_attribute(attribute)
-        self.set(group, handle, attribute, defaults[group, attribute], "")
-
-    def _set_reading(self, task: CardTask, attribute: int, value: AttributeValue) -> None:
-        match attribute:
-            case ReadAttribute.RELATIVE_TO if value in list(ReadRelativeTo):
-                task.position.relative_to = _integer(value)
-            case ReadAttribute.OFFSET:
-                task.position.offset = _integer(value)
-            case ReadAttribute.OVERWRITE if value in {_OVERWRITE_UNREAD, _KEEP_UNREAD}:
-                task.position.overwrite = value == _OVERWRITE_UNREAD
-            case ReadAttribute.AUTO_START:
-                task.auto_start = bool(value)
-            case _:
-                raise _unsupported_attribute(attribute)
-
-    def _of(self, group: str, attribute: int) -> Callable[[CardTask], dict[int, AttributeValue]]:
-        groups = {
-            "task": self._of_task,
-            "read": self._of_reading,
-            "write": self._of_writing,
-            "buffer": self._of_buffers,
-            "timing": self._of_timing,
-        }
-        if group not in groups:
-            raise _unsupported_attribute(attribute)
-        return groups[group]
-
-    def _of_task(self, task: CardTask) -> dict[int, AttributeValue]:
-        return {
-            TaskAttribute.NAME: task.name,
-            TaskAttribute.CHANNELS: _channel_names(task),
-            TaskAttribute.NUM_CHANNELS: len(task.channels),
-            TaskAttribute.DEVICES: self._engine.wiring.device if task.channels else "",
-            TaskAttribute.NUM_DEVICES: int(bool(task.channels)),
-            TaskAttribute.COMPLETE: self._engine.done(task),
-        }
-
-    def _of_channel(self, task: CardTask, channel: str, attribute: int) -> AttributeValue:
-        chosen = _named_channels(task, channel)[0]
-        if attribute == ChannelAttribute.CI_COUNT:
-            return int(task.counter.count()) if task.counter is not None else 0
-        return _look_up(chosen.properties, attribute)
-
-    def _of_reading(self, task: CardTask) -> dict[int, AttributeValue]:
-        stream = task.stream
-        total = stream.total() if stream is not None else 0
-        available = max(total - stream.begins(task.position), 0) if stream is not None else 0
-        everything = available if stream is None or stream.limit is None else stream.limit - stream.position
-        return {
-            ReadAttribute.RELATIVE_TO: task.position.relative_to,
-            ReadAttribute.OFFSET: task.position.offset,
-            ReadAttribute.OVERWRITE: _OVERWRITE_UNREAD if task.position.overwrite else _KEEP_UNREAD,
-            ReadAttribute.AVAILABLE: available,
-            ReadAttribute.TOTAL: total,
-            ReadAttribute.POSITION: stream.position if stream is not None else 0,
-            ReadAttribute.AUTO_START: task.auto_start,
-            ReadAttribute.ALL_AVAILABLE: False,
-            ReadAttribute.CHANNELS: _channel_names(task),
-            ReadAttribute.NUM_CHANNELS: len(task.channels),
-            ReadAttribute.LINES_PER_CHANNEL: _lines_per_channel(task),
-            ReadAttribute.DEFAULT_SAMPLES: everything if task.timing is not None else 1,
-        }
-
-    def _of_writing(self, task: CardTask) -> dict[int, AttributeValue]:
-        waveform, now_s = task.waveform, self._engine.now_s
-        return {
-            WriteAttribute.REGENERATION: task.regeneration,
-            WriteAttribute.SPACE: waveform.space(now_s) if waveform is not None else task.output_buffer or 0,
-            WriteAttribute.TOTAL: waveform.generated(now_s) if waveform is not None else 0,
-            WriteAttribute.POSITION: waveform.written if waveform is not None else 0,
-            WriteAttribute.NUM_CHANNELS: len(task.channels),
-            WriteAttribute.LINES_PER_CHANNEL: _lines_per_channel(task),
-        }
-
-    def _of_buffers(self, task: CardTask) -> dict[int, AttributeValue]:
-        output = task.waveform.size if task.waveform is not None else task.output_buffer or 0
-        return {
-            BufferAttribute.INPUT: task.buffer_size,
-            BufferAttribute.INPUT_ONBOARD: _AI_FIFO,
-            BufferAttribute.OUTPUT: output,
-        }
-
-    def _of_timing(self, task: CardTask) -> dict[int, AttributeValue]:
-        timing = task.timing
-        if timing is None:
-            return {TimingAttribute.TYPE: _ON_DEMAND}
-        return {
-            TimingAttribute.RATE: timing.rate_hz,
-            TimingAttribute.MAX_RATE: pci6229.AI_MAX_RATE_HZ / max(len(task.channels), 1),
-            TimingAttribute.SOURCE: f"/{self._engine.wiring.device}/{timing.source or '20MHzTimebase'}",
-            TimingAttribute.TYPE: _SAMPLE_CLOCK,
-            TimingAttribute.QUANTITY: int(timing.quantity),
-            TimingAttribute.SAMPLES: timing.samples,
-        }
-
-
-def _look_up(answers: dict[int, AttributeValue], attribute: int) -> AttributeValue:
-    if attribute not in answers:
-        raise _unsupported_attribute(attribute)
-    return answers[attribute]
-
-
-def _channel_names(task: CardTask) -> str:
-    return str(flatten_channel_string([channel.name for channel in task.channels]))
-
-
-def _lines_per_channel(task: CardTask) -> int:
-    return max((len(channel.lines) for channel in task.channels), default=0)
-
-
-def _named_channels(task: CardTask, names: str) -> list[VirtualChannel]:
-    wanted = {name.strip().lower() for name in unflatten_channel_string(names)}
-    chosen = [channel for channel in task.channels if not wanted or channel.name.lower() in wanted]
-    if not chosen:
-        raise CardError(
-            StatusCode.INVALID_CHANNEL,
-            f"Channel specified does not exist in the task.\n\nChannel Name: {names}\nTask Name: {task.name}",
-        )
-    return chosen
-
-
-def _integer(value: AttributeValue) -> int:
-    if isinstance(value, str | list):
-        raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, f"{value!r} is no number.")
-    return int(value)
-
-
-def _unsupported_attribute(attribute: int) -> CardError:
-    return CardError(
-        StatusCode.ATTRIBUTE_NOT_SUPPORTED,
-        f"Specified property is not supported by the device or is not applicable to the task.\n\n"
-        f"Property: {attribute:#x}",
-    )
-
-
-_DONE_POLL_S = 0.02
+_PULSES_PER_PERIOD = 4
+_MIN_WAIT_S = 1e-3
+_REQUIRED_VALUES: dict[int, AttributeValue] = {
+    Attribute.READ_OVERWRITE: OverwriteMode.OVERWRITE_UNREAD_SAMPLES.value,
+    Attribute.WRITE_REGENERATION: RegenerationMode.DONT_ALLOW_REGENERATION.value,
+}
+"""Attributes of which the double supports one value."""
 
 
 class Card:
@@ -298,217 +45,343 @@ class Card:
     bench
         What the card is wired to.
     listener
-        Told what analog outputs do; see `generating.Listener`.
+        Called with what analog outputs do; see `OutputListener`.
     """
 
-    def __init__(self, bench: Bench, listener: OutputListener = ignore_output) -> None:
+    def __init__(self, bench: SimulatedBench, listener: OutputListener | None = None) -> None:
+        self._bench = bench
         self._engine = TaskEngine(bench, listener)
-        self._device = self._engine.wiring.device
-        self._reading = ReadCalls(self._engine)
-        self._writing = WriteCalls(self._engine)
-        self._answers = AttributeStore(self._engine)
+        self._changed = self._engine.changed
+        self._device = bench.rig.hardware.card.device
 
     def create_task(self, name: str) -> int:
         """Return the handle of a new task; an empty name lets the driver choose one."""
-        with self._engine.changed:
+        with self._changed:
             return self._engine.create(name)
 
     def clear_task(self, task: int) -> None:
-        """Stop a task, release what it holds and forget it."""
-        with self._engine.changed:
+        """Stop a task, release its resources and forget it."""
+        with self._changed:
             self._engine.forget(self._engine.task(task))
 
     def start(self, task: int) -> None:
         """Start a task."""
-        with self._engine.changed:
+        with self._changed:
             self._engine.start(self._engine.task(task))
 
     def stop(self, task: int) -> None:
-        """Stop a task, release what it holds, keep its configuration."""
-        with self._engine.changed:
+        """Stop a task, release its resources, keep its configuration."""
+        with self._changed:
             self._engine.stop(self._engine.task(task))
-            self._engine.touch()
+            self._engine.check_card()
 
     def control(self, task: int, action: int) -> None:
-        """Start, stop, verify, commit, reserve, unreserve or abort a task; see `daqmx.Action`."""
-        with self._engine.changed:
-            told = self._engine.task(task)
-            match action:
-                case TaskAction.START:
-                    self._engine.start(told)
-                case TaskAction.STOP | TaskAction.ABORT:
-                    self._engine.stop(told)
-                case TaskAction.RESERVE | TaskAction.COMMIT:
-                    self._engine.reserve(told)
-                    told.reserved = True
-                case TaskAction.UNRESERVE:
-                    told.reserved = False
-                    self._engine.stop(told)
-                case TaskAction.VERIFY:
-                    self._engine.verify(told)
-                case _:
-                    raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, f"There is no action {action}.")
-
-    def is_task_done(self, task: int) -> bool:
-        """Return whether a task is not running or has taken all its samples."""
-        with self._engine.changed:
-            return self._engine.done(self._engine.task(task))
-
-    def wait_until_done(self, task: int, timeout_s: float) -> None:
-        """Wait until a task is done; a negative timeout waits for ever."""
-        with self._engine.changed:
-            deadline_s = math.inf if timeout_s < 0 else time.perf_counter() + timeout_s
-            told = self._engine.task(task)
-            while not self._engine.done(told):
-                self._engine.touch()
-                if time.perf_counter() >= deadline_s:
-                    raise CardError(StatusCode.NOT_DONE, f"Task is not done.\n\nTask Name: {told.name}")
-                self._engine.changed.wait(_DONE_POLL_S)
+        """Reserve or commit a task; see `nidaqmx.constants.TaskMode`."""
+        with self._changed:
+            if action not in {TaskMode.TASK_RESERVE.value, TaskMode.TASK_COMMIT.value}:
+                raise CardError(Status.INVALID_ATTRIBUTE_VALUE, f"The double has no task action {action}.")
+            reserved = self._engine.task(task)
+            self._engine.reserve(reserved)
+            reserved.reserved = True
 
     def create_ai_voltage_chan(
-        self, task: int, physical: str, name: str, terminals: int, min_V: float, max_V: float, units: int, scale: str
+        self, task: int, physical: str, name: str, terminals: int, min_V: float, max_V: float
     ) -> None:
         """Add analog inputs."""
-        del scale
-        self._add(task, channels.analog_inputs(self._device, physical, name, terminals, min_V, max_V, units))
+        with self._changed:
+            kind = ChannelType.ANALOG_INPUT
+            channels = pci6229.analog_channels(self._device, kind, physical, name, terminals, min_V, max_V)
+            self._engine.add(task, channels)
 
-    def create_ao_voltage_chan(
-        self, task: int, physical: str, name: str, min_V: float, max_V: float, units: int, scale: str
-    ) -> None:
+    def create_ao_voltage_chan(self, task: int, physical: str, name: str, min_V: float, max_V: float) -> None:
         """Add analog outputs."""
-        del scale
-        self._add(task, channels.analog_outputs(self._device, physical, name, min_V, max_V, units))
+        with self._changed:
+            kind = ChannelType.ANALOG_OUTPUT
+            self._engine.add(task, pci6229.analog_channels(self._device, kind, physical, name, 0, min_V, max_V))
 
     def create_ci_lin_encoder_chan(
         self,
         task: int,
         counter: str,
         name: str,
-        decoding: int,
         z_enable: bool,
-        z_value: float,
-        z_phase: int,
-        units: int,
-        distance_per_pulse: float,
-        initial_position: float,
-        scale: str,
+        z_value_m: float,
+        distance_per_pulse_m: float,
+        initial_position_m: float,
     ) -> None:
-        """Add a counter that follows a linear encoder."""
-        del scale
-        properties: dict[int, AttributeValue] = {
-            ChannelAttribute.CI_DECODING: decoding,
-            ChannelAttribute.CI_Z_ENABLE: z_enable,
-            ChannelAttribute.CI_Z_VALUE: z_value,
-            ChannelAttribute.CI_Z_PHASE: z_phase,
-            ChannelAttribute.CI_UNITS: units,
-            ChannelAttribute.CI_DISTANCE_PER_PULSE: distance_per_pulse,
-            ChannelAttribute.CI_INITIAL_POSITION: initial_position,
-        }
-        self._add(task, channels.encoder_counter(self._device, counter, name, properties))
+        """Add a counter that follows a linear encoder, with X4 decoding and in metres."""
+        with self._changed:
+            added = self._engine.add(task, [pci6229.encoder_counter(self._device, counter, name)])
+            count_m = distance_per_pulse_m / _PULSES_PER_PERIOD
+            added.encoder = EncoderChannel(count_m, initial_position_m, z_enable, z_value_m)
 
     def create_di_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital inputs."""
-        self._add(task, channels.digital_lines(self._device, lines, name, grouping, ChannelKind.DIGITAL_INPUT))
+        with self._changed:
+            kind = ChannelType.DIGITAL_INPUT
+            self._engine.add(task, pci6229.digital_lines(self._device, kind, lines, name, grouping))
 
     def create_do_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital outputs."""
-        self._add(task, channels.digital_lines(self._device, lines, name, grouping, ChannelKind.DIGITAL_OUTPUT))
+        with self._changed:
+            kind = ChannelType.DIGITAL_OUTPUT
+            self._engine.add(task, pci6229.digital_lines(self._device, kind, lines, name, grouping))
 
-    def cfg_samp_clk_timing(
-        self, task: int, source: str, rate_hz: float, edge: int, quantity: int, samples: int
-    ) -> None:
-        """Give a task a sample clock; see `daqmx.Quantity`."""
-        del edge
-        with self._engine.changed:
-            told = self._engine.idle(task)
-            told.timing = checked_sample_clock(told, self._device, source, rate_hz, quantity, samples)
+    def cfg_samp_clk_timing(self, task: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
+        """Give a task a sample clock."""
+        with self._changed:
+            self._engine.set_clock(task, source, rate_hz, mode, samples)
 
-    def cfg_dig_edge_start_trig(self, task: int, source: str, _edge: int) -> None:
+    def cfg_dig_edge_start_trig(self, task: int, source: str) -> None:
         """Let an edge of a terminal start a task."""
-        with self._engine.changed:
-            generating.arm_start_trigger(self._engine.idle(task), self._device, source)
+        with self._changed:
+            self._engine.set_trigger(task, source)
 
     def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         """Read volts into `out`, C-contiguous of any shape; return the samples per channel.
 
-        `samples` −1 reads what is there (a finite task: all), a negative timeout waits for ever. On an error the
-        samples read so far are in `out`, and their number in `CardError.samples`.
+        A negative timeout waits for ever. On an error the samples read so far are in `out`, and their number in
+        `CardError.samples`.
         """
-        return self._reading.analog(task, samples, timeout_s, fill, out)
+        with self._changed:
+            return self._read_buffer(self._engine.task(task, ChannelType.ANALOG_INPUT), samples, timeout_s, fill, out)
 
     def read_counter_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
-        """Read positions into `out`, otherwise as `read_analog_f64`."""
-        return self._reading.counter(task, samples, timeout_s, fill, out)
+        """Read latched positions [m] into `out` as `read_analog_f64`, or the present one of a task without a clock."""
+        with self._changed:
+            counting = self._engine.task(task, ChannelType.COUNTER_INPUT)
+            if counting.clock is not None:
+                return self._read_buffer(counting, samples, timeout_s, fill, out)
+            self._engine.check_card()
+            if counting.counter is None:
+                raise _not_started(counting)
+            out.reshape(-1)[0] = counting.counter.position_m()
+            return 1
 
-    def read_analog_scalar_f64(self, task: int, timeout_s: float) -> float:
-        """Read one sample of a task with one channel."""
-        return self._reading.scalar(self._reading.analog, task, timeout_s)
+    def read_digital_lines(self, task: int, samples: int, out: BoolArray) -> int:
+        """Read levels, one element a line; return the samples per channel."""
+        with self._changed:
+            self._engine.check_card()
+            channels = self._engine.task(task).channels
+            levels = [self._bench.read_line(channel.physical) for channel in channels]
+            wanted = max(samples, 1)
+            if wanted * len(levels) > out.size:
+                raise _array_too_small(out.size)
+            out.reshape(-1)[: wanted * len(levels)] = np.repeat(levels, wanted)
+            return wanted
 
-    def read_counter_scalar_f64(self, task: int, timeout_s: float) -> float:
-        """Read one position."""
-        return self._reading.scalar(self._reading.counter, task, timeout_s)
-
-    def read_digital_lines(self, task: int, samples: int, fill: int, out: BoolArray) -> tuple[int, int]:
-        """Read levels, one element a line; return samples per channel and lines per channel."""
-        return self._reading.lines(task, samples, fill, out)
-
-    def read_digital_u32(self, task: int, samples: int, fill: int) -> list[int]:
-        """Return one word per channel, line 0 in bit 0."""
-        return self._reading.words(task, samples, fill)
-
-    def write_digital_lines(self, task: int, samples: int, auto_start: bool, layout: int, data: BoolArray) -> int:
+    def write_digital_lines(self, task: int, samples: int, auto_start: bool, data: BoolArray) -> int:
         """Set levels, one element a line; return the samples written per channel."""
-        return self._writing.lines(task, samples, auto_start, layout, data)
+        with self._changed:
+            written = self._started_for_write(task, ChannelType.DIGITAL_OUTPUT, auto_start)
+            levels = np.asarray(data).reshape(len(written.channels), samples)[:, -1]
+            for channel, high in zip(written.channels, levels.tolist(), strict=True):
+                self._bench.write_line(channel.physical, bool(high))
+            return samples
 
-    def write_digital_u32(self, task: int, samples: int, auto_start: bool, layout: int, data: list[int]) -> int:
-        """Set levels, one word per channel; return the samples written per channel."""
-        return self._writing.words(task, samples, auto_start, layout, data)
+    def write_analog_f64(self, task: int, auto_start: bool, timeout_s: float, data: FloatArray) -> int:
+        """Set the voltage of an output, or append to its waveform; return the samples written."""
+        with self._changed:
+            output = self._engine.task(task, ChannelType.ANALOG_OUTPUT)
+            channel, volts = output.channels[0], data.reshape(-1)
+            if not np.all(np.abs(volts) <= channel.range_V):
+                raise output.failure(
+                    Status.INVALID_AO_DATA_WRITE,
+                    "One or more values passed to the Write function are outside the range or not a number.\n\n"
+                    f"Channel Name: {channel.name}\nMaximum Value: {channel.range_V:g}",
+                )
+            if output.clock is None:
+                self._started_for_write(task, ChannelType.ANALOG_OUTPUT, auto_start)
+                self._engine.hold_voltage(channel, float(volts[-1]))
+                return len(volts)
+            self._engine.check_card()
+            if output.waveform is None:
+                output.waveform = OutputWaveform(output.output_buffer or max(len(volts), 1), output.clock.rate_hz)
+            self._append(output, output.waveform, volts, timeout_s)
+            if auto_start and not output.running:
+                self._engine.start(output)
+            return len(volts)
 
-    def write_analog_f64(
-        self, task: int, samples: int, auto_start: bool, timeout_s: float, layout: int, data: FloatArray
-    ) -> int:
-        """Set voltages, or add to a waveform; return the samples written per channel."""
-        return self._writing.analog(task, samples, auto_start, timeout_s, layout, data)
-
-    def get_attribute(self, group: str, subject: int | str, attribute: int, channel: str = "") -> AttributeValue:
+    def get_attribute(self, subject: int | str, attribute: int, channel: str = "") -> AttributeValue:
         """Return an attribute.
 
         Parameters
         ----------
-        group
-            Which of DAQmx's `Get…Attribute` asks: task, chan, read, write, buffer, timing, device or system.
         subject
-            A task's handle; the name of a device or physical channel; anything for the system.
+            A task's handle, the name of a device, or empty for the driver itself.
         channel
-            Virtual channels, for `chan`.
+            A virtual channel of the task; default: the first.
         """
-        with self._engine.changed:
-            return self._answers.get(group, subject, attribute, channel)
+        with self._changed:
+            if isinstance(subject, int):
+                attributes = self._task_attributes(self._engine.task(subject), channel)
+            else:
+                attributes = self._device_attributes(subject)
+            if attribute not in attributes:
+                raise _unsupported_attribute(attribute)
+            return attributes[attribute]
 
-    def set_attribute(self, group: str, task: int, attribute: int, value: AttributeValue, channel: str = "") -> None:
+    def set_attribute(self, task: int, attribute: int, value: AttributeValue, channel: str = "") -> None:
         """Set an attribute of a task or its channels."""
-        with self._engine.changed:
-            self._answers.set(group, task, attribute, value, channel)
-
-    def reset_attribute(self, group: str, task: int, attribute: int, channel: str = "") -> None:
-        """Put an attribute back to what the driver has for it."""
-        del channel
-        with self._engine.changed:
-            self._answers.reset(group, task, attribute)
-
-    def reset_device(self, device: str) -> None:
-        """Abort the device's tasks and put it into its initial state."""
-        with self._engine.changed:
-            self._answers.get("device", device, DeviceAttribute.PRODUCT, "")
-            for task in self._engine.tasks.values():
-                task.reserved = False
-                self._engine.stop(task)
+        with self._changed:
+            changed = self._engine.task(task)
+            number = int(value) if isinstance(value, int | float) else 0
+            match attribute:
+                case Attribute.READ_RELATIVE_TO:
+                    changed.relative_to = number
+                case Attribute.READ_OFFSET:
+                    changed.offset = number
+                case Attribute.INPUT_BUFFER:
+                    self._engine.idle_task(task).input_buffer = number
+                case Attribute.OUTPUT_BUFFER:
+                    self._engine.idle_task(task).output_buffer = number
+                case _ if attribute in _REQUIRED_VALUES:
+                    if value != _REQUIRED_VALUES[attribute]:
+                        raise changed.failure(Status.INVALID_ATTRIBUTE_VALUE, f"The double does not support {value}.")
+                case _ if changed.kind is ChannelType.COUNTER_INPUT:
+                    self._engine.idle_task(task)
+                    for counter in _named_channels(changed, channel):
+                        pci6229.set_property(counter, self._device, attribute, value)
+                case _:
+                    raise _unsupported_attribute(attribute)
 
     def voltage(self, output: str) -> float:
-        """Return what an analog output, such as ao0, is at now; it holds its last voltage when its task ends."""
-        return self._writing.voltage(output)
+        """Return the present voltage of an analog output, such as ao0; it holds its last one when its task ends."""
+        with self._changed:
+            for task in self._engine.tasks.values():
+                if task.waveform is not None and task.channels[0].physical == output:
+                    volts = task.waveform.voltage(self._engine.now_s)
+                    if volts is not None:
+                        return volts
+            return self._engine.held_volts[output]
 
-    def _add(self, task: int, added: list[VirtualChannel]) -> None:
-        with self._engine.changed:
-            self._engine.find()
-            self._engine.idle(task).add(added)
+    def _read_buffer(self, task: CardTask, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
+        self._engine.check_card()
+        buffer, channels = task.buffer, len(task.channels)
+        if buffer is None:
+            raise _not_started(task)
+        if samples * channels > out.size:
+            raise _array_too_small(out.size)
+        origin = 0 if task.relative_to == ReadRelativeTo.FIRST_SAMPLE.value else buffer.position
+        first = origin + task.offset
+        end, failure = buffer.read(first, samples, timeout_s, self._bench.faults.active.short_reads)
+        if end > first:
+            # Fewer samples than requested lie together at the array's beginning, not at the places of a full read.
+            rows = np.array(buffer.source.fetch(first, end))
+            flat = rows.reshape(-1) if fill == FillMode.GROUP_BY_CHANNEL.value else rows.T.reshape(-1)
+            out.reshape(-1)[: flat.size] = flat
+        if failure is not None:
+            raise failure
+        return end - first
+
+    def _started_for_write(self, handle: int, kind: ChannelType, auto_start: bool) -> CardTask:
+        task = self._engine.task(handle, kind)
+        self._engine.check_card()
+        if not task.running:
+            if not auto_start:
+                raise task.failure(
+                    Status.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
+                    "Write cannot be performed when the auto start input is false and the task is not running.",
+                )
+            self._engine.start(task)
+            self._engine.stop(task)
+        return task
+
+    def _append(self, task: CardTask, waveform: OutputWaveform, volts: FloatArray, timeout_s: float) -> None:
+        deadline_s = math.inf if timeout_s < 0 else time.perf_counter() + timeout_s
+        written = 0
+        while True:
+            now_s = self._engine.now_s
+            if waveform.ran_empty(now_s):
+                self._engine.stop(task)
+                raise task.failure(
+                    Status.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
+                    "The generation has stopped to prevent the regeneration of old samples: new ones were not written "
+                    "in time.",
+                    written,
+                )
+            part = volts[written : written + waveform.space(now_s)]
+            first = waveform.written
+            waveform.write(part)
+            self._engine.announce(task, part, first)
+            written += len(part)
+            if written == len(volts):
+                return
+            left_s = deadline_s - time.perf_counter()
+            if left_s <= 0 or not task.running:
+                raise task.failure(
+                    Status.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+                    "Attempted to write more samples than the buffer has space for.",
+                    written,
+                )
+            due_s = min(len(volts) - written, waveform.size) / (waveform.rate_hz * self._bench.clock.pace)
+            self._changed.wait(min(left_s, max(due_s, _MIN_WAIT_S)))
+            self._engine.check_running(task)
+
+    def _device_attributes(self, device: str) -> dict[int, AttributeValue]:
+        if device:
+            if device.lower() != self._device.lower():
+                raise CardError(
+                    Status.INVALID_DEVICE_ID, f"Device identifier is invalid.\n\nDevice Specified: {device}"
+                )
+            self._engine.check_card(listed=True)
+            return {Attribute.DEVICE_PRODUCT: pci6229.PRODUCT, Attribute.DEVICE_SERIAL: pci6229.SERIAL_NUMBER}
+        faults = self._bench.faults.active
+        missing = faults.card_absent or faults.card_gone or faults.card_unplugged
+        return {
+            Attribute.SYSTEM_DEVICES: "" if missing else self._device,
+            Attribute.SYSTEM_MAJOR_VERSION: pci6229.DRIVER_VERSION,
+            Attribute.SYSTEM_MINOR_VERSION: 0,
+            Attribute.SYSTEM_UPDATE_VERSION: 0,
+        }
+
+    def _task_attributes(self, task: CardTask, channel: str) -> dict[int, AttributeValue]:
+        names = str(flatten_channel_string([channel.name for channel in task.channels]))
+        buffer, waveform, now_s = task.buffer, task.waveform, self._engine.now_s
+        return {
+            Attribute.TASK_NAME: task.name,
+            Attribute.TASK_CHANNELS: names,
+            Attribute.CLOCK_RATE: task.clock.rate_hz if task.clock is not None else 0.0,
+            Attribute.READ_RELATIVE_TO: task.relative_to,
+            Attribute.READ_OFFSET: task.offset,
+            Attribute.READ_TOTAL: buffer.total() if buffer is not None else 0,
+            Attribute.READ_POSITION: buffer.position if buffer is not None else 0,
+            Attribute.READ_CHANNELS: names,
+            Attribute.READ_NUM_CHANNELS: len(task.channels),
+            Attribute.READ_LINES_PER_CHANNEL: 1,
+            Attribute.WRITE_TOTAL: waveform.generated(now_s) if waveform is not None else 0,
+            Attribute.WRITE_NUM_CHANNELS: len(task.channels),
+            Attribute.WRITE_LINES_PER_CHANNEL: 1,
+            Attribute.INPUT_BUFFER: task.input_buffer,
+            Attribute.OUTPUT_BUFFER: task.output_buffer,
+            **_REQUIRED_VALUES,
+            **(_named_channels(task, channel)[0].properties if task.channels else {}),
+        }
+
+
+def _named_channels(task: CardTask, names: str) -> list[VirtualChannel]:
+    wanted = {name.strip().lower() for name in unflatten_channel_string(names)}
+    channels = [channel for channel in task.channels if not wanted or channel.name.lower() in wanted]
+    if not channels:
+        raise task.failure(
+            Status.INVALID_CHANNEL, f"Channel specified does not exist in the task.\n\nChannel Name: {names}"
+        )
+    return channels
+
+
+def _not_started(task: CardTask) -> CardError:
+    return task.failure(
+        Status.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED, "Task was not started."
+    )
+
+
+def _array_too_small(size: int) -> CardError:
+    return CardError(Status.READ_BUFFER_TOO_SMALL, f"Buffer is too small to fit read data.\n\nElements: {size}")
+
+
+def _unsupported_attribute(attribute: int) -> CardError:
+    return CardError(
+        Status.ATTR_NOT_SUPPORTED,
+        "Specified property is not supported by the device or is not applicable to the task.\n\n"
+        f"Property: {attribute:#x}",
+    )

@@ -1,16 +1,23 @@
-"""What NI's PCI-6229 has: channels, terminals, ranges, clocks. From its specifications and the M Series manual."""
+"""The PCI-6229's channels, terminals, ranges and clocks, and virtual channels on them, validated as NI's driver does.
+
+From the card's specifications and the M Series manual.
+"""
+
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
+from nidaqmx.constants import ChannelType, LineGrouping, TerminalConfiguration, UsageTypeCI
+from nidaqmx.error_codes import DAQmxErrors as Status
 from nidaqmx.errors import DaqError
 from nidaqmx.utils import unflatten_channel_string
 
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.doubles.card.daqmx import CardError, StatusCode, TerminalConfiguration
+from dragrig.sim_backend.doubles.card.daqmx import Attribute, AttributeValue, CardError
 
 PRODUCT = "PCI-6229"
-PRODUCT_NUMBER = 0x70AA
 SERIAL_NUMBER = 0x0182C0DE
-DRIVER_VERSION = (25, 0, 0)
+DRIVER_VERSION = 25
 
 AI_RANGES_V = (0.2, 1.0, 5.0, 10.0)
 AI_MAX_RATE_HZ = 250_000.0
@@ -20,116 +27,189 @@ AO_MAX_RATE_HZ = 833_333.0
 TIMEBASE_HZ = 20e6
 """A sample clock is a whole fraction of it."""
 FILTERS_S = (125e-9, 6.425e-6, 2.56e-3)
-"""Shortest pulses that the digital filters of PFI terminals can be set to pass."""
+"""Minimum pulse widths that the digital filters of PFI terminals can be set to."""
 
 AI = tuple(f"ai{number}" for number in range(32))
 AI_DIFFERENTIAL = tuple(f"ai{number}" for number in (*range(8), *range(16, 24)))
 """Positive inputs of the differential pairs; the negative one of each is eight further."""
 AO = tuple(f"ao{number}" for number in range(4))
 COUNTERS = ("ctr0", "ctr1")
-PORTS = {"port0": 32, "port1": 8, "port2": 8}
-LINES = tuple(f"{port}/line{line}" for port, width in PORTS.items() for line in range(width))
+LINES = tuple(
+    f"{port}/line{line}" for port, width in (("port0", 32), ("port1", 8), ("port2", 8)) for line in range(width)
+)
 ENCODER_TERMINALS = {"ctr0": ("PFI8", "PFI10", "PFI9"), "ctr1": ("PFI3", "PFI11", "PFI4")}
-"""A, B and Z of each counter unless set otherwise."""
+"""A, B and Z of each counter by default."""
 AI_SAMPLE_CLOCK = "ai/SampleClock"
-TERMINALS = (*(f"PFI{number}" for number in range(16)), *(f"RTSI{number}" for number in range(8)), AI_SAMPLE_CLOCK,
-             "ai/ConvertClock", "ai/StartTrigger", "ao/SampleClock", "ao/StartTrigger", "20MHzTimebase",
-             "80MHzTimebase", "100kHzTimebase", "Ctr0Source", "Ctr0Gate", "Ctr0InternalOutput", "Ctr1Source",
-             "Ctr1Gate", "Ctr1InternalOutput")  # fmt: skip
-_BITS = 16
+AI_START_TRIGGER = "ai/StartTrigger"
+TERMINALS = (*(f"PFI{number}" for number in range(16)), AI_SAMPLE_CLOCK, AI_START_TRIGGER)
+_HALF_CODES = 2.0**15
+
+_TERMINAL_ATTRIBUTES = (Attribute.CI_A_TERMINAL, Attribute.CI_B_TERMINAL, Attribute.CI_Z_TERMINAL)
+_FILTER_ATTRIBUTES = (Attribute.CI_A_FILTER, Attribute.CI_B_FILTER, Attribute.CI_Z_FILTER)
+_FILTER_WIDTH_ATTRIBUTES = (Attribute.CI_A_FILTER_S, Attribute.CI_B_FILTER_S, Attribute.CI_Z_FILTER_S)
 
 
-def physical_names(text: str, device: str) -> list[str]:
-    """Return what a list of physical channels names on `device`: DEVICE/ai0:2 gives ai0, ai1, ai2.
+@dataclass(slots=True, eq=False)
+class VirtualChannel:
+    """A virtual channel.
 
-    Raises
-    ------
-    CardError
-        For another device (−200220) or a list that cannot be read (−200498).
+    Attributes
+    ----------
+    physical
+        Name on the card: ai0, ctr0, port1/line0.
+    range_V
+        Largest voltage, of either sign, of an analog channel.
+    properties
+        Values of its attributes by their numbers.
     """
-    try:
-        names = unflatten_channel_string(text)
-    except DaqError as error:
-        raise CardError(error.error_code, str(error)) from error
-    found = []
-    for name in names:
-        owner, _, rest = name.strip().lstrip("/").partition("/")
-        if owner.lower() != device.lower():
-            raise CardError(StatusCode.INVALID_DEVICE, f"Device identifier is invalid.\n\nDevice Specified: {owner}")
-        found.append(rest)
-    if not found:
-        raise CardError(StatusCode.PHYSICAL_CHAN_DOES_NOT_EXIST, "Physical channel not specified.")
-    return found
+
+    name: str
+    kind: ChannelType
+    physical: str
+    range_V: float = 0.0
+    properties: dict[int, AttributeValue] = field(default_factory=dict)
 
 
-def known(name: str, names: tuple[str, ...], device: str) -> str:
-    """Return `name` as the card spells it; raises `CardError` when it has none of the kind."""
-    for one in names:
-        if one.lower() == name.lower():
-            return one
-    raise CardError(
-        StatusCode.PHYSICAL_CHAN_DOES_NOT_EXIST,
-        f"Physical channel specified does not exist on this device.\n\nPhysical Channel Name: {name}\nDevice: {device}",
-    )
+@dataclass(frozen=True, slots=True)
+class EncoderChannel:
+    """How a counter measures the encoder: X4 decoding, in metres.
+
+    Attributes
+    ----------
+    count_m
+        Length of a count.
+    start_m
+        Position at the counter's start.
+    index, index_m
+        Whether the index pulse sets the position, and to what.
+    """
+
+    count_m: float
+    start_m: float
+    index: bool
+    index_m: float
 
 
-def terminal(text: str, device: str) -> str:
+def analog_channels(
+    device: str, kind: ChannelType, physical: str, name: str, terminals: int, min_V: float, max_V: float
+) -> list[VirtualChannel]:
+    """Return voltage inputs or outputs; raises `CardError` for what the card does not have."""
+    if min_V >= max_V:
+        raise CardError(Status.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
+    is_input = kind is ChannelType.ANALOG_INPUT
+    largest_V, ranges_V = max(abs(min_V), abs(max_V)), AI_RANGES_V if is_input else (AO_RANGE_V,)
+    range_V = next((range_V for range_V in ranges_V if largest_V <= range_V), None)
+    if range_V is None:
+        raise _unsupported("Max", largest_V, f"Maximum Value: {ranges_V[-1]:g}")
+    limits = (Attribute.AI_MIN, Attribute.AI_MAX) if is_input else (Attribute.AO_MIN, Attribute.AO_MAX)
+    channels = []
+    for place in _places(physical, AI if is_input else AO, device):
+        if is_input and place not in AI_DIFFERENTIAL:
+            raise _unsupported("AI.TermCfg", terminals, f"{place} has no differential pair of its own")
+        channels.append(_channel(device, kind, place, name, dict(zip(limits, (min_V, max_V), strict=True)), range_V))
+    if is_input and terminals not in {TerminalConfiguration.DEFAULT.value, TerminalConfiguration.DIFF.value}:
+        raise _unsupported("AI.TermCfg", terminals, "Possible Values: differential")
+    return channels
+
+
+def encoder_counter(device: str, counter: str, name: str) -> VirtualChannel:
+    """Return a counter for a linear encoder, with its terminals by default."""
+    (place,) = _places(counter, COUNTERS, device)
+    terminals = zip(_TERMINAL_ATTRIBUTES, ENCODER_TERMINALS[place], strict=True)
+    properties: dict[int, AttributeValue] = {
+        Attribute.CI_MEASUREMENT: UsageTypeCI.POSITION_LINEAR_ENCODER.value,
+        **{attribute: f"/{device}/{terminal}" for attribute, terminal in terminals},
+        **dict.fromkeys(_FILTER_ATTRIBUTES, False),
+        **dict.fromkeys(_FILTER_WIDTH_ATTRIBUTES, FILTERS_S[0]),
+    }
+    return _channel(device, ChannelType.COUNTER_INPUT, place, name, properties)
+
+
+def digital_lines(device: str, kind: ChannelType, lines: str, name: str, grouping: int) -> list[VirtualChannel]:
+    """Return channels of one digital line each."""
+    places = _places(lines, LINES, device)
+    if len(places) > 1 and grouping != LineGrouping.CHAN_PER_LINE.value:
+        raise _unsupported("line grouping", grouping, "Possible Values: one channel per line")
+    return [_channel(device, kind, place, name, {}) for place in places]
+
+
+def set_property(channel: VirtualChannel, device: str, attribute: int, value: AttributeValue) -> None:
+    """Set a counter's attribute; raises `CardError` for a value or an attribute that the card does not know."""
+    if attribute in _TERMINAL_ATTRIBUTES:
+        value = f"/{device}/{find_terminal(str(value), device)}"
+    elif attribute in _FILTER_WIDTH_ATTRIBUTES:
+        if not any(math.isclose(float(str(value)), width_s) for width_s in FILTERS_S):
+            raise _unsupported("CI.Encoder.*.DigFltr.MinPulseWidth", value, f"Possible Values: {FILTERS_S}")
+    elif attribute not in _FILTER_ATTRIBUTES:
+        raise CardError(Status.ATTR_NOT_SUPPORTED, f"Property {attribute:#x} of {channel.name} cannot be set.")
+    channel.properties[attribute] = value
+
+
+def encoder_terminals(channel: VirtualChannel) -> tuple[str, str, str]:
+    """Return the terminals of A, B and Z in lower case, without the device."""
+    a, b, z = (str(channel.properties[attribute]).rsplit("/", 1)[-1].lower() for attribute in _TERMINAL_ATTRIBUTES)
+    return a, b, z
+
+
+def find_terminal(text: str, device: str) -> str:
     """Return the name of a terminal without its device; raises `CardError` when the card has none such."""
-    plain = text.strip()
-    parts = plain.lstrip("/").split("/", 1)
-    if plain.startswith("/") and len(parts) == 2 and parts[0].lower() == device.lower():
-        plain = parts[1]
-    for one in TERMINALS:
-        if one.lower() == plain.lower():
-            return one
+    wanted = text.strip().lower().removeprefix(f"/{device.lower()}/")
+    for terminal in TERMINALS:
+        if terminal.lower() == wanted:
+            return terminal
     raise CardError(
-        StatusCode.INVALID_TERMINAL,
+        Status.INVALID_ROUTING_SOURCE_TERMINAL_NAME_ROUTING,
         f"Source terminal to be routed could not be found on the device.\n\nSource Terminal: {text}\nDevice: {device}",
     )
 
 
-def input_range(channel: str, terminals: int, min_V: float, max_V: float) -> float:
-    """Return the smallest range that takes an analog input's limits [V].
-
-    Raises
-    ------
-    CardError
-        For limits beyond ±10 V or the wrong way round, and for wiring that the channel does not have.
-    """
-    if min_V >= max_V:
-        raise CardError(StatusCode.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
-    try:
-        wired = TerminalConfiguration(terminals)
-    except ValueError as error:
-        raise CardError(
-            StatusCode.INVALID_ATTRIBUTE_VALUE, f"There is no terminal configuration {terminals}."
-        ) from error
-    if wired in {TerminalConfiguration.DEFAULT, TerminalConfiguration.DIFFERENTIAL} and channel not in AI_DIFFERENTIAL:
-        raise CardError(
-            StatusCode.INVALID_ATTRIBUTE_VALUE,
-            f"Requested value is not a supported value for this property.\n\nProperty: AI.TermCfg\nChannel: {channel} "
-            "has no differential pair of its own",
-        )
-    furthest = max(abs(min_V), abs(max_V))
-    for range_V in AI_RANGES_V:
-        if furthest <= range_V:
-            return range_V
-    raise CardError(
-        StatusCode.INVALID_ATTRIBUTE_VALUE,
-        f"Requested value is not a supported value for this property.\n\nProperty: AI.Max\nRequested: {furthest:g} V\n"
-        f"Maximum Value: {AI_RANGES_V[-1]:g}",
-    )
-
-
 def quantised(volts: FloatArray, range_V: float) -> FloatArray:
-    """Return volts as the converter tells them: in steps of the range's 2^−15, clipped at its ends."""
-    half = 2.0 ** (_BITS - 1)
-    codes = np.rint(volts * (half / range_V))
-    np.clip(codes, -half, half - 1, out=codes)
-    codes *= range_V / half
+    """Return volts as the converter reads them: in steps of the range's 2^−15, clipped at its ends."""
+    codes = np.rint(volts * (_HALF_CODES / range_V))
+    np.clip(codes, -_HALF_CODES, _HALF_CODES - 1, out=codes)
+    codes *= range_V / _HALF_CODES
     return codes
 
 
-def possible_rate(rate_hz: float) -> float:
+def nearest_rate(rate_hz: float) -> float:
     """Return the nearest rate that the card's timebase gives."""
     return TIMEBASE_HZ / max(round(TIMEBASE_HZ / rate_hz), 1)
+
+
+def _places(physical: str, names: tuple[str, ...], device: str) -> list[str]:
+    """Return what a list of physical channels names on `device`: DEVICE/ai0:2 gives ai0, ai1, ai2."""
+    try:
+        channels = unflatten_channel_string(physical)
+    except DaqError as error:
+        raise CardError(error.error_code, str(error)) from error
+    places = []
+    for channel in channels:
+        owner, _, wanted = channel.strip().lstrip("/").partition("/")
+        if owner.lower() != device.lower():
+            raise CardError(Status.INVALID_DEVICE_ID, f"Device identifier is invalid.\n\nDevice Specified: {owner}")
+        if wanted.lower() not in names:
+            raise CardError(
+                Status.PHYSICAL_CHAN_DOES_NOT_EXIST,
+                "Physical channel specified does not exist on this device.\n\n"
+                f"Physical Channel Name: {wanted}\nDevice: {device}",
+            )
+        places.append(wanted.lower())
+    return places
+
+
+def _channel(
+    device: str, kind: ChannelType, place: str, name: str, properties: dict[int, AttributeValue], range_V: float = 0.0
+) -> VirtualChannel:
+    common: dict[int, AttributeValue] = {
+        Attribute.CHANNEL_TYPE: kind.value,
+        Attribute.CHANNEL_PHYSICAL: f"{device}/{place}",
+    }
+    return VirtualChannel(name or f"{device}/{place}", kind, place, range_V, common | properties)
+
+
+def _unsupported(name: str, value: object, possible: str) -> CardError:
+    return CardError(
+        Status.INVALID_ATTRIBUTE_VALUE,
+        "Requested value is not a supported value for this property. The property value may be invalid because it "
+        f"conflicts with another property.\n\nProperty: {name}\nRequested Value: {value}\n{possible}",
+    )

@@ -1,59 +1,32 @@
-"""Tasks of the card's double with their virtual channels and sample clocks, validated as NI's driver does."""
+"""The tasks of the card's double: resources, sample clocks, triggers, and when they run. One lock guards all."""
 
-import math
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from nidaqmx.constants import AcquisitionType, ChannelType, ReadRelativeTo
+from nidaqmx.error_codes import DAQmxErrors as Status
 
-from dragrig.config.hardware import CardSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.doubles.card import pci6229
-from dragrig.sim_backend.doubles.card.daqmx import (
-    CardError,
-    ChannelAttribute,
-    ChannelKind,
-    Decoding,
-    LengthUnit,
-    LineGrouping,
-    Regeneration,
-    SampleMode,
-    StatusCode,
-)
+from dragrig.sim_backend.doubles.card.daqmx import CardError
+from dragrig.sim_backend.doubles.card.pci6229 import EncoderChannel, VirtualChannel
 from dragrig.sim_backend.doubles.card.streams import (
-    Bench,
+    AnalogSource,
     EncoderCounter,
-    EncoderDecoding,
     InputBuffer,
+    LatchClock,
     OutputWaveform,
-    ReadPosition,
+    count_now,
 )
+from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
-AttributeValue = int | float | bool | str | list[float]
-"""What an attribute holds."""
+OutputListener = Callable[[str, FloatArray, float, float], None]
+"""Called with an output's name, its voltages to come, their rate, and the clock's reading at the first of them.
 
-
-@dataclass(slots=True, eq=False)
-class VirtualChannel:
-    """A virtual channel.
-
-    Attributes
-    ----------
-    physical
-        Name on the card: ai0, ctr0, port1/line0; of several lines, the first.
-    lines
-        Of a digital channel.
-    range_V
-        Volts to either side that an analog channel takes.
-    properties
-        Values of its attributes by their numbers.
-    """
-
-    name: str
-    kind: ChannelKind
-    physical: str
-    range_V: float = 0.0
-    lines: tuple[str, ...] = ()
-    properties: dict[int, AttributeValue] = field(default_factory=dict)
+At rate 0 there is one voltage, which the output holds from then on.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,313 +35,290 @@ class SampleClock:
 
     rate_hz: float
     source: str
-    quantity: SampleMode
-    samples: int
-
-    @property
-    def limit(self) -> int | None:
-        """Samples per channel after which the task ends; None when it does not."""
-        return self.samples if self.quantity is SampleMode.FINITE else None
-
-    @property
-    def buffer_size(self) -> int:
-        """Samples per channel that the driver buffers unless told."""
-        if self.quantity is SampleMode.FINITE:
-            return self.samples
-        for below_hz, size in ((100.0, 1_000), (10_000.0, 10_000), (1_000_000.0, 100_000)):
-            if self.rate_hz <= below_hz:
-                return max(size, self.samples)
-        return max(1_000_000, self.samples)
+    buffer_size: int
 
 
 @dataclass(slots=True, eq=False)
 class CardTask:
-    """A task: what was configured, and what runs. Only the `Engine` changes it, under its lock."""
+    """A task: its configuration, and what runs. Only the `TaskEngine` changes it, under its lock."""
 
     handle: int
     name: str
     channels: list[VirtualChannel] = field(default_factory=list)
-    timing: SampleClock | None = None
-    position: ReadPosition = field(default_factory=ReadPosition)
-    input_buffer: int | None = None
-    output_buffer: int | None = None
-    regeneration: int = Regeneration.ALLOWED
+    encoder: EncoderChannel | None = None
+    clock: SampleClock | None = None
+    relative_to: int = ReadRelativeTo.CURRENT_READ_POSITION.value
+    offset: int = 0
+    input_buffer: int = 0
+    output_buffer: int = 0
     trigger: str = ""
-    auto_start: bool = True
     reserved: bool = False
     running: bool = False
-    origin: int = 0
-    stream: InputBuffer | None = None
+    origin_count: int = 0
+    buffer: InputBuffer | None = None
     counter: EncoderCounter | None = None
     waveform: OutputWaveform | None = None
 
     @property
-    def kind(self) -> ChannelKind | None:
+    def kind(self) -> ChannelType | None:
         """What its channels do; None without channels."""
         return self.channels[0].kind if self.channels else None
 
-    @property
-    def buffer_size(self) -> int:
-        """Samples per channel between card and program."""
-        if self.input_buffer:
-            return self.input_buffer
-        return self.timing.buffer_size if self.timing is not None else 0
+    def failure(self, code: Status, sentence: str, samples: int = 0) -> CardError:
+        """Return an error that names the task."""
+        return CardError(code, f"{sentence}\n\nTask Name: {self.name}", samples)
 
-    def add(self, channels: list[VirtualChannel]) -> None:
-        """Add channels, all of one kind, each once; raises `CardError`."""
+
+class TaskEngine:
+    """Tasks on a bench. The caller of a method holds `changed`."""
+
+    def __init__(self, bench: SimulatedBench, listener: OutputListener | None) -> None:
+        self.bench = bench
+        self.card = bench.rig.hardware.card
+        self.changed = threading.Condition()
+        self.tasks: dict[int, CardTask] = {}
+        self.held_volts = dict.fromkeys(pci6229.AO, 0.0)
+        self._listener = listener
+        self._handles = 0
+        self._holders: dict[str, CardTask] = {}
+        self._lost_samples = bench.faults.active.overwritten_samples
+        bench.faults.subscribe(self._apply_faults)
+
+    @property
+    def now_s(self) -> float:
+        """The bench's clock."""
+        return self.bench.clock.monotonic()
+
+    def create(self, name: str) -> int:
+        """Return the handle of a new task."""
+        if any(task.name == name for task in self.tasks.values()):
+            raise CardError(Status.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
+        self._handles += 1
+        self.tasks[self._handles] = CardTask(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
+        return self._handles
+
+    def task(self, handle: int, kind: ChannelType | None = None) -> CardTask:
+        """Return a task, whose channels must be of `kind` if that is not None."""
+        task = self.tasks.get(handle)
+        if task is None:
+            raise CardError(Status.INVALID_TASK, "Task specified is invalid or does not exist.")
+        if kind is not None and task.kind is not kind:
+            code = (
+                Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK if task.kind is None else Status.INVALID_PHYS_CHAN_TYPE
+            )
+            raise task.failure(code, "Task has no channels that can do this.")
+        return task
+
+    def idle_task(self, handle: int) -> CardTask:
+        """Return a task that may be configured."""
+        task = self.task(handle)
+        if task.running:
+            raise task.failure(
+                Status.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING,
+                "Specified operation cannot be performed while the task is running.",
+            )
+        return task
+
+    def check_card(self, *, listed: bool = False) -> None:
+        """Raise what keeps the card from answering; with `listed`, also when the driver knows no such card."""
+        faults, device = self.bench.faults.active, f"\n\nDevice: {self.card.device}"
+        if faults.card_gone:
+            raise CardError(
+                Status.DRIVER_DEVICE_GUID_NOT_FOUND_ROUTING,
+                f"The specified device is not present or is not active.{device}",
+            )
+        if faults.card_unplugged:
+            raise CardError(
+                Status.DEV_CANNOT_BE_ACCESSED,
+                "Device cannot be accessed. Possible causes: it is no longer present in the system, not powered, or "
+                f"the computer woke up from sleep.{device}",
+            )
+        if listed and faults.card_absent:
+            raise CardError(Status.INVALID_DEVICE_ID, f"Device identifier is invalid.{device}")
+
+    def add(self, handle: int, channels: list[VirtualChannel]) -> CardTask:
+        """Add channels to a task, all of one kind, each once."""
+        self.check_card(listed=True)
+        task = self.idle_task(handle)
         for channel in channels:
-            if any(channel.name == one.name for one in self.channels):
-                raise CardError(StatusCode.CHANNEL_ALREADY_IN_TASK, f"Channel is in the task already: {channel.name}")
-            if self.kind not in {None, channel.kind}:
-                raise CardError(StatusCode.CHANNEL_TYPE_MISMATCH, f"Channel {channel.name} is of another kind.")
-        self.channels.extend(channels)
+            if any(channel.name == present.name for present in task.channels):
+                raise task.failure(Status.CHAN_ALREADY_IN_TASK, f"Channel is in the task already: {channel.name}")
+            if task.kind not in {None, channel.kind}:
+                raise task.failure(Status.INVALID_PHYS_CHAN_TYPE, f"Channel {channel.name} is of another kind.")
+        task.channels.extend(channels)
+        return task
+
+    def set_clock(self, handle: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
+        """Give a task a continuous sample clock at the nearest rate that the card can make."""
+        task = self.idle_task(handle)
+        if not rate_hz > 0:
+            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
+        if task.kind not in {ChannelType.ANALOG_INPUT, ChannelType.ANALOG_OUTPUT, ChannelType.COUNTER_INPUT}:
+            raise task.failure(
+                Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels with a sample clock."
+            )
+        place = pci6229.find_terminal(source, self.card.device) if source and source != "OnboardClock" else ""
+        if task.kind is not ChannelType.COUNTER_INPUT:
+            is_input = task.kind is ChannelType.ANALOG_INPUT
+            max_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels) if is_input else pci6229.AO_MAX_RATE_HZ
+            rate_hz = pci6229.nearest_rate(rate_hz)
+            if rate_hz > max_hz * (1 + 1e-9):
+                single = len(task.channels) == 1
+                code = Status.SAMP_RATE_TOO_HIGH if single else Status.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO
+                raise task.failure(code, f"Sample rate {rate_hz:g} Hz is above the possible {max_hz:g} Hz.")
+        if mode != AcquisitionType.CONTINUOUS.value:
+            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample mode {mode} is not supported by this task.")
+        task.clock = SampleClock(rate_hz, place, _default_buffer(rate_hz, samples))
+
+    def set_trigger(self, handle: int, source: str) -> None:
+        """Let the start of the analog inputs start a task."""
+        task, place = self.idle_task(handle), pci6229.find_terminal(source, self.card.device)
+        if task.kind is not ChannelType.ANALOG_OUTPUT or place != pci6229.AI_START_TRIGGER:
+            raise task.failure(
+                Status.ATTR_NOT_SUPPORTED,
+                f"Only outputs can be triggered here, by {pci6229.AI_START_TRIGGER}, not by {place}.",
+            )
+        task.trigger = place
+
+    def reserve(self, task: CardTask) -> None:
+        """Assign to a task the resources that it needs of the card; raises `CardError` when another task has them."""
+        self.check_card(listed=True)
+        if task.kind is None:
+            raise task.failure(Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels.")
+        if task.kind is ChannelType.COUNTER_INPUT and task.clock is not None and not task.clock.source:
+            raise task.failure(Status.EXT_SAMP_CLK_SRC_NOT_SPECIFIED, "The counter has no sample clock of its own.")
+        resources = _required_resources(task)
+        for resource in resources:
+            if self._holders.get(resource, task) is not task or self.bench.faults.active.card_reserved:
+                is_line = task.kind is ChannelType.DIGITAL_OUTPUT
+                raise task.failure(
+                    Status.DIG_LINES_RESERVED_OR_UNAVAILABLE if is_line else Status.PAL_RESOURCE_RESERVED,
+                    f"The specified resource is reserved.\n\nDevice: {self.card.device}\nResource: {resource}",
+                )
+        self._holders.update(dict.fromkeys(resources, task))
+
+    def start(self, task: CardTask) -> None:
+        """Start a task."""
+        self.idle_task(task.handle)
+        self.reserve(task)
+        if task.kind is ChannelType.ANALOG_INPUT and task.clock is not None:
+            self._start_inputs(task, task.clock)
+        elif task.kind is ChannelType.COUNTER_INPUT:
+            self._start_counter(task)
+        elif task.waveform is not None and not task.trigger:
+            self._begin_waveform(task, self.now_s)
+        task.running = True
+        self.changed.notify_all()
+
+    def stop(self, task: CardTask) -> None:
+        """Stop a task; resources that it did not reserve explicitly are released."""
+        if task.running and task.kind is ChannelType.ANALOG_INPUT and task.buffer is not None:
+            for latched in self.tasks.values():
+                if latched.counter is not None and latched.buffer is not None and latched.counter.rate_hz > 0:
+                    oldest = max(latched.buffer.oldest(), latched.buffer.position)
+                    latched.buffer.forget_before(latched.counter.end_clock(oldest))
+            self.bench.end_sampling()
+        if task.running and task.waveform is not None:
+            volts = task.waveform.voltage(self.now_s)
+            if volts is not None:
+                self.hold_voltage(task.channels[0], volts)
+        task.running, task.buffer, task.counter, task.waveform = False, None, None, None
+        if not task.reserved:
+            self._holders = {resource: holder for resource, holder in self._holders.items() if holder is not task}
+        self.changed.notify_all()
+
+    def forget(self, task: CardTask) -> None:
+        """Stop a task and forget it."""
+        task.reserved = False
+        self.stop(task)
+        del self.tasks[task.handle]
+
+    def check_running(self, task: CardTask) -> None:
+        """Raise when the card is gone or the task was stopped."""
+        self.check_card()
+        if not task.running:
+            raise task.failure(
+                Status.RUNTIME_ABORTING_ROUTING, "The operation was stopped before it could be completed."
+            )
+
+    def hold_voltage(self, channel: VirtualChannel, volts: float) -> None:
+        """Let an output hold a voltage."""
+        self.held_volts[channel.physical] = volts
+        if self._listener is not None:
+            self._listener(channel.physical, np.array([volts]), 0.0, self.now_s)
+
+    def announce(self, task: CardTask, volts: FloatArray, first: int) -> None:
+        """Tell the listener of voltages of a waveform that has begun, the first of them its sample `first`."""
+        waveform = task.waveform
+        if self._listener is None or waveform is None or waveform.began_s is None or not len(volts):
+            return
+        due_s = waveform.began_s + first / waveform.rate_hz
+        self._listener(task.channels[0].physical, np.array(volts), waveform.rate_hz, due_s)
+
+    def _begin_waveform(self, task: CardTask, at_s: float) -> None:
+        if task.waveform is not None and task.waveform.began_s is None:
+            if not task.waveform.written:
+                raise task.failure(Status.SAMPLES_CAN_NOT_YET_BE_WRITTEN, "No samples were written to generate.")
+            task.waveform.began_s = at_s
+            self.announce(task, task.waveform.buffered(), 0)
+
+    def _start_inputs(self, task: CardTask, clock: SampleClock) -> None:
+        task.origin_count = count_now(self.bench)
+        self.bench.begin_sampling(clock.rate_hz)
+        for output in self.tasks.values():
+            if output.running and output.trigger:
+                self._begin_waveform(output, self.bench.began_s)
+        task.buffer = self._input_buffer(task, AnalogSource(self.bench, task.channels, clock.rate_hz), clock)
+        for latched in self.tasks.values():
+            if latched.counter is not None and _follows_inputs(latched):
+                latched.counter.set_clock(LatchClock(clock.rate_hz, task.origin_count, 0))
+
+    def _start_counter(self, task: CardTask) -> None:
+        if task.encoder is None:
+            return
+        task.counter = EncoderCounter(self.bench, task.encoder, task.channels[0])
+        if task.clock is None:
+            return
+        task.buffer = self._input_buffer(task, task.counter, task.clock)
+        inputs = self._holders.get("ai")
+        if _follows_inputs(task) and inputs is not None and inputs.buffer is not None:
+            source = inputs.buffer.source
+            task.counter.set_clock(LatchClock(source.rate_hz, inputs.origin_count, source.total()))
+
+    def _input_buffer(self, task: CardTask, source: AnalogSource | EncoderCounter, clock: SampleClock) -> InputBuffer:
+        size = task.input_buffer or clock.buffer_size
+        buffer = InputBuffer(source, size, self.bench.clock.pace, self.changed, lambda: self.check_running(task))
+        buffer.stall(self.bench.faults.active.card_stalled)
+        return buffer
+
+    def _apply_faults(self) -> None:
+        with self.changed:
+            faults = self.bench.faults.active
+            lost, self._lost_samples = faults.overwritten_samples - self._lost_samples, faults.overwritten_samples
+            for task in self.tasks.values():
+                if task.buffer is not None:
+                    task.buffer.stall(faults.card_stalled)
+                    if lost > 0:
+                        task.buffer.forget_before(task.buffer.position + lost)
+            self.changed.notify_all()
 
 
-def checked_sample_clock(
-    task: CardTask, device: str, source: str, rate_hz: float, quantity: int, samples: int
-) -> SampleClock:
-    """Return a sample clock at the nearest rate that the card can make.
-
-    Raises
-    ------
-    CardError
-        For a rate, a terminal or a number of samples that the card does not have.
-    """
-    if quantity not in {SampleMode.FINITE, SampleMode.CONTINUOUS}:
-        raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, f"Sample mode {quantity} is not supported by this task.")
-    if not rate_hz > 0:
-        raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
-    if quantity == SampleMode.FINITE and samples < 1:
-        raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, "A finite task needs at least one sample per channel.")
-    place = pci6229.terminal(source, device) if source and source != "OnboardClock" else ""
-    match task.kind:
-        case ChannelKind.ANALOG_INPUT:
-            most_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels)
-        case ChannelKind.ANALOG_OUTPUT:
-            most_hz = pci6229.AO_MAX_RATE_HZ
-        case ChannelKind.COUNTER_INPUT:
-            return SampleClock(rate_hz, place, SampleMode(quantity), samples)
-        case None:
-            raise CardError(StatusCode.NO_CHANNELS, f"Task has no channels.\n\nTask Name: {task.name}")
-        case _:
-            raise CardError(StatusCode.ATTRIBUTE_NOT_SUPPORTED, "These digital lines have no sample clock.")
-    rate_hz = pci6229.possible_rate(rate_hz)
-    if rate_hz > most_hz * (1 + 1e-9):
-        code = StatusCode.RATE_TOO_HIGH if len(task.channels) == 1 else StatusCode.TOO_FAST_FOR_CHANNELS
-        raise CardError(
-            code, f"Sample rate {rate_hz:g} Hz is above the {most_hz:g} Hz that {len(task.channels)} channels can have."
-        )
-    return SampleClock(rate_hz, place, SampleMode(quantity), samples)
+def _required_resources(task: CardTask) -> list[str]:
+    if task.kind is ChannelType.ANALOG_INPUT:
+        return ["ai"]
+    if task.kind is ChannelType.DIGITAL_INPUT:
+        return []
+    places = [channel.physical for channel in task.channels]
+    return ["ao", *places] if task.kind is ChannelType.ANALOG_OUTPUT and task.clock is not None else places
 
 
-_VOLTS = 10348
-_VOLTAGE = 10322
-_LINEAR_ENCODER = 10361
-_TERMINAL_ATTRIBUTES = (ChannelAttribute.CI_A_TERMINAL, ChannelAttribute.CI_B_TERMINAL, ChannelAttribute.CI_Z_TERMINAL)
-_FILTER_ATTRIBUTES = (ChannelAttribute.CI_A_FILTER, ChannelAttribute.CI_B_FILTER, ChannelAttribute.CI_Z_FILTER)
-_FILTER_WIDTH_ATTRIBUTES = (
-    ChannelAttribute.CI_A_FILTER_S,
-    ChannelAttribute.CI_B_FILTER_S,
-    ChannelAttribute.CI_Z_FILTER_S,
-)
-_SETTABLE = frozenset(
-    {
-        *_TERMINAL_ATTRIBUTES,
-        *_FILTER_ATTRIBUTES,
-        *_FILTER_WIDTH_ATTRIBUTES,
-        ChannelAttribute.CI_DECODING,
-        ChannelAttribute.CI_Z_ENABLE,
-        ChannelAttribute.CI_Z_VALUE,
-        ChannelAttribute.CI_Z_PHASE,
-        ChannelAttribute.CI_DISTANCE_PER_PULSE,
-        ChannelAttribute.CI_INITIAL_POSITION,
-        ChannelAttribute.CI_UNITS,
-    }
-)
+def _follows_inputs(task: CardTask) -> bool:
+    return task.clock is not None and task.clock.source == pci6229.AI_SAMPLE_CLOCK
 
 
-def analog_inputs(
-    device: str, physical: str, name: str, terminals: int, min_V: float, max_V: float, units: int
-) -> list[VirtualChannel]:
-    """Return voltage inputs; raises `CardError` for what the card does not have."""
-    _refuse_custom_scale(units)
-    channels = []
-    for one in pci6229.physical_names(physical, device):
-        place = pci6229.known(one, pci6229.AI, device)
-        range_V = pci6229.input_range(place, terminals, min_V, max_V)
-        properties: dict[int, AttributeValue] = {
-            ChannelAttribute.AI_MAX: max_V,
-            ChannelAttribute.AI_MIN: min_V,
-            ChannelAttribute.AI_RANGE_HIGH: range_V,
-            ChannelAttribute.AI_RANGE_LOW: -range_V,
-            ChannelAttribute.AI_TERMINALS: terminals,
-            ChannelAttribute.AI_MEASURES: _VOLTAGE,
-        }
-        channels.append(_channel(device, ChannelKind.ANALOG_INPUT, place, name, range_V, properties))
-    return _with_numbered_names(channels, name)
-
-
-def analog_outputs(
-    device: str, physical: str, name: str, min_V: float, max_V: float, units: int
-) -> list[VirtualChannel]:
-    """Return voltage outputs; raises `CardError` for what the card does not have."""
-    _refuse_custom_scale(units)
-    if min_V >= max_V:
-        raise CardError(StatusCode.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
-    if max(abs(min_V), abs(max_V)) > pci6229.AO_RANGE_V:
-        raise _unsupported("AO.Max", max(abs(min_V), abs(max_V)), f"Maximum Value: {pci6229.AO_RANGE_V:g}")
-    properties: dict[int, AttributeValue] = {ChannelAttribute.AO_MAX: max_V, ChannelAttribute.AO_MIN: min_V}
-    places = [pci6229.known(one, pci6229.AO, device) for one in pci6229.physical_names(physical, device)]
-    channels = [
-        _channel(device, ChannelKind.ANALOG_OUTPUT, place, name, pci6229.AO_RANGE_V, dict(properties))
-        for place in places
-    ]
-    return _with_numbered_names(channels, name)
-
-
-def encoder_counter(
-    device: str, counter: str, name: str, properties: dict[int, AttributeValue]
-) -> list[VirtualChannel]:
-    """Return a counter for a linear encoder, with its attributes as created."""
-    places = [pci6229.known(one, pci6229.COUNTERS, device) for one in pci6229.physical_names(counter, device)]
-    if len(places) != 1:
-        raise CardError(StatusCode.INVALID_ATTRIBUTE_VALUE, "A task takes one counter.")
-    place = places[0]
-    told: dict[int, AttributeValue] = {
-        ChannelAttribute.CI_MEASURES: _LINEAR_ENCODER,
-        **{
-            one: f"/{device}/{pin}"
-            for one, pin in zip(_TERMINAL_ATTRIBUTES, pci6229.ENCODER_TERMINALS[place], strict=True)
-        },
-        **dict.fromkeys(_FILTER_ATTRIBUTES, False),
-        **dict.fromkeys(_FILTER_WIDTH_ATTRIBUTES, pci6229.FILTERS_S[0]),
-    }
-    channel = _channel(device, ChannelKind.COUNTER_INPUT, place, name, 0.0, told)
-    for attribute, value in properties.items():
-        set_property(channel, device, attribute, value)
-    return [channel]
-
-
-def digital_lines(device: str, lines: str, name: str, grouping: int, kind: ChannelKind) -> list[VirtualChannel]:
-    """Return channels of digital lines, one a line or one for all."""
-    found: list[str] = []
-    for one in pci6229.physical_names(lines, device):
-        width = pci6229.PORTS.get(one.lower())
-        found += (
-            [f"{one.lower()}/line{number}" for number in range(width)]
-            if width
-            else [pci6229.known(one, pci6229.LINES, device)]
-        )
-    groups = [(line,) for line in found] if grouping == LineGrouping.CHANNEL_PER_LINE else [tuple(found)]
-    channels = []
-    for group in groups:
-        channel = _channel(device, kind, group[0], name, 0.0, {})
-        channel.lines = group
-        channels.append(channel)
-    return _with_numbered_names(channels, name)
-
-
-def set_property(channel: VirtualChannel, device: str, attribute: int, value: AttributeValue) -> None:
-    """Set a channel's attribute; raises `CardError` for a value or an attribute that the card does not know."""
-    if attribute not in _SETTABLE or channel.kind is not ChannelKind.COUNTER_INPUT:
-        raise CardError(StatusCode.ATTRIBUTE_NOT_SUPPORTED, f"Property {attribute:#x} of {channel.name} cannot be set.")
-    if attribute in _TERMINAL_ATTRIBUTES:
-        value = f"/{device}/{pci6229.terminal(str(value), device)}"
-    elif attribute in _FILTER_WIDTH_ATTRIBUTES and not any(
-        math.isclose(float(str(value)), one) for one in pci6229.FILTERS_S
-    ):
-        raise _unsupported("CI.Encoder.*.DigFltr.MinPulseWidth", value, f"Possible Values: {pci6229.FILTERS_S}")
-    elif attribute == ChannelAttribute.CI_DECODING and value not in list(Decoding):
-        raise _unsupported("CI.Encoder.DecodingType", value, "Possible Values: X1, X2, X4")
-    elif attribute == ChannelAttribute.CI_UNITS and value not in list(LengthUnit):
-        raise _unsupported("CI.LinEncoder.Units", value, "Possible Values: meters, inches, ticks")
-    channel.properties[attribute] = value
-
-
-def encoder_decoding(channel: VirtualChannel, wiring: CardSettings) -> EncoderDecoding:
-    """Return how a counter takes the encoder that is wired as `wiring` says."""
-    a, b, z = (str(channel.properties[one]).rsplit("/", 1)[-1].lower() for one in _TERMINAL_ATTRIBUTES)
-    wired = (wiring.encoder.a.lower(), wiring.encoder.b.lower())
-    unit = LengthUnit(int(_numeric_property(channel, ChannelAttribute.CI_UNITS)))
-    return EncoderDecoding(
-        decoding=Decoding(int(_numeric_property(channel, ChannelAttribute.CI_DECODING))),
-        unit=unit,
-        distance_per_pulse=_numeric_property(channel, ChannelAttribute.CI_DISTANCE_PER_PULSE),
-        initial_position=_numeric_property(channel, ChannelAttribute.CI_INITIAL_POSITION),
-        index=bool(channel.properties[ChannelAttribute.CI_Z_ENABLE])
-        and bool(wiring.encoder.z)
-        and z == wiring.encoder.z.lower(),
-        index_position=_numeric_property(channel, ChannelAttribute.CI_Z_VALUE),
-        sense={wired: 1, wired[::-1]: -1}.get((a, b), 0),
-    )
-
-
-def wired_signal(channel: VirtualChannel, wiring: CardSettings) -> str | None:
-    """Return the bench's name for what is on an analog input; None when nothing is."""
-    if channel.physical == wiring.force.channel.lower():
-        return "force_V"
-    return next((one.name for one in wiring.inputs if one.channel.lower() == channel.physical), None)
-
-
-def _channel(
-    device: str, kind: ChannelKind, place: str, name: str, range_V: float, properties: dict[int, AttributeValue]
-) -> VirtualChannel:
-    told: dict[int, AttributeValue] = {
-        ChannelAttribute.TYPE: int(kind),
-        ChannelAttribute.PHYSICAL: f"{device}/{place}",
-        **properties,
-    }
-    return VirtualChannel(name or f"{device}/{place}", kind, place, range_V, (), told)
-
-
-def _with_numbered_names(channels: list[VirtualChannel], name: str) -> list[VirtualChannel]:
-    if name and len(channels) > 1:
-        for number, channel in enumerate(channels):
-            channel.name = f"{name}{number}"
-    return channels
-
-
-def _numeric_property(channel: VirtualChannel, attribute: ChannelAttribute) -> float:
-    value = channel.properties[attribute]
-    if isinstance(value, str | list):
-        raise TypeError(f"attribute {attribute!r} is no number")
-    return float(value)
-
-
-def _refuse_custom_scale(units: int) -> None:
-    if units != _VOLTS:
-        raise _unsupported("AI.Voltage.Units", units, "Possible Values: volts")
-
-
-def _unsupported(name: str, value: object, possible: str) -> CardError:
-    return CardError(
-        StatusCode.INVALID_ATTRIBUTE_VALUE,
-        "Requested value is not a supported value for this property. The property value may be invalid because it "
-        f"conflicts with another property.\n\nProperty: {name}\nRequested Value: {value}\n{possible}",
-    )
-
-
-class AnalogSource:
-    """Volts of analog inputs, as the converter tells them."""
-
-    def __init__(self, bench: Bench, channels: list[VirtualChannel], rate_hz: float) -> None:
-        self._bench = bench
-        self._signals = [(wired_signal(one, bench.rig.hardware.card), one.range_V) for one in channels]
-        self._rate_hz = rate_hz
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-        return self._rate_hz
-
-    def total(self) -> int:
-        """Return how many samples per channel were taken."""
-        return self._bench.available()
-
-    def fetch(self, first: int, end: int) -> list[FloatArray]:
-        """Return volts of each channel; 0 where nothing is wired."""
-        shown = self._bench.sample(first, end)
-        return [
-            pci6229.quantised(shown[signal], range_V) if signal is not None else np.zeros(end - first)
-            for signal, range_V in self._signals
-        ]
+def _default_buffer(rate_hz: float, samples: int) -> int:
+    """Return the driver's buffer of a continuous task (NI-DAQmx Help, "How Is Buffer Size Determined?")."""
+    for below_hz, size in ((100.0, 1_000), (10_000.0, 10_000), (1_000_000.0, 100_000)):
+        if rate_hz <= below_hz:
+            return max(size, samples)
+    return max(1_000_000, samples)
