@@ -78,9 +78,9 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     bench.faults.clear()
     manual.reset()
     manual.jog(-1.0)
-    looks = [prompt for prompt in bench.prompts if "Look" in prompt.text or "origin" in prompt.text]
-    assert len(looks) >= 5
-    assert all(prompt.hands for prompt in looks)
+    checks = [prompt for prompt in bench.prompts if "Check the rig" in prompt.text or "origin" in prompt.text]
+    assert len(checks) >= 5
+    assert all(prompt.hands for prompt in checks)
 
 
 def test_a_person_touches_off(bench: Bench) -> None:
