@@ -61,7 +61,7 @@ def unknown_without_a_rival(found: Diagnosis) -> bool:
 def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path) -> None:
     found = step(tmp_path, "sepiolite", 1.0)
     assert unknown_without_a_rival(found), found.ranking
-    assert any("cannot be told from friction that changes along the way" in one for one in found.limitations)
+    assert any("cannot be separated from friction that changes along the stroke" in one for one in found.limitations)
     way, before, after = dies_away(found)
     # Published over the same stretch: 0.0034 without, 0.0013 with one exponential over about 210 µm; 1 is 1000 mN here.
     assert way == pytest.approx(0.21, abs=0.03)

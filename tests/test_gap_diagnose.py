@@ -120,9 +120,9 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
 @pytest.mark.parametrize(
     ("kinds", "said"),
     [
-        (("relaxation",), {"Without drag runs", "Without Coulomb runs"}),
-        (("drag",), {"Without relaxations", "Without blank runs"}),
-        (("relaxation", "coulomb", "drag"), {"Without blank runs"}),
+        (("relaxation",), {"No drag runs", "No Coulomb runs"}),
+        (("drag",), {"No relaxation runs", "No blank runs"}),
+        (("relaxation", "coulomb", "drag"), {"No blank runs"}),
     ],
 )
 def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], said: set[str]) -> None:
@@ -139,7 +139,7 @@ def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     experiment = next(experiment for experiment in choose_runs(PRACTICE).experiments if experiment.kind == kind)
     diagnosis = diagnose(choose_runs([experiment.run]), MODEL)
     assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
-    assert any("none can be kept back" in sentence for sentence in diagnosis.limitations)
+    assert any("Too few runs to hold any out" in sentence for sentence in diagnosis.limitations)
     assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)
     json.dumps(diagnosis_json(diagnosis))
 

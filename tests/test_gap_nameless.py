@@ -12,7 +12,7 @@ from dragrig.analysis.gap.classifier import Classification, classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
-from dragrig.analysis.gap.features import EFFECTS_OF_LAW, DecisionInputs, HypothesisSummary, NonparametricLaw
+from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
 from dragrig.analysis.gap.run_data import RunData
@@ -22,7 +22,7 @@ from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap, nonparame
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.sim_backend.effects.base import Effect, catalogue
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 PERIOD_S = 13.0
@@ -81,11 +81,15 @@ def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nomi
     assert 3.0 < best.change_mN < 20.0
 
 
+EXAMPLES = [effect for effect in catalogue().values() if effect.free_law]
+"""Effects that are a nonparametric law themselves."""
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_alone_is_no_law(seed: int, study: Study, nominal: Design) -> None:
     noise = planted(study, nominal, lambda _: 0.0, seed)
     laws = {law.name: law for law in fit_nonparametric_laws(noise, study.runs, PERIOD_S)}
-    assert set(laws) >= {*LAWS, *EFFECTS_OF_LAW}
+    assert set(laws) >= {*LAWS, *(effect.free_law for effect in EXAMPLES)}
     blocks = sum(nominal.block_counts)
     assert all(law.chi2 > blocks - 4 * np.sqrt(2 * blocks) for law in laws.values())
 
@@ -110,11 +114,10 @@ def test_a_name_that_explains_less_than_any_speed_law_is_not_given() -> None:
     )
 
 
-@pytest.mark.parametrize("law", EFFECTS_OF_LAW)
-def test_an_effect_that_is_such_a_law_stays_named(law: str) -> None:
-    for effect in EFFECTS_OF_LAW[law]:
-        assert effect in catalogue()
-        assert classify(case(effect, 8600.0, law, NOISE), DEFAULT_TOLERANCE_MN).effects == (effect,)
+@pytest.mark.parametrize("effect", EXAMPLES, ids=lambda effect: effect.id)
+def test_an_effect_that_is_such_a_law_stays_named(effect: Effect) -> None:
+    inputs = case(effect.id, 8600.0, effect.free_law, NOISE)
+    assert classify(inputs, DEFAULT_TOLERANCE_MN).effects == (effect.id,)
 
 
 def test_a_law_opens_a_gap_that_no_effect_sees_unless_it_is_too_small_to_matter() -> None:

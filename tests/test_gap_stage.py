@@ -96,7 +96,7 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
     assert not hypotheses(diagnosis) & NOT_OF_A_STAGE
     assert diagnosis.detection_limit_mN < 10.0
     text = " ".join(diagnosis.limitations)
-    assert "no amended model" in text
+    assert "No amended model" in text
     assert "one way" not in text
     assert "gut" not in text
 

@@ -21,8 +21,9 @@ from dragrig.analysis.gap.features import (
     largest_llr,
     shipped_calibration,
 )
+from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import confusable_effects
+from dragrig.sim_backend.effects.base import catalogue, confusable_effects
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
 
@@ -160,17 +161,18 @@ def _mains_dominates(mains_llr: float, line_llr: float) -> bool:
 
 def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
     seen = _logistic((inputs.mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
-    hum = 0.0 if "mains_hum" in inputs.excluded else seen
+    hum_id = hum_effect().id
+    hum = 0.0 if hum_id in inputs.excluded else seen
     if not _mains_dominates(inputs.mains_llr, inputs.line_llr):
         hum = min(hum, 0.2)
     foreign = _other_line_probability(inputs)
-    if "mains_hum" in inputs.excluded:
+    if hum_id in inputs.excluded:
         foreign = max(foreign, seen)
     if hum > 0.5:
         beside = force.total > 0.5
-        named = {(*names, "mains_hum"): value for names, value in force.probabilities.items()} if beside else {}
+        named = {(*names, hum_id): value for names, value in force.probabilities.items()} if beside else {}
         alone = min(hum, MAX_PROBABILITY) * (1.0 - force.total if beside else 1.0)
-        return _classification({**named, ("mains_hum",): alone}, 1.0 - min(hum, MAX_PROBABILITY), 0.0, force)
+        return _classification({**named, (hum_id,): alone}, 1.0 - min(hum, MAX_PROBABILITY), 0.0, force)
     if foreign > 0.5 and foreign > force.total:
         return _classification({}, foreign, 1.0 - foreign, force)
     return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total, force)
@@ -207,7 +209,8 @@ def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> C
     sure = min((force.marginal(name) for name in beside), default=1.0)
     alternatives = {beside: sure} if beside else _confusable_group(inputs, force)
     alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
-    hum = ("mains_hum",) if inputs.mains_llr > MIN_MAINS_LLR and "mains_hum" not in inputs.excluded else ()
+    hum_id = hum_effect().id
+    hum = (hum_id,) if inputs.mains_llr > MIN_MAINS_LLR and hum_id not in inputs.excluded else ()
     share = inputs.position[0][1] if inputs.position else 0.0
     named = min(max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY)
     rivals = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
@@ -263,8 +266,6 @@ def _logistic(value: float) -> float:
     return 1.0 / (1.0 + exp(-min(max(value, -40.0), 40.0)))
 
 
-EFFECTS_OUTSIDE_FORCE = frozenset({"servo_lag", "velocity_ripple", "encoder_scale", "mains_hum"})
-"""Effects that the weights know nothing of: they are found on the position, or as a line."""
 FEATURE_RIDGE, EFFECT_RIDGE = 0.02, 0.5
 """Prior precisions of a weight: of a feature, and of a single effect's, of which there are few campaigns each."""
 PRIOR_GATE = GapGate(least_gain=18.0, gain_width=3.0, least_left=0.075, left_width=0.012)
@@ -366,7 +367,7 @@ def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float
         (*_gate_inputs(case.inputs, tolerance_mN), bool(case.effects or case.outside))
         for case in cases
         if not case.inputs.has_position_error
-        and not case.effects & EFFECTS_OUTSIDE_FORCE
+        and _force_effects(case) == case.effects
         and (not case.effects or case.size >= min_size)
     ]
     gain, left, there = (np.array(column) for column in zip(*rows, strict=True))
@@ -404,9 +405,15 @@ def _logistic_array(values: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -40.0, 40.0))))
 
 
+def _force_effects(case: TrainingCase) -> frozenset[str]:
+    """Return the hidden effects that the weights concern: not those found in the position or as a line."""
+    known = catalogue()
+    return frozenset(name for name in case.effects if name not in known or known[name].has_force_signature)
+
+
 def _is_informative(case: TrainingCase, tolerance_mN: float) -> bool:
     """Whether it is the force that is to be explained, and anything explains some of it."""
-    of_force = case.effects - EFFECTS_OUTSIDE_FORCE
+    of_force = _force_effects(case)
     tried = [hypothesis.llr for hypothesis in case.inputs.hypotheses if hypothesis.change_mN >= tolerance_mN]
     return (bool(of_force) or (case.outside and not case.inputs.has_position_error)) and max(
         tried, default=0.0
@@ -415,7 +422,7 @@ def _is_informative(case: TrainingCase, tolerance_mN: float) -> bool:
 
 def _correct_choice(case: TrainingCase, hypotheses: Sequence[tuple[str, ...]]) -> int:
     """Return which explanation has just the hidden effects, else the most of them and no other, else none."""
-    hidden = case.effects - EFFECTS_OUTSIDE_FORCE
+    hidden = _force_effects(case)
     if case.outside:
         return len(hypotheses)
     fitting = [number for number, names in enumerate(hypotheses) if set(names) <= hidden]

@@ -40,11 +40,11 @@ from dragrig.analysis.gap.next_run_position import reasons_for_no_run, recommend
 from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
 from dragrig.analysis.gap.spectral_lines import (
-    MAINS_HUM,
     SpectralLine,
     SpectralLines,
     correct_known_motion,
     find_spectral_lines,
+    hum_effect,
     known_effects,
     lines_beyond_known,
 )
@@ -56,7 +56,7 @@ from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import DiagnosisSummary, EffectSettings, FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Effect, ForceEffect, SensorEffect, catalogue
+from dragrig.sim_backend.effects.base import catalogue
 
 
 def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: SpectralLines) -> Study:
@@ -108,9 +108,7 @@ def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
         for candidate in fit.parameters.candidates
         if is_periodic_in_session(candidate.effect)
     )
-    return next(
-        (value for candidate in swinging for name, value in candidate.values.items() if name.startswith("period")), 0.0
-    )
+    return next((candidate.values[candidate.effect.period_parameter] for candidate in swinging), 0.0)
 
 
 def _single_summary(fit: HypothesisFit, squares: float) -> HypothesisSummary:
@@ -162,10 +160,20 @@ def hypothesis_parameters(
     moved = position.candidate
     if moved is not None and moved.effect.id in name.split("+"):
         quantities += _quantities(moved, position.standard_errors, "+" in name)
-    if name == "mains_hum":
-        quantities.append(_quantity("amplitude_mN", "mN", lines.mains.amplitude, 0.5 * lines.mains.amplitude**0.5))
-        quantities.append(_quantity("frequency_hz", "Hz", lines.mains.frequency_hz, 0.5))
+    if name == hum_effect().id:
+        errors = np.array([0.5 * lines.mains.amplitude**0.5, 0.5])
+        units = {parameter.name: parameter.unit for parameter in hum_effect().parameters}
+        quantities += [
+            _quantity(parameter, units[parameter], value, error)
+            for (parameter, value), error in zip(_hum_values(lines).items(), errors.tolist(), strict=True)
+        ]
     return tuple(quantities)
+
+
+def _hum_values(lines: SpectralLines) -> dict[str, float]:
+    """Return the parameters of hum that a spectral line has; its phase differs from run to run."""
+    hum, line = hum_effect(), lines.mains
+    return {hum.size.name: line.amplitude, hum.period_parameter: line.frequency_hz}
 
 
 def _quantities(candidate: Candidate, errors: Sequence[float], several: bool) -> Iterator[EstimatedQuantity]:
@@ -203,7 +211,6 @@ def _traces_of_run(gap: RunGap) -> RunTraces:
     )
 
 
-HUM_EFFECT = "mains_hum"
 PARAMETER_DIGITS = 6
 
 
@@ -229,9 +236,8 @@ def amended_model(
         effects += [candidate.settings for candidate in chosen.parameters.candidates]
     if position.candidate is not None and position.candidate.effect.id in classification.effects:
         effects.append(position.candidate.settings)
-    if HUM_EFFECT in classification.effects:
-        hum = {"amplitude_mN": lines.mains.amplitude, "frequency_hz": lines.mains.frequency_hz}
-        effects.append(EffectSettings(id=HUM_EFFECT, parameters=hum))
+    if hum_effect().id in classification.effects:
+        effects.append(EffectSettings(id=hum_effect().id, parameters=_hum_values(lines)))
     rounded = [
         EffectSettings(
             id=effect.id, parameters={name: _rounded_value(value) for name, value in effect.parameters.items()}
@@ -320,7 +326,7 @@ def diagnose(
     position = analyse_position(selection.experiments, effects)
     progress(1, DIAGNOSIS_STEPS)
     study = prepare_study(
-        _with_trusted_motion(selection, position), nominal, [effect for effect in effects if _acts_on_force(effect)]
+        _with_trusted_motion(selection, position), nominal, [effect for effect in effects if effect.has_force_signature]
     )
     lines = lines_beyond_known(_without_slow_lines(find_spectral_lines(selection.experiments, study.channel)), known)
     prepared = perf_counter()
@@ -346,10 +352,6 @@ def diagnose(
     return replace(diagnosis, timings_s=timings)
 
 
-def _acts_on_force(effect: Effect) -> bool:
-    return isinstance(effect, ForceEffect | SensorEffect) and effect.id != MAINS_HUM
-
-
 def _without_slow_lines(lines: SpectralLines) -> SpectralLines:
     """Leave out what may be slow noise."""
     slow = lines.other.frequency_hz <= SLOW_LINE_HZ and lines.other.llr < MIN_SLOW_LINE_LLR
@@ -372,7 +374,7 @@ def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
 
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the explanation that has the effects of the force that were named."""
-    named = {name for name in classification.effects if name != MAINS_HUM}
+    named = {name for name in classification.effects if name != hum_effect().id}
     tried = [*search.singles, *(step.fit for step in search.steps if step.fit is not None)]
     fitting = [fit for fit in tried if set(fit.effects) <= named]
     return max(fitting, key=lambda fit: len(fit.effects), default=None)
@@ -390,7 +392,7 @@ def _assembled_diagnosis(
     evidence: DecisionInputs,
 ) -> Diagnosis:
     chosen = _named_fit(search, classification)
-    hum = lines.mains if MAINS_HUM in classification.effects else replace(lines.mains, amplitude=0.0)
+    hum = lines.mains if hum_effect().id in classification.effects else replace(lines.mains, amplitude=0.0)
     swing = lines.other if unknown_because_of_line(evidence, classification) else None
     blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, swing or hum)]
     blocks += position_residual_blocks(position.runs)
@@ -474,7 +476,7 @@ def _ranked_hypotheses(
     known = (
         [ranked.effect for ranked in search.ranked]
         + [model_class.effect for model_class in position.model_classes]
-        + [MAINS_HUM, NO_GAP, UNKNOWN]
+        + [hum_effect().id, NO_GAP, UNKNOWN]
     )
     whole = {**dict.fromkeys(known, 0.0), **classification.probabilities}
     sums = sum(whole.values())

@@ -10,21 +10,21 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.sim_backend.effects.base import confusable_effects
+from dragrig.sim_backend.effects.base import Effect, catalogue, confusable_effects, similar_effects
 
 
 @dataclass(frozen=True, slots=True)
 class NonparametricLaw:
-    """A law that bears no name: a force that is any function of one coordinate.
+    """A fit of the force as any smooth function of one coordinate.
 
     Attributes
     ----------
     name
-        What it is a function of.
+        The coordinate.
     chi2
-        Whitened squares that remain, and what so many free values cost: twice the logarithm of the evidence.
+        Minus twice the log evidence: chi-square plus the Occam factor of the free values.
     change_mN
-        By how much it changes what is predicted: root mean square where it does.
+        Rms force of the law where it acts.
     """
 
     name: Annotated[str, Field(alias="law")]
@@ -34,33 +34,32 @@ class NonparametricLaw:
 
 @dataclass(frozen=True, slots=True)
 class HypothesisSummary:
-    """Effects that were refitted together, and what they leave.
+    """Numbers of a hypothesis that the verdict uses.
 
     Attributes
     ----------
     effects
-        Their ids, in the order in which they were taken up.
+        Ids of its effects, in the order of selection.
     chi2, chi2_with_form_error
-        Whitened squares that remain as they are, and when each may have a foreign form.
+        Chi-square without and with form error of the effects.
     change_mN
-        By how much they change what is predicted, the nominal parameters refitted: root mean square where they act.
+        Rms change of the prediction, nominal parameters refitted, where it changes.
     periodic
-        Whether one of them is periodic on the session's clock, whose phase may be lost from run to run.
+        Whether one of the effects is periodic in session time, so that its phase may be lost between runs.
     llr
-        Half the squares that the last of them takes away; beside others, where these do little (`doubting`).
+        Log likelihood ratio of the last effect; beside others with their form error (`inflate_by_form_error`).
     chi2_without
-        Squares that remain without the last one, the form of the others in the same doubt.
+        Chi-square without the last effect, with the same form error.
     rival_llr
-        What the best other effect takes away in its place; 0 where there is no other.
+        Log likelihood ratio of the best other effect in its place; 0 for none.
     laws
-        Beside the others: the laws without a name that leave least in the place of the last of them.
+        Best nonparametric laws in place of the last of several effects.
     excess_elsewhere
-        What is left in runs where they add nothing, in standard deviations of chance.
+        Excess chi-square in runs without any force of the effects, in standard deviations of chance.
     at_limit
-        Whether one of them is as large as it can be, and would be larger.
+        Whether an effect has its largest possible size.
     untried_lookalikes
-        How many effects, which the nominal model leaves no place for and which were therefore not tried, may look the
-        same in these runs.
+        Number of effects that could not be tried with this nominal model and may look alike in these runs.
     """
 
     effects: tuple[str, ...]
@@ -79,24 +78,24 @@ class HypothesisSummary:
 
 @dataclass(frozen=True, slots=True)
 class DecisionInputs:
-    """All that a verdict is made of.
+    """All numbers that a verdict is based on.
 
     Attributes
     ----------
     block_count, chi2
-        Of the force: number of blocks, and whitened squares that the nominal model leaves.
+        Number of blocks of the force, and chi-square of the nominal model.
     hypotheses
-        Explanations of the force.
+        Hypotheses that were fitted to the force.
     mains_llr, line_llr
-        Log likelihood ratios of lines at the mains' frequency and elsewhere.
+        Log likelihood ratios of spectral lines at the mains frequency and elsewhere.
     position
-        Families of position errors with the share each explains, the best first.
+        Effects by the model class of the position error, with their held-out shares, the best first.
     has_position_error
-        Whether there are such errors at all.
+        Whether the position deviates from the command.
     excluded
-        Effects that were not to be considered.
+        Effects left out of the search.
     laws
-        Laws of one coordinate that bear no name, the best first.
+        Nonparametric laws beside the nominal model, the best first.
     """
 
     block_count: Annotated[int, Field(alias="blocks")]
@@ -131,22 +130,22 @@ HAND_SET_WEIGHTS = MappingProxyType(
         "third": -3.0,
     }
 )
-"""How an effect explains as it stands counts for more where nothing is known of how foreign forms can be."""
+"""The exact form counts more where the size of form errors is not known from training."""
 EFFECT_FEATURE = "is "
 FURTHER_EFFECT_FEATURE = f"{EFFECT_FEATURE}further: "
-"""Features that say no more than which effect it is begin so: of the first, and of those beside it."""
+"""Prefixes of indicator features: which effect is the first, and which are further ones."""
 CALIBRATION_FILE = Path(__file__).with_name("calibration.json")
 
 
 class GapGate(BaseModel):
-    """When a gap is seen at all.
+    """Probability that a gap exists at all, as logistic functions.
 
     Attributes
     ----------
     least_gain, gain_width
-        Half the squares that the best explanation takes away at which it is as likely as not, and the logistic's width.
+        Log likelihood ratio of the best hypothesis at probability 0.5, and width of the logistic.
     least_left, left_width
-        The same of the excess over the number of blocks, for what no effect explains.
+        The same for the excess over the number of blocks, for gaps that no effect explains.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -158,20 +157,20 @@ class GapGate(BaseModel):
 
 
 class Calibration(BaseModel):
-    """Weights with where they come from.
+    """Weights of the features, with their origin.
 
     Attributes
     ----------
     version
-        Of the file's form and of the features.
+        Version of file format and features.
     command
-        What made it.
+        Command that made it.
     seeds, cases
-        Of the campaigns that it was learnt on.
+        Seeds and number of the training campaigns.
     gate
-        When a gap is seen at all.
+        Probability that a gap exists.
     weights
-        Of the features; what is not named counts for nothing.
+        Weight of each feature; features not named have weight 0.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -185,75 +184,44 @@ class Calibration(BaseModel):
 
     @property
     def with_hand_set_weights(self) -> "Calibration":
-        """The same thresholds with weights set by hand: campaigns of a gut teach little of a stage alone."""
+        """The same gate with hand-set weights: campaigns of a gut teach little about a stage alone."""
         return self.model_copy(update={"weights": HAND_SET_WEIGHTS})
 
     def utility(self, features: Mapping[str, float]) -> float:
-        """Return the logarithm of a hypothesis' odds against the unknown."""
+        """Return the log odds of a hypothesis against `unknown`."""
         return sum(self.weights.get(name, 0.0) * value for name, value in features.items())
 
 
 @cache
 def shipped_calibration() -> Calibration:
-    """Return the calibration that ships."""
+    """Return the shipped calibration."""
     return Calibration.model_validate_json(CALIBRATION_FILE.read_text(encoding="utf-8"))
 
 
-CONFUSABLE_PAIRS = frozenset(
-    frozenset(pair)
-    for pair in (
-        ("arm_compliance", "channel_latency"),
-        ("arm_compliance", "payload_inertia"),
-        ("channel_latency", "payload_inertia"),
-        ("payload_inertia", "stribeck"),
-        ("payload_inertia", "wall_lift_off"),
-        ("stribeck", "adhesion"),
-        ("stribeck", "breakaway"),
-        ("stribeck", "wall_inertia"),
-        ("presliding", "breakaway"),
-        ("wall_lift_off", "wall_inertia"),
-        ("wall_lift_off", "peristalsis"),
-        ("mesentery_tether", "folds"),
-        ("mesentery_tether", "peristalsis"),
-        ("force_drift", "peristalsis"),
-        ("folds", "peristalsis"),
-        ("force_hysteresis", "force_nonlinearity"),
-    )
-)
-"""Effects that act on the same: what another form of one leaves, the other may pass for."""
-EFFECTS_OF_LAW: Mapping[str, frozenset[str]] = MappingProxyType(
-    {
-        "place in the gut": frozenset({"mesentery_tether"}),
-        "load": frozenset({"force_nonlinearity"}),
-        "session": frozenset({"force_drift"}),
-    }
-)
-"""Effects that are such a law without a name themselves: it says nothing against them."""
 CHANCE_SIGMAS, NOISE_UNCERTAINTY = 2.5, 0.06
-"""Squares above noise that are chance: standard deviations of χ², and the share to which noise is known at all."""
+"""Chi-square above its expectation counts as chance up to 2.5 standard deviations, or the relative uncertainty of the
+noise level."""
 FORM_LOSS = 0.12
-"""How much less, relative, the right effect may take away than a wrong one because its form is another."""
+"""Relative log likelihood ratio that the right effect may lose to a wrong one because of its form error."""
 CLEAR_EXCESS_RANGE = 0.37, 55.0
-"""Between these the excess over what may be chance says more, the larger it is."""
-ABRUPT_EFFECTS = frozenset({"arm_compliance", "channel_latency", "payload_inertia"})
-"""Effects that act where the force is steepest, of which another form leaves much; of any other it leaves little."""
+"""Range of the ratio of excess to chance over which a gap becomes clear."""
 ABRUPT_WEIGHT = 0.4
-"""Part of what they take away that counts for a gap: jerk of a motion and steps of a programme resemble them there."""
+"""Weight of abrupt effects in the gate: jerk of a motion and integration steps resemble them."""
 AT_LIMIT_MIN_SHARE = 0.95
-"""An effect as large as it can be that explains more than this share, just as it is, is the right one nevertheless."""
+"""An effect at its limit is admitted only if it explains more than this share in its exact form."""
 REMAINING_CHI2_RANGE = 1.0, 100.0
-"""Squares above noise per block from which on what is left of a gap is more than a form makes."""
+"""Range of remaining chi-square per block beyond which form error is no explanation."""
 NONPARAMETRIC_CHANCE_LLR = 10.0
-"""Half squares that a law without a name takes away by chance."""
+"""Log likelihood ratio that a nonparametric law reaches by chance."""
 FURTHER_LLR_RANGE = 5.0, 60.0
-"""Half squares between which a further effect becomes sure, as far as noise goes."""
+"""Range of the log likelihood ratio over which a further effect becomes certain."""
 SHARE_SOFTENING = 0.02
-"""Shares within this of 0 and 1 are not told from them."""
+"""Shares closer than this to 0 or 1 are not distinguished from them."""
 
 
 @dataclass(frozen=True, slots=True)
 class HypothesisFeatures:
-    """Effects that may be the ones, with what speaks for and against them."""
+    """A hypothesis with its features and the share of the excess that it explains."""
 
     effects: tuple[str, ...]
     features: Mapping[str, float]
@@ -261,18 +229,18 @@ class HypothesisFeatures:
 
 
 def hypothesis_features(inputs: DecisionInputs, tolerance_mN: float) -> tuple[HypothesisFeatures, ...]:
-    """Return the explanations that change the force by more than what does not matter, and are no larger than can be.
+    """Return the features of all admissible hypotheses with a relevant change of the force.
 
-    What would have to be larger than it can be is something else that resembles it, unless that leaves next to nothing.
-    Several are not thought of where one of them resembles an effect that was left out of the search.
+    A hypothesis at its size limit is something else that resembles it, unless it leaves next to nothing. Several
+    effects are not considered where one of them is confusable with an excluded effect.
     """
-    tried = [
+    admissible = [
         hypothesis
         for hypothesis in inputs.hypotheses
         if hypothesis.change_mN >= tolerance_mN and _is_admissible(hypothesis, inputs)
     ]
-    best = max((hypothesis.llr for hypothesis in tried if len(hypothesis.effects) == 1), default=0.0)
-    return tuple(_features_of(hypothesis, inputs, best) for hypothesis in tried)
+    best = max((hypothesis.llr for hypothesis in admissible if len(hypothesis.effects) == 1), default=0.0)
+    return tuple(_features_of(hypothesis, inputs, best) for hypothesis in admissible)
 
 
 def _is_admissible(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
@@ -282,46 +250,46 @@ def _is_admissible(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> boo
 
 
 def _replaces_excluded_effect(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
-    """Return whether several effects may do together what a single one does that was left out of the search."""
-    alike = {label for name in hypothesis.effects for label in confusable_effects(name)}
-    return len(hypothesis.effects) > 1 and bool(alike & set(inputs.excluded))
+    """Whether several effects may together imitate one that was excluded from the search."""
+    confusable = {confusable_name for name in hypothesis.effects for confusable_name in confusable_effects(name)}
+    return len(hypothesis.effects) > 1 and bool(confusable & set(inputs.excluded))
 
 
 def chance_chi2(inputs: DecisionInputs) -> float:
-    """Return squares above the number of blocks that may be chance."""
+    """Return the chi-square above its expectation that may be chance."""
     return max(CHANCE_SIGMAS * sqrt(2.0 * inputs.block_count), NOISE_UNCERTAINTY * inputs.block_count)
 
 
 def explained_share(chi2: float, inputs: DecisionInputs) -> float:
-    """Return the share of the excess that is explained when so many squares remain, chance not counted as left."""
-    gained = max(inputs.chi2 - chi2, 0.0)
-    return gained / max(gained + _remaining_chi2(chi2, inputs), 1.0)
+    """Return the share of the excess that is explained at this chi-square; chance counts as explained."""
+    explained = max(inputs.chi2 - chi2, 0.0)
+    return explained / max(explained + _remaining_chi2(chi2, inputs), 1.0)
 
 
 def _remaining_chi2(chi2: float, inputs: DecisionInputs) -> float:
-    """Return the squares that remain above what may be chance."""
+    """Return the chi-square above expectation and chance."""
     return max(chi2 - inputs.block_count - chance_chi2(inputs), 0.0)
 
 
 def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr: float) -> HypothesisFeatures:
-    flexible = explained_share(hypothesis.chi2_with_form_error, inputs)
-    plain = flexible if hypothesis.periodic else explained_share(hypothesis.chi2, inputs)
-    by_form, clear = (
-        _softened_log_odds(flexible),
+    form_error_share = explained_share(hypothesis.chi2_with_form_error, inputs)
+    exact_share = form_error_share if hypothesis.periodic else explained_share(hypothesis.chi2, inputs)
+    form_error_odds, clear = (
+        _softened_log_odds(form_error_share),
         _clipped_log(inputs.excess / chance_chi2(inputs), *CLEAR_EXCESS_RANGE),
     )
     features = {
         "known": 1.0,
         "known, in a clear gap": clear,
-        "plain": _softened_log_odds(plain),
-        "plain, below half": min(_softened_log_odds(plain), 0.0),
-        "plain, in a clear gap": clear * _softened_log_odds(plain),
-        "flexible": by_form,
-        "flexible, below half": min(by_form, 0.0),
-        "flexible, in a clear gap": clear * by_form,
+        "plain": _softened_log_odds(exact_share),
+        "plain, below half": min(_softened_log_odds(exact_share), 0.0),
+        "plain, in a clear gap": clear * _softened_log_odds(exact_share),
+        "flexible": form_error_odds,
+        "flexible, below half": min(form_error_odds, 0.0),
+        "flexible, in a clear gap": clear * form_error_odds,
         "left elsewhere": log(1.0 + max(hypothesis.excess_elsewhere, 0.0)),
         "left, much": 0.0
-        if ABRUPT_EFFECTS & set(hypothesis.effects)
+        if any(effect.abrupt for effect in _catalogued(hypothesis.effects))
         else _clipped_log(
             _remaining_chi2(hypothesis.chi2_with_form_error, inputs) / inputs.block_count, *REMAINING_CHI2_RANGE
         ),
@@ -335,63 +303,69 @@ def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr
         features["behind"] = (best_llr - hypothesis.llr) / (1.0 + FORM_LOSS * best_llr)
     else:
         features |= _further_effect_features(hypothesis, inputs)
-    return HypothesisFeatures(hypothesis.effects, features, 0.5 * (plain + flexible))
+    return HypothesisFeatures(hypothesis.effects, features, 0.5 * (exact_share + form_error_share))
 
 
 def gap_weight(effect: str) -> float:
-    """Return the part of what an effect takes away that counts for a gap."""
-    return ABRUPT_WEIGHT if effect in ABRUPT_EFFECTS else 1.0
+    """Return the weight of an effect's log likelihood ratio in the gate."""
+    return ABRUPT_WEIGHT if any(known.abrupt for known in _catalogued([effect])) else 1.0
 
 
 def largest_llr(inputs: DecisionInputs, tolerance_mN: float) -> float:
-    """Return half the squares that the best explanation takes away, with a name or without, of those that matter."""
-    named = [
+    """Return the largest weighted log likelihood ratio of relevant effects and nonparametric laws."""
+    effects = [
         hypothesis.llr * gap_weight(hypothesis.effects[-1])
         for hypothesis in inputs.hypotheses
         if hypothesis.change_mN >= tolerance_mN
     ]
-    nameless = [0.5 * (inputs.chi2 - law.chi2) for law in inputs.laws if law.change_mN >= tolerance_mN]
-    return max((*named, *nameless, 0.0))
+    laws = [0.5 * (inputs.chi2 - law.chi2) for law in inputs.laws if law.change_mN >= tolerance_mN]
+    return max((*effects, *laws, 0.0))
 
 
 def _nonparametric_features(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> dict[str, float]:
-    """Return by how much a law without a name does better, or worse, than the effects in any form."""
-    squares = min(_chi2_of_laws(inputs.laws, hypothesis.effects), default=inputs.chi2)
-    gain, nameless = (0.5 * max(inputs.chi2 - value, 0.0) for value in (hypothesis.chi2_with_form_error, squares))
-    over = _clipped_log((nameless + NONPARAMETRIC_CHANCE_LLR) / (gain + NONPARAMETRIC_CHANCE_LLR), 0.1, 10.0)
-    fewer = (_remaining_chi2(hypothesis.chi2_with_form_error, inputs) + chance_chi2(inputs)) / (
-        _remaining_chi2(min(squares, inputs.chi2), inputs) + chance_chi2(inputs)
+    """Return how much better the best nonparametric law explains the gap than the effects."""
+    law_chi2 = min(_chi2_of_laws(inputs.laws, hypothesis.effects), default=inputs.chi2)
+    llr, law_llr = (0.5 * max(inputs.chi2 - chi2, 0.0) for chi2 in (hypothesis.chi2_with_form_error, law_chi2))
+    log_ratio = _clipped_log((law_llr + NONPARAMETRIC_CHANCE_LLR) / (llr + NONPARAMETRIC_CHANCE_LLR), 0.1, 10.0)
+    remaining_ratio = (_remaining_chi2(hypothesis.chi2_with_form_error, inputs) + chance_chi2(inputs)) / (
+        _remaining_chi2(min(law_chi2, inputs.chi2), inputs) + chance_chi2(inputs)
     )
     return {
-        "nameless": over,
-        "nameless, better": max(over, 0.0),
-        "nameless, leaves less": _clipped_log(fewer, 1.0, 100.0),
+        "nameless": log_ratio,
+        "nameless, better": max(log_ratio, 0.0),
+        "nameless, leaves less": _clipped_log(remaining_ratio, 1.0, 100.0),
     }
 
 
 def _chi2_of_laws(laws: Iterable[NonparametricLaw], effects: Sequence[str]) -> list[float]:
-    """Return the squares that laws without a name leave, of those that none of the effects is."""
-    return [law.chi2 for law in laws if not EFFECTS_OF_LAW.get(law.name, frozenset()) & set(effects)]
+    """Return the chi-square of laws that are not equivalent to one of the effects."""
+    own_laws = {effect.free_law for effect in _catalogued(effects)}
+    return [law.chi2 for law in laws if law.name not in own_laws]
+
+
+def _catalogued(effects: Iterable[str]) -> list[Effect]:
+    known = catalogue()
+    return [known[name] for name in effects if name in known]
 
 
 def _further_effect_features(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> dict[str, float]:
-    """Return what tells a further effect from what a foreign form of those before leaves."""
-    *before, last = hypothesis.effects
-    alike = any({name, last} in CONFUSABLE_PAIRS for name in before)
-    by_law = 0.5 * (
+    """Return features that separate a further effect from form error of the effects before it."""
+    *others, last = hypothesis.effects
+    similar = any(name in similar_effects(last) for name in others)
+    law_llr = 0.5 * (
         hypothesis.chi2_without - min(_chi2_of_laws(hypothesis.laws, [last]), default=hypothesis.chi2_without)
     )
-    over_law = (
-        _clipped_log(hypothesis.llr / max(by_law, NONPARAMETRIC_CHANCE_LLR), 0.1, 1.0) if hypothesis.laws else 0.0
+    log_ratio = (
+        _clipped_log(hypothesis.llr / max(law_llr, NONPARAMETRIC_CHANCE_LLR), 0.1, 1.0) if hypothesis.laws else 0.0
     )
     return {
         "further": 1.0,
         "third": float(len(hypothesis.effects) > 2),
         "further: share of excess": _clipped_log(2 * hypothesis.llr / max(inputs.excess, 1.0), 1e-3, 1.0),
         "further: over its rival": _clipped_log(hypothesis.llr / max(hypothesis.rival_llr, 1.0), 0.3, 5.0),
-        "further: worse than a law": over_law,
+        "further: worse than a law": log_ratio,
         "further: gain": _clipped_log(hypothesis.llr, *FURTHER_LLR_RANGE),
-        "further: alike": float(alike),
+        "further: alike": float(similar),
     }
 
 

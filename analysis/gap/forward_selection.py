@@ -31,20 +31,20 @@ from dragrig.rig.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class ForceSearchResult:
-    """Everything that was tried on the force of a campaign.
+    """All hypotheses that were fitted to the force of a campaign.
 
     Attributes
     ----------
     nominal
-        The nominal model refitted, with the dictionary.
+        Fit of the nominal model, with the dictionary.
     chi2
-        Whitened squares that it leaves.
+        Chi-square of the nominal model.
     ranked
-        The best shape of each effect against it.
+        Best variant of each effect beside the nominal model.
     singles
-        Those that were refitted, the best first; then further effects that were refitted on their own.
+        Effects fitted alone, the best first; then effects of later steps fitted alone.
     steps
-        Each further effect beside those before that was tried, with what it took away beforehand.
+        Steps of the forward selection.
     """
 
     study: Study
@@ -56,49 +56,50 @@ class ForceSearchResult:
 
     @property
     def block_count(self) -> int:
-        """Number of blocks: what the squares of noise come to."""
+        """Number of blocks: the expected chi-square of noise."""
         return sum(self.nominal.block_counts)
 
     @cached_property
     def excess(self) -> float:
-        """Squares above noise that the nominal model leaves."""
+        """Chi-square of the nominal model above its expectation."""
         return self.chi2 - self.block_count
 
     def explained_share(self, chi2: float) -> float:
-        """Return the share of the excess that is explained when so many squares remain."""
+        """Return the share of the excess that a fit with this chi-square explains."""
         return 1.0 - (chi2 - self.block_count) / max(self.excess, 1.0)
 
     def merit(self, fit: HypothesisFit) -> float:
-        """Return how well an explanation does: its share as it is, and with a foreign form.
+        """Return the explained share, averaged over the fits without and with form error.
 
-        What is periodic in time may have lost its phase from run to run, and counts as the latter alone.
+        Effects periodic in session time may lose their phase between runs: for them the fit with form error counts
+        alone.
         """
-        plain, flexible = self.explained_share(fit.chi2), self.explained_share(fit.chi2_with_form_error)
+        exact, with_form_error = self.explained_share(fit.chi2), self.explained_share(fit.chi2_with_form_error)
         return (
-            flexible
+            with_form_error
             if any(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
-            else 0.5 * (plain + flexible)
+            else 0.5 * (exact + with_form_error)
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectionStep:
-    """A further effect beside those before, whose form is in doubt in all of these numbers.
+    """A further effect that was tried; all numbers allow for form error of the effects before it.
 
     Attributes
     ----------
     effect
-        Which.
+        Id of the effect.
     llr
-        Half the squares that it takes away beside the others, which may have foreign forms.
+        Its log likelihood ratio beside the effects before it.
     rival_llr
-        What the next best takes away in its place.
+        Log likelihood ratio of the best other effect.
     chi2_without
-        Squares that remain without it.
+        Chi-square without it.
     laws
-        What laws without a name leave in its place, the best first.
+        Nonparametric laws in its place, the best first.
     fit
-        The refit; None where the gain was not worth one.
+        Fit with it; None where its log likelihood ratio is too small.
     """
 
     effect: str
@@ -110,18 +111,20 @@ class SelectionStep:
 
 
 FORM_ERROR_SD = 0.25
-"""So much of what effects add is doubted, one standard deviation: real ones leave 10 to 40 % of a catalogue's form."""
+"""Relative form error of an effect, one standard deviation: real effects leave 10 to 40 % of the catalogue's form."""
 
 
 def inflate_by_form_error(design: Design) -> Design:
-    """Return a design whose noise grows with what its candidates add.
+    """Return a design whose noise grows with the force of its candidates.
 
-    A foreign form leaves most where an effect is largest, and there a second one can hardly be told from it; where the
-    first does little, the same force cannot be its own.
+    Form error is largest where an effect is largest, and there a second effect is hardly separable from it. Where the
+    first effect is small, a residual force cannot be its form error.
     """
-    pairs = zip(design.runs, design.grams, strict=True)
-    items = [_inflated_run(run) if run.effect_force.any() else (run, gram) for run, gram in pairs]
-    return replace(design, runs=tuple(run_design for run_design, _ in items), grams=tuple(gram for _, gram in items))
+    runs = zip(design.runs, design.grams, strict=True)
+    inflated = [_inflated_run(run) if run.effect_force.any() else (run, gram) for run, gram in runs]
+    return replace(
+        design, runs=tuple(run_of_design for run_of_design, _ in inflated), grams=tuple(gram for _, gram in inflated)
+    )
 
 
 def _inflated_run(run: RunDesign) -> tuple[RunDesign, FloatArray]:
@@ -133,75 +136,75 @@ def _inflated_run(run: RunDesign) -> tuple[RunDesign, FloatArray]:
 
 MAX_EFFECTS = 3
 MIN_FURTHER_LLR = 11.0
-"""Half squares below this are noise beside other effects."""
+"""Smaller log likelihood ratios of a further effect are noise."""
 OTHER_DOMAIN_SHARE = 0.2
-"""Beside the best further effect, one of another kind is tried that takes away this share of what it does."""
+"""An effect of another coordinate is also tried if it reaches this share of the best one's log likelihood ratio."""
 
 
 def forward_selection(search: ForceSearchResult) -> list[SelectionStep]:
-    """Take up one effect after another beside the best single one."""
+    """Add one effect after another to the best single one."""
     steps: list[SelectionStep] = []
-    before: HypothesisFit | None = search.singles[0]
-    while before is not None and len(before.effects) < MAX_EFFECTS:
-        tried = _selection_steps(search, before)
-        steps += tried
-        before = tried[0].fit if tried else None
+    current: HypothesisFit | None = search.singles[0]
+    while current is not None and len(current.effects) < MAX_EFFECTS:
+        step_candidates = _selection_steps(search, current)
+        steps += step_candidates
+        current = step_candidates[0].fit if step_candidates else None
     return steps
 
 
-def _selection_steps(search: ForceSearchResult, before: HypothesisFit) -> list[SelectionStep]:
-    """Try the best further effect beside those before, and the best of those that act on something else."""
-    point = before.parameters
-    _, design, taken = fit_hypothesis(search.study, point, search.nominal, before.design, all_variants=True)
-    doubted = inflate_by_form_error(design)
-    projected = project_dictionary(doubted, doubted.total_gram(), *NUISANCES)
-    for number in range(len(taken)):
-        projected = projected.without((taken[number],))
-    own = {candidate.effect.id for candidate in point.candidates}
-    everything = rank_with_free_phases(doubted, rank_effects(projected, doubted.variants))
-    ranked = [best for best in everything if best.effect not in own]
+def _selection_steps(search: ForceSearchResult, current: HypothesisFit) -> list[SelectionStep]:
+    """Try the best further effect, and the best of those with another coordinate."""
+    point = current.parameters
+    _, design, own_variants = fit_hypothesis(search.study, point, search.nominal, current.design, all_variants=True)
+    inflated = inflate_by_form_error(design)
+    projected = project_dictionary(inflated, inflated.total_gram(), *NUISANCES)
+    for number in range(len(own_variants)):
+        projected = projected.without((own_variants[number],))
+    present = {candidate.effect.id for candidate in point.candidates}
+    all_ranked = rank_with_free_phases(inflated, rank_effects(projected, inflated.variants))
+    ranked = [best for best in all_ranked if best.effect not in present]
     steps = []
-    for best in (*ranked[:1], *_best_of_other_domain(ranked, doubted, point)):
-        rival = max((entry.llr for entry in ranked if entry is not best), default=0.0)
-        together = refit_with_effect(search.study, design, best, search.nominal) if best.llr > MIN_FURTHER_LLR else None
-        steps.append(SelectionStep(best.effect, best.llr, rival, projected.chi2, (), together))
+    for best in (*ranked[:1], *_best_of_other_domain(ranked, inflated, point)):
+        rival_llr = max((entry.llr for entry in ranked if entry is not best), default=0.0)
+        fit = refit_with_effect(search.study, design, best, search.nominal) if best.llr > MIN_FURTHER_LLR else None
+        steps.append(SelectionStep(best.effect, best.llr, rival_llr, projected.chi2, (), fit))
     if all(step.fit is None for step in steps):
         return steps
-    beside = np.sort(
-        np.concatenate((doubted.columns_of(*NUISANCES), doubted.columns_of(ColumnKind.VARIANT)[list(taken)]))
+    nuisance_columns = np.sort(
+        np.concatenate((inflated.columns_of(*NUISANCES), inflated.columns_of(ColumnKind.VARIANT)[list(own_variants)]))
     )
-    laws = fit_nonparametric_laws(doubted, search.study.runs, nuisance_columns=beside)
+    laws = fit_nonparametric_laws(inflated, search.study.runs, nuisance_columns=nuisance_columns)
     return [replace(step, laws=laws) for step in steps]
 
 
 def _best_of_other_domain(
     ranked: Sequence[RankedEffect], design: Design, point: ParameterPoint
 ) -> tuple[RankedEffect, ...]:
-    """Return the best of what is neither a function of the same as the best one nor as those before."""
-    domains = {variant.effect.id: variant.effect.coordinate for variant in design.variants}
-    seen = {candidate.effect.coordinate for candidate in point.candidates} | {
-        domains[best.effect] for best in ranked[:1]
+    """Return the best effect whose coordinate differs from the best one's and from those present."""
+    coordinates = {variant.effect.id: variant.effect.coordinate for variant in design.variants}
+    excluded = {candidate.effect.coordinate for candidate in point.candidates} | {
+        coordinates[best.effect] for best in ranked[:1]
     }
-    others = [best for best in ranked[1:] if domains[best.effect] not in seen]
+    others = [best for best in ranked[1:] if coordinates[best.effect] not in excluded]
     return tuple(best for best in others[:1] if best.llr > OTHER_DOMAIN_SHARE * ranked[0].llr)
 
 
 NOMINAL_STEPS = 2
-"""Further ones of the nominal model alone, once derivatives have been taken twice."""
+"""Further steps of the nominal model alone, after derivatives were computed twice."""
 SHORTLIST = 3
 MIN_SHARE_OF_BEST = 0.2
-"""A candidate is refitted if it takes away this share of what the best one does."""
+"""A candidate is fitted if it reaches this share of the best one's log likelihood ratio."""
 MIN_SINGLE_LLR = 7.0
-"""Half squares below this are noise for any candidate."""
+"""Smaller log likelihood ratios of a single effect are noise."""
 
 
 def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: float = 0.0) -> ForceSearchResult:
-    """Try every effect on the force of a campaign.
+    """Fit the most likely effects on the force of a campaign, alone and together.
 
     Parameters
     ----------
     min_llr, min_share
-        An effect is refitted only if it takes away so many half squares beforehand, and this share of the excess.
+        Thresholds below which an effect is not fitted: log likelihood ratio, and share of the excess.
     """
     first = gauss_newton_step(linearise(study, study.initial_z))
     second = linearise(study, first.z)
@@ -210,8 +213,8 @@ def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: flo
     projected = project_dictionary(nominal, nominal.total_gram(), *NUISANCES)
     ranked = rank_with_free_phases(nominal, rank_effects(projected, nominal.variants))
     search = ForceSearchResult(study, nominal, projected.chi2, ranked, (), ())
-    least = max(min_llr, MIN_SHARE_OF_BEST * ranked[0].llr, 0.5 * min_share * search.excess) if ranked else 0.0
-    likely = [best for best in ranked[:SHORTLIST] if best.llr > least]
+    threshold = max(min_llr, MIN_SHARE_OF_BEST * ranked[0].llr, 0.5 * min_share * search.excess) if ranked else 0.0
+    likely = [best for best in ranked[:SHORTLIST] if best.llr > threshold]
     singles = [refit_with_effect(study, nominal, best, nominal) for best in likely]
     singles.sort(key=search.merit, reverse=True)
     singles[:1] = [_relinearised(study, fit, nominal) for fit in singles[:1]]
@@ -223,7 +226,7 @@ def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: flo
 
 
 def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
-    """Refit what was taken up second on its own: it may have made the first superfluous."""
+    """Fit alone what was added second: it may make the first superfluous."""
     tried = {fit.effects[0] for fit in search.singles}
     seconds = {step.effect for step in search.steps if step.fit is not None and len(step.fit.effects) == 2}
     ranked = [best for best in search.ranked if best.effect in seconds - tried]
@@ -231,12 +234,12 @@ def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
 
 
 def _relinearised(study: Study, fit: HypothesisFit, nominal: Design) -> HypothesisFit:
-    """Refit once more with derivatives taken where the fit came to, which may be far from where they were taken."""
-    fresh = linearise(study, fit.parameters.z, fit.parameters.candidates)
-    tried = [fit_hypothesis(study, point, nominal, fresh)[0] for point in (gauss_newton_step(fresh), fit.parameters)]
-    again = min(tried, key=lambda hypothesis: hypothesis.chi2)
+    """Fit again with derivatives at the fitted point, which may be far from where they were computed."""
+    design = linearise(study, fit.parameters.z, fit.parameters.candidates)
+    fits = [fit_hypothesis(study, point, nominal, design)[0] for point in (gauss_newton_step(design), fit.parameters)]
+    best = min(fits, key=lambda hypothesis: hypothesis.chi2)
     return (
-        replace(again, chi2_with_form_error=min(again.chi2_with_form_error, fit.chi2_with_form_error))
+        replace(best, chi2_with_form_error=min(best.chi2_with_form_error, fit.chi2_with_form_error))
         if all_periodic_in_session(fit)
-        else again
+        else best
     )

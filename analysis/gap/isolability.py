@@ -35,13 +35,13 @@ from dragrig.analysis.gap.position_channel import (
     score_model_classes,
 )
 from dragrig.analysis.gap.run_data import rms_where_active
-from dragrig.analysis.gap.spectral_lines import MAINS_HUM, detectable_line_amplitude
+from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Effect, EncoderEffect, ForceEffect, MotorEffect, SensorEffect, catalogue
+from dragrig.sim_backend.effects.base import Channel, Effect, catalogue
 
 DETECTABLE_D_PRIME = 5.9
 """d′ that is found nearly always where all that an effect takes away counts for a gap."""
@@ -367,7 +367,7 @@ def position_isolability(
 ) -> tuple[tuple[Visibility, ...], tuple[EffectPair, ...]]:
     """Return how clearly runs show each effect of the position, and how far apart these are."""
     runs = position_errors(experiments)
-    acting = [effect for effect in effects if isinstance(effect, MotorEffect | EncoderEffect)]
+    acting = [effect for effect in effects if effect.channel is Channel.POSITION]
     tried = {
         one.id: [_position_trial(candidate, runs) for candidate in _trial_candidates(one)] if runs else []
         for one in acting
@@ -451,7 +451,7 @@ def isolate(
     """
     effects = [effect for effect in catalogue().values() if effect.id not in excluded]
     progress(0, ISOLABILITY_STEPS)
-    study = prepare_study(selection, nominal, [effect for effect in effects if _acts_on_force(effect)])
+    study = prepare_study(selection, nominal, [effect for effect in effects if effect.has_force_signature])
     point = gauss_newton_step(linearise(study, study.initial_z))
     progress(1, ISOLABILITY_STEPS)
     design = linearise(study, point.z, dictionary=True)
@@ -464,7 +464,7 @@ def isolate(
     seen = {name: _force_visibility(study, design, angles, name) for name in order}
     hidden = [_invisible(effect) for effect in study.effects if effect.id not in seen]
     progress(3, ISOLABILITY_STEPS)
-    lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.id == MAINS_HUM]
+    lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.spectral_line]
     in_position, more = position_isolability(selection.experiments, effects)
     progress(ISOLABILITY_STEPS, ISOLABILITY_STEPS)
     return Isolability(
@@ -476,10 +476,6 @@ def isolate(
         pairs=tuple(sorted((*pairs, *more), key=lambda effect_pair: effect_pair.sin2)),
         remarks=tuple(_isolability_remarks(selection, planned=planned)),
     )
-
-
-def _acts_on_force(effect: Effect) -> bool:
-    return isinstance(effect, ForceEffect | SensorEffect) and effect.id != MAINS_HUM
 
 
 def _force_pair(angles: SignatureAngles, pair: tuple[str, str]) -> EffectPair:

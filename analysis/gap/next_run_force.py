@@ -32,7 +32,7 @@ from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue
+from dragrig.sim_backend.effects.base import catalogue
 
 FORM_LOSS_OF_RIVAL = 0.12
 """Part of an effect's squares that its real form may cost it against a wrong one."""
@@ -317,7 +317,6 @@ def _assumed_effect(ground: Information, design: Design, ranked: RankedEffect, *
     return AssumedEffect(ranked.effect, columns, amplitude)
 
 
-HUM_EFFECT = "mains_hum"
 MAX_PAIRS = 3
 """So many of the closest pairs are looked at where none is named."""
 
@@ -338,11 +337,7 @@ def recommend_for_pair(
     AnalysisError
         Where the runs show one of the two not at all and no run could be compared with.
     """
-    effects = [
-        effect
-        for effect in catalogue().values()
-        if isinstance(effect, ForceEffect | SensorEffect) and effect.id != HUM_EFFECT
-    ]
+    effects = [effect for effect in catalogue().values() if effect.has_force_signature]
     study = CapsuleStudy.of(selection, nominal, effects)
     point = gauss_newton_step(linearise(study, study.initial_z))
     wanted = (

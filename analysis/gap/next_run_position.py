@@ -46,10 +46,10 @@ from dragrig.analysis.gap.position_channel import (
     predicted_position_error,
     score_model_classes,
 )
-from dragrig.analysis.gap.spectral_lines import MAINS_HUM
+from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect, catalogue
+from dragrig.sim_backend.effects.base import Channel, catalogue
 
 MIN_LOG_DISTANCE = log(1.5)
 """A run whose speed, acceleration and travel differ by less from those of another shows nothing else."""
@@ -259,7 +259,7 @@ def recommend_position_run(
 def _assumed_position_effect(position: PositionAnalysis, family: PositionModelClass) -> AssumedPositionEffect | None:
     """Return an effect as it was fitted; None where it cannot be what strays, for it takes hardly any of it."""
     effect = catalogue()[family.effect]
-    by_form = isinstance(effect, MotorEffect | EncoderEffect)
+    by_form = effect.channel is Channel.POSITION
     runs = _distinct_motions(position.runs)
     candidate = position.candidate
     if candidate is None or candidate.effect.id != family.effect:
@@ -313,7 +313,7 @@ def recommend_next_run(
     Where an effect of the force is named beside one of the position, the run is for the more doubtful one.
     """
     if position.has_position_error:
-        beside = set(classification.effects) & set(of_force.effects) - {MAINS_HUM}
+        beside = set(classification.effects) & set(of_force.effects) - {hum_effect().id}
         if not beside or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(
             classification, position
         ):

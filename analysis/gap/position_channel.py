@@ -5,8 +5,9 @@ response to the command (servo lag), a function of distance (encoder scale), a p
 another time (latency). Each class is scored on held-out runs; the best is then fitted in the catalogue's form.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.analysis.models.drive_model import EXTERNAL_BACKEND
 from dragrig.analysis.models.experiment import MIN_COUNT_MM, Experiment, wander_noise_sd_mm
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Channel, Effect, EffectParameter, Role
+from dragrig.sim_backend.effects.base import Channel, Effect, PositionForm, Role, catalogue, find_effect
 
 MAX_BLOCKS = 400
 BEFORE_S, AFTER_S = 0.05, 1.5
@@ -213,13 +214,11 @@ class PositionModelClass:
     shape_value: float = 0.0
 
 
-POSITION_EFFECTS = ("encoder_scale", "servo_lag", "channel_latency", "velocity_ripple")
-
-
 def score_model_classes(
-    runs: Sequence[PositionErrors], effects: Collection[str] = POSITION_EFFECTS
+    runs: Sequence[PositionErrors], effects: Collection[str] | None = None
 ) -> tuple[PositionModelClass, ...]:
     """Return all families, or those of some effects, the best first."""
+    names = {effect.position_form: effect.id for effect in catalogue().values() if effect.position_form is not None}
     last_s = max(run.session_s for run in runs) + 1.0
 
     def stretched(run: PositionErrors) -> FloatArray:
@@ -227,10 +226,10 @@ def score_model_classes(
         bent = 0.0 if run.initial_speed_mm_s else run.command_mm**2 / 40.0
         return np.column_stack((run.command_mm, bent + 0.0 * run.command_mm, run.command_mm * run.session_s / last_s))
 
-    scale = PositionModelClass("encoder_scale", _held_out_share(runs, stretched))
+    scale = PositionModelClass(names[PositionForm.SCALE], _held_out_share(runs, stretched))
 
     def ripple() -> PositionModelClass:
-        model_class = _ripple_class(runs)
+        model_class = _ripple_class(names[PositionForm.RIPPLE], runs)
         if scale.held_out_share <= DOMINANT_SCALE_SHARE or model_class.shape_value >= LONG_WAVE_PER_MM:
             return model_class
         # Waves as long as half a stroke follow any bend of a scale.
@@ -238,17 +237,17 @@ def score_model_classes(
             model_class, held_out_share=min(model_class.held_out_share, scale.held_out_share - LONG_WAVE_HANDICAP)
         )
 
-    forms: tuple[Callable[[], PositionModelClass], ...] = (
-        lambda: scale,
-        lambda: _lag_class(runs),
-        lambda: _latency_class(runs),
-        ripple,
-    )
-    found = [form() for effect, form in zip(POSITION_EFFECTS, forms, strict=True) if effect in effects]
-    return tuple(sorted(found, key=lambda best_class: -best_class.held_out_share))
+    scores: Mapping[PositionForm, Callable[[], PositionModelClass]] = {
+        PositionForm.SCALE: lambda: scale,
+        PositionForm.RESPONSE: lambda: _lag_class(names[PositionForm.RESPONSE], runs),
+        PositionForm.DELAY: lambda: _latency_class(names[PositionForm.DELAY], runs),
+        PositionForm.RIPPLE: ripple,
+    }
+    classes = [score() for form, score in scores.items() if effects is None or names[form] in effects]
+    return tuple(sorted(classes, key=lambda model_class: -model_class.held_out_share))
 
 
-def _lag_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
+def _lag_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
     """Try linear responses whose times are the same in all runs, or grow with a power of their top speed."""
 
     def response(power: float) -> ColumnFunction:
@@ -258,10 +257,10 @@ def _lag_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
 
         return columns
 
-    return PositionModelClass("servo_lag", max(_held_out_share(runs, response(power)) for power in LAG_POWERS))
+    return PositionModelClass(effect, max(_held_out_share(runs, response(power)) for power in LAG_POWERS))
 
 
-def _latency_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
+def _latency_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
     """Try the command at other times, one at a time."""
 
     def late(latencies_s: FloatArray) -> ColumnFunction:
@@ -274,17 +273,17 @@ def _latency_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
         squares += np.einsum("bl,bl->l", column, column)
         along += (run.error_mm * weight) @ column
     best = float(LATENCIES_S[int((along**2 / (squares + 1e-300)).argmax())])
-    return PositionModelClass("channel_latency", _held_out_share(runs, late(np.array([best]))), best)
+    return PositionModelClass(effect, _held_out_share(runs, late(np.array([best]))), best)
 
 
-def _ripple_class(runs: Sequence[PositionErrors]) -> PositionModelClass:
+def _ripple_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
     """Try one ripple with its harmonics, and another beside it."""
     first = _best_ripple_wavenumber(runs, ())
     second = _best_ripple_wavenumber(runs, (first,))
     held_out = max(
         _held_out_share(runs, _ripple_columns((first,))), _held_out_share(runs, _ripple_columns((first, second)))
     )
-    return PositionModelClass("velocity_ripple", held_out, first)
+    return PositionModelClass(effect, held_out, first)
 
 
 def _best_ripple_wavenumber(runs: Sequence[PositionErrors], known_wavenumbers: tuple[float, ...]) -> float:
@@ -418,7 +417,7 @@ class PositionAnalysis:
     @property
     def is_recording_error(self) -> bool:
         """Whether the stage was where it was told to be and only its record was not."""
-        return bool(self.model_classes) and self.model_classes[0].effect in {"encoder_scale", "channel_latency"}
+        return bool(self.model_classes) and not find_effect(self.model_classes[0].effect).moves_stage
 
 
 def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) -> PositionAnalysis:
@@ -486,9 +485,12 @@ def fit_position_effect(
 
 
 def _start_candidates(effect: Effect, model_class: PositionModelClass) -> list[Candidate]:
-    from itertools import product
-
-    grids = [_start_values(effect, parameter, model_class) for parameter in effect.shapes]
+    grids = [
+        (1.0 / model_class.shape_value,)
+        if parameter.name == effect.period_parameter and model_class.shape_value > 0
+        else parameter.start_values
+        for parameter in effect.shapes
+    ]
     sizes = (0.3, 1.0, 3.0) if effect.size.low >= 0 else (-1.0, 1.0)
     turns = np.linspace(-np.pi, np.pi, 8, endpoint=False) if effect.phase is not None else (0.0,)
     starts = []
@@ -499,11 +501,6 @@ def _start_candidates(effect: Effect, model_class: PositionModelClass) -> list[C
             values[effect.phase.name] = float(turn)
         starts.append(Candidate(effect, values))
     return starts
-
-
-def _start_values(effect: Effect, parameter: EffectParameter, model_class: PositionModelClass) -> tuple[float, ...]:
-    known = parameter.name == effect.period_parameter and model_class.shape_value > 0
-    return (1.0 / model_class.shape_value,) if known else parameter.start_values
 
 
 def _weighted_misfit(candidate: Candidate, runs: Sequence[PositionErrors]) -> FloatArray:

@@ -23,24 +23,25 @@ from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.schema import SIGNALS
-from dragrig.sim_backend.effects.base import SIMULATED_NOMINAL, Effect, EffectChain, ForceEffect, SensorEffect
+from dragrig.sim_backend.effects.base import SIMULATED_NOMINAL, Channel, Effect, EffectChain
 from dragrig.sim_backend.effects.run_state import RunState
 
 MIN_SIGNATURE_MN = 1e-9
+"""An effect with a smaller signature in all runs cannot act."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionParts:
-    """Friction by its parts, at the times of a scene, shape `(n,)`.
+    """Friction split into its parts, at the times of a scene, shape `(n,)`.
 
     Attributes
     ----------
     coulomb_mN
-        Coulomb friction at speed.
+        Coulomb friction at full speed.
     coulomb, viscous
-        Both parts with their signs [mN].
+        Both parts, signed [mN].
     turning_mm_s
-        Speed over which the first turns its sign.
+        Speed over which the Coulomb part changes its sign.
     """
 
     coulomb_mN: float
@@ -51,12 +52,12 @@ class FrictionParts:
 
 @dataclass(frozen=True, eq=False)
 class PredictedScene(RunState):
-    """A run without wall or specimen: friction that does not depend on any stiffness, in a force as predicted.
+    """State of a run without wall or specimen, with a force predicted by any nominal model.
 
     Attributes
     ----------
     predicted
-        The whole nominal force, shape `(n,)`.
+        Nominal force, shape `(n,)`.
     """
 
     _: KW_ONLY
@@ -69,101 +70,103 @@ class PredictedScene(RunState):
 
     @property
     def stiffness_force(self) -> FloatArray:
-        """Nothing grows with the stiffness of a wall."""
+        """Zero: no force depends on the stiffness of a wall."""
         return np.zeros_like(self.time_s)
 
 
 def predicted_scene(run: RunData, predicted: FloatArray, friction: FrictionParts | None = None) -> PredictedScene:
-    """Return a run as effects see it, at the nodes of its blocks.
+    """Return the state of a run at the nodes of its blocks.
 
     Parameters
     ----------
     predicted
-        The nominal force there, shape `(n,)`.
+        Nominal force there, shape `(n,)`.
     friction
-        What of it is friction between two surfaces that slide; nothing slides without.
+        Part of it that is sliding friction; without it nothing slides.
     """
     time_s = run.block_data.blocks.nodes_s
-    nothing = np.zeros_like(time_s)
-    parts = friction or FrictionParts(0.0, nothing, nothing, 1.0)
+    zeros = np.zeros_like(time_s)
+    parts = friction or FrictionParts(0.0, zeros, zeros, 1.0)
     return PredictedScene(
         time_s=time_s,
         session_start_s=run.session_start_s,
         order=run.experiment.run.info.header.order,
         contact=Contact.NONE if friction is None else Contact.SLIDING,
-        # Sliding under a given load with no wall around it, which is what the vacuum fixture is.
+        # Sliding under a given load without a surrounding wall, as in the vacuum fixture.
         fixture=Fixture.NONE if friction is None else Fixture.VACUUM,
         motion=run.experiment.motion,
         regularisation_mm_s=parts.turning_mm_s,
-        f_e=nothing,
+        f_e=zeros,
         f_v=parts.viscous,
         f_c=parts.coulomb,
         weight_mN=parts.coulomb_mN,
         friction_coefficient=1.0,
-        shear=nothing,
+        shear=zeros,
         predicted=predicted,
     )
 
 
 def effects_that_act(study: Study, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return the effects that change anything in any of the runs."""
+    """Return the effects with a signature in any of the runs."""
     scenes = [study.scene(number, study.initial_z) for number in range(len(study.runs))]
     return tuple(
         effect
         for effect in effects
         if any(
-            np.abs(signature(shape, *scene)).max(initial=0.0) > MIN_SIGNATURE_MN
-            for shape in variants_of([effect])
+            np.abs(signature(variant, *scene)).max(initial=0.0) > MIN_SIGNATURE_MN
+            for variant in variants_of([effect])
             for scene in scenes
         )
     )
 
 
 CONFOUNDED_SHARE = 0.8
-"""Part of an effect's whitened squares, the model's own parameters free, from which on it is the same."""
+"""Share of an effect's chi-square, beside the nominal parameters, above which it counts as confounded."""
 WAY_LENGTHS = 8
-"""Ways, from a hundredth of the longest on, over which friction may evolve."""
+"""Number of lengths over which friction may evolve, from a hundredth of the longest travel on."""
 WAY_POWERS = (1, 2, 3)
 
 
 def confounded_with_friction(design: Design, runs: Sequence[RunData]) -> bool:
-    """Tell whether the candidates of a design add what a smooth function of the way, the same in all runs, adds too.
+    """Whether candidates act like friction that evolves with travel in the same way in all runs.
 
-    Friction has the sign of the motion and is not there at rest. Runs at several speeds, in both directions or with
-    rests tell it from what is a function of time or of the force.
+    Friction has the sign of the motion and vanishes at rest. Runs at several speeds, in both directions or with rests
+    separate it from functions of time or of force.
     """
-    added = np.concatenate([run.whitening.whiten(run.effect_force) for run in design.runs])
-    if not np.any(added):
+    effect_force = np.concatenate([run.whitening.whiten(run.effect_force) for run in design.runs])
+    if not np.any(effect_force):
         return False
     rows = []
-    longest = max(float(np.ptp(run_data.coordinates.position_mm)) for run_data in runs)
-    for sight, run in zip(runs, design.runs, strict=True):
-        own = np.hstack((run.columns[:, design.columns_of(ColumnKind.NOMINAL)], _friction_columns(sight, longest)))
-        rows.append(run.whitening.whiten(own))
+    longest = max(float(np.ptp(data.coordinates.position_mm)) for data in runs)
+    for run_data, run in zip(runs, design.runs, strict=True):
+        columns_of_run = np.hstack(
+            (run.columns[:, design.columns_of(ColumnKind.NOMINAL)], _friction_columns(run_data, longest))
+        )
+        rows.append(run.whitening.whiten(columns_of_run))
     columns = np.concatenate(rows)
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0] / size[size > 0]
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 0] / norms[norms > 0]
     nominal = np.concatenate(
         [run.whitening.whiten(run.columns[:, design.columns_of(ColumnKind.NOMINAL)]) for run in design.runs]
     )
-    beside = _residual_chi2(nominal, added)
-    return bool(beside > 0 and _residual_chi2(columns, added) < (1 - CONFOUNDED_SHARE) * beside)
+    beside_nominal = _residual_chi2(nominal, effect_force)
+    return bool(beside_nominal > 0 and _residual_chi2(columns, effect_force) < (1 - CONFOUNDED_SHARE) * beside_nominal)
 
 
 def _residual_chi2(columns: FloatArray, values: FloatArray) -> float:
-    result = np.linalg.lstsq(columns, values, rcond=1e-10)[0]
-    return float(np.sum((values - columns @ result) ** 2))
+    coefficients = np.linalg.lstsq(columns, values, rcond=1e-10)[0]
+    return float(np.sum((values - columns @ coefficients) ** 2))
 
 
 def _friction_columns(run: RunData, longest_mm: float) -> FloatArray:
-    """Return smooth functions of the way with the sign of the motion, shape `(B, K)`."""
-    at = run.coordinates
-    way = np.abs(at.position_mm - at.position_mm[0]) / max(longest_mm, 1e-12)
-    slow = np.sign(run.experiment.velocity(at.time_s))
-    # The smallest speeds are rests to an encoder of 1 µm; a steady motion goes its run's way all the same.
-    sign = np.where(at.phase == Phase.STEADY, _travel_sign(run), slow)
-    shapes = [way**power for power in WAY_POWERS] + [
-        np.exp(-way / length) for length in np.geomspace(0.01, 1, WAY_LENGTHS)
+    """Return smooth functions of travel with the sign of the motion, shape `(B, K)`."""
+    blocks = run.coordinates
+    travel = np.abs(blocks.position_mm - blocks.position_mm[0]) / max(longest_mm, 1e-12)
+    measured_sign = np.sign(run.experiment.velocity(blocks.time_s))
+    # An encoder of 1 µm shows the slowest motions as rest; in steady motion the run's direction is taken.
+    sign = np.where(blocks.phase == Phase.STEADY, _travel_sign(run), measured_sign)
+    shapes = [travel**power for power in WAY_POWERS] + [
+        np.exp(-travel / length) for length in np.geomspace(0.01, 1, WAY_LENGTHS)
     ]
     return np.asarray(sign[:, None] * np.stack(shapes, axis=1))
 
@@ -179,76 +182,76 @@ MOVING_MM_S = 0.01
 
 
 def general_limitations(runs: Sequence[RunData]) -> Iterator[str]:
-    """Say what is left open whatever the model."""
+    """Yield limitations that hold for any model."""
     if len({(run.condition, run.direction) for run in runs}) == len(runs):
-        yield "No condition was repeated, so that repeatability is assumed and not seen."
+        yield "No condition was repeated: repeatability is assumed, not measured."
     if len(runs) < MIN_RUNS_TO_HOLD_OUT:
-        yield "With so few runs none can be kept back, so that no shrink is given."
+        yield "Too few runs to hold any out: the share of the gap that closes is not given."
     if not any(_has_own_command(run) for run in runs):
-        yield "No command was recorded, so that nothing is said of the motor."
+        yield "No command was recorded: nothing is known of motor effects."
 
 
 def _has_own_command(run: RunData) -> bool:
-    """Tell whether a run has a command of its own, and not the position in its place."""
+    """Whether a run has a recorded command, not the position in its place."""
     trace = run.experiment.run.trace
     return not np.array_equal(np.asarray(trace.command), np.asarray(trace.position), equal_nan=True)
 
 
 def capsule_limitations(runs: Sequence[RunData]) -> Iterator[str]:
-    """Say what is left open of capsule and gut."""
+    """Yield limitations of runs with capsule and gut."""
     kinds = {run.experiment.kind for run in runs}
     speeds = {run.condition[1] for run in runs if run.experiment.kind == "drag"}
     if "relaxation" not in kinds:
-        yield "Without relaxations nothing is said of a further relaxation or of stiffening with strain."
+        yield "No relaxation runs: nothing is known of further relaxation modes or of stiffening with strain."
     if "drag" not in kinds:
-        yield "Without drag runs nothing is said of what needs a closed gut: adhesion, folds, lift-off, inertia."
+        yield "No drag runs: nothing is known of effects in a closed gut (adhesion, folds, lift-off, inertia)."
     elif len(speeds) < MIN_SPEEDS:
-        yield "With fewer than three speeds of drag, effects of speed cannot be told apart."
+        yield "Fewer than three drag speeds: effects of speed cannot be separated."
     if "blank" not in kinds:
-        yield "Without blank runs the rig's own effects are known through the gut alone."
+        yield "No blank runs: effects of the rig itself are seen only through the gut."
     if "coulomb" not in kinds:
-        yield "Without Coulomb runs adhesion cannot be told from friction that falls with speed."
+        yield "No Coulomb runs: adhesion cannot be separated from friction that falls with speed."
 
 
 def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
-    """Say what is left open of the stage alone."""
-    yield "The simulated stage takes no effects, so that no amended model is written."
+    """Yield limitations of runs of the stage alone."""
+    yield "No amended model is written: the simulated stage has no effects."
     velocity = np.concatenate([run.experiment.velocity(run.block_data.blocks.nodes_s) for run in runs])
     speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
     if velocity.min(initial=0.0) >= -MOVING_MM_S or velocity.max(initial=0.0) <= MOVING_MM_S:
-        yield "All runs go one way, so that friction which differs with direction cannot be told from any other."
+        yield "All runs go one way: friction that depends on direction cannot be separated from other friction."
     if len(speeds) < MIN_SPEEDS:
-        yield "With fewer than three speeds, effects of speed cannot be told apart."
+        yield "Fewer than three speeds: effects of speed cannot be separated."
     if all(run.experiment.contact is not Contact.NONE for run in runs):
-        yield "Without blank runs the stage is known no better than what hangs on it."
+        yield "No blank runs: the stage is known no better than the load that it moves."
 
 
 def own_model_limitations(runs: Sequence[RunData], other_channels: Sequence[str]) -> Iterator[str]:
-    """Say what is left open of a model of one's own, of which one channel is explained and `other_channels` are not."""
+    """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
     rests = any(np.any(run.coordinates.phase == Phase.REST) for run in runs)
     if len({(run.condition, run.direction) for run in runs}) == 1 and not rests:
         yield (
-            "All runs go one way at one speed and none rests, so that what a sensor does in time cannot be told from "
-            "friction that changes along the way."
+            "All runs go one way at one speed without a rest: sensor effects in time cannot be separated from "
+            "friction that changes along the stroke."
         )
     yield (
-        "The model does not say which parts its force has, so that only effects of sensor and acquisition were tried; "
-        "none of wall, interface, specimen or drive was."
+        "The model does not separate the parts of its force: only effects of sensor and acquisition were tried, "
+        "none of wall, interface, specimen or drive."
     )
     yield "No amended model is written: the simulator does not know the model."
     for name in other_channels:
-        yield f"The model predicts {name} too, which was not looked at."
+        yield f"The model also predicts {name}, which was not diagnosed."
 
 
 @dataclass(frozen=True, eq=False)
 class CapsuleStudy(Study):
-    """The force sensor's channel; effects that the model's settings have belong to the nominal model."""
+    """Capsule in the gut, channel of the force sensor; effects in the model's settings count as nominal."""
 
     nominal: CapsuleModel
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: CapsuleModel, effects: Sequence[Effect]) -> "CapsuleStudy":
-        """Prepare all runs; raises `AnalysisError` where the model predicts nothing of any of them."""
+        """Prepare all runs; raises `AnalysisError` where the model predicts none of them."""
         problem = add_known_hum_to_noise(
             JointProblem.of(selection, nominal, MAX_BLOCK_MM), EffectChain.of(nominal.settings)
         )
@@ -257,7 +260,7 @@ class CapsuleStudy(Study):
 
     @cached_property
     def chain(self) -> EffectChain:
-        """Effects that the nominal model has already, but for the hum of the mains."""
+        """Effects that the nominal model already contains, without hum, which counts as noise."""
         return without_hum(EffectChain.of(self.nominal.settings))
 
     def amended_settings(self, z: FloatArray) -> FrictionModelSettings:
@@ -265,32 +268,32 @@ class CapsuleStudy(Study):
         return self.nominal.settings_of(self.values(z))
 
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return what effects see of a run, and the gain of the force sensor."""
+        """Return the state of a run that effects act on, and the gain of the force sensor."""
         settings = self.amended_settings(z)
         return self.runs[number].scene(settings), settings.force_gain
 
     def model_errors(self, number: int, scene: RunState) -> FloatArray:
-        """Return what each of `DETAILS` changes of the true force, shape `(D, n)`."""
+        """Return the change of the true force by each of `MODEL_ERROR_DIRECTIONS`, shape `(D, n)`."""
         return model_error_columns(scene, self.runs[number].condition[1])
 
     def prediction_sds(self, z: FloatArray) -> list[FloatArray]:
-        """Return what the motion leaves uncertain, and of sheared walls what steps of a programme do."""
-        result = super().prediction_sds(z)
+        """Return the uncertainty from the measured motion, and for sheared walls from integration steps."""
+        sds = super().prediction_sds(z)
         for number, run in enumerate(self.runs):
             if run.acquisition.contact is Contact.STICKING:
                 scene, gain = self.scene(number, z)
-                result[number] = np.hypot(result[number], gain * run.block_means(ramp_integration_sd(scene)))
-        return result
+                sds[number] = np.hypot(sds[number], gain * run.block_means(ramp_integration_sd(scene)))
+        return sds
 
     def limitations(self) -> Iterator[str]:
-        """Say what these runs leave open, a sentence each."""
+        """Yield what these runs cannot answer, a sentence each."""
         yield from capsule_limitations(self.runs)
         yield from general_limitations(self.runs)
 
 
 @dataclass(frozen=True, eq=False)
 class StageStudy(Study):
-    """The recorded motor force: guides that slide, without wall or specimen."""
+    """The stage alone, recorded motor force: sliding guides without wall or specimen."""
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: DriveModel, effects: Sequence[Effect]) -> "StageStudy":
@@ -302,7 +305,7 @@ class StageStudy(Study):
         )
 
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return what effects see of a run; the motor force has no gain of its own."""
+        """Return the state of a run that effects act on; the motor force has gain 1."""
         run, values = self.runs[number], self.problem.scales.values(z)
         predictor, time_s = run.block_data.predictor, run.block_data.blocks.nodes_s
         friction = None
@@ -312,11 +315,11 @@ class StageStudy(Study):
         return predicted_scene(run, predictor.predict(values, time_s).total, friction), 1.0
 
     def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
-        """Return the blocks of which the motion tells more than a single sample's noise hides."""
+        """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
         return motion_sd <= self.problem.noises[number].white
 
     def limitations(self) -> Iterator[str]:
-        """Say what these runs leave open, a sentence each."""
+        """Yield what these runs cannot answer, a sentence each."""
         yield from stage_limitations(self.runs)
         yield from general_limitations(self.runs)
 
@@ -326,14 +329,14 @@ FORCE_UNIT = "mN"
 
 @dataclass(frozen=True, eq=False)
 class OwnModelStudy(Study):
-    """One channel of a model that says nothing of its parts: effects of the sensor can act on it.
+    """A user's nominal model, one channel, without knowledge of its parts: only sensor effects can act.
 
     Attributes
     ----------
     other_channels
-        Channels that the model predicts too.
+        Other channels that the model predicts.
     untried_effects
-        How many effects would act between what slides, of which the model does not tell the force.
+        Number of effects at the sliding contact, whose force the model does not separate.
     """
 
     other_channels: tuple[str, ...] = ()
@@ -341,15 +344,15 @@ class OwnModelStudy(Study):
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> "OwnModelStudy":
-        """Prepare all runs by the first force that is predicted, the force sensor's before others.
+        """Prepare all runs by the first force that is predicted, the force sensor's preferred.
 
         Raises
         ------
         AnalysisError
             Where the model predicts no force of any run, or fails.
         """
-        whole = JointProblem.of(selection, nominal, MAX_BLOCK_MM)
-        channels = tuple(dict.fromkeys(data.channel for data in whole.channels))
+        all_channels = JointProblem.of(selection, nominal, MAX_BLOCK_MM)
+        channels = tuple(dict.fromkeys(data.channel for data in all_channels.channels))
         forces = _force_channels(selection)
         channel = next((name for name in (*SIGNALS, *channels) if name in channels and name in forces), None)
         if channel is None:
@@ -358,47 +361,50 @@ class OwnModelStudy(Study):
                 "diagnosis explains; name another model with --nominal."
             )
         problem = empirical_priors(
-            problem_of_runs(whole, [at for at, data in enumerate(whole.channels) if data.channel == channel])
+            problem_of_runs(
+                all_channels, [index for index, data in enumerate(all_channels.channels) if data.channel == channel]
+            )
         )
-        others = tuple(name for name in channels if name != channel)
-        untried = sum(isinstance(effect, ForceEffect) for effect in effects)
-        bare = cls(problem, run_data_of(problem.channels), (), others, untried)
-        sensor = [effect for effect in effects if isinstance(effect, SensorEffect) and not effect.nominal]
+        other_channels = tuple(name for name in channels if name != channel)
+        untried = sum(effect.in_gut for effect in effects)
+        bare = cls(problem, run_data_of(problem.channels), (), other_channels, untried)
+        sensor = [
+            effect for effect in effects if effect.channel is Channel.FORCE and not effect.in_gut and not effect.nominal
+        ]
         return replace(bare, effects=effects_that_act(bare, sensor))
 
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return what effects see of a run: its motion, and the force as predicted."""
+        """Return the state of a run: its motion, and the predicted force."""
         run = self.runs[number]
         prediction = run.block_data.predictor.predict(self.problem.scales.values(z), run.block_data.blocks.nodes_s)
         return predicted_scene(run, prediction.total), 1.0
 
     def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
-        """Return the blocks of which the motion tells more than a single sample's noise hides."""
+        """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
         return motion_sd <= self.problem.noises[number].white
 
     def untried_lookalikes(self, design: Design) -> int:
-        """Return the number of effects that were not tried where candidates look like friction along the way."""
+        """Return the number of untried effects if the candidates look like friction along the stroke."""
         return self.untried_effects if confounded_with_friction(design, self.runs) else 0
 
     def limitations(self) -> Iterator[str]:
-        """Say what these runs and this model leave open, a sentence each."""
+        """Yield what these runs and this model cannot answer, a sentence each."""
         yield from own_model_limitations(self.runs, self.other_channels)
         yield from general_limitations(self.runs)
 
 
 def _force_channels(selection: RunSelection) -> set[str]:
-    """Return the channels that are forces."""
     headers = [experiment.run.info.header for experiment in selection.experiments]
     return {channel.name for header in headers for channel in header.channels if channel.units == FORCE_UNIT}
 
 
 def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> Study:
-    """Prepare a campaign; raises `AnalysisError` where the model predicts nothing of any run.
+    """Prepare a campaign; raises `AnalysisError` where the model predicts none of its runs.
 
     Parameters
     ----------
     effects
-        Candidates of the force channel, of which those are kept that can act.
+        Candidate effects on the force channel; those that cannot act are dropped.
     """
     match nominal:
         case CapsuleModel():
