@@ -83,44 +83,44 @@ def test_weights_make_a_line_that_is_kept(calibrate: Calibrate, lab: Path, capsy
         "rig.force_sensor.serial='S7'",
     )
     assert calibrate(*words, volts=volts_of([*weights, *weights[::-1]])) == 0
-    told = capsys.readouterr()
-    prompts = [line for line in told.err.splitlines() if "sensor" in line]
+    printed = capsys.readouterr()
+    prompts = [line for line in printed.err.splitlines() if "sensor" in line]
     assert [prompts[place].split(" and ")[0] for place in (0, 1, 3, 4, 7)] == [
         "Take every weight off the sensor", "Hang 20 g on the sensor", "Hang 100 g on the sensor",
         "Hang 100 g on the sensor", "Take every weight off the sensor",
     ]  # fmt: skip
-    assert "Gain 950 ±" in told.out
-    assert "NOTE" not in told.out
-    kept = latest_calibration(lab, "force")
-    assert kept is not None
-    assert (kept.operator, kept.sensor_serial, kept.points, kept.made_on) == ("Ada", "S7", 8, "handed")
-    assert (kept.gain, kept.zero) == (pytest.approx(950.0), pytest.approx(-12.0))
-    assert kept.residual == pytest.approx(0.0, abs=1e-6)
+    assert "Gain 950 ±" in printed.out
+    assert "NOTE" not in printed.out
+    entry = latest_calibration(lab, "force")
+    assert entry is not None
+    assert (entry.operator, entry.sensor_serial, entry.points, entry.made_on) == ("Ada", "S7", 8, "handed")
+    assert (entry.gain, entry.zero) == (pytest.approx(950.0), pytest.approx(-12.0))
+    assert entry.residual == pytest.approx(0.0, abs=1e-6)
 
 
 def test_runs_refer_to_the_calibration_of_their_own_rig(
     calibrate: Calibrate, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert calibrate("force", "--weights", "0,20,50", volts=volts_of([0, 20, 50])) == 0
-    kept = latest_calibration(lab, "force")
-    assert kept is not None
+    entry = latest_calibration(lab, "force")
+    assert entry is not None
     short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
     assert main(["run", "drag", *short, "--yes", "--out", "a"]) == 0
     assert "calibration_id" not in read_campaign(lab / "a").runs[0].header.entry
     assert calibrate("force", "--weights", "0,20,50", "--double", volts=volts_of([0, 20, 50], gain=1000.0)) == 0
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 9))
     assert main(["run", "drag", *short, "--out", "b", "--backend", "handed"]) == 0
-    assert read_campaign(lab / "b").runs[0].header.entry["calibration_id"] == kept.id
+    assert read_campaign(lab / "b").runs[0].header.entry["calibration_id"] == entry.id
 
 
 def test_a_residual_beyond_the_sensors_accuracy_is_noted(
     calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    volts = [one + off for one, off in zip(volts_of([0, 20, 50, 100]), (0.0, 0.02, -0.02, 0.0), strict=True)]
+    volts = [volt + off for volt, off in zip(volts_of([0, 20, 50, 100]), (0.0, 0.02, -0.02, 0.0), strict=True)]
     assert calibrate("force", "--weights", "0,20,50,100", "--json", volts=volts) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert "accuracy of 5 mN" in told["notes"][0]
-    assert told["notes"][0] in told["entry"]["note"]
+    printed = json.loads(capsys.readouterr().out)
+    assert "accuracy of 5 mN" in printed["notes"][0]
+    assert printed["notes"][0] in printed["entry"]["note"]
 
 
 @pytest.mark.parametrize(
@@ -146,9 +146,9 @@ def test_nonsense_is_refused_and_nothing_kept(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert calibrate("force", "--weights", weights, volts=volts) == code
-    told = capsys.readouterr()
-    assert sentence in told.err
-    assert told.out == ""
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert printed.out == ""
     assert read_calibrations(lab) == ()
 
 
@@ -161,15 +161,15 @@ def test_yes_hangs_no_weight_and_an_end_keeps_nothing(
 
 
 def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    measured = [word for one in ("40.04", "40.05", "40.03") for word in ("--measured", one)]
+    measured = [word for travel in ("40.04", "40.05", "40.03") for word in ("--measured", travel)]
     assert main(["calibrate", "encoder", "--travel", "40", *measured, "--yes", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["entry"]["gain"] == pytest.approx(40.04 / 40_000, rel=1e-6)
-    assert told["entry"]["residual"] == pytest.approx(0.01, rel=1e-3)
-    assert told["notes"] == []
-    kept = latest_calibration(lab, "encoder", "simulated")
-    assert kept is not None
-    assert kept.points == 3
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["entry"]["gain"] == pytest.approx(40.04 / 40_000, rel=1e-6)
+    assert printed["entry"]["residual"] == pytest.approx(0.01, rel=1e-3)
+    assert printed["notes"] == []
+    entry = latest_calibration(lab, "encoder", "simulated")
+    assert entry is not None
+    assert entry.points == 3
     assert main(["calibrate", "encoder", "--travel", "20", "--yes"]) == 0
     assert "! the travel is that of the drive" in capsys.readouterr().out
 
@@ -177,13 +177,13 @@ def test_a_driven_travel_gives_the_length_of_a_count(lab: Path, capsys: pytest.C
 def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ("encoder", "--travel", "10", "--by-hand", "--repeats", "2")
     assert calibrate(*words, volts=[8.0, -8.0]) == 0
-    told = capsys.readouterr()
-    assert "push it 10 mm up" in told.err
-    assert "push it 10 mm down" in told.err
-    kept = latest_calibration(lab, "encoder")
-    assert kept is not None
-    assert kept.gain == pytest.approx(10 / 8000)
-    assert "! a count of 1.25 µm is not encoder.resolution_um = 1" in told.out
+    printed = capsys.readouterr()
+    assert "push it 10 mm up" in printed.err
+    assert "push it 10 mm down" in printed.err
+    entry = latest_calibration(lab, "encoder")
+    assert entry is not None
+    assert entry.gain == pytest.approx(10 / 8000)
+    assert "! a count of 1.25 µm is not encoder.resolution_um = 1" in printed.out
 
 
 @pytest.mark.parametrize(
@@ -216,9 +216,9 @@ def test_calibrating_needs_a_lab(
 
 def test_calibrate_alone_tells_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate"]) == 0
-    told = capsys.readouterr().out
-    assert "force" in told
-    assert "encoder" in told
+    printed = capsys.readouterr().out
+    assert "force" in printed
+    assert "encoder" in printed
 
 
 @given(

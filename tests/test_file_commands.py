@@ -28,9 +28,9 @@ class Command:
     def __call__(self, *words: str | Path, code: int = 0) -> Any:
         self._capsys.readouterr()
         got = main([str(word) for word in words])
-        told = self._capsys.readouterr()
-        assert got == code, told.err
-        return told
+        printed = self._capsys.readouterr()
+        assert got == code, printed.err
+        return printed
 
 
 @pytest.fixture
@@ -56,16 +56,16 @@ def test_filter_stores_the_result_beside_the_raw_trace(command: Command, practic
 
 
 def test_info_says_what_is_inside_and_verifies_it(command: Command, practice: Path) -> None:
-    found = command.json("info", "c")
-    assert {one["kind"] for one in found} == {"relaxation", "blank", "coulomb", "drag"}
-    assert all(one["channels"]["force"] == "mN" for one in found)
+    answer = command.json("info", "c")
+    assert {row["kind"] for row in answer} == {"relaxation", "blank", "coulomb", "drag"}
+    assert all(row["channels"]["force"] == "mN" for row in answer)
     assert "drag" in command("info", "c/010-drag.h5").out
     (run,) = dragrig.simulate("blank", out=practice / "own", assignments=["speed_mm_s=40", "way_back=stay"])
     assert command.json("info", "c/own", "--verify")[0]["intact"] is True
     tampered = run.info.path
     tamper(tampered)
-    told = command("info", tampered, "--verify", code=2)
-    assert tampered.name in told.err
+    printed = command("info", tampered, "--verify", code=2)
+    assert tampered.name in printed.err
 
 
 def tamper(path: Path) -> None:
@@ -82,14 +82,14 @@ def test_a_mark_is_honoured_by_everything_later_and_can_be_taken_back(command: C
     assert mark is not None
     assert mark.reason == "capsule slipped off"
     assert command.json("info", drag)[0]["bad"] == "capsule slipped off"
-    row = next(one for one in command.json("table", "c")["runs"] if one["file"] == drag.name)
+    row = next(row for row in command.json("table", "c")["runs"] if row["file"] == drag.name)
     assert (row["bad"], row["mark"]) == (True, "capsule slipped off")
     assert "BAD: capsule slipped off" in command("table", "c").out
     filtered = command("filter", "c")
     assert "left out, marked bad: capsule slipped off" in filtered.err
     assert drag.name not in filtered.out
     assert drag.name in command("filter", drag).out
-    assert drag.name not in [Path(one["run"]).name for one in command.json("export", "c", "--out", "x")]
+    assert drag.name not in [Path(row["run"]).name for row in command.json("export", "c", "--out", "x")]
     command("mark", "c", "--good")
     assert read_mark(drag) is None
 
@@ -101,8 +101,8 @@ def test_nothing_is_marked_when_one_of_the_names_is_no_run(command: Command, pra
 
 
 def test_table_gives_the_same_numbers_to_people_and_programs(command: Command, practice: Path) -> None:
-    found = command.json("table", "c")
-    steady = {row["file"]: row for row in found["runs"]}["010-drag.h5"]
+    answer = command.json("table", "c")
+    steady = {row["file"]: row for row in answer["runs"]}["010-drag.h5"]
     assert steady["steady_force_mN"] > 5 * steady["steady_force_error_mN"] > 0
     shown = command("table", "c").out
     assert f"{steady['steady_force_mN']:.1f}" in shown
@@ -132,8 +132,8 @@ def test_a_spreadsheet_of_another_country_reads_the_export(command: Command, pra
 def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command, practice: Path) -> None:
     (practice / "000-broken.h5").write_bytes(b"not HDF5")
     good = len(list(practice.glob("*.h5"))) - 1
-    told = command("export", "c", "--out", "x", "--format", "npz", code=2)
-    assert "000-broken.h5" in told.err
+    printed = command("export", "c", "--out", "x", "--format", "npz", code=2)
+    assert "000-broken.h5" in printed.err
     assert len(list(Path("x").glob("*.npz"))) == good
 
 
@@ -163,9 +163,9 @@ def test_what_cannot_be_done_is_told_in_one_sentence(
 ) -> None:
     (practice.parent / "taken").write_text("mine", "utf-8")
     before = {path: path.read_bytes() for path in practice.parent.rglob("*") if path.is_file()}
-    told = command(*words, code=2)
-    assert sentence in told.err
-    assert told.err.count("\n") == 1, told.err
+    printed = command(*words, code=2)
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1, printed.err
     assert {path: path.read_bytes() for path in practice.parent.rglob("*") if path.is_file()} == before
 
 
@@ -173,7 +173,7 @@ def test_recover_finishes_what_a_crash_left(command: Command, tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     assert "nothing to recover" in command("recover").err
     (tmp_path / "x.recording.h5").write_bytes(b"not HDF5")
-    told = command("recover", "--json", code=2)
-    assert json.loads(told.out)[0]["outcome"] == "left"
-    assert "x.recording.h5" in told.err
+    printed = command("recover", "--json", code=2)
+    assert json.loads(printed.out)[0]["outcome"] == "left"
+    assert "x.recording.h5" in printed.err
     assert (tmp_path / "x.recording.h5").read_bytes() == b"not HDF5"

@@ -29,14 +29,14 @@ def armed() -> Guard:
     return guard
 
 
-def block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: int = 0) -> Block:
+def make_block(force: float = 30.0, start: float = 5.0, speed: float = 20.0, first: int = 0) -> Block:
     position = start + speed * np.arange(50) / RATE
     return Block(first, {"force": np.full(50, force, np.float32), "position": position.astype(np.float32)})
 
 
-def seen(one: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], BlockExtremes]:
-    command = (one.channels["position"] + command_off).astype(np.float32)
-    return command, BlockExtremes.of(one, command)
+def with_command(block: Block, command_off: float = 0.0) -> tuple[npt.NDArray[np.float32], BlockExtremes]:
+    command = (block.channels["position"] + command_off).astype(np.float32)
+    return command, BlockExtremes.of(block, command)
 
 
 def test_it_starts_tripped_and_is_armed_by_a_reset() -> None:
@@ -57,53 +57,53 @@ def test_a_reset_needs_all_conditions_clear() -> None:
 def test_a_run_as_planned_passes() -> None:
     guard = armed()
     for first in range(0, 500, 50):
-        one = block(start=5 + first * 0.02, first=first)
-        assert guard.inspect(one, *seen(one), RATE) is None
+        block = make_block(start=5 + first * 0.02, first=first)
+        assert guard.inspect(block, *with_command(block), RATE) is None
 
 
 @pytest.mark.parametrize(
     ("bad", "command_off", "cause"),
     [
-        (block(force=8001.0), 0.0, TripCause.FORCE),
-        (block(force=-8001.0), 0.0, TripCause.FORCE),
-        (block(force=float("nan")), 0.0, TripCause.NOT_A_NUMBER),
-        (block(start=40.5), 0.0, TripCause.POSITION),
-        (block(start=-1.5, speed=0.0), 0.0, TripCause.POSITION),
-        (block(speed=36.0), 0.0, TripCause.SPEED),
-        (block(speed=0.0), 0.51, TripCause.FOLLOWING_ERROR),
+        (make_block(force=8001.0), 0.0, TripCause.FORCE),
+        (make_block(force=-8001.0), 0.0, TripCause.FORCE),
+        (make_block(force=float("nan")), 0.0, TripCause.NOT_A_NUMBER),
+        (make_block(start=40.5), 0.0, TripCause.POSITION),
+        (make_block(start=-1.5, speed=0.0), 0.0, TripCause.POSITION),
+        (make_block(speed=36.0), 0.0, TripCause.SPEED),
+        (make_block(speed=0.0), 0.51, TripCause.FOLLOWING_ERROR),
     ],
 )
 def test_each_cause_trips(bad: Block, command_off: float, cause: TripCause) -> None:
-    trip = armed().inspect(bad, *seen(bad, command_off), RATE)
+    trip = armed().inspect(bad, *with_command(bad, command_off), RATE)
     assert trip is not None
     assert trip.cause is cause
 
 
 def test_following_error_may_grow_with_speed() -> None:
-    one = block(speed=20.0)
-    assert armed().inspect(one, *seen(one, 1.4), RATE) is None
-    assert armed().inspect(one, *seen(one, 1.6), RATE) is not None
+    block = make_block(speed=20.0)
+    assert armed().inspect(block, *with_command(block, 1.4), RATE) is None
+    assert armed().inspect(block, *with_command(block, 1.6), RATE) is not None
 
 
 def test_speed_is_seen_across_blocks_and_gaps() -> None:
     guard = armed()
-    first, far = block(speed=0.0), block(start=9.0, speed=0.0, first=100)
-    assert guard.inspect(first, *seen(first), RATE) is None
-    trip = guard.inspect(far, *seen(far), RATE)
+    first, far = make_block(speed=0.0), make_block(start=9.0, speed=0.0, first=100)
+    assert guard.inspect(first, *with_command(first), RATE) is None
+    trip = guard.inspect(far, *with_command(far), RATE)
     assert trip is not None
     assert trip.cause is TripCause.SPEED
 
 
 def test_it_trips_once_and_stays_latched() -> None:
     guard = armed()
-    bad = block(force=9000.0)
-    assert guard.inspect(bad, *seen(bad), RATE) is not None
-    assert guard.inspect(bad, *seen(bad), RATE) is None
+    bad = make_block(force=9000.0)
+    assert guard.inspect(bad, *with_command(bad), RATE) is not None
+    assert guard.inspect(bad, *with_command(bad), RATE) is None
     assert guard.latch(Trip(TripCause.STALE_DATA, "late")) is None
     assert guard.trip is not None
     assert guard.trip.cause is TripCause.FORCE
-    good = block()
-    assert guard.inspect(good, *seen(good), RATE) is None
+    good = make_block()
+    assert guard.inspect(good, *with_command(good), RATE) is None
     assert guard.trip.cause is TripCause.FORCE
 
 
@@ -118,16 +118,16 @@ def test_a_plain_lag_does_not_trip_where_the_stage_brakes_or_turns(offset: int) 
         time = np.arange(first, end) / RATE
         command = profile.position(time).astype(np.float32)
         lagging = profile.position(np.maximum(time - 0.02, 0.0)).astype(np.float32)
-        one = Block(first, {"force": np.zeros(end - first, np.float32), "position": lagging})
-        assert guard.inspect(one, command, BlockExtremes.of(one, command), RATE) is None
+        block = Block(first, {"force": np.zeros(end - first, np.float32), "position": lagging})
+        assert guard.inspect(block, command, BlockExtremes.of(block, command), RATE) is None
 
 
 def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
     guard = armed()
     for first in range(0, 400, 2):
         position = np.array([5.0, 5.001 if first % 4 else 4.999], np.float32)
-        one = Block(first, {"force": np.zeros(2, np.float32), "position": position})
-        assert guard.inspect(one, *seen(one), 20_000.0) is None
+        block = Block(first, {"force": np.zeros(2, np.float32), "position": position})
+        assert guard.inspect(block, *with_command(block), 20_000.0) is None
 
 
 def driven(
@@ -140,8 +140,8 @@ def driven(
     for first in range(0, profile.samples(RATE) - per_block, per_block):
         time = np.arange(first, first + per_block) / RATE
         command = profile.position(time).astype(np.float32)
-        one = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
-        if trip := guard.inspect(one, command, BlockExtremes.of(one, command), RATE):
+        block = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
+        if trip := guard.inspect(block, command, BlockExtremes.of(block, command), RATE):
             return trip
     return None
 
@@ -208,8 +208,8 @@ def test_an_override_frees_one_switch_for_one_motion() -> None:
     assert high.fault is not None
     assert guard.permits(low.fault)
     assert not guard.permits(high.fault)
-    bad = block(force=9000.0)
-    assert guard.inspect(bad, *seen(bad), RATE) is not None
+    bad = make_block(force=9000.0)
+    assert guard.inspect(bad, *with_command(bad), RATE) is not None
 
 
 @pytest.mark.parametrize("reset_between", [False, True])

@@ -59,33 +59,33 @@ def bench(
 
 
 def test_nothing_moves_before_the_guard_is_reset() -> None:
-    one = bench()
-    for move in (one.manual.home, lambda: one.manual.jog(1.0), lambda: one.manual.touch_off(20.0, 1.0, 5.0)):
+    rig = bench()
+    for move in (rig.manual.home, lambda: rig.manual.jog(1.0), lambda: rig.manual.touch_off(20.0, 1.0, 5.0)):
         with pytest.raises(TrippedError, match="reset"):
             move()
-    assert one.person.prompts == []
-    assert not one.backend.stage.state().enabled
+    assert rig.person.prompts == []
+    assert not rig.backend.stage.state().enabled
 
 
 def test_a_jog_says_from_where_to_where_and_goes_there() -> None:
-    one = bench()
-    one.manual.reset()
-    assert one.manual.jog(12.5, 5.0) == pytest.approx(12.5, abs=0.001)
-    assert one.manual.jog(-2.0) == pytest.approx(10.5, abs=0.001)
-    texts = [prompt.text for prompt in one.person.prompts]
+    rig = bench()
+    rig.manual.reset()
+    assert rig.manual.jog(12.5, 5.0) == pytest.approx(12.5, abs=0.001)
+    assert rig.manual.jog(-2.0) == pytest.approx(10.5, abs=0.001)
+    texts = [prompt.text for prompt in rig.person.prompts]
     assert texts == [
         "The stage moves from 0.000 to 12.500 mm at 5 mm/s",
         "The stage moves from 12.500 to 10.500 mm at 10 mm/s",
     ]
-    assert not any(prompt.hands for prompt in one.person.prompts)
+    assert not any(prompt.hands for prompt in rig.person.prompts)
 
 
 def test_a_jog_that_is_not_agreed_to_moves_nothing() -> None:
-    one = bench(None, Answer.ABORT)
-    one.manual.reset()
+    rig = bench(None, Answer.ABORT)
+    rig.manual.reset()
     with pytest.raises(AbortedError):
-        one.manual.jog(5.0)
-    assert one.at_mm == 0.0
+        rig.manual.jog(5.0)
+    assert rig.at_mm == 0.0
 
 
 @pytest.mark.parametrize(
@@ -100,52 +100,52 @@ def test_a_jog_that_is_not_agreed_to_moves_nothing() -> None:
     ],
 )
 def test_a_jog_that_cannot_be_is_refused_before_anybody_is_asked(distance: float, speed: float, word: str) -> None:
-    one = bench()
-    one.manual.reset()
+    rig = bench()
+    rig.manual.reset()
     with pytest.raises(SettingsError, match=word):
-        one.manual.jog(distance, speed)
-    assert one.person.prompts == []
+        rig.manual.jog(distance, speed)
+    assert rig.person.prompts == []
 
 
 def test_a_jog_faster_than_the_stage_can_go_is_refused() -> None:
-    one = bench()
-    one.manual.reset()
+    rig = bench()
+    rig.manual.reset()
     with pytest.raises(SettingsError, match="100 at most"):
-        one.manual.jog(120.0, 101.0)
-    assert one.person.prompts == []
+        rig.manual.jog(120.0, 101.0)
+    assert rig.person.prompts == []
 
 
 def test_an_abort_while_a_person_is_asked_moves_nothing() -> None:
-    one = bench()
-    one.manual.reset()
+    rig = bench()
+    rig.manual.reset()
 
     def ask(prompt: Prompt) -> Answer:
-        one.engine.abort("stop button")
+        rig.engine.abort("stop button")
         return Answer.DONE
 
-    one.person.ask = ask  # type: ignore[method-assign]
+    rig.person.ask = ask  # type: ignore[method-assign]
     with pytest.raises(AbortedError, match="stop button"):
-        one.manual.jog(5.0)
-    assert one.at_mm == 0.0
+        rig.manual.jog(5.0)
+    assert rig.at_mm == 0.0
 
 
 def test_jogs_are_guarded() -> None:
-    one = bench(Faults(drive_fault=DriveFault(0.3)))
-    one.manual.reset()
+    rig = bench(Faults(drive_fault=DriveFault(0.3)))
+    rig.manual.reset()
     with pytest.raises(TrippedError, match="overcurrent"):
-        one.manual.jog(50.0)
-    assert one.at_mm < 10.0
+        rig.manual.jog(50.0)
+    assert rig.at_mm < 10.0
     with pytest.raises(TrippedError):
-        one.manual.jog(1.0)
-    one.manual.reset()
-    assert one.manual.trip is None
+        rig.manual.jog(1.0)
+    rig.manual.reset()
+    assert rig.manual.trip is None
 
 
 def test_homing_asks_and_at_a_real_rig_only_hands_may_answer() -> None:
-    one = bench()
-    one.manual.reset()
-    assert one.manual.home() == 0.0
-    (prompt,) = one.person.prompts
+    rig = bench()
+    rig.manual.reset()
+    assert rig.manual.home() == 0.0
+    (prompt,) = rig.person.prompts
     assert "origin" in prompt.text
     assert not prompt.hands
     refused = bench(None, Answer.DONE, Answer.ABORT, kind=Handed)
@@ -160,29 +160,29 @@ AT_100 = Faults(limit_switch=LimitSwitch(TravelEnd.HIGH, 100.0))
 
 
 def on_the_switch(*answers: Answer, kind: Callable[..., SimulatedBackend] = SimulatedBackend) -> Bench:
-    one = bench(AT_100, *answers, kind=kind)
-    one.manual.reset()
+    rig = bench(AT_100, *answers, kind=kind)
+    rig.manual.reset()
     with pytest.raises(TrippedError, match="upper limit switch"):
-        one.manual.jog(110.0, 50.0)
-    assert 100.0 <= one.at_mm < 104.0
+        rig.manual.jog(110.0, 50.0)
+    assert 100.0 <= rig.at_mm < 104.0
     with pytest.raises(TrippedError, match="high end is pressed"):
-        one.manual.reset()
-    return one
+        rig.manual.reset()
+    return rig
 
 
 def test_one_slow_jog_leads_off_a_pressed_switch() -> None:
-    one = on_the_switch()
-    begin = one.at_mm
-    assert one.manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.001)
-    assert one.manual.trip is not None
-    assert one.manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
+    rig = on_the_switch()
+    begin = rig.at_mm
+    assert rig.manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.001)
+    assert rig.manual.trip is not None
+    assert rig.manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
     with pytest.raises(TrippedError):
-        one.manual.jog(-1.0)
-    one.manual.jog(-4.0, override=TravelEnd.HIGH)
-    assert one.manual.trip is None
-    one.manual.jog(-5.0)
+        rig.manual.jog(-1.0)
+    rig.manual.jog(-4.0, override=TravelEnd.HIGH)
+    assert rig.manual.trip is None
+    rig.manual.jog(-5.0)
     with pytest.raises(DeviceError, match="nothing to override"):
-        one.manual.jog(-1.0, override=TravelEnd.HIGH)
+        rig.manual.jog(-1.0, override=TravelEnd.HIGH)
 
 
 @pytest.mark.parametrize(
@@ -196,63 +196,63 @@ def test_one_slow_jog_leads_off_a_pressed_switch() -> None:
 def test_an_override_frees_no_more_than_it_says(
     distance: float, speed: float | None, side: TravelEnd, word: str
 ) -> None:
-    one = on_the_switch()
-    begin = one.at_mm
+    rig = on_the_switch()
+    begin = rig.at_mm
     with pytest.raises((SettingsError, TrippedError), match=word):
-        one.manual.jog(distance, speed, override=side)
-    assert one.at_mm == begin
-    assert one.manual.trip is not None
+        rig.manual.jog(distance, speed, override=side)
+    assert rig.at_mm == begin
+    assert rig.manual.trip is not None
 
 
 def test_an_override_that_is_not_agreed_to_frees_nothing() -> None:
-    one = on_the_switch()
-    one.person.answers = [Answer.ABORT]
+    rig = on_the_switch()
+    rig.person.answers = [Answer.ABORT]
     with pytest.raises(AbortedError):
-        one.manual.jog(-1.0, override=TravelEnd.HIGH)
-    assert one.backend.stage.fault is not None
+        rig.manual.jog(-1.0, override=TravelEnd.HIGH)
+    assert rig.backend.stage.fault is not None
     with pytest.raises(TrippedError):
-        one.manual.jog(-1.0)
+        rig.manual.jog(-1.0)
 
 
 def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
-    one = on_the_switch()
-    one.backend.sampler._disturbances = Faults(force_spike=ForceSpike(0.3, 9000.0))
+    rig = on_the_switch()
+    rig.backend.sampler._disturbances = Faults(force_spike=ForceSpike(0.3, 9000.0))
     with pytest.raises(TrippedError, match="force of"):
-        one.manual.jog(-4.0, override=TravelEnd.HIGH)
-    assert one.at_mm > 99.0
+        rig.manual.jog(-4.0, override=TravelEnd.HIGH)
+    assert rig.at_mm > 99.0
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("speed", "at_s"), [(1.0, 4.0), (5.0, 2.5)])
 def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s: float) -> None:
-    one = bench(Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0)))
-    one.manual.reset()
-    one.backend.stage.enable()
-    one.backend.stage.home()
-    one.backend.sampler._disturbances = Faults()
-    one.manual.jog(60.0, 50.0)
-    one.backend.sampler._disturbances = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
-    found = one.manual.touch_off(200.0, speed, sign * 20.0)
+    rig = bench(Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0)))
+    rig.manual.reset()
+    rig.backend.stage.enable()
+    rig.backend.stage.home()
+    rig.backend.sampler._disturbances = Faults()
+    rig.manual.jog(60.0, 50.0)
+    rig.backend.sampler._disturbances = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
+    found = rig.manual.touch_off(200.0, speed, sign * 20.0)
     # 1 s of rest, and 0.1 s to the speed.
     assert found.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.002 * speed + 0.001)
     assert found.force_mN < -200.0
-    assert sign * (one.at_mm - found.position_mm) < 0.1 * speed
+    assert sign * (rig.at_mm - found.position_mm) < 0.1 * speed
 
 
 def test_it_backs_off_as_asked_but_not_beyond_where_it_began() -> None:
     for back_mm, expected in ((0.5, 1.95), (30.0, 0.0)):
-        one = bench(Faults(force_spike=ForceSpike(3.5, 400.0, duration_s=1.0)))
-        one.manual.reset()
-        found = one.manual.touch_off(200.0, 1.0, 20.0, back_mm)
+        rig = bench(Faults(force_spike=ForceSpike(3.5, 400.0, duration_s=1.0)))
+        rig.manual.reset()
+        found = rig.manual.touch_off(200.0, 1.0, 20.0, back_mm)
         assert found.position_mm == pytest.approx(2.45, abs=0.02)
-        assert one.at_mm == pytest.approx(expected, abs=0.02)
+        assert rig.at_mm == pytest.approx(expected, abs=0.02)
 
 
 def test_a_contact_that_is_not_there_or_lost_in_noise_is_told() -> None:
-    one = bench()
-    one.manual.reset()
+    rig = bench()
+    rig.manual.reset()
     with pytest.raises(DeviceError, match=r"no contact within 3 mm: the force changed by .* and 5000 mN are needed"):
-        one.manual.touch_off(5000.0, 5.0, 3.0)
+        rig.manual.touch_off(5000.0, 5.0, 3.0)
     noisy = bench(rig=settings(simulated={"noise": {"white_mN": 30.0}}))
     noisy.manual.reset()
     with pytest.raises(SettingsError, match="within the noise"):
@@ -271,27 +271,27 @@ def test_a_contact_that_is_not_there_or_lost_in_noise_is_told() -> None:
     ],
 )
 def test_values_that_cannot_be_are_refused(force: float, speed: float, most: float, back: float) -> None:
-    one = bench()
-    one.manual.reset()
+    rig = bench()
+    rig.manual.reset()
     with pytest.raises(SettingsError):
-        one.manual.touch_off(force, speed, most, back)
-    assert one.person.prompts == []
+        rig.manual.touch_off(force, speed, most, back)
+    assert rig.person.prompts == []
 
 
 def test_an_override_that_failed_leaves_nothing_free(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = bench(AT_100)
-    one.manual.reset()
+    rig = bench(AT_100)
+    rig.manual.reset()
     with pytest.raises(TrippedError):
-        one.manual.jog(120.0, 50.0)
+        rig.manual.jog(120.0, 50.0)
 
     def refuse() -> None:
         raise DeviceError("the drive refuses.")
 
     with monkeypatch.context() as patched:
-        patched.setattr(one.backend.stage, "enable", refuse)
+        patched.setattr(rig.backend.stage, "enable", refuse)
         with pytest.raises(DeviceError, match="refuses"):
-            one.manual.jog(-1.0, override=TravelEnd.HIGH)
-    at_mm = one.at_mm
+            rig.manual.jog(-1.0, override=TravelEnd.HIGH)
+    at_mm = rig.at_mm
     with pytest.raises(TrippedError, match="reset"):
-        one.manual.jog(-1.0)
-    assert one.at_mm == at_mm
+        rig.manual.jog(-1.0)
+    assert rig.at_mm == at_mm

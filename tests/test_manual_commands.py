@@ -15,8 +15,8 @@ from dragrig.cli import main
 from dragrig.config.rig import ContactPoint
 from dragrig.config.settings import load_settings
 from dragrig.lab import create_lab
-from dragrig.rig import lab_folder as contact
 from dragrig.rig.devices import Block
+from dragrig.rig.lab_folder import write_contact
 from dragrig.rig.runfile import read_campaign
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 
@@ -34,9 +34,9 @@ def test_a_jog_asks_and_tells_where_the_stage_is(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
     assert main(["jog", "5", "--speed", "20"]) == 0
-    told = capsys.readouterr()
-    assert told.out == "5.000 mm\n"
-    assert "The stage moves from 0.000 to 5.000 mm at 20 mm/s." in told.err
+    printed = capsys.readouterr()
+    assert printed.out == "5.000 mm\n"
+    assert "The stage moves from 0.000 to 5.000 mm at 20 mm/s." in printed.err
     assert main(["jog", "2.5", "--yes", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"position_mm": 2.5, "trip": None}
 
@@ -49,10 +49,10 @@ def test_a_jog_may_go_down(lab: Path, capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.parametrize("command", [["jog", "5"], ["home"], ["touch-off"]])
 def test_nobody_answering_is_no_consent(lab: Path, command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 3
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "The stage moves" in told.err
-    assert "--yes" in told.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "The stage moves" in printed.err
+    assert "--yes" in printed.err
     assert not (lab / "contact.toml").exists()
 
 
@@ -66,10 +66,10 @@ def test_at_a_real_rig_yes_does_not_look(
     assert "hands" in capsys.readouterr().err
     monkeypatch.setattr(sys, "stdin", io.StringIO("d\n" * 4))
     assert main(handed) == 0
-    told = capsys.readouterr().err
-    assert told.index("Check the rig") < told.index("origin")
+    printed = capsys.readouterr().err
+    assert printed.index("Check the rig") < printed.index("origin")
     # The jog itself needs no hands, so --yes answers for it.
-    assert "goes from 0.000 to 5.000 mm" not in told
+    assert "goes from 0.000 to 5.000 mm" not in printed
 
 
 @pytest.mark.parametrize(
@@ -94,9 +94,9 @@ def test_what_cannot_be_is_told_in_one_sentence(
     lab: Path, words: list[str], code: int, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*words, "--yes"]) == code
-    told = capsys.readouterr()
-    assert sentence in told.err
-    assert told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert sentence in printed.err
+    assert printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -140,19 +140,19 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 
     monkeypatch.setattr(SimulatedSampler, "read", interrupted)
     assert main(["jog", "100", "--speed", "1", "--yes"]) == 3
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "ended early (Ctrl-C)" in told.err
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "ended early (Ctrl-C)" in printed.err
     assert len(blocks) < 50
 
 
 def test_a_contact_is_kept_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
-    kept = load_settings(ContactPoint, lab / "contact.toml")
-    assert kept.operator == "Ada"
-    assert abs(kept.force_mN) >= 20.0
-    moved = kept.model_copy(update={"position_mm": 61.5})
-    contact.write_contact(lab, moved)
+    contact = load_settings(ContactPoint, lab / "contact.toml")
+    assert contact.operator == "Ada"
+    assert abs(contact.force_mN) >= 20.0
+    moved = contact.model_copy(update={"position_mm": 61.5})
+    write_contact(lab, moved)
     from_contact = ["--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=-10"]
     short = ["--set", "travel_mm=10", "--set", "way_back=stay"]
     assert main(["check", "drag", *from_contact, *short, "--json"]) == 0
@@ -176,9 +176,9 @@ def test_limits_stay_absolute_when_plans_count_from_a_contact(lab: Path, capsys:
 
 def test_without_a_contact_nothing_counts_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "drag", "--yes", "--set", "rig.stage.start_from='contact'"]) == 2
-    told = capsys.readouterr().err
-    assert "dragrig touch-off" in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert "dragrig touch-off" in printed
+    assert printed.count("\n") == 1
 
 
 def test_a_resumed_campaign_takes_the_contact_that_holds_now(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,7 +190,7 @@ def test_a_resumed_campaign_takes_the_contact_that_holds_now(lab: Path, capsys: 
     contact_file.write_text('position_mm = 60.0\nmade_at = "2026-05-05T09:00:00Z"\nforce_mN = 20.0\n', "utf-8")
     assert main(["run", "--resume", "runs/c", "--yes", "--set", "rig.guard.force_limit_mN=8000"]) == 0
     contact_file.unlink()
-    origins = [one.header.entry["origin_mm"] for one in read_campaign(lab / "runs" / "c").runs]
+    origins = [run.header.entry["origin_mm"] for run in read_campaign(lab / "runs" / "c").runs]
     assert origins == [pytest.approx(50.0, abs=0.001), pytest.approx(60.0, abs=0.001)]
 
 

@@ -24,8 +24,8 @@ BOUND_S = 0.25
 def test_a_kill_at_any_moment_loses_a_quarter_second_at_most(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)
     path, rate_hz = tmp_path / "run.h5", draw.choice([1000.0, 50_000.0])
-    said, killed = run_victim(path, kill_after_s=draw.uniform(0.1, 0.7), in_a_flush=seed % 2 == 0, rate_hz=rate_hz)
-    loss = loss_of(path, said, killed, rate_hz)
+    offers, killed = run_victim(path, kill_after_s=draw.uniform(0.1, 0.7), in_a_flush=seed % 2 == 0, rate_hz=rate_hz)
+    loss = loss_of(path, offers, killed, rate_hz)
     assert loss.kept > 0
     assert loss.lost_s <= BOUND_S + loss.stall_s, loss
     info = read_info(path)
@@ -37,12 +37,12 @@ def test_a_kill_at_any_moment_loses_a_quarter_second_at_most(tmp_path: Path, see
 @pytest.mark.parametrize("step", STEPS)
 def test_a_kill_in_the_middle_of_a_step_leaves_a_whole_run_or_none(tmp_path: Path, step: str) -> None:
     path, times = tmp_path / "run.h5", 3 if step in {"appending", "flushing", "noting"} else 1
-    said, killed = run_victim(path, seconds=0.45, die_at=step, times=times)
-    if not said:
+    offers, killed = run_victim(path, seconds=0.45, die_at=step, times=times)
+    if not offers:
         recover(tmp_path)
         assert not path.exists() or read_info(path).samples == 0
     else:
-        loss = loss_of(path, said, killed)
+        loss = loss_of(path, offers, killed)
         assert loss.lost_s <= BOUND_S + loss.stall_s, loss
         ended = step in {"closing", "copying", "syncing", "placed"}
         assert read_info(path).status is (RunStatus.COMPLETE if ended else RunStatus.RECOVERED)
@@ -57,20 +57,20 @@ def test_a_kill_in_the_middle_of_a_step_leaves_a_whole_run_or_none(tmp_path: Pat
 def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         recorder.offer(0, arrays(0, 100))
-        (found,) = recover(tmp_path)
-        assert found.outcome is RecoveryOutcome.IN_USE
-        other = subprocess.run(
+        (recovered,) = recover(tmp_path)
+        assert recovered.outcome is RecoveryOutcome.IN_USE
+        elsewhere = subprocess.run(
             [sys.executable, "-c", "import sys; from pathlib import Path; from dragrig.rig.runfile import recover;"
              "print(recover(Path(sys.argv[1]))[0].outcome)", str(tmp_path)],
             capture_output=True, text=True, check=True,
         )  # fmt: skip
-        assert other.stdout.strip() == "in use"
+        assert elsewhere.stdout.strip() == "in use"
         with pytest.raises(OutputError, match="another process"):
             Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
         recorder.offer(100, arrays(100, 100))
         recorder.close(RunStatus.COMPLETE, "as planned")
-    (found,) = recover(tmp_path)
-    assert (found.outcome, found.samples) == (RecoveryOutcome.FINISHED, 200)
+    (recovered,) = recover(tmp_path)
+    assert (recovered.outcome, recovered.samples) == (RecoveryOutcome.FINISHED, 200)
 
 
 def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
@@ -78,7 +78,7 @@ def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
     left.write_bytes(left.read_bytes()[:3000])
     record(tmp_path / "whole.h5", 500)
     before = left.read_bytes()
-    outcomes = {found.recording.name: found.outcome for found in recover(tmp_path)}
+    outcomes = {recovered.recording.name: recovered.outcome for recovered in recover(tmp_path)}
     assert outcomes == {"run.recording.h5": RecoveryOutcome.LEFT, "whole.recording.h5": RecoveryOutcome.FINISHED}
     assert left.read_bytes() == before
     assert left_recordings(tmp_path) == (left,)
@@ -89,9 +89,9 @@ def test_another_run_in_the_way_is_never_replaced(tmp_path: Path) -> None:
     aside = left.rename(tmp_path / "aside")
     recover(record(tmp_path / "run.h5", 500))
     aside.rename(left)
-    (found,) = recover(tmp_path)
-    assert found.outcome is RecoveryOutcome.LEFT
-    assert "another run" in found.message
+    (recovered,) = recover(tmp_path)
+    assert recovered.outcome is RecoveryOutcome.LEFT
+    assert "another run" in recovered.message
     assert left.exists()
     assert read_info(tmp_path / "run.h5").samples == 500
 
@@ -123,7 +123,7 @@ def test_what_a_killed_worker_left_is_finished_here(tmp_path: Path) -> None:
         for order in (1, 2):
             finisher.submit(record(tmp_path / f"{order}.h5", 1000, order))
         done = finisher.wait()
-    assert sorted(one.path.name for one in done if one.path) == ["1.h5", "2.h5"]
+    assert sorted(result.path.name for result in done if result.path) == ["1.h5", "2.h5"]
     assert left_recordings(tmp_path) == ()
 
 

@@ -78,10 +78,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert run.info.checks == {"rest_offset_mN": 1.5, "clipped": True, "lost_samples": 2}
     assert run.events == (event,)
     for name, values in given_arrays.items():
-        found = {"time": run.trace.time, "command": run.trace.command, "phase": run.trace.phase, **run.trace.channels}
-        np.testing.assert_array_equal(found[name], values)
-        assert found[name].dtype == values.dtype
-        assert not found[name].flags.writeable
+        columns = {"time": run.trace.time, "command": run.trace.command, "phase": run.trace.phase, **run.trace.channels}
+        np.testing.assert_array_equal(columns[name], values)
+        assert columns[name].dtype == values.dtype
+        assert not columns[name].flags.writeable
 
 
 def test_numbers_keep_all_their_digits(tmp_path: Path) -> None:
@@ -127,10 +127,10 @@ def set_attribute(place: str, name: str, value: object) -> Callable[[h5py.File],
 def set_values(name: str, values: object) -> Callable[[h5py.File], None]:
     def change(file: h5py.File) -> None:
         trace = file["entry/trace"]
-        kept = dict(trace[name].attrs)
+        attributes = dict(trace[name].attrs)
         del trace[name]
         trace[name] = values
-        trace[name].attrs.update(kept)
+        trace[name].attrs.update(attributes)
 
     return change
 
@@ -143,7 +143,7 @@ def lose_one_time(values: list[float]) -> Callable[[h5py.File], None]:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (set_attribute("/", "format", "other"), "format"),
         (set_attribute("/", "format_version", 2), "newer"),
@@ -173,11 +173,11 @@ def lose_one_time(values: list[float]) -> Callable[[h5py.File], None]:
         (set_values("position", "text"), "/entry/trace/position"),
     ],
 )
-def test_what_breaks_the_format_is_named(tmp_path: Path, change: Callable[[h5py.File], None], said: str) -> None:
+def test_what_breaks_the_format_is_named(tmp_path: Path, change: Callable[[h5py.File], None], message: str) -> None:
     path = whole(tmp_path / "run.h5")
     with h5py.File(path, "r+") as file:
         change(file)
-    assert said in refused(path)
+    assert message in refused(path)
 
 
 def test_a_shape_that_the_file_cannot_hold_asks_for_no_memory(tmp_path: Path) -> None:
@@ -185,9 +185,9 @@ def test_a_shape_that_the_file_cannot_hold_asks_for_no_memory(tmp_path: Path) ->
     with h5py.File(path, "r+") as file:
         trace = file["entry/trace"]
         for name in list(trace):
-            kept, dtype = dict(trace[name].attrs), trace[name].dtype
+            attributes, dtype = dict(trace[name].attrs), trace[name].dtype
             del trace[name]
-            trace.create_dataset(name, shape=(1 << 48,), chunks=(1 << 20,), dtype=dtype).attrs.update(kept)
+            trace.create_dataset(name, shape=(1 << 48,), chunks=(1 << 20,), dtype=dtype).attrs.update(attributes)
     assert "does not hold" in refused(path)
 
 
@@ -265,7 +265,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("broken_header", "broken_arrays", "said"),
+    ("broken_header", "broken_arrays", "message"),
     [
         (replace(header(), capsule={}), {}, "diameter_mm"),
         (replace(header(), protocol={}), {}, "speed_mm_s"),
@@ -279,9 +279,9 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     ],
 )
 def test_what_could_not_be_read_back_is_not_written(
-    tmp_path: Path, broken_header: object, broken_arrays: dict[str, object], said: str
+    tmp_path: Path, broken_header: object, broken_arrays: dict[str, object], message: str
 ) -> None:
-    with pytest.raises(RunFileError, match=said):
+    with pytest.raises(RunFileError, match=message):
         write_run(tmp_path / "run.h5", broken_header, {**arrays(0, 20), **broken_arrays})  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
 
@@ -301,11 +301,11 @@ def test_a_folder_of_files_by_others_is_a_campaign(tmp_path: Path) -> None:
     for path in PRACTICE_FILES:
         shutil.copy(path, tmp_path)
     (tmp_path / "000-broken.h5").write_bytes(b"nothing")
-    found = read_campaign(tmp_path)
-    orders = [run.header.order for run in found.runs]
-    assert len(found.runs) == len(PRACTICE_FILES)
+    campaign = read_campaign(tmp_path)
+    orders = [run.header.order for run in campaign.runs]
+    assert len(campaign.runs) == len(PRACTICE_FILES)
     assert orders == sorted(orders)
-    assert [path.name for path, _ in found.unreadable] == ["000-broken.h5"]
+    assert [path.name for path, _ in campaign.unreadable] == ["000-broken.h5"]
 
 
 def test_the_package_loads_h5py_only_when_asked() -> None:

@@ -29,10 +29,10 @@ def trace_of(run: Run) -> dict[str, np.ndarray]:
 
 
 def same(run: Run, wanted: dict[str, np.ndarray]) -> None:
-    found = trace_of(run)
-    assert found.keys() == wanted.keys()
+    columns = trace_of(run)
+    assert columns.keys() == wanted.keys()
     for name, values in wanted.items():
-        np.testing.assert_array_equal(found[name], values, err_msg=name)
+        np.testing.assert_array_equal(columns[name], values, err_msg=name)
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -167,7 +167,7 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "change", "said"),
+    ("first", "change", "message"),
     [
         (50, lambda block: block, "100 comes next"),
         (100, lambda block: {**block, "extra": block["force"]}, "extra"),
@@ -177,11 +177,11 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
     ],
 )
 def test_samples_that_do_not_fit_are_refused_and_the_run_goes_on(
-    tmp_path: Path, first: int, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], said: str
+    tmp_path: Path, first: int, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], message: str
 ) -> None:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         recorder.offer(0, arrays(0, 100))
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=message):
             recorder.offer(first, change(arrays(first, 10)))
         recorder.offer(100, arrays(100, 100))
         left = recorder.close(RunStatus.COMPLETE, "as planned")
@@ -217,9 +217,9 @@ def test_a_recorder_left_by_an_error_says_so_in_its_file(
 
     with pytest.raises(type(fault)):
         fail()
-    (found,) = recover(tmp_path)
-    assert found.path is not None
-    info = read_info(found.path)
+    (recovered,) = recover(tmp_path)
+    assert recovered.path is not None
+    info = read_info(recovered.path)
     assert (info.status, info.samples) == (status, 100)
     assert str(fault) in info.reason
 
@@ -243,9 +243,9 @@ def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
             path = sink.close(RunStatus.COMPLETE, "as planned", START, {})
         store.mark_bad(0, "spilled")
         store.settle()
-    found = read_campaign(tmp_path / "data" / "campaign")
-    assert [run.path.name for run in found.runs] == ["20260504-093000-drag-000.h5", "20260504-093000-drag-001.h5"]
-    assert [run.header.order for run in found.good] == [1]
+    recovered = read_campaign(tmp_path / "data" / "campaign")
+    assert [run.path.name for run in recovered.runs] == ["20260504-093000-drag-000.h5", "20260504-093000-drag-001.h5"]
+    assert [run.header.order for run in recovered.good] == [1]
     same(read_run(path), arrays(0, 1000))
 
 
@@ -289,15 +289,15 @@ def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp
     offered = int(lines[-1].split()[1])
     if watch == "blind":
         assert "No space left on device" in lines[0]
-        (found,) = recover(small_disk)
-        assert "make room" in found.message
-        shutil.copy(found.recording, tmp_path)
-        (found,) = recover(tmp_path / found.recording.name)
-        assert found.samples > 0
+        (recovered,) = recover(small_disk)
+        assert "make room" in recovered.message
+        shutil.copy(recovered.recording, tmp_path)
+        (recovered,) = recover(tmp_path / recovered.recording.name)
+        assert recovered.samples > 0
     else:
-        (found,) = recover(small_disk)
+        (recovered,) = recover(small_disk)
         # The samples whose offer told of the shortage are kept too.
-        assert found.samples == offered + 5000
-    assert found.path is not None
-    same(read_run(found.path), arrays(0, found.samples, 250e3))
-    assert read_info(found.path).status is (RunStatus.RECOVERED if watch == "blind" else RunStatus.FAILED)
+        assert recovered.samples == offered + 5000
+    assert recovered.path is not None
+    same(read_run(recovered.path), arrays(0, recovered.samples, 250e3))
+    assert read_info(recovered.path).status is (RunStatus.RECOVERED if watch == "blind" else RunStatus.FAILED)

@@ -45,7 +45,7 @@ class Scripted(NullOperator):
         self.waited_s += duration_s
 
 
-def session(
+def new_session(
     *steps: dict[str, object],
     person: NullOperator | None = None,
     faults: Faults | None = None,
@@ -63,8 +63,8 @@ def session(
 
 
 def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, list[Run]]:
-    one, store = session(*steps, **options)  # type: ignore[arg-type]
-    return one.run(), store.runs
+    session, store = new_session(*steps, **options)  # type: ignore[arg-type]
+    return session.run(), store.runs
 
 
 def test_a_plan_of_every_kind_is_carried_out() -> None:
@@ -99,9 +99,9 @@ def test_waits_are_kept_and_noted_as_the_contacts_age() -> None:
 def test_two_sessions_with_one_seed_record_the_same_arrays() -> None:
     _, first = made(SHORT_DRAG)
     _, second = made(SHORT_DRAG)
-    for one, other in zip(first, second, strict=True):
-        for name in one.trace.channels:
-            np.testing.assert_array_equal(one.trace.channels[name], other.trace.channels[name])
+    for earlier_run, later_run in zip(first, second, strict=True):
+        for name in earlier_run.trace.channels:
+            np.testing.assert_array_equal(earlier_run.trace.channels[name], later_run.trace.channels[name])
 
 
 def test_a_tare_takes_the_zero_off() -> None:
@@ -127,8 +127,8 @@ def test_skip_leaves_out_what_the_prompt_prepares() -> None:
 def test_redo_makes_the_run_before_again_and_marks_its_file() -> None:
     person = Scripted(Answer.DONE, Answer.REDO)
     step = {**SHORT_DRAG, "speed_mm_s": [10.0, 20.0], "prompt_each": True}
-    one, store = session(step, person=person)
-    assert one.run().status is RunStatus.COMPLETE
+    session, store = new_session(step, person=person)
+    assert session.run().status is RunStatus.COMPLETE
     speeds = [run.info.header.protocol["speed_mm_s"] for run in store.runs if run.info.kind == "drag"]
     assert speeds == [10.0, 10.0, 20.0]
     assert list(store.bad) == [0, 1]
@@ -155,9 +155,9 @@ class AbortsAt(NullOperator):
 
 def test_an_abort_stops_the_stage_and_keeps_what_was_recorded() -> None:
     person = AbortsAt(1.5)
-    one, store = session(SHORT_DRAG, person=person)
-    person.session = one
-    result = one.run()
+    session, store = new_session(SHORT_DRAG, person=person)
+    person.session = session
+    result = session.run()
     assert (result.status, result.reason) == (RunStatus.ABORTED, "stop button")
     (run,) = store.runs
     assert run.info.status is RunStatus.ABORTED
@@ -187,8 +187,8 @@ def only_drags(acquisition: object) -> bool:
     ],
 )
 def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> None:
-    one, store = session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, affects=only_drags))
-    result = one.run()
+    session, store = new_session({**SHORT_DRAG, "repeats": 2}, faults=replace(faults, affects=only_drags))
+    result = session.run()
     assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith(cause)
     with pytest.raises(TrippedError):
@@ -201,7 +201,7 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
     if cause == "force":
         np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
-        one.engine.acquire(run_acquisition(0, one._programme.runs[0], 0.0))
+        session.engine.acquire(run_acquisition(0, session._programme.runs[0], 0.0))
 
 
 def test_lost_samples_are_counted_and_never_closed_up() -> None:
@@ -220,39 +220,39 @@ class FullStore(MemoryStore):
 
 
 def test_when_no_record_can_be_opened_nothing_moves() -> None:
-    one, _ = session(SHORT_DRAG, store=FullStore())
+    session, _ = new_session(SHORT_DRAG, store=FullStore())
     with pytest.raises(DragrigError, match="no room"):
-        one.run()
-    state = one._backend.stage.state()
+        session.run()
+    state = session._backend.stage.state()
     assert not state.enabled
     assert not state.moving
 
 
 @pytest.fixture
 def stubborn(monkeypatch: pytest.MonkeyPatch) -> tuple[Session, MemoryStore]:
-    one, store = session(SHORT_DRAG)
+    session, store = new_session(SHORT_DRAG)
 
     def refuse() -> None:
         raise DeviceError("the sampler does not let go.")
 
-    monkeypatch.setattr(one._backend.sampler, "stop", refuse)
-    return one, store
+    monkeypatch.setattr(session._backend.sampler, "stop", refuse)
+    return session, store
 
 
 def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tuple[Session, MemoryStore]) -> None:
-    one, store = stubborn
-    result = one.run()
+    session, store = stubborn
+    result = session.run()
     assert result.status is RunStatus.FAILED
     assert "does not let go" in result.reason
-    assert not one._backend.stage.state().enabled
+    assert not session._backend.stage.state().enabled
     assert len(store.runs) == 0 or store.runs[0].info.reason
 
 
 def test_a_session_goes_on_where_another_ended() -> None:
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
     person = Scripted()
-    one, store = session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=7))
-    assert one.run().status is RunStatus.COMPLETE
+    session, store = new_session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=7))
+    assert session.run().status is RunStatus.COMPLETE
     assert [(run.info.kind, run.info.header.order) for run in store.runs] == [
         ("drag", 7), ("return", 8), ("drag", 9), ("return", 10),
     ]  # fmt: skip
@@ -282,16 +282,16 @@ def test_whoever_watches_does_not_get_in_the_way_of_the_run() -> None:
 
 @pytest.mark.parametrize("step", ["stop", "disable"])
 def test_a_driver_that_raises_its_own_kind_of_error_wedges_nothing(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    one, store = session(SHORT_DRAG)
+    session, store = new_session(SHORT_DRAG)
 
     def refuse() -> None:
         raise OSError("cable pulled")
 
-    monkeypatch.setattr(one._backend.stage, step, refuse)
-    result = one.run()
+    monkeypatch.setattr(session._backend.stage, step, refuse)
+    result = session.run()
     assert result.status is RunStatus.FAILED
     assert "cable pulled" in result.reason
-    assert one.engine.status.state == "idle"
+    assert session.engine.status.state == "idle"
     assert all(run.info.status is not RunStatus.RECORDING for run in store.runs)
 
 
@@ -302,9 +302,9 @@ def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
                 self.session._backend.stage.stop()
 
     person = StopsTheStage(1.2)
-    one, store = session(SHORT_DRAG, person=person)
-    person.session = one
-    assert one.run().status is RunStatus.FAILED
+    session, store = new_session(SHORT_DRAG, person=person)
+    person.session = session
+    assert session.run().status is RunStatus.FAILED
     assert store.runs[0].info.status is RunStatus.FAILED
     assert "samples" in store.runs[0].info.reason
 
@@ -312,7 +312,7 @@ def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
 def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
     class Looks(Scripted):
         at_mm: float = -1.0
-        session: Session
+        new_session: Session
 
         def ask(self, prompt: Prompt) -> Answer:
             if prompt.text == "fit":
@@ -320,9 +320,9 @@ def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
             return super().ask(prompt)
 
     person = Looks()
-    one, _ = session(SHORT_DRAG, person=person)
-    person.session = one
-    assert one.run().status is RunStatus.COMPLETE
+    session, _ = new_session(SHORT_DRAG, person=person)
+    person.session = session
+    assert session.run().status is RunStatus.COMPLETE
     assert person.at_mm == pytest.approx(40.0)
 
 
@@ -354,12 +354,12 @@ class Follows(NullOperator):
 def test_who_follows_is_told_beforehand_of_the_runs_that_are_made(done: set[int], left: list[int]) -> None:
     person = Follows()
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
-    one, _ = session(step, person=person, progress=CampaignProgress(done=frozenset(done), next_order=6))
-    assert one.run().status is RunStatus.COMPLETE
+    session, _ = new_session(step, person=person, progress=CampaignProgress(done=frozenset(done), next_order=6))
+    assert session.run().status is RunStatus.COMPLETE
     assert person.pending == person.begun == left
 
 
 def test_a_run_made_again_has_its_way_back_made_again() -> None:
-    one, store = session(SHORT_DRAG, progress=CampaignProgress(done=frozenset({1}), next_order=2))
-    assert one.run().status is RunStatus.COMPLETE
+    session, store = new_session(SHORT_DRAG, progress=CampaignProgress(done=frozenset({1}), next_order=2))
+    assert session.run().status is RunStatus.COMPLETE
     assert [run.info.kind for run in store.runs] == ["drag", "return"]
