@@ -314,7 +314,7 @@ def _handler(method: str, call: Call) -> "grpc.RpcMethodHandler[Message, Message
 def _abort(context: grpc.ServicerContext, method: str, error: CardError) -> NoReturn:
     counts = [(key, str(error.samples)) for start, key in _COUNT_KEYS.items() if method.startswith(start)]
     context.set_trailing_metadata((("ni-error", str(error.code)), *counts))
-    context.abort(grpc.Status.UNKNOWN, error.message)
+    context.abort(grpc.StatusCode.UNKNOWN, error.message)
 
 
 LOOPBACK = "127.0.0.1"
