@@ -1,6 +1,6 @@
 """Making a lab folder."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import tomli_w
@@ -15,18 +15,17 @@ def create_lab(folder: Path) -> tuple[Path, ...]:
 
     Returns
     -------
-    What was made.
+    The paths made.
 
     Raises
     ------
     OutputError
-        When `folder` cannot be written to or already is a lab folder; nothing is written over.
+        When `folder` cannot be written or is a lab folder already; nothing is replaced.
     """
     rig = find_settings(RigSettings, "rig", "bench")
     rig_file, history, root = folder / RIG_FILE, folder / CALIBRATION_FILE, folder / rig.data.root
-    taken = next((one for one in (rig_file, history) if one.exists()), None)
-    if taken is not None:
-        raise OutputError(f"{taken}: is there already and stays as it is; name another folder.")
+    for existing in (path for path in (rig_file, history) if path.exists()):
+        raise OutputError(f"{existing}: exists already and is not changed; name another folder.")
     try:
         root.mkdir(parents=True, exist_ok=True)
         with history.open("x", encoding="utf-8"), rig_file.open("x", encoding="utf-8", newline="\n") as text:
@@ -37,7 +36,7 @@ def create_lab(folder: Path) -> tuple[Path, ...]:
 
 
 def commented_toml(settings: Settings) -> str:
-    """Write settings as TOML, every key with what it means above it."""
+    """Write settings as TOML, every key below a comment with its description."""
     return "\n".join(_commented_lines(settings, (), (type(settings).__doc__ or "").splitlines()[0])) + "\n"
 
 
@@ -53,16 +52,8 @@ def _commented_lines(settings: Settings, path: tuple[str, ...], about: str) -> I
             below[key] = value
         elif key in values:
             if field.description:
-                yield f"# {_single_line(field.description)}"
-            yield _toml_assignment({key: values[key]})
+                yield f"# {' '.join(field.description.split())}"
+            yield tomli_w.dumps({key: values[key]}).strip()
     for key, inner in below.items():
         yield ""
         yield from _commented_lines(inner, (*path, key), (type(inner).__doc__ or "").splitlines()[0])
-
-
-def _single_line(text: str) -> str:
-    return " ".join(text.split())
-
-
-def _toml_assignment(pair: Mapping[str, object]) -> str:
-    return tomli_w.dumps(pair).strip()

@@ -1,7 +1,7 @@
 """Run files named on the command line or in a call: files, patterns and folders."""
 
 import glob
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,95 +11,83 @@ from dragrig.rig.runfile.schema import RECORDING_SUFFIX
 
 
 def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return the run files that are named, in order and each once.
+    """Return the named run files, in order and without duplicates.
 
     Parameters
     ----------
     inputs
-        Files, patterns as `runs/*-drag-*.h5` (not every shell expands them), and folders, which stand for
-        the finished run files in them.
+        Files, patterns as `runs/*-drag-*.h5` (not every shell expands them), and folders, which mean their finished run
+        files.
 
     Raises
     ------
     RunFileError
-        For a name that stands for no file.
+        For a name that matches no file.
     """
-    return tuple(dict.fromkeys(path for one in inputs for path in _matching_files(one)))
+    return tuple(dict.fromkeys(path for name in inputs for path in _matching_files(name)))
 
 
 def input_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return the files that are named, of any kind: files and patterns, in order and each once.
+    """Return the named files of any kind: files and patterns, in order and without duplicates.
 
     Raises
     ------
     RunFileError
-        For a name that stands for no file.
+        For a name that matches no file.
     """
-    found = [path for one in inputs for path in ((Path(one),) if Path(one).is_dir() else _matching_files(one))]
-    folder = next((path for path in found if path.is_dir()), None)
-    if folder is not None:
+    paths = [path for name in inputs for path in ((Path(name),) if Path(name).is_dir() else _matching_files(name))]
+    for folder in (path for path in paths if path.is_dir()):
         raise RunFileError(f"{folder}: is a folder; name the files in it, as {folder / '*.csv'}.")
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(paths))
 
 
 @dataclass(frozen=True, slots=True)
 class GoodRuns:
-    """Run files to work on, and those that were left out because they are marked bad, with the reason."""
+    """Run files, and those left out because they are marked bad, with the reason."""
 
     paths: tuple[Path, ...]
     left_out: Mapping[Path, str]
 
 
 def good_runs(inputs: Sequence[str | Path]) -> GoodRuns:
-    """Return the run files that are named, without those marked bad that a folder or pattern stands for.
-
-    A run that is named itself is meant, whatever its mark says.
+    """Return the named run files without those marked bad; a run named itself counts whatever its mark.
 
     Raises
     ------
     RunFileError
         As `run_files`, and for a mark that cannot be read.
     """
-    named = {Path(one) for one in inputs}
+    named = {Path(name) for name in inputs}
     paths = run_files(inputs)
     marks = {path: read_mark(path) for path in paths if path not in named}
     left_out = {path: mark.reason for path, mark in marks.items() if mark is not None}
     return GoodRuns(tuple(path for path in paths if path not in left_out), left_out)
 
 
-def _matching_files(name: str | Path) -> Iterator[Path]:
+def _matching_files(name: str | Path) -> list[Path]:
     path = Path(name)
     if path.is_dir():
-        yield from _run_files_in(path)
-    elif path.exists() or not glob.has_magic(str(name)):
-        yield _require_existing(path)
-    else:
-        matches = glob.glob(str(name), recursive=True)  # noqa: PTH207  # Path.glob refuses an absolute pattern
-        found = sorted(one for one in map(Path, matches) if not _is_recording(one))
-        if not found:
-            raise RunFileError(f"{name}: no file fits this pattern; check it.")
-        yield from found
+        return _run_files_in(path)
+    if path.exists():
+        return [path]
+    if not glob.has_magic(str(name)):
+        raise RunFileError(f"{path}: there is no such file or folder; check the path.")
+    matches = glob.glob(str(name), recursive=True)  # noqa: PTH207  # Path.glob refuses an absolute pattern
+    paths = sorted(match for match in map(Path, matches) if not match.name.endswith(RECORDING_SUFFIX))
+    if not paths:
+        raise RunFileError(f"{name}: no file matches this pattern; check it.")
+    return paths
 
 
 def _run_files_in(folder: Path) -> list[Path]:
-    found = sorted(one for one in folder.glob("*.h5") if not _is_recording(one))
-    if found:
-        return found
+    paths = sorted(path for path in folder.glob("*.h5") if not path.name.endswith(RECORDING_SUFFIX))
+    if paths:
+        return paths
     if any(folder.glob(f"*{RECORDING_SUFFIX}")):
         raise RunFileError(
-            f"{folder}: holds no finished run, only a recording that a crash left or that goes on right now; once "
+            f"{folder}: holds no finished run, only a recording that is in progress or was left by a crash; once "
             f"nothing records, finish it with dragrig recover {folder}."
         )
-    below = sorted(one.parent.name for one in folder.glob("*/*.h5"))
+    below = sorted(path.parent.name for path in folder.glob("*/*.h5"))
     hint = f"did you mean {folder / below[-1]}?" if below else "name a campaign's folder or a run file."
     raise RunFileError(f"{folder}: holds no run files; {hint}")
-
-
-def _require_existing(path: Path) -> Path:
-    if not path.exists():
-        raise RunFileError(f"{path}: there is no such file or folder; check the path.")
-    return path
-
-
-def _is_recording(path: Path) -> bool:
-    return path.name.endswith(RECORDING_SUFFIX)

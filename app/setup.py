@@ -29,34 +29,34 @@ from dragrig.rig.protocols import RunProtocol, protocol_kinds
 from dragrig.rig.session import session_record_of_run
 
 Pace = Literal["fast", "real"] | float
-"""As fast as it can, as fast as a real rig, or so many times faster; the last for doubles only."""
+"""As fast as possible, as fast as a real rig, or this many times faster; the last for doubles only."""
 _MAX_TIMES_FASTER = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pacing:
-    """What a backend is told: whether a simulated clock keeps the wall's pace, and how much faster a double lives."""
+    """Whether a simulated clock runs in real time, and how many times faster a double runs."""
 
     real_time: bool
     times_faster: float = 1.0
 
 
 def resolve_pace(pace: Pace | None, *, double: bool) -> Pacing:
-    """Return what a pace means; unless given, a simulated rig is fast and a double real.
+    """Return the pacing of a rig; by default a simulated rig is fast and a double real.
 
     Raises
     ------
     SettingsError
-        For a pace that is not there for this kind of rig.
+        For a pace that this kind of rig does not have.
     """
     if not double:
         if pace not in {None, "fast", "real"}:
-            raise SettingsError(f"--pace {pace}: is fast or real; so many times faster is for --double.")
+            raise SettingsError(f"--pace {pace}: is fast or real; a number of times faster is for --double.")
         return Pacing(real_time=pace == "real")
     times_faster = 1.0 if pace is None or pace == "real" else pace
     if isinstance(times_faster, str) or not 0 < times_faster <= _MAX_TIMES_FASTER:
         raise SettingsError(
-            f"--pace {pace}: a double's is real, or so many times faster, as 20, up to {_MAX_TIMES_FASTER:g}."
+            f"--pace {pace}: that of a double is real, or a number of times faster, as 20, up to {_MAX_TIMES_FASTER:g}."
         )
     return Pacing(real_time=True, times_faster=float(times_faster))
 
@@ -66,7 +66,7 @@ DOUBLE_GROUP = "dragrig.doubles"
 
 
 def backend_names() -> tuple[str, ...]:
-    """Return the names of all backends that are installed."""
+    """Return the names of all installed backends."""
     return _entry_point_names(BACKEND_GROUP)
 
 
@@ -76,11 +76,10 @@ def find_backend(name: str, *, double: bool = False) -> EntryPoint:
     Raises
     ------
     SettingsError
-        For an unknown one.
+        For an unknown backend, or one without a double.
     """
-    found = entry_points(group=DOUBLE_GROUP if double else BACKEND_GROUP, name=name)
-    if found:
-        return next(iter(found))
+    for entry in entry_points(group=DOUBLE_GROUP if double else BACKEND_GROUP, name=name):
+        return entry
     if double and name in backend_names():
         raise SettingsError(
             f"backend = {name!r}: has no double; leave out --double, or name one with --backend: "
@@ -97,7 +96,7 @@ def open_backend(name: str, request: BackendRequest, *, double: bool = False) ->
     SettingsError
         For an unknown backend.
     DeviceError
-        When it cannot be loaded or what it returns is no backend.
+        When it cannot be loaded, or returns no backend.
     """
     entry = find_backend(name, double=double)
     try:
@@ -107,7 +106,8 @@ def open_backend(name: str, request: BackendRequest, *, double: bool = False) ->
         raise
     except Exception as error:  # an add-on's own code can fail in any way
         raise DeviceError(
-            f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed whole?"
+            f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed "
+            "completely?"
         ) from error
     if not _is_backend(backend):
         raise DeviceError(f"backend {name} ({entry.value}) returns a {type(backend).__name__}, which is no backend.")
@@ -115,9 +115,9 @@ def open_backend(name: str, request: BackendRequest, *, double: bool = False) ->
 
 
 def _is_backend(candidate: object) -> TypeGuard[Backend]:
-    # Not isinstance, which in Python 3.11 asks a rig that is not connected yet for its devices.
-    wanted = [name for name in vars(Backend) if not name.startswith("_")]
-    return all(getattr_static(candidate, name, None) is not None for name in wanted)
+    # Not isinstance, which in Python 3.11 evaluates the properties of a rig that is not connected yet.
+    members = [name for name in vars(Backend) if not name.startswith("_")]
+    return all(getattr_static(candidate, name, None) is not None for name in members)
 
 
 def _entry_point_names(group: str) -> tuple[str, ...]:
@@ -128,13 +128,12 @@ SettingsT = TypeVar("SettingsT", bound=Settings)
 
 DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
 HARDWARE_BACKEND = "hardware"
-"""The backend of the real rig, whose effects are its own."""
+"""The backend of the real rig, to which no effects can be added."""
 CALIBRATED_QUANTITIES = ("force", "encoder")
-"""What is calibrated."""
 
 
 class RigChoices(TypedDict, total=False):
-    """The keyword arguments of `resolve_rig`; none and None mean the usual."""
+    """The keyword arguments of `resolve_rig`; None means the default."""
 
     rig: str | Path | None
     model: str | Path | FrictionModelSettings | None
@@ -146,12 +145,12 @@ class RigChoices(TypedDict, total=False):
 def with_allowed_effects(
     model: FrictionModelSettings, effects: Sequence[str | EffectSettings], *, backend: str, double: bool
 ) -> FrictionModelSettings:
-    """Return the model with further effects, checked where they will act.
+    """Return the model with further effects, checked for this rig.
 
     Raises
     ------
     SettingsError
-        For effects that cannot be, and those for a rig that is not the simulated one.
+        For invalid effects, and for effects on a rig that is not simulated.
     """
     if backend == HARDWARE_BACKEND and (effects or (double and model.effects)):
         where = "its double" if double else "the rig itself"
@@ -163,7 +162,7 @@ def with_allowed_effects(
 
 
 def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSettings]) -> FrictionModelSettings:
-    """Return the model with further effects; raises `SettingsError` for effects that cannot be."""
+    """Return the model with further effects; raises `SettingsError` for invalid effects."""
     further = parse_effects(effects)
     if further:
         model = model.model_copy(update={"effects": (*model.effects, *further)})
@@ -176,16 +175,16 @@ def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSetup:
-    """Everything that says which rig is meant.
+    """The rig in use.
 
     Attributes
     ----------
     model
-        Friction model of a simulated rig, and of a double of the real one.
+        Friction model of a simulated rig or a double.
     rig_folder
         Folder of the rig file, with data root and calibration history; None for a shipped rig.
     double
-        Whether the double of the backend is meant, in place of the hardware.
+        Whether the backend's double is used, in place of the hardware.
     """
 
     rig: RigSettings
@@ -206,22 +205,22 @@ class RigSetup:
 
     @property
     def made_on(self) -> str:
-        """What calibrations made on this rig are kept under: those of the hardware and of its double are no others'."""
+        """Key of this rig's calibrations: hardware, its double and the simulated rig have separate ones."""
         return f"{self.backend} double" if self.double else self.backend
 
     def calibrations(self) -> Mapping[str, Calibration]:
-        """Return the calibrations that hold now, by quantity; raises `SettingsError` for a damaged history.
+        """Return the latest calibrations by quantity; raises `SettingsError` for a damaged history.
 
-        That of another force sensor than the rig's holds for nothing here.
+        A calibration of another force sensor than the rig's does not count.
         """
         if self.rig_folder is None:
             return {}
-        serials = {"force": self.rig.force_sensor.serial}
-        found = {
-            one: latest_calibration(self.rig_folder, one, self.made_on, serials.get(one, ""))
-            for one in CALIBRATED_QUANTITIES
+        serials = {"force": self.rig.force_sensor.serial, "encoder": ""}
+        latest = {
+            quantity: latest_calibration(self.rig_folder, quantity, self.made_on, serials[quantity])
+            for quantity in CALIBRATED_QUANTITIES
         }
-        return {quantity: entry for quantity, entry in found.items() if entry is not None}
+        return {quantity: entry for quantity, entry in latest.items() if entry is not None}
 
 
 def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) -> RigSetup:
@@ -230,23 +229,23 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
     Parameters
     ----------
     folder
-        Where to look for the lab folder; the working folder unless given.
+        Where to look for the lab folder (default: the working folder).
     choices
-        `rig`, `model`: a file or a shipped name; the rig is the lab folder's unless given, and the shipped one outside
-        of a lab. `backend`: the rig's own unless given. `double`: whether its double is meant. `assignments`: each
+        `rig`, `model`: a file or a shipped name; by default the rig of the lab folder, or the shipped one outside of a
+        lab. `backend`: by default that of the rig. `double`: whether to use its double. `assignments`: each
         `rig.key=value` or `model.key=value`.
 
     Raises
     ------
     SettingsError
-        One sentence that names file, key and what is allowed.
+        With file, key and what is allowed.
     """
     changes = Assignments.of(choices.get("assignments", ()))
     if changes.steps or changes.others["plan"] or changes.others["specimen"]:
         raise SettingsError("--set: without a plan, only rig.… and model.… can be changed.")
     settings, rig_folder = load_settings(RigSettings, "rig", choices.get("rig") or rig_file_of(folder or Path.cwd()))
-    rig = changes.laid_over(settings, "rig")
-    model = changes.laid_over(load_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model")
+    rig = changes.applied_to(settings, "rig")
+    model = changes.applied_to(load_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model")
     backend, double = choices.get("backend") or rig.backend, choices.get("double", False)
     return RigSetup(
         rig=rig,
@@ -260,7 +259,7 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
 def load_settings(
     model: type[SettingsT], kind: str, given: str | Path | SettingsT | None
 ) -> tuple[SettingsT, Path | None]:
-    """Return settings by file or shipped name, the usual ones for none, and the folder of their file."""
+    """Return settings by file or shipped name, or the default ones, and the folder of their file."""
     if isinstance(given, model):
         return given, None
     data, source = find_table(kind, str(given or DEFAULT_SETTINGS[kind]))
@@ -275,25 +274,25 @@ def friction_model(given: str | Path | FrictionModelSettings) -> FrictionModelSe
 def choose_settings(
     model: type[SettingsT], kind: str, given: str | Path | SettingsT | None, before: SettingsT | None
 ) -> SettingsT:
-    """Return what was chosen; otherwise what a session had before, or the usual."""
+    """Return the settings chosen, else those of an earlier session, else the default ones."""
     return before if before is not None and not given else load_settings(model, kind, given)[0]
 
 
 def contact_position(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
-    """Return the absolute position of the contact that a lab keeps now, or else the one that was known before."""
+    """Return the absolute position of the lab's contact, else the position known before."""
     kept = read_contact(rig_folder) if rig_folder is not None else None
     return before_mm if kept is None else kept.position_mm
 
 
 def settings_folder(source: str) -> Path | None:
-    """Return the folder of the file that settings come from; None for shipped ones."""
+    """Return the folder of a settings file; None for shipped settings."""
     path = Path(source)
     return path.absolute().parent if path.is_file() else None
 
 
 @dataclass(frozen=True, slots=True)
 class Assignments:
-    """Assignments by what they change; `texts` are the assignments as they were typed."""
+    """Assignments sorted by what they change; `texts` are the assignments as typed."""
 
     steps: Table
     others: Mapping[str, Table]
@@ -316,8 +315,8 @@ class Assignments:
                 raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
         return cls(steps, others, texts)
 
-    def laid_over(self, settings: SettingsT, name: str) -> SettingsT:
-        """Return the settings with the changes that are meant for them."""
+    def applied_to(self, settings: SettingsT, name: str) -> SettingsT:
+        """Return the settings with their changes."""
         if not self.others[name]:
             return settings
         data = merge_tables(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
@@ -325,11 +324,11 @@ class Assignments:
 
 
 PlanLike = str | Path | Plan | RunProtocol
-"""A plan by name or file, a run file whose session is to be made again, a plan, or the one run of a protocol."""
+"""A plan by name or file, a run file whose session is repeated, a plan, or the single run of a protocol."""
 
 
 class SetupChoices(RigChoices, total=False):
-    """The keyword arguments of `resolve`; none and None mean the usual."""
+    """The keyword arguments of `resolve`; None means the default."""
 
     specimen: str | Path | None
     capsule: str | Path | None
@@ -343,11 +342,11 @@ class Setup(RigSetup):
     Attributes
     ----------
     plan_source
-        Where the plan comes from, for error messages.
+        Source of the plan, for error messages.
     plan_folder
         Folder that capsule files in the plan are relative to; None for a shipped plan.
     contact_mm
-        Absolute position of the contact that touch-off found; None where it is not known.
+        Absolute position of the contact found by touch-off; None where it is not known.
     """
 
     plan: Plan
@@ -357,14 +356,14 @@ class Setup(RigSetup):
     contact_mm: float | None = None
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
-        """Return this with assignments to the rig applied; any other is refused with `SettingsError`."""
+        """Return this with assignments to the rig applied; raises `SettingsError` for any other."""
         changes = Assignments.of(assignments)
-        if changes.steps or any(found for name, found in changes.others.items() if name != "rig"):
+        if changes.steps or any(table for name, table in changes.others.items() if name != "rig"):
             raise SettingsError(
                 f"--set {' '.join(assignments)}: a campaign goes on with its own plan, specimen and model, so only "
                 "rig.… can be changed."
             )
-        return replace(self, rig=changes.laid_over(self.rig, "rig"))
+        return replace(self, rig=changes.applied_to(self.rig, "rig"))
 
     def programme(self) -> Programme:
         """Lay out the plan's runs; raises `PlanError` or `SettingsError`."""
@@ -372,7 +371,7 @@ class Setup(RigSetup):
         if stage.start_from == "contact":
             if self.contact_mm is None:
                 raise SettingsError(
-                    "stage.start_from = 'contact': no contact is known to this lab; find it with dragrig touch-off."
+                    "stage.start_from = 'contact': this lab has no contact; find it with dragrig touch-off."
                 )
             zero_mm = self.contact_mm
         return build_programme(self.plan, self.specimen, stage.start_mm, self.plan_source, self.plan_folder, zero_mm)
@@ -384,46 +383,51 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     Parameters
     ----------
     folder
-        Where to look for the lab folder; the working folder unless given.
+        Where to look for the lab folder (default: the working folder).
     choices
-        `rig`, `specimen`, `model`: a file or a shipped name, the model settings in memory as well; the rig is the lab
-        folder's unless given, and the shipped one outside of a lab. `capsule`: a file or a name, for every step.
-        `backend`: the rig's own unless given. `double`: whether its double is meant.
-        `effects`: what the simulated rig has beside the model's, each as `stribeck:ratio=0.4,speed_mm_s=2`.
+        `rig`, `specimen`, `model`: a file or a shipped name, the model also as settings; by default the rig of the lab
+        folder, or the shipped one outside of a lab. `capsule`: a file or a name, for every step.
+        `backend`: by default that of the rig. `double`: whether to use its double.
+        `effects`: added to those of the model of the simulated rig, each as `stribeck:ratio=0.4,speed_mm_s=2`.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
         key every step that has it.
 
     Raises
     ------
     SettingsError, PlanError
-        One sentence that names file, key and what is allowed.
+        With file, key and what is allowed.
     """
     before = session_record_of_run(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
     rig_settings, rig_folder = load_settings(RigSettings, "rig", rig)
-    if before is not None and not choices.get("rig"):
-        rig_settings = before.rig
     changes = Assignments.of(choices.get("assignments", ()))
-    capsule = choices.get("capsule")
-    if capsule is not None:
-        changes.steps["capsule"] = _absolute_path(capsule)
-    base_plan, source, plan_folder = (before.plan, str(plan), before.beside) if before is not None else _load_plan(plan)
-    specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), before.specimen if before else None)
-    model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
-    rig_changed = changes.laid_over(rig_settings, "rig")
-    backend = choices.get("backend") or (before.backend if before is not None else rig_changed.backend)
-    double = choices.get("double", False) or (
-        before is not None and before.double and choices.get("backend") in {None, before.backend}
-    )
-    changed = changes.laid_over(model, "model")
+    if (capsule := choices.get("capsule")) is not None:
+        # The plan may be elsewhere, and files in it are relative to it.
+        changes.steps["capsule"] = str(Path(capsule).absolute() if Path(capsule).is_file() else capsule)
+    double = choices.get("double", False)
+    if before is None:
+        base_plan, source, plan_folder = _load_plan(plan)
+        specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), None)
+        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), None)
+        contact_mm = None
+    else:
+        base_plan, source, plan_folder = before.plan, str(plan), before.beside
+        specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), before.specimen)
+        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model)
+        contact_mm = before.contact_mm
+        rig_settings = rig_settings if choices.get("rig") else before.rig
+        double = double or (before.double and choices.get("backend") in {None, before.backend})
+    rig_changed = changes.applied_to(rig_settings, "rig")
+    backend = choices.get("backend") or (rig_changed.backend if before is None else before.backend)
+    model = changes.applied_to(model, "model")
     return Setup(
-        plan=_with_step_keys(changes.laid_over(base_plan, "plan"), changes.steps),
+        plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes.steps),
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
-        specimen=changes.laid_over(specimen, "specimen"),
-        contact_mm=contact_position(rig_folder, before.contact_mm if before is not None else None),
-        model=with_allowed_effects(changed, choices.get("effects", ()), backend=backend, double=double),
+        specimen=changes.applied_to(specimen, "specimen"),
+        contact_mm=contact_position(rig_folder, contact_mm),
+        model=with_allowed_effects(model, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
         backend=backend,
         double=double,
@@ -431,7 +435,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
 
 
 def single_run_plan(protocol: RunProtocol) -> Plan:
-    """Return the plan of one run, without its way back."""
+    """Return the plan of a single run, without return stroke."""
     step = PlanStep.model_validate({"kind": protocol.kind, "way_back": "stay", **protocol.model_dump(mode="json")})
     return Plan(name=protocol.kind, steps=(step,))
 
@@ -465,8 +469,3 @@ def _keys_of(step: PlanStep) -> set[str]:
     own = set(PlanStep.model_fields) - {"kind", "parameters"}
     protocol = protocol_kinds().get(step.kind)
     return own if protocol is None else own | set(protocol.model_fields)
-
-
-def _absolute_path(name_or_path: str | Path) -> str:
-    path = Path(name_or_path)
-    return str(path.absolute()) if path.is_file() else str(name_or_path)

@@ -24,10 +24,9 @@ from dragrig.session_state import SessionState, is_session_running, read_state
 
 RECENT_TRACE_S = 20.0
 FORCE_MEAN_S = 0.1
-"""Mean over so long is the force now."""
-MAX_TAIL_SAMPLES = 200_000
+"""The present force is the mean over this time."""
 RECENT_POINTS = 300
-"""Of the recent force, about a screen's width."""
+"""Points of the recent force, about a screen's width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class RunInProgress:
     Attributes
     ----------
     time_s, run_s
-        How long it records already, and how long altogether; None where nobody says.
+        Recorded time, and planned time; None where it is not known.
     recent_s, recent_mN
         Force of the last seconds, a few hundred points.
     """
@@ -57,7 +56,7 @@ class RunInProgress:
 
 @dataclass(frozen=True, slots=True)
 class FinishedRun:
-    """A run that is whole."""
+    """A finished run."""
 
     file: str
     kind: str
@@ -69,19 +68,19 @@ class FinishedRun:
 
 @dataclass(frozen=True, slots=True)
 class CampaignState:
-    """A campaign as it is now.
+    """The present state of a campaign.
 
     Attributes
     ----------
     doing
-        `preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process that carried the
-        session out is gone without a word.
+        `preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process of the session
+        is gone without an end.
     said
-        The prompt that waits for an answer, what is waited for, or why the session ended.
+        The open prompt, the reason of a wait, or why the session ended.
     run, of
-        Which run of this session it is at, and of how many; None where nobody says.
+        Number of the current run of this session, and of how many; None where it is not known.
     left_s
-        Time left by the plan, people's hands not counted; of recorded time where time is not real.
+        Time left by the plan without prompts; recorded time where time is simulated.
     status
         How the session ended.
     """
@@ -102,17 +101,17 @@ class CampaignState:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether the session is over."""
         return self.doing in {"ended", "died"}
 
 
 class CampaignWatch:
-    """Looks at a campaign again and again; finished runs are read once.
+    """Reads the state of a campaign repeatedly; finished runs are read once.
 
     Parameters
     ----------
     folder
-        A campaign's folder, or one that holds campaigns: then the latest is meant.
+        A campaign's folder, or a folder of campaigns, of which the latest is watched.
 
     Raises
     ------
@@ -126,22 +125,22 @@ class CampaignWatch:
         self._state: SessionState | None = None
 
     def look(self) -> CampaignState:
-        """Return what the campaign is doing."""
+        """Return the present state."""
         before = read_state(self.folder)
-        working = is_session_running(self.folder)
-        # What changed meanwhile was changed by somebody who lives; Windows refuses to read what is being replaced.
+        running = is_session_running(self.folder)
+        # A state that changed meanwhile has a living writer; on Windows a file being replaced cannot be read.
         state = read_state(self.folder) or self._state
-        working = working or state != before
+        running = running or state != before
         self._state = state
-        recording = self._recording(state) if working else None
-        finished = self._look_at_finished()
+        finished = self._read_finished()
         if state is None:
-            return self._without_word(finished, working=working)
-        doing, said = state.doing if working or state.doing == "ended" else "died", state.said
+            return self._state_from_files(finished, running=running)
+        recording = self._read_recording(state) if running else None
+        doing, said = state.doing if running or state.doing == "ended" else "died", state.said
         if doing == "ended":
             said = state.reason
         elif doing == "died":
-            said = "the program that carried it out is gone; dragrig recover finishes what it left"
+            said = "its process is gone; dragrig recover finishes its recording"
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
@@ -159,7 +158,7 @@ class CampaignWatch:
         )
 
     def follow(self, every_s: float) -> Iterator[CampaignState]:
-        """Look until the campaign is over; the last state is the last."""
+        """Yield states until the campaign is over."""
         while True:
             state = self.look()
             yield state
@@ -167,19 +166,19 @@ class CampaignWatch:
                 return
             time.sleep(every_s)
 
-    def _without_word(self, finished: tuple[FinishedRun, ...], *, working: bool) -> CampaignState:
-        """Say what the files alone say: a session that has only just begun, or one made elsewhere or by an older us."""
+    def _state_from_files(self, finished: tuple[FinishedRun, ...], *, running: bool) -> CampaignState:
+        """Return the state without a state file: a session that just started, or one of an older version."""
         records, _ = read_session_records(self.folder)
         latest = records[-1] if records else None
         left = any(is_recording(path) for path in self.folder.glob("*.h5"))
-        said = "a recording is left, which dragrig recover finishes" if left else "no session is at work here"
+        said = "an unfinished recording is left; dragrig recover finishes it" if left else "no session is running here"
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
             plan="" if latest is None else latest.plan.name,
             backend="" if latest is None else latest.backend,
-            doing="preparing" if working else "ended",
-            said="" if working else said,
+            doing="preparing" if running else "ended",
+            said="" if running else said,
             since=None,
             run=None,
             of=None,
@@ -189,14 +188,14 @@ class CampaignWatch:
             finished=finished,
         )
 
-    def _recording(self, state: SessionState | None) -> RunInProgress | None:
+    def _read_recording(self, state: SessionState | None) -> RunInProgress | None:
         paths = sorted(path for path in self.folder.glob("*.h5") if is_recording(path))
         try:
             return _run_in_progress(read_tail(paths[-1], RECENT_TRACE_S), state) if paths else None
         except RunFileError:
-            return None  # finished while it was read; the next look finds it whole
+            return None  # finished meanwhile; the next look reads the finished file
 
-    def _look_at_finished(self) -> tuple[FinishedRun, ...]:
+    def _read_finished(self) -> tuple[FinishedRun, ...]:
         for path in self.folder.glob("*.h5"):
             if path in self._finished or is_recording(path):
                 continue
@@ -208,52 +207,52 @@ class CampaignWatch:
             self._finished[path] = FinishedRun(
                 path.name, info.kind, info.header.order, info.status.value, info.reason, info.samples
             )
-        return tuple(sorted(self._finished.values(), key=lambda one: (one.order, one.file)))
+        return tuple(sorted(self._finished.values(), key=lambda run: (run.order, run.file)))
 
 
 def latest_campaign(folder: Path) -> Path:
-    """Return a campaign's folder: the one named, or the latest in it; raises `RunFileError` where there is none."""
+    """Return `folder` if it is a campaign, else the latest campaign in it; `RunFileError` if there is none."""
     if not folder.is_dir():
-        raise RunFileError(f"{folder}: there is no such folder; name a campaign, or the folder that holds campaigns.")
+        raise RunFileError(f"{folder}: no such folder; name a campaign, or the folder that holds campaigns.")
     if any(folder.glob("session-*")) or any(folder.glob("*.h5")):
         return folder
-    below = list(folder.glob("*/session-*.toml"))
-    if not below:
-        raise RunFileError(f"{folder}: holds no campaign; name the folder that dragrig run writes to.")
-    return max(below, key=lambda one: one.stat().st_mtime_ns).parent
+    sessions = list(folder.glob("*/session-*.toml"))
+    if not sessions:
+        raise RunFileError(f"{folder}: holds no campaign; name the folder dragrig run writes to.")
+    return max(sessions, key=lambda path: path.stat().st_mtime_ns).parent
 
 
 def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
     info, trace = run.info, run.trace
-    now = trace.time.size - max(1, round(FORCE_MEAN_S * trace.sample_rate_hz))
-    some = trace.time.size > 0
+    has_samples = trace.time.size > 0
+    mean_from = max(0, trace.time.size - max(1, round(FORCE_MEAN_S * trace.sample_rate_hz)))
     every = max(1, trace.time.size // RECENT_POINTS)
     force = np.asarray(trace.force[::every], dtype=np.float64)
     return RunInProgress(
         file=run_name(info.path),
         kind=info.kind,
         order=info.header.order,
-        phase=PHASE_NAMES[trace.phase[-1]] if some else "",
-        time_s=float(trace.time[-1]) if some else 0.0,
+        phase=PHASE_NAMES[trace.phase[-1]] if has_samples else "",
+        time_s=float(trace.time[-1]) if has_samples else 0.0,
         run_s=state.run_s if state is not None and state.order == info.header.order else None,
         samples=info.samples,
-        force_mN=float(np.nanmean(trace.force[max(0, now) :])) if some else None,
-        position_mm=float(trace.position[-1]) if some else None,
-        recent_s=tuple(round(float(one), 4) for one in trace.time[::every]),
-        recent_mN=tuple(round(float(one), 2) for one in force),
+        force_mN=float(np.nanmean(trace.force[mean_from:])) if has_samples else None,
+        position_mm=float(trace.position[-1]) if has_samples else None,
+        recent_s=tuple(round(float(time_s), 4) for time_s in trace.time[::every]),
+        recent_mN=tuple(round(float(force_mN), 2) for force_mN in force),
     )
 
 
 def _time_left_s(state: SessionState, recording: RunInProgress | None) -> float:
-    of_run = 0.0
+    run_s = 0.0
     if recording is not None and recording.run_s is not None and state.doing == "recording":
-        of_run = max(0.0, recording.run_s - recording.time_s)
+        run_s = max(0.0, recording.run_s - recording.time_s)
     waited = min(state.wait_s, (datetime.now(UTC) - state.since).total_seconds()) if state.doing == "waiting" else 0.0
-    return max(0.0, of_run + state.after_s - waited)
+    return max(0.0, run_s + state.after_s - waited)
 
 
 LAST_STATE_S = 3.0
-"""How long the last state is still to be had."""
+"""How long the last state is served, at most, until a browser has read it."""
 LOCAL_HOSTS = ("127.0.0.1", "localhost")
 
 
@@ -264,35 +263,35 @@ class _ShownState:
 
 
 class StatePage:
-    """What the server shows; `show` belongs to one thread, the rest to the server's."""
+    """The state a page server serves; one thread calls `show`, the server's threads the rest."""
 
     def __init__(self) -> None:
         self.port = 0
         self.html = b""
         self.shown = _ShownState()
-        self._seen = threading.Event()
+        self._last_served = threading.Event()
 
     def show(self, state: CampaignState) -> None:
-        """Have the page show another state."""
+        """Serve this state from now on."""
         self.shown = _ShownState(json.dumps(to_json_value(state), allow_nan=False).encode(), state.over)
 
-    def handed_out(self, shown: _ShownState) -> None:
-        """Note that somebody has been given a state."""
+    def note_served(self, shown: _ShownState) -> None:
+        """Note that a browser has received a state."""
         if shown.last:
-            self._seen.set()
+            self._last_served.set()
 
-    def linger(self) -> None:
-        """Wait until somebody has seen the last state, if anybody looks at all."""
-        self._seen.wait(LAST_STATE_S)
+    def wait_for_last(self) -> None:
+        """Wait until a browser has received the last state, at most `LAST_STATE_S`."""
+        self._last_served.wait(LAST_STATE_S)
 
 
 class _PageServer(ThreadingHTTPServer):
     daemon_threads = True
-    # On Windows this would let two programs serve at one port.
+    # On Windows it would let two programs serve on one port.
     allow_reuse_address = os.name == "posix"
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing of a browser that went away before it had its answer."""
+        """Ignore a browser that disconnected before its answer."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
@@ -304,7 +303,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
     Raises
     ------
     OutputError
-        When the port cannot be had.
+        When the port is not available.
     """
     from dragrig.present.html_page import render_template
 
@@ -313,7 +312,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            # A name of somebody else's that leads here must not read what this machine alone may see.
+            # DNS rebinding: only pages of this machine may read the state.
             if self.headers.get("Host", "").rsplit(":", 1)[0] not in LOCAL_HOSTS:
                 self.send_error(403)
                 return
@@ -322,7 +321,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
             elif self.path == "/state.json":
                 shown = page.shown
                 self._answer(shown.content, "application/json")
-                page.handed_out(shown)
+                page.note_served(shown)
             else:
                 self.send_error(404)
 
@@ -340,7 +339,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
     try:
         server = _PageServer(("127.0.0.1", port), Handler)
     except OSError as error:
-        raise OutputError(f"--page {port}: cannot be served at ({error.strerror}); name another port, or 0.") from error
+        raise OutputError(f"--page {port}: not available ({error.strerror}); name another port, or 0.") from error
     page.port = server.server_address[1]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
     thread.start()

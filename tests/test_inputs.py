@@ -44,7 +44,7 @@ def test_each_file_counts_once(runs: Path) -> None:
     ("name", "words"),
     [
         ("nowhere.h5", "there is no such file or folder"),
-        ("c1/*-coulomb-*.h5", "no file fits"),
+        ("c1/*-coulomb-*.h5", "no file matches"),
         (".", "did you mean c1?"),
     ],
 )

@@ -187,7 +187,7 @@ def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: 
     run(*QUICK, "--yes", "--out", "c")
     before = sorted((tmp_path / "c").iterdir())
     with Recorder(tmp_path / "c" / "20260504-093000-drag-009.h5", header(order=9)):
-        assert "being recorded right now" in run.told("--resume", "c", "--yes", code=2).err
+        assert "is being recorded; resume" in run.told("--resume", "c", "--yes", code=2).err
     assert [path for path in sorted((tmp_path / "c").iterdir()) if "009" not in path.name] == before
 
 

@@ -131,7 +131,7 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
 def test_a_damaged_state_is_no_state(content: str, tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
     (tmp_path / STATE_FILE).write_text(content, "utf-8")
-    assert CampaignWatch(tmp_path).look().said == "no session is at work here"
+    assert CampaignWatch(tmp_path).look().said == "no session is running here"
 
 
 def test_a_session_that_has_not_said_anything_yet_is_not_over(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_a_browser_that_goes_away_is_no_matter(seen: Onlooker, capfd: pytest.Cap
 def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunFileError, match="holds no campaign"):
         CampaignWatch(tmp_path)
-    with pytest.raises(RunFileError, match="there is no such folder"):
+    with pytest.raises(RunFileError, match="no such folder"):
         CampaignWatch(tmp_path / "gone")
 
 

@@ -119,7 +119,7 @@ def diagnose(
     Parameters
     ----------
     campaign
-        A campaign's folder, or runs in memory. It need not be complete: `cannot_answer` lists what these runs leave
+        A campaign's folder, or runs in memory. It need not be complete: `limitations` lists what these runs leave
         open.
     nominal
         The expected behaviour: `capsule` (the friction model), `drive` (the stage alone), a friction model as TOML, a

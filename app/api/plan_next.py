@@ -143,7 +143,7 @@ def next_experiment(
     --------
     >>> import dragrig
     >>> experiment = dragrig.next_experiment("runs/first")  # doctest: +SKIP
-    >>> experiment.why, experiment.runs[0].settings  # doctest: +SKIP
+    >>> experiment.reason, experiment.runs[0].settings  # doctest: +SKIP
     """
     from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
     from dragrig.analysis.gap.next_run_force import recommend_for_pair

@@ -66,7 +66,7 @@ def watch_command(folder: Path, once: bool, page: int | None, every_s: float, as
             print_remark(f"http://127.0.0.1:{server.port}/ shows {watch.folder}")
             for state in watch.follow(every_s):
                 server.show(state)
-            server.linger()
+            server.wait_for_last()
         _print_state(state, as_json)
     elif once:
         _print_state(watch.look(), as_json)
