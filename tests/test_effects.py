@@ -1,5 +1,6 @@
 """What holds for every effect of the catalogue, whatever it is."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -126,3 +127,24 @@ def test_one_new_file_is_a_new_effect(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     assert "\nsecond_payload\n" in done.stdout
+
+
+def test_no_module_but_its_own_knows_an_effect_by_id_by_class_or_by_a_parameters_name() -> None:
+    root = Path(__file__).parents[1]
+    ids = {*catalogue()}
+    # Others, such as speed_mm_s and mass_g, are names of settings and columns of runs too.
+    names = {parameter.name for effect in EFFECTS for parameter in (effect.period, effect.phase) if parameter}
+    classes = {"ForceEffect", "SensorEffect", "MotorEffect", "EncoderEffect"}
+    found = []
+    for room in ("app", "analysis", "sim_backend", "rig", "config"):
+        for path in (root / room).rglob("*.py"):
+            inside = path.relative_to(root).as_posix()
+            if inside.startswith("sim_backend/blind/") or (path.parent.name == "effects" and path.stem in ids):
+                continue
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                match node:
+                    case ast.Constant(value=str(text)) if text in ids | names:
+                        found.append(f"{inside}:{node.lineno} {text}")
+                    case ast.Name(id=name) if name in classes and path.parent.name != "effects":
+                        found.append(f"{inside}:{node.lineno} {name}")
+    assert not found

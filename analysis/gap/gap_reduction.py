@@ -31,7 +31,7 @@ from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.base import EncoderEffect, MotorEffect, active_effects
+from dragrig.sim_backend.effects.base import Channel, active_effects
 
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_FLOOR = 1.2
@@ -441,7 +441,7 @@ def evaluate(selection: RunSelection, model: FrictionModelSettings) -> GapReduct
         for number, run in enumerate(first.runs)
     ]
     shrink = reduction_over_runs(gaps)
-    moved = [active for active in active_effects(model) if isinstance(active.effect, MotorEffect | EncoderEffect)]
+    moved = [active for active in active_effects(model) if active.effect.channel is Channel.POSITION]
     errors = position_errors(selection.experiments)
     if len(moved) == 1 and len(model.effects) == 1 and any(run_errors.has_position_error for run_errors in errors):
         return closed_share_in_position(Candidate(moved[0].effect, moved[0].values), errors, shrink)
