@@ -11,6 +11,11 @@ from pydantic import AfterValidator, Field, model_validator
 
 from dragrig.config.settings import Settings
 
+_PFI = "an input terminal, PFI0 to PFI15, without the device's name"
+_INPUT_RANGES_V = (0.2, 1.0, 5.0, 10.0)
+_MAX_LOOP_GAIN = 0.75
+"""Gain times dead time of a loop around an integrator: it oscillates at π/2, and rings above about half of that."""
+
 
 def _name_like(pattern: str, description: str) -> AfterValidator:
     def validate(name: str) -> str:
@@ -21,7 +26,6 @@ def _name_like(pattern: str, description: str) -> AfterValidator:
     return AfterValidator(validate)
 
 
-_PFI = "an input terminal, PFI0 to PFI15, without the device's name"
 AnalogInput = Annotated[
     str,
     _name_like(
@@ -60,11 +64,6 @@ def find_shared_pin(names: Iterable[str]) -> tuple[str, str] | None:
             return seen[pin], name
         seen[pin] = name
     return None
-
-
-_INPUT_RANGES_V = (0.2, 1.0, 5.0, 10.0)
-_MAX_LOOP_GAIN = 0.75
-"""Gain times dead time of a loop around an integrator: it oscillates at π/2, and rings above about half of that."""
 
 
 def _card_range(range_V: float) -> float:

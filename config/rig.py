@@ -11,6 +11,10 @@ from pydantic import AwareDatetime, Field, model_validator
 from dragrig.config.hardware import HardwareSettings
 from dragrig.config.settings import Settings
 
+RIG_FILE = "rig.toml"
+CALIBRATION_FILE = "calibration.jsonl"
+CONTACT_FILE = "contact.toml"
+
 
 class StageSettings(Settings):
     """The linear motor; positions are absolute, after homing."""
@@ -177,11 +181,6 @@ class RigSettings(Settings):
                 "could trip the guard"
             )
         return self
-
-
-RIG_FILE = "rig.toml"
-CALIBRATION_FILE = "calibration.jsonl"
-CONTACT_FILE = "contact.toml"
 
 
 class Calibration(Settings):

@@ -17,6 +17,16 @@ from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import SettingsError
 
+_MAX_FILE_BYTES = 4 * 1024 * 1024
+_EXPECTED_SHAPES = {
+    "model_type": "a table of keys",
+    "dict_type": "a table of keys",
+    "mapping_type": "a table of keys",
+    "list_type": "a list",
+    "tuple_type": "a list",
+}
+SHIPPED_FOLDERS = {"rig": "rigs", "capsule": "capsules", "specimen": "specimens", "model": "models", "plan": "plans"}
+
 
 class Settings(BaseModel):
     """A frozen group of settings: unknown keys, NaN and infinities are refused."""
@@ -33,15 +43,6 @@ class Settings(BaseModel):
 
 Table = dict[str, object]
 ModelT = TypeVar("ModelT", bound=BaseModel)
-
-_MAX_FILE_BYTES = 4 * 1024 * 1024
-_EXPECTED_SHAPES = {
-    "model_type": "a table of keys",
-    "dict_type": "a table of keys",
-    "mapping_type": "a table of keys",
-    "list_type": "a list",
-    "tuple_type": "a list",
-}
 
 
 def read_toml(path: Path) -> Table:
@@ -185,9 +186,6 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
             if (model := _model_in(inner)) is not None:
                 return model
     return None
-
-
-SHIPPED_FOLDERS = {"rig": "rigs", "capsule": "capsules", "specimen": "specimens", "model": "models", "plan": "plans"}
 
 
 def shipped_files(kind: str) -> dict[str, Traversable]:

@@ -23,6 +23,11 @@ from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.runfile.model import Channel
 
+MAX_BLOCK_S = 0.05
+"""Longest block, so that the guard never sees older data than this."""
+STANDSTILL_SPEED_MM_S = 1e-6
+"""Rounding of a profile's end speed."""
+
 
 class TripCause(StrEnum):
     """What trips the guard."""
@@ -84,10 +89,6 @@ class RawReading:
             counts_begin=round(float(counts[0])),
             counts_end=round(float(counts[-1])),
         )
-
-
-MAX_BLOCK_S = 0.05
-"""Longest block, so that the guard never sees older data than this."""
 
 
 class TravelEnd(StrEnum):
@@ -379,10 +380,6 @@ class WallClock:
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
         return not (cancel.wait(duration_s) if duration_s > 0 else cancel.is_set())
-
-
-STANDSTILL_SPEED_MM_S = 1e-6
-"""Rounding of a profile's end speed."""
 
 
 def stage_limits(settings: StageSettings) -> StageLimits:

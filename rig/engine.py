@@ -39,6 +39,10 @@ from dragrig.rig.profile import Phase
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
 from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
 
+_REST = int(Phase.REST)
+_SETTLING_S = 1.0
+"""Longest time that is still recorded after the end of braking."""
+
 
 class Sink(Protocol):
     """Where readings are recorded."""
@@ -67,11 +71,6 @@ class Store(Protocol):
 
     def settle(self) -> None:
         """Wait until every finished run is in its final place; raises `RecordingError` when one cannot be put there."""
-
-
-_REST = int(Phase.REST)
-_MAX_BRAKING_S = 1.0
-"""Longest time that is still recorded after the end of braking."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +198,7 @@ class RunningAcquisition:
         if not self.ended:
             self.ended, self._status, self._reason = True, status, reason
             braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
-            stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _MAX_BRAKING_S)
+            stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _SETTLING_S)
             self._settle_until_s = stopped.duration_s
             self._setpoints.replace(stopped)
             with suppress(RecordingError):

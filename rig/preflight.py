@@ -21,6 +21,10 @@ BYTES_PER_EXTRA_CHANNEL = 4
 BYTES_PER_FILE = 60_000
 
 
+_SECONDS_PER_DAY = 86_400
+_CALIBRATION_COMMANDS = {"force": "dragrig calibrate force", "encoder": "dragrig calibrate encoder"}
+
+
 @dataclass(frozen=True, slots=True)
 class RunPreview:
     """Extremes and size of a run, before it is made."""
@@ -119,10 +123,6 @@ def _limit_violations(preview: RunPreview, limits: StageLimits) -> list[str]:
             f"{limits.acceleration_mm_s2:g} mm/s²"
         )
     return violations
-
-
-_SECONDS_PER_DAY = 86_400
-_CALIBRATION_COMMANDS = {"force": "dragrig calibrate force", "encoder": "dragrig calibrate encoder"}
 
 
 def check_limits(rig: RigSettings) -> RigCheck:

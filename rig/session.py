@@ -7,8 +7,6 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
-from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from uuid import uuid4
@@ -42,6 +40,7 @@ from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.runfile import read_info
 from dragrig.rig.runfile.model import Attribute, RunHeader, RunStatus
+from dragrig.rig.runfile.schema import software_version
 
 RECORD_PATTERN = "session-*.toml"
 
@@ -117,12 +116,6 @@ def latest_session_record(folder: Path) -> SessionRecord:
     if not paths:
         raise RunFileError(f"{folder}: contains no session-….toml, so there is no session to resume.")
     return load_settings(SessionRecord, paths[-1])
-
-
-@cache
-def software_version() -> str:
-    """Return name and version of this software."""
-    return f"dragrig {version('dragrig')}"
 
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:

@@ -27,7 +27,7 @@ from dragrig.config.settings import absolute_if_file, to_toml
 from dragrig.parallel import map_tasks
 from dragrig.present.files import unused_path, write_text
 from dragrig.rig.runfile.model import Run
-from dragrig.rig.session import software_version
+from dragrig.rig.runfile.schema import software_version
 from dragrig.setup import friction_model
 
 if TYPE_CHECKING:

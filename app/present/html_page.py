@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from dragrig.present.document import Block, Document
-from dragrig.rig.session import software_version
+from dragrig.rig.runfile.schema import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")

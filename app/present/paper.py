@@ -55,7 +55,7 @@ from dragrig.present.numbers import (
     value_with_error,
 )
 from dragrig.rig.runfile.model import Run
-from dragrig.rig.session import software_version
+from dragrig.rig.runfile.schema import software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 
 if TYPE_CHECKING:

@@ -42,6 +42,17 @@ from dragrig.rig.runfile.writer import (
 Columns = Mapping[str, npt.NDArray[np.generic]]
 
 
+RECORDING_CHUNK = 4096
+EVENTS_CHUNK = 64
+VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
+VERSION_BOUNDS = ("v110", "v110")
+"""The oldest layout of HDF5 that can be written while others read."""
+FLUSH_S = 0.1
+"""Wall time between flushes: what a killed process loses at most, besides the time that a flush takes."""
+RESERVE_BYTES = 64 << 20
+RING_SAMPLES = 1 << 18
+
+
 class SampleRing:
     """Preallocated columns of `capacity` samples between one producer and one consumer.
 
@@ -152,13 +163,6 @@ class FileSyncer:
                 self._error = error
         finally:
             os.close(self._descriptor)
-
-
-RECORDING_CHUNK = 4096
-EVENTS_CHUNK = 64
-VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
-VERSION_BOUNDS = ("v110", "v110")
-"""The oldest layout of HDF5 that can be written while others read."""
 
 
 def create_recording(path: Path, header: RunHeader) -> None:
@@ -358,12 +362,6 @@ class WriterThread(Thread):
             self._file.append_annotations(annotations)
         self._file.flush()
         self._syncer.request()
-
-
-FLUSH_S = 0.1
-"""Wall time between flushes: what a killed process loses at most, besides the time that a flush takes."""
-RESERVE_BYTES = 64 << 20
-RING_SAMPLES = 1 << 18
 
 
 class Recorder:

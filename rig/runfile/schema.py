@@ -3,6 +3,8 @@
 import re
 from collections.abc import Mapping
 from datetime import datetime
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +89,9 @@ FILTER_EVENT = "filter"
 """Kind of the events that the filter writes, and replaces when it is run again."""
 
 
+_KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
+
+
 def event_dtype() -> np.dtype[np.void]:
     """Row of `/entry/events`: fixed-length UTF-8, so that rows can be appended while a run is recorded."""
     import h5py
@@ -98,9 +103,6 @@ def event_dtype() -> np.dtype[np.void]:
             ("message", h5py.string_dtype("utf-8", EVENT_MESSAGE_BYTES)),
         ]
     )
-
-
-_KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
 
 
 def run_file_name(start_time: datetime, kind: str, order: int) -> str:
@@ -147,3 +149,9 @@ def lock_path(path: Path) -> Path:
 def mark_path(path: Path) -> Path:
     """Return the path of a run's mark."""
     return path.with_name(run_name(path) + ".mark.toml")
+
+
+@cache
+def software_version() -> str:
+    """Return name and version of this software, for run files and reports."""
+    return f"dragrig {version('dragrig')}"
