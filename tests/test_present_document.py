@@ -1,6 +1,7 @@
 """A result's document in every renderer: what each shows, and what none shows."""
 
 import json
+import pickle
 import re
 from dataclasses import replace
 
@@ -126,6 +127,12 @@ def test_figures_are_drawn_once_and_then_travel_with_the_document() -> None:
     assert [figure.drawing for figure in drawn.figures()] == [SVG]
     assert calls == [(0, 1), (1, 1)]
     assert render_page(drawn) == render_page(DOCUMENT)
+
+
+def test_a_drawn_document_can_be_sent_to_another_process() -> None:
+    drawn = pickle.loads(pickle.dumps(DOCUMENT.drawn()))  # our own
+    assert document_text(drawn) == document_text(DOCUMENT)
+    assert not list(drawn.without("curve").figures())
 
 
 def test_json_knows_no_nan() -> None:

@@ -11,13 +11,14 @@ from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 require_qt()
 
 from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QTableWidget
 from pytestqt.qtbot import QtBot
 
 from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.gap.diagnosis_text import display_name, verdict_sentences
+from dragrig.analysis.gap.diagnosis_text import verdict_sentences
 from dragrig.engine_host.messages import RigSelection
+from dragrig.window.document_view import DrawnFigure
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import StoredSettings
@@ -79,12 +80,13 @@ def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Diagn
     results = window.diagnose.results
     assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
     assert results.isVisible()
-    assert results.verdict.text() == next(iter(verdict_sentences(diagnosed)))
-    shown = [results.hypotheses.item(at, 0).text() for at in range(results.hypotheses.rowCount())]
-    ranked = sorted(diagnosed.ranking, key=lambda hypothesis: -hypothesis.probability)[: len(shown)]
-    assert shown == [display_name(hypothesis.hypothesis) for hypothesis in ranked]
+    assert results.view.answer.text() == next(iter(verdict_sentences(diagnosed)))
+    ranking = next(shown for shown in results.findChildren(QTableWidget) if shown.accessibleName() == "ranking")
+    ranked = sorted(diagnosed.ranking, key=lambda hypothesis: -hypothesis.probability)[: ranking.rowCount()]
+    names = [ranking.item(place, 1).text() for place in range(ranking.rowCount())]
+    assert names == [hypothesis.hypothesis for hypothesis in ranked]
     assert 0.9 < sum(hypothesis.probability for hypothesis in ranked) <= 1.001
-    assert results.map.renderer().isValid()
+    assert len([figure for figure in results.findChildren(DrawnFigure) if figure.renderer().isValid()]) == 2
 
 
 def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:

@@ -13,7 +13,7 @@ from dragrig.analysis.comparison.comparison import (
 from dragrig.analysis.estimates import NORMAL_95, Exclusion
 from dragrig.present.document import Cell, Column, Document, Facts, Figure, Items, Section, Table
 from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, shortest
+from dragrig.present.numbers import decimals, percent_difference, shortest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure
@@ -110,7 +110,7 @@ def _group_table(groups: Iterable[GroupDifference]) -> Table:
         Column("b_mN", "B, mN", ONE_DECIMAL),
         Column("difference_mN", "B − A", SIGNED),
         Column("half_width_mN", "± 95 %", ONE_DECIMAL),
-        Column("relative", "%", lambda relative: SIGNED(100 * relative)),
+        Column("relative", "relative", percent_difference),
         Column("errors", "standard errors", shortest(2)),
         Column("verdict", ""),
         Column("rms_mN", "rms, mN", ONE_DECIMAL),

@@ -301,6 +301,10 @@ class Document:
             if isinstance(block, Table):
                 yield block
 
+    def without(self, *names: str) -> "Document":
+        """Return the document without the figures of these names."""
+        return replace(self, sections=tuple(_without(section, names) for section in self.sections))
+
     def drawn(self, progress: Callable[[int, int], None] = lambda _done, _total: None) -> "Document":
         """Return the document with its figures drawn, so that another process or thread can show it."""
         total = sum(1 for _ in self.figures())
@@ -317,6 +321,13 @@ def _blocks_of(blocks: "tuple[Block, ...]") -> "Iterator[Block]":
         yield block
         if isinstance(block, Section):
             yield from _blocks_of(block.content)
+
+
+def _without(section: Section, names: tuple[str, ...]) -> Section:
+    blocks = (block for block in section.blocks if not (isinstance(block, Figure) and block.name in names))
+    return replace(
+        section, blocks=tuple(_without(block, names) if isinstance(block, Section) else block for block in blocks)
+    )
 
 
 def _with_drawings(section: Section, drawn: Mapping[str, str]) -> Section:

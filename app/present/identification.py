@@ -43,7 +43,6 @@ from dragrig.present.numbers import (
     range_text,
     rounded_to_error,
     shortest,
-    significant,
     unit_text,
     value_with_error,
 )
@@ -212,9 +211,7 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
         Column("file", "run"),
         Column("kind", "kind"),
         Column("channel", "channel"),
-        Column(
-            "chi2_per_degree", "χ² per degree", lambda chi2: decimals(2)(chi2) if chi2 < 1000 else significant(3)(chi2)
-        ),
+        Column("chi2_per_degree", "χ² per degree", decimals(2)),
         Column("alert", ""),
         Column("rms_mN", "rms, mN", decimals(2)),
         Column("zero_mN", "zero, mN"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from decimal import Decimal
+from functools import partial
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -9,6 +10,7 @@ if TYPE_CHECKING:
     from dragrig.analysis.estimates import Estimate, EstimatedQuantity
 
 NumberFormat: TypeAlias = Callable[[float], str]
+"""Functions of modules and partials of them, which a process can send to another."""
 UNKNOWN = "–"
 """Shown for a value that is missing or not finite."""
 DIGITS_WITHOUT_ERROR = 4
@@ -17,26 +19,22 @@ MAX_DECIMALS = 9
 
 def significant(digits: int) -> NumberFormat:
     """Return a format with so many significant digits and no exponent: 0.0816, 113, −7.2."""
-
-    def text(value: float) -> str:
-        return "0" if value == 0 else _minus(format(Decimal(f"{value:.{digits - 1}e}"), "f"))
-
-    return text
+    return partial(_significant_text, digits)
 
 
 def decimals(digits: int, *, signed: bool = False) -> NumberFormat:
     """Return a format with so many decimal places; `signed` writes the plus sign too."""
-    return lambda value: _minus(f"{value:{'+' if signed else ''}.{digits}f}")
+    return partial(_format_text, f"{'+' if signed else ''}.{digits}f")
 
 
 def shortest(digits: int = 6) -> NumberFormat:
     """Return a format with at most so many digits and no trailing zeros: 0.5, 11."""
-    return lambda value: _minus(f"{value:.{digits}g}")
+    return partial(_format_text, f".{digits}g")
 
 
 def percent(digits: int = 0) -> NumberFormat:
     """Return a format for shares: 71 %."""
-    return lambda value: _minus(f"{100 * value:.{digits}f} %")
+    return partial(_format_text, f".{digits}f", factor=100.0, unit=" %")
 
 
 def shortest_percent(value: float) -> str:
@@ -123,6 +121,14 @@ def size_text(count: float) -> str:
             return f"{count:.0f} {unit}" if count >= 10 or unit == "B" else f"{count:.1f} {unit}"
         count /= 1000
     return f"{count:.1f} TB"
+
+
+def _significant_text(digits: int, value: float) -> str:
+    return "0" if value == 0 else _minus(format(Decimal(f"{value:.{digits - 1}e}"), "f"))
+
+
+def _format_text(specification: str, value: float, *, factor: float = 1.0, unit: str = "") -> str:
+    return _minus(f"{factor * value:{specification}}{unit}")
 
 
 def _minus(text: str) -> str:

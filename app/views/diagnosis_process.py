@@ -1,6 +1,5 @@
 """A diagnosis in its own process, so that the window can show its progress and cancel it."""
 
-import io
 import multiprocessing
 import signal
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from typing import TypeAlias
 
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.config.errors import DragrigError
+from dragrig.present.document import Document
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +31,10 @@ class DiagnosisProgress:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompletedDiagnosis:
-    """A diagnosis, and the map of where the gap is as SVG."""
+    """A diagnosis and its document, whose figures are drawn; runs before and after are left to the window."""
 
     diagnosis: Diagnosis
-    location_svg: bytes
+    document: Document
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +79,11 @@ class DiagnosisProcess:
         self._connection.close()
 
 
-def completed(diagnosis: Diagnosis) -> CompletedDiagnosis:
-    """Draw the map of a diagnosis, which takes matplotlib, here and not in the window's process."""
-    from dragrig.present.diagnosis_figures import location_figure
-    from dragrig.present.drawing import figure_style
+def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
+    """Draw the figures of a diagnosis, which takes matplotlib, here and not in the window's process."""
+    from dragrig.present.diagnosis import diagnosis_document
 
-    content = io.BytesIO()
-    figure = location_figure(diagnosis.where)
-    with figure_style():
-        figure.savefig(content, format="svg")
-    return CompletedDiagnosis(diagnosis, content.getvalue())
+    return CompletedDiagnosis(diagnosis, diagnosis_document(diagnosis, source=source).without("before-after").drawn())
 
 
 def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
@@ -102,6 +97,7 @@ def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: Diagn
     # The connection is closed once the window is gone.
     with suppress(OSError):
         try:
-            connection.send(completed(diagnose(task.campaign, nominal=task.nominal, progress=progress)))
+            diagnosis = diagnose(task.campaign, nominal=task.nominal, progress=progress)
+            connection.send(completed(diagnosis, task.campaign))
         except DragrigError as error:
             connection.send(DiagnosisFailed(str(error)))

@@ -1,27 +1,12 @@
 """The page that diagnoses a campaign: verdict, ranking, where the gap is, before and after, what to run next."""
 
-from PySide6.QtCore import QByteArray, Qt, QTimer, Signal
-from PySide6.QtSvgWidgets import QSvgWidget
-from PySide6.QtWidgets import QComboBox, QLayout, QLineEdit, QProgressBar, QScrollArea, QTabWidget, QWidget
+from PySide6.QtCore import QTimer, Signal
+from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QWidget
 
 from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
-from dragrig.analysis.gap.diagnosis import Diagnosis, RunTraces, Verdict
-from dragrig.analysis.gap.diagnosis_text import (
-    as_sentence,
-    axis_texts,
-    calibration_sentence,
-    detection_limit_sentence,
-    display_name,
-    domain_sentence,
-    effect_description,
-    is_stated_verdict,
-    percent_text,
-    probability_text,
-    shrink_sentences,
-    verdict_sentences,
-)
+from dragrig.analysis.gap.diagnosis import Diagnosis, RunTraces
 from dragrig.config.errors import DragrigError
-from dragrig.present.palette import BLUE, GREY, PALE, VERMILLION
+from dragrig.present.palette import BLUE, PALE, VERMILLION
 from dragrig.views.diagnosis_process import (
     CompletedDiagnosis,
     DiagnosisFailed,
@@ -30,92 +15,44 @@ from dragrig.views.diagnosis_process import (
     DiagnosisTask,
 )
 from dragrig.views.plan_view import PlanForm, form_from_plan
-from dragrig.window.plots import BarChart, TimePlot
-from dragrig.window.widgets import (
-    StoredSettings,
-    button,
-    card,
-    choose_path,
-    column,
-    fill_table,
-    label,
-    named,
-    row,
-    table,
-)
-
-_MAX_RANKED = 8
+from dragrig.window.document_view import DocumentView
+from dragrig.window.plots import TimePlot
+from dragrig.window.widgets import StoredSettings, bare_widget, button, card, choose_path, column, label, named, row
 
 
 class DiagnosisResults(QWidget):
-    """Shows one diagnosis."""
+    """Shows one diagnosis: its document, and any run before and after."""
 
     next_wanted = Signal()
 
     def __init__(self) -> None:
         super().__init__()
         self.diagnosis: Diagnosis | None = None
-        self.verdict = label("", "title", wrap=True)
-        self.more = label("", wrap=True)
+        self.view = DocumentView()
         self.next_words = label("", wrap=True)
         self.next = button("Put it in the &queue", self.next_wanted.emit, "main", "The plan is shown on the run page")
-        self.ranking = BarChart()
-        header = ("Hypothesis", "Probability", "Gap explained on held-out runs", "")
-        self.hypotheses = named(table(header), "Ranking of hypotheses")
-        self.places = named(table(("Coordinate", "Where", "p-value")), "Where the gap is")
-        self.map = named(QSvgWidget(), "Map of where the gap is")
-        self.where = label("", wrap=True)
         self.runs = named(QComboBox(), "Run to show before and after")
         self.runs.currentIndexChanged.connect(self._draw_run)
         self.above, self.below = TimePlot("Force", "mN"), TimePlot("Residual", "mN")
         self.above.hide_times()
         self.above.follow(self.below)
-        self.open_questions = label("", wrap=True)
-        self.tabs = QTabWidget()
-        self._lay_out()
+        self.before_after = bare_widget(
+            column(self.runs, self.above.widget, self.below.widget, margin=8, stretch={1: 3, 2: 2})
+        )
+        recommended = row(label("Next experiment", "title"), self.next_words, self.next, stretch={1: 1})
+        self.setLayout(column(self.view, recommended, stretch={0: 1}))
 
     def show_diagnosis(self, completed: CompletedDiagnosis) -> None:
         """Show a diagnosis."""
         diagnosis = self.diagnosis = completed.diagnosis
-        first, *more = (*verdict_sentences(diagnosis), *map(effect_description, diagnosis.effects))
-        self.verdict.setText(first)
-        if diagnosis.shrink is not None:
-            more += shrink_sentences(diagnosis.shrink, named=bool(diagnosis.effects))
-        more.append(calibration_sentence(diagnosis))
-        if diagnosis.verdict is not Verdict.NO_GAP:
-            more.append(detection_limit_sentence(diagnosis))
-        self.more.setText("\n".join(more))
+        self.view.show_document(completed.document, {"Before and a&fter": self.before_after})
         experiment = diagnosis.next_experiment
         self.next_words.setText("No further experiment is recommended." if experiment is None else experiment.reason)
         self.next.setEnabled(experiment is not None)
-        self._show_ranking(diagnosis)
-        fill_table(self.places, [(place.axis, place.where, f"{place.p:.2g}") for place in axis_texts(diagnosis.where)])
-        self.where.setText(domain_sentence(diagnosis.where))
-        self.map.load(QByteArray(completed.location_svg))
-        # A loaded file resets the renderer's mode.
-        self.map.renderer().setAspectRatioMode(Qt.AspectRatioMode.KeepAspectRatio)
-        questions = "\n".join(map(as_sentence, diagnosis.limitations))
-        self.open_questions.setText(questions or "None.")
         self.runs.clear()
-        for view in diagnosis.traces:
-            self.runs.addItem(f"{view.label}, {view.file} ({view.channel.replace('_', ' ')})")
+        for traces in diagnosis.traces:
+            self.runs.addItem(f"{traces.label}, {traces.file} ({traces.channel.replace('_', ' ')})")
         self._draw_run(0)
-
-    def _show_ranking(self, diagnosis: Diagnosis) -> None:
-        rows, bars = [], []
-        for ranked in sorted(diagnosis.ranking, key=lambda ranked: -ranked.probability)[:_MAX_RANKED]:
-            name, probability = display_name(ranked.hypothesis), probability_text(ranked.probability)
-            improvement = ranked.held_out_improvement
-            if is_stated_verdict(ranked, diagnosis):
-                remark, colour = "verdict", BLUE
-            elif set(ranked.hypothesis.split("+")) & set(diagnosis.confusable_with):
-                remark, colour = "confusable with the verdict on these runs", GREY
-            else:
-                remark, colour = "", PALE
-            rows.append((name, probability, "" if improvement is None else percent_text(improvement), remark))
-            bars.append((name, ranked.probability, probability, colour))
-        fill_table(self.hypotheses, rows)
-        self.ranking.show_bars(bars)
 
     def _draw_run(self, index: int) -> None:
         diagnosis = self.diagnosis
@@ -142,29 +79,6 @@ class DiagnosisResults(QWidget):
             self.below.level(floor_mN, "noise and run-to-run scatter", aside=True)
         self.above.fit()
         self.below.fit()
-
-    def _lay_out(self) -> None:
-        inside = QWidget()
-        inside.setObjectName("bare")
-        inside.setLayout(column(label("What these runs cannot answer", "title"), self.open_questions, 1, margin=10))
-        questions = QScrollArea()
-        questions.setWidgetResizable(True)
-        questions.setWidget(inside)
-        where = row(self.map, self.places, stretch={0: 2, 1: 1})
-        pages: dict[str, QLayout] = {
-            "&Which": column(self.ranking.widget, self.hypotheses, margin=8, stretch={0: 3, 1: 2}),
-            "W&here": column(self.where, where, margin=8, stretch={1: 1}),
-            "Before and a&fter": column(
-                self.runs, self.above.widget, self.below.widget, margin=8, stretch={1: 3, 2: 2}
-            ),
-        }
-        for name, layout in pages.items():
-            page = QWidget()
-            page.setLayout(layout)
-            self.tabs.addTab(page, name)
-        self.tabs.addTab(questions, "&Open questions")
-        recommended = row(label("Next experiment", "title"), self.next_words, self.next, stretch={1: 1})
-        self.setLayout(column(self.verdict, self.more, recommended, self.tabs, stretch={3: 1}))
 
 
 _POLL_MS = 100
