@@ -7,6 +7,7 @@ require_qt()
 
 from PySide6.QtWidgets import QApplication, QLabel, QTableWidget, QWidget
 from test_present_document import DOCUMENT
+from test_present_example import example_document
 
 from dragrig.window.document_view import DocumentView, DrawnFigure
 
@@ -40,3 +41,11 @@ def test_a_figure_says_what_it_shows_to_a_screen_reader(view: DocumentView) -> N
 def test_another_document_takes_the_place_of_the_first(view: DocumentView) -> None:
     view.show_document(DOCUMENT.without("curve"))
     assert view.tabs.count() == 1
+
+
+def test_the_result_of_the_docs_is_shown(qapp: QApplication) -> None:
+    view = DocumentView()
+    view.show_document(example_document().drawn())
+    (table,) = view.findChildren(QTableWidget)
+    assert table.item(0, 1).text() == "101.23 ± 0.31"
+    assert view.findChildren(DrawnFigure)
