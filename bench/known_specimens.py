@@ -26,7 +26,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.runfile.model import Run
 from dragrig.setup import resolve
 from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, SteadyForces, steady_forces
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, SteadyForces, steady_forces
 from dragrig.sim_backend.friction.wall import model_wall
 
 SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)

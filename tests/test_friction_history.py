@@ -151,8 +151,8 @@ def test_wall_that_left_the_contact_and_comes_back_is_fresh() -> None:
 
 
 def test_the_quadrature_has_converged() -> None:
-    from dragrig.sim_backend.friction.environmental_resistance import FINE_RULE, QuadratureRule
-    from dragrig.sim_backend.friction.sliding import SlidingForce
+    from dragrig.sim_backend.friction.contact import FINE_RULE, QuadratureRule
+    from dragrig.sim_backend.friction.friction_force import SlidingForce
 
     for profile in TURNING.values():
         prepared = prepare(sliding(profile), MODEL).friction

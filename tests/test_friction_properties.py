@@ -15,7 +15,7 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
-from dragrig.sim_backend.friction.sliding import ELEMENT_SCALES
+from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES
 
 MODEL = FrictionModelSettings()
 

@@ -13,9 +13,9 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
-from dragrig.sim_backend.friction.environmental_resistance import COUNTED_RULE, FINE_RULE
+from dragrig.sim_backend.friction.contact import COUNTED_RULE, FINE_RULE
+from dragrig.sim_backend.friction.friction_force import SlidingForce
 from dragrig.sim_backend.friction.motion import measured_motion
-from dragrig.sim_backend.friction.sliding import SlidingForce
 
 MODEL = FrictionModelSettings()
 

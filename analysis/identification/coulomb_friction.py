@@ -23,7 +23,7 @@ from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, viscous_force
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 RUN_SCATTER = RUN_VARIATIONS[1].sd

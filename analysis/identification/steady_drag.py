@@ -35,8 +35,8 @@ from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
-from dragrig.sim_backend.friction.sliding import steady_forces
+from dragrig.sim_backend.friction.contact import gauss_legendre
+from dragrig.sim_backend.friction.friction_force import steady_forces
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 STIFFNESS_SCATTER, FRICTION_SCATTER = (variation.sd for variation in RUN_VARIATIONS)

@@ -14,9 +14,8 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
-from dragrig.sim_backend.friction.contact_history import ContactHistory, leading_motion, smooth_intervals
-from dragrig.sim_backend.friction.prepared import NOT_NOMINAL, PreparedForce
-from dragrig.sim_backend.friction.sliding import ELEMENT_SCALES, GRAVITY_M_S2
+from dragrig.sim_backend.friction.contact import ContactHistory, leading_motion, smooth_intervals
+from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES, GRAVITY_M_S2, NOT_NOMINAL, PreparedForce
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 FORCE_CHANNEL = "force"

@@ -25,7 +25,7 @@ from dragrig.analysis.paper.published import (
 )
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import SteadyForces, steady_forces
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, viscous_force
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)

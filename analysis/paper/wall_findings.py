@@ -20,7 +20,7 @@ from dragrig.analysis.paper.published import (
 )
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import WallParameters, parameter_set_differences, steady_forces, wall_parameters
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2
 from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN, HemisphereContact, model_wall
 
 ELEMENT_SYMBOLS = {"E1": "E1", "E2": "E2", "E3": "E3", "eta1": "η1", "eta2": "η2"}

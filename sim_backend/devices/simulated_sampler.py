@@ -41,8 +41,8 @@ from dragrig.sim_backend.devices.variability import (
 from dragrig.sim_backend.effects.base import EffectChain, evaluation_rate_hz, evaluation_times
 from dragrig.sim_backend.effects.run_state import gut_run_state
 from dragrig.sim_backend.friction import prepare
+from dragrig.sim_backend.friction.friction_force import PreparedForce
 from dragrig.sim_backend.friction.motion import ProfileMotion, RecordedMotion
-from dragrig.sim_backend.friction.prepared import PreparedForce
 
 BEARING_SPEED_MM_S = 0.05
 """Speed over which the Coulomb friction of the stage's bearing changes sign."""

@@ -14,11 +14,9 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.sim_backend.friction import prepare
-from dragrig.sim_backend.friction.contact_history import ContactHistory
-from dragrig.sim_backend.friction.environmental_resistance import gauss_legendre
+from dragrig.sim_backend.friction.contact import ContactHistory, gauss_legendre
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, Components, SlidingForce, StickingForce
 from dragrig.sim_backend.friction.motion import Motion
-from dragrig.sim_backend.friction.prepared import StickingForce
-from dragrig.sim_backend.friction.sliding import GRAVITY_M_S2, Components, SlidingForce
 from dragrig.sim_backend.friction.wall import (
     HemisphereContact,
     MaxwellBranches,

@@ -5,9 +5,15 @@ curves, `wall_parameters` and `parameter_set_differences` the two published para
 model.
 """
 
+from dragrig.sim_backend.friction.friction_force import (
+    Components,
+    PreparedForce,
+    SteadyForces,
+    prepare,
+    skew_resistance,
+    steady_forces,
+)
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
-from dragrig.sim_backend.friction.prepared import PreparedForce, prepare
-from dragrig.sim_backend.friction.sliding import Components, SteadyForces, skew_resistance, steady_forces
 from dragrig.sim_backend.friction.wall import (
     ParameterSetDifference,
     WallKind,
