@@ -20,8 +20,19 @@ from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, Run
 
 EXPORT_FORMAT_KEY = "dragrig-export"
 EXPORT_FORMAT_VERSION = 1
+DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "space"}
+CSV_CHUNK_ROWS = 1 << 16
+PARQUET_ROW_GROUP = 1 << 18
+"""Rows that are written at a time."""
+PARQUET_METADATA_KEY = b"dragrig"
+MAT_LIMIT_BYTES = 1 << 31
+"""Largest variable of a version 5 MAT file."""
+MAX_MATLAB_NAME = 63
 
 Json = str | float | int | bool | None | list["Json"] | dict[str, "Json"]
+MatlabValue: TypeAlias = (
+    "str | float | int | bool | np.ndarray[tuple[int, ...], np.dtype[np.generic]] | dict[str, MatlabValue]"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,24 +54,24 @@ class ExportContent:
 
 
 def export_content(run: Run) -> ExportContent:
-    """Gather what is exported of a run: time, signal, further channels, filtered values, position, command, phase."""
+    """Columns of a run: time, signal, further channels, filtered channels, position, command, phase."""
     trace = run.trace
-    others = [name for name in trace.channels if name not in {trace.signal, "position"}]
-    found = [_column("time", "s", trace.time)]
-    found += [_column(name, trace.units.get(name, ""), trace.channels[name]) for name in (trace.signal, *others)]
+    names = [trace.signal, *(name for name in trace.channels if name not in {trace.signal, "position"})]
+    columns = [_column("time", "s", trace.time)]
+    columns += [_column(name, trace.units.get(name, ""), trace.channels[name]) for name in names]
     if run.filtered is not None and len(run.filtered.time) == len(trace.time):
         for name, values in run.filtered.channels.items():
             units = run.filtered.units.get(name) or ("mm/s" if name == "speed" else trace.units.get(name, ""))
             label = name if name not in trace.channels else f"{name}_filtered"
-            found.append(_column(label, units, values, f"filtered/{name}"))
-    found.append(_column("position", "mm", trace.position))
-    found.append(_column("command", "mm", trace.command))
-    found.append(ExportColumn("phase", "phase", "", trace.phase))
-    return ExportContent(tuple(found), _metadata(run, found))
+            columns.append(_column(label, units, values, f"filtered/{name}"))
+    columns.append(_column("position", "mm", trace.position))
+    columns.append(_column("command", "mm", trace.command))
+    columns.append(ExportColumn("phase", "phase", "", trace.phase))
+    return ExportContent(tuple(columns), _metadata(run, columns))
 
 
 def column_name(label: str, units: str) -> str:
-    """Put a unit into a column's name: force and mN become force_mN, speed and mm/s speed_mm_s."""
+    """Append a unit to a column's name: force and mN become force_mN, speed and mm/s speed_mm_s."""
     unit = re.sub(r"\W+", "_", units.replace("²", "2").replace("µ", "u").replace("°", "deg")).strip("_")
     name = re.sub(r"\W+", "_", label).strip("_") or "column"
     return f"{name}_{unit}" if unit else name
@@ -98,28 +109,22 @@ def _metadata(run: Run, columns: list[ExportColumn]) -> dict[str, Json]:
 
 
 def _finite_attributes(attributes: Mapping[str, Attribute]) -> dict[str, Json]:
-    """Numbers that are not finite become None: JSON knows no others."""
+    """Replace numbers that are not finite by None, which JSON can hold."""
     return {
         key: None if isinstance(value, float) and not isfinite(value) else value for key, value in attributes.items()
     }
 
 
-CSV_CHUNK_ROWS = 1 << 16
-"""Rows that are turned into text at a time."""
-
-DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "space"}
-
-
 @dataclass(frozen=True, slots=True)
 class CsvStyle:
-    """How numbers and columns are told apart.
+    """Decimal mark and delimiter of a CSV file.
 
     Attributes
     ----------
     decimal
         Decimal mark, `.` or `,`.
     delimiter
-        Comma, semicolon, tab, bar or space; comma, or semicolon with decimal commas, when left out.
+        Comma, semicolon, tab, bar or space; default: comma, or semicolon with decimal commas.
 
     Raises
     ------
@@ -132,22 +137,22 @@ class CsvStyle:
 
     def __post_init__(self) -> None:
         if self.decimal not in {".", ","}:
-            raise AnalysisError(f"A decimal mark of {self.decimal!r} is not offered; choose . or ,")
+            raise AnalysisError(f"A decimal mark of {self.decimal!r} is not supported; choose . or ,")
         if not self.delimiter:
             object.__setattr__(self, "delimiter", ";" if self.decimal == "," else ",")
         if self.delimiter not in DELIMITERS:
             raise AnalysisError(
-                f"A delimiter of {self.delimiter!r} is not offered; choose {', '.join(DELIMITERS.values())}."
+                f"A delimiter of {self.delimiter!r} is not supported; choose {', '.join(DELIMITERS.values())}."
             )
         if self.delimiter == self.decimal:
             raise AnalysisError(
-                "Decimal mark and delimiter are both a comma, so that columns could not be told apart; "
+                "Decimal mark and delimiter are both a comma, so that columns would be ambiguous; "
                 "choose ; as the delimiter."
             )
 
 
 def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Progress) -> None:
-    """Write a CSV file, piece by piece; missing numbers are empty cells."""
+    """Write a CSV file in chunks; missing numbers are empty cells."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -160,31 +165,14 @@ def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Pro
         file.write((style.delimiter.join(names) + "\n").encode())
         for start in range(0, rows, CSV_CHUNK_ROWS):
             progress(start, rows)
-            arrays = [
-                pa.array(_native_byte_order(c.values[start : start + CSV_CHUNK_ROWS]), from_pandas=True)
-                for c in content.columns
-            ]
+            chunks = (column.values[start : start + CSV_CHUNK_ROWS] for column in content.columns)
+            native = (np.ascontiguousarray(chunk, dtype=chunk.dtype.newbyteorder("=")) for chunk in chunks)
+            table = pa.table([pa.array(values, from_pandas=True) for values in native], names=names)
             text = io.BytesIO()
-            csv.write_csv(pa.table(arrays, names=names), text, options)
+            csv.write_csv(table, text, options)
             numbers = text.getvalue()
             file.write(numbers.replace(b".", b",") if style.decimal == "," else numbers)
     progress(rows, rows)
-
-
-def _native_byte_order(
-    values: np.ndarray[tuple[int, ...], np.dtype[np.generic]],
-) -> np.ndarray[tuple[int, ...], np.dtype[np.generic]]:
-    return np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("="))
-
-
-PARQUET_ROW_GROUP = 1 << 18
-"""Rows of a Parquet file that are written at a time."""
-PARQUET_METADATA_KEY = b"dragrig"
-MAT_LIMIT_BYTES = 1 << 31
-"""No variable of a version 5 MAT file can be larger."""
-_MAX_MATLAB_NAME = 63
-
-_Mat: TypeAlias = "str | float | int | bool | np.ndarray[tuple[int, ...], np.dtype[np.generic]] | dict[str, _Mat]"
 
 
 def write_parquet(part: Path, content: ExportContent, progress: Progress) -> None:
@@ -218,7 +206,7 @@ def write_npz(part: Path, content: ExportContent) -> None:
 def write_mat(part: Path, content: ExportContent) -> None:
     """Write a version 5 MAT file with one struct `run`: a field for each column, and the metadata.
 
-    The metadata are there twice, as the struct `metadata` and, for reading back, as JSON text.
+    The metadata are stored twice, as the struct `metadata` and, for reading back, as JSON text.
 
     Raises
     ------
@@ -230,39 +218,35 @@ def write_mat(part: Path, content: ExportContent) -> None:
     for column in content.columns:
         if column.values.nbytes >= MAT_LIMIT_BYTES:
             raise AnalysisError(f"{column.name} has more than 2 GB, which a MAT file cannot hold; export to parquet.")
-    fields: dict[str, _Mat] = {_matlab_name(column.name): column.values for column in content.columns}
+    fields: dict[str, MatlabValue] = {_matlab_name(column.name): column.values for column in content.columns}
     fields["metadata"] = _to_matlab(content.metadata)
     fields["metadata_json"] = json.dumps(content.metadata)
     savemat(str(part), {"run": fields}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 
-def _to_matlab(value: "Json | object") -> _Mat:
+def _to_matlab(value: "Json | object") -> MatlabValue:
     if isinstance(value, dict):
         return {_matlab_name(str(key)): _to_matlab(inner) for key, inner in value.items()}
     if value is None:
         return float("nan")
     if isinstance(value, list):
-        return _to_matlab_cell(value)
+        cell = np.empty(len(value), dtype=object)
+        for index, item in enumerate(value):
+            cell[index] = _to_matlab(item)
+        return cell
     if isinstance(value, str | bool | int | float):
         return value
     return str(value)
 
 
-def _to_matlab_cell(items: "list[Json]") -> "np.ndarray[tuple[int, ...], np.dtype[np.generic]]":
-    cell = np.empty(len(items), dtype=object)
-    for k, item in enumerate(items):
-        cell[k] = _to_matlab(item)
-    return cell
-
-
 def _matlab_name(name: str) -> str:
-    """Return a name that MATLAB accepts for a field."""
+    """Return a valid field name."""
     plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
-    return (plain if plain[:1].isalpha() else f"x_{plain}")[:_MAX_MATLAB_NAME]
+    return (plain if plain[:1].isalpha() else f"x_{plain}")[:MAX_MATLAB_NAME]
 
 
 class ExportFormat(StrEnum):
-    """What can be exported to; the value is the file's ending as well."""
+    """Formats of an export; the value is the file's ending as well."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -272,7 +256,7 @@ class ExportFormat(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CampaignExport:
-    """Files written, and runs left out with the reason."""
+    """Files written, and excluded runs with the reason."""
 
     written: tuple[Path, ...]
     left_out: tuple[tuple[Path, str], ...]
@@ -296,19 +280,19 @@ def export_run(
     style
         Decimal mark and delimiter of a CSV file.
     overwrite
-        Whether an export that stands there already may be replaced.
+        Whether an existing export may be replaced.
 
     Returns
     -------
     Path
-        The file written; it appears at once, when it is whole.
+        The file written; it appears only when it is complete.
 
     Raises
     ------
     RunFileError
         When the run cannot be read.
     OutputError
-        When the file exists already, or the folder refuses.
+        When the file exists already, or cannot be written.
     """
     from dragrig.rig.runfile import read_run
 
@@ -329,20 +313,20 @@ def export_campaign(
 ) -> CampaignExport:
     """Export every run of a campaign into a folder, one file each.
 
-    Runs marked as bad are left out unless `with_bad`; files that cannot be read are left out and said.
+    Runs marked as bad are excluded unless `with_bad`; so are files that cannot be read.
 
     Raises
     ------
     RunFileError
         When there is no such campaign.
     OutputError
-        When one of the files exists already (then none is written), or the folder refuses.
+        When one of the files exists already (then none is written), or the folder cannot be written.
     """
     from dragrig.rig.runfile import read_campaign
 
-    found = read_campaign(folder)
-    bad = {} if with_bad else {path: f"marked as bad: {mark.reason}" for path, mark in found.marks.items()}
-    wanted = [info.path for info in found.runs if info.path not in bad]
+    campaign = read_campaign(folder)
+    bad = {} if with_bad else {path: f"marked as bad: {mark.reason}" for path, mark in campaign.marks.items()}
+    wanted = [info.path for info in campaign.runs if info.path not in bad]
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -350,7 +334,7 @@ def export_campaign(
     for path in wanted:
         _require_free(_target_file(path, target, export_format), overwrite=overwrite)
     written: list[Path] = []
-    left_out = [*bad.items(), *((path, str(error)) for path, error in found.unreadable)]
+    left_out = [*bad.items(), *((path, str(error)) for path, error in campaign.unreadable)]
     for done, path in enumerate(wanted):
         progress(done, len(wanted))
         try:
@@ -370,28 +354,22 @@ def write_export(
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
-    """Export a run that was read already; otherwise as `export_run`."""
+    """Export a run in memory; otherwise as `export_run`."""
     _require_free(target, overwrite=overwrite)
     if target.exists() and target.samefile(run.info.path):
         raise OutputError(f"{target}: is the run file itself; give the export another name.")
     with _written_atomically(target) as part:
-        _write_format(part, export_content(run), export_format, style or CsvStyle(), progress)
+        content = export_content(run)
+        match export_format:
+            case ExportFormat.CSV:
+                write_csv(part, content, style or CsvStyle(), progress)
+            case ExportFormat.PARQUET:
+                write_parquet(part, content, progress)
+            case ExportFormat.MAT:
+                write_mat(part, content)
+            case ExportFormat.NPZ:
+                write_npz(part, content)
     return target
-
-
-def _write_format(
-    part: Path, content: ExportContent, export_format: ExportFormat, style: CsvStyle, progress: Progress
-) -> None:
-
-    match export_format:
-        case ExportFormat.CSV:
-            write_csv(part, content, style, progress)
-        case ExportFormat.PARQUET:
-            write_parquet(part, content, progress)
-        case ExportFormat.MAT:
-            write_mat(part, content)
-        case ExportFormat.NPZ:
-            write_npz(part, content)
 
 
 def _target_file(path: Path, target: Path, export_format: ExportFormat) -> Path:
@@ -402,12 +380,12 @@ def _require_free(target: Path, *, overwrite: bool) -> None:
     if target.is_dir():
         raise OutputError(f"{target}: is a folder; give the name of a file.")
     if target.exists() and not overwrite:
-        raise OutputError(f"{target}: exists already; choose another name, or allow it to be written over.")
+        raise OutputError(f"{target}: exists already; choose another name, or allow it to be replaced.")
 
 
 @contextmanager
 def _written_atomically(target: Path) -> Iterator[Path]:
-    """Give a file to write beside the target, and put it in the target's place once it is whole."""
+    """Yield a temporary file beside the target, and move it to the target once it is complete."""
     from dragrig.rig.runfile.filesystem import move_into_place, remove_quietly
 
     part = target.with_name(f"{target.name}.part")
