@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from dragrig.analysis.models.nominal_model import ChannelModel, MotionState, Parameter
+from dragrig.analysis.models import ChannelModel, MotionState, Parameter
 from dragrig.rig.arrays import FloatArray
 
 

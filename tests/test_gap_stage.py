@@ -21,7 +21,7 @@ COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
 RATE = "rig.sampling.rate_hz=500"
 NOT_OF_A_STAGE = {"adhesion", "folds", "peristalsis", "wall_lift_off", "tissue_ageing", "preconditioning"}
 OWN = """
-from dragrig.analysis.models.nominal_model import ChannelModel, Parameter
+from dragrig.analysis.models import ChannelModel, Parameter
 
 class Sledge(ChannelModel):
     name = "sledge"

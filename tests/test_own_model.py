@@ -85,7 +85,7 @@ COGGING = """
 import numpy as np
 from scipy.signal import savgol_filter
 
-from dragrig.analysis.models.nominal_model import ChannelModel, Parameter
+from dragrig.analysis.models import ChannelModel, Parameter
 
 class Cogging(ChannelModel):
     name = "cogging"
@@ -209,7 +209,7 @@ def test_an_installed_model_is_found_by_name(tmp_path: Path, monkeypatch: pytest
     monkeypatch.syspath_prepend(tmp_path)
     assert {"plate", "drive", "gone"} <= set(model_names())
     assert find_model("plate").name == "plate"
-    with pytest.raises(SettingsError, match=r"gone .* cannot be loaded .*installed whole"):
+    with pytest.raises(SettingsError, match=r"gone .* cannot be loaded .*installed completely"):
         find_model("gone")
     del sys.modules["plate_of_mylab"]
 

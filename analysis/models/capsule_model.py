@@ -1,6 +1,6 @@
 """The paper's friction model as a nominal model: the force on a capsule in a gut, without any gap."""
 
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -40,19 +40,13 @@ RUN_VARIATIONS = (Variation("stiffness", 0.02), Variation("friction", 0.015))
 
 
 def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]:
-    """Return the scales, friction coefficient, gain and contact angle, with what is known of any specimen."""
+    """Return scales, friction coefficient, gain and contact angle, with their priors over specimens."""
     scales = tuple(
         Parameter(name, "1", float(getattr(settings, name)), sd, meaning=meaning)
         for name, (sd, meaning) in SPECIMEN_PRIORS.items()
     )
-    angle = Parameter(
-        ANGLE_PARAMETER,
-        "deg",
-        settings.contact_angle_offset_deg,
-        ANGLE_SD_DEG,
-        False,
-        "contact angle over the capsule's",
-    )
+    offset_deg = settings.contact_angle_offset_deg
+    angle = Parameter(ANGLE_PARAMETER, "deg", offset_deg, ANGLE_SD_DEG, False, "contact angle less the capsule's")
     return (*scales, angle)
 
 
@@ -79,18 +73,28 @@ CAPSULE_COMBINATIONS = (
 
 DERIVATIVE_STEP = 1e-3
 """Relative step of a derivative by differences."""
+ANGLE_STEP_DEG = 0.2
+"""Step of a derivative by the angle, on which it depends when a bend of the motion reaches the equator and the force
+jumps."""
+MOTION_TIMING_S, COMMAND_TIMING_S = 0.005, 0.001
+"""Uncertainty of the start and stop of a measured motion, and of one that follows its command: a stage takes so long
+over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
+MOVING_VELOCITY_ERROR_MM_S, CREEP_VELOCITY_ERROR_MM_S = 0.15, 0.05
+"""Error of the velocity from 1 µm counts within some 30 ms: of a stage that moves, and of one that creeps."""
+RELAXED_SHARE = 1e-9
+"""The force of a wall that has relaxed to this share no longer depends on the contact's age."""
 
 RECORDED_PROFILE = MotionProfile.from_pieces(())
-"""The profile of a run whose motion comes from the record: one for all, so that alike acquisitions are equal."""
+"""Profile of a run whose motion comes from the record: the same for all, so that equivalent acquisitions are equal."""
 
 
 def acquisition_of(experiment: Experiment) -> Acquisition:
-    """Return what the friction model must know of a run; its motion comes from the record.
+    """Return the friction model's input of a run; its motion comes from the record.
 
     Raises
     ------
     AnalysisError
-        Where the run does not say enough of its capsule.
+        Where the run does not state enough of its capsule.
     """
     header = experiment.run.info.header
     specimen = Specimen(
@@ -111,7 +115,7 @@ def acquisition_of(experiment: Experiment) -> Acquisition:
 
 
 def without_run_identity(acquisition: Acquisition) -> Acquisition:
-    """Return what a run shares with those that are alike: all but which one it is."""
+    """Return what equivalent runs share: all but the run's identity."""
     return replace(acquisition, run_id="", order=0)
 
 
@@ -123,7 +127,7 @@ class BlankPredictor(Predictor):
 
     @property
     def events_s(self) -> FloatArray:
-        """No time stands out."""
+        """No events."""
         return np.zeros(0)
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
@@ -148,12 +152,12 @@ class StickingPredictor(Predictor):
 
     @property
     def events_s(self) -> FloatArray:
-        """Where the motion bends."""
+        """Times at which the motion bends."""
         return self.experiment.motion.breaks_s
 
     @property
     def equivalence_key(self) -> Hashable:
-        """All but which run it is."""
+        """All but the run's identity."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
         return without_run_identity(self.acquisition), self.experiment.unsmoothed_motion, bare, self.names
 
@@ -164,53 +168,33 @@ class StickingPredictor(Predictor):
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return exact derivatives where the force is proportional, differences for the elements."""
-        given = dict(zip(self.names, values.tolist(), strict=True))
-        total = self._force(given, time_s)
-        rows = {name: total / given[name] for name in ("force_gain", "stiffness_scale")}
-        rows |= _element_derivatives(lambda changed: self._force(changed, time_s), given, rows["stiffness_scale"])
-        return stack_sensitivities(self.names, rows, len(time_s))
+        named = dict(zip(self.names, values.tolist(), strict=True))
+        total = self._force(named, time_s)
+        rows = {name: total / named[name] for name in ("force_gain", "stiffness_scale")}
+        # All five elements scaled together are the common scale, from which the last derivative follows.
+        remainder = rows["stiffness_scale"] * named["stiffness_scale"]
+        *differenced, last = ELEMENT_SCALES
+        for name in differenced:
+            step = DERIVATIVE_STEP * named[name]
+            rows[name] = (self._force({**named, name: named[name] + step}, time_s) - total) / step
+            remainder = remainder - rows[name] * named[name]
+        rows[last] = remainder / named[last]
+        return _stack_sensitivities(self.names, rows, len(time_s))
 
     def _force(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        return prepare(
-            self.acquisition, self.settings.model_copy(update=values), self.experiment.unsmoothed_motion
-        ).force(time_s)
+        settings = self.settings.model_copy(update=values)
+        return prepare(self.acquisition, settings, self.experiment.unsmoothed_motion).force(time_s)
 
 
-def _element_derivatives(
-    total: Callable[[Mapping[str, float]], FloatArray], given: Mapping[str, float], by_common: FloatArray
-) -> dict[str, FloatArray]:
-    """Return derivatives by the five scales; the last follows, as all five scaled alike are the common scale."""
-    before = total(given)
-    rows: dict[str, FloatArray] = {}
-    left = by_common * given["stiffness_scale"]
-    for name in ELEMENT_SCALES[:-1]:
-        step = DERIVATIVE_STEP * given[name]
-        rows[name] = (total({**given, name: given[name] + step}) - before) / step
-        left = left - rows[name] * given[name]
-    rows[ELEMENT_SCALES[-1]] = left / given[ELEMENT_SCALES[-1]]
-    return rows
-
-
-def stack_sensitivities(names: tuple[str, ...], rows: Mapping[str, FloatArray], samples: int) -> FloatArray:
-    """Return derivatives in the order of the parameters, shape `(P, samples)`; zeros by what has none."""
-    nothing = np.zeros(samples)
-    return np.stack([rows.get(name, nothing) for name in names])
-
-
-ANGLE_STEP_DEG = 0.2
-"""Step of a derivative by the angle, which says when a bend of the motion comes to the equator and the force jumps."""
-MOTION_TIMING_S, COMMAND_TIMING_S = 0.005, 0.001
-"""So long a stage takes over the last counts of a stop at 400 mm/s², which its encoder cannot show; and how well the
-start of a motion is known that follows its command."""
-MOVING_VELOCITY_ERROR_MM_S, CREEP_VELOCITY_ERROR_MM_S = 0.15, 0.05
-"""So well 1 µm counts tell the velocity within some 30 ms: of a stage that moves, and of one that creeps."""
-RELAXED_SHARE = 1e-9
-"""A contact whose wall has relaxed to this share no longer knows its age."""
+def _stack_sensitivities(names: tuple[str, ...], rows: Mapping[str, FloatArray], samples: int) -> FloatArray:
+    """Order derivatives by parameter, shape `(P, samples)`; zeros for parameters without a row."""
+    zeros = np.zeros(samples)
+    return np.stack([rows.get(name, zeros) for name in names])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ForceComponents:
-    """What the force channel shows of a sliding capsule, part by part [mN]."""
+    """Force of a sliding capsule in the force channel, part by part [mN]."""
 
     elastic: FloatArray
     viscous: FloatArray
@@ -223,7 +207,7 @@ class _ForceComponents:
 
     @property
     def stiff(self) -> FloatArray:
-        """What grows with the wall's stiffness: f_e, and Coulomb friction without the weight's."""
+        """The part that scales with the wall's stiffness: f_e, and Coulomb friction without the weight's."""
         return self.elastic + self.coulomb - self.weight
 
 
@@ -240,21 +224,21 @@ class SlidingPredictor(Predictor):
 
     @property
     def events_s(self) -> FloatArray:
-        """Where the motion bends, and where wall passed at such a moment comes to the equator, for likely angles."""
-        found = [self.motion.breaks_s]
+        """Times at which the motion bends, and at which wall passed at a bend reaches the equator for likely angles."""
+        events = [self.motion.breaks_s]
         if self.acquisition.fixture is Fixture.FOAM:
             nominal = self.settings.contact_angle_offset_deg
-            found += [self._begins(nominal + turn * ANGLE_SD_DEG) for turn in (-2.0, 0.0, 2.0)]
-        return np.unique(np.concatenate(found))
+            events += [self._interval_starts(nominal + sds * ANGLE_SD_DEG) for sds in (-2.0, 0.0, 2.0)]
+        return np.unique(np.concatenate(events))
 
     @property
     def equivalence_key(self) -> Hashable:
-        """All but which run it is."""
+        """All but the run's identity."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
         return without_run_identity(self.acquisition), self.motion, bare, self.names, self.follows_command
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
-        """Predict f_e + f_v + f_c as the force channel shows them."""
+        """Predict f_e + f_v + f_c in the force channel."""
         parts = self._parts(dict(zip(self.names, values.tolist(), strict=True)), time_s)
         return Prediction(parts.total, np.stack((parts.stiff, parts.coulomb)))
 
@@ -263,60 +247,60 @@ class SlidingPredictor(Predictor):
         return self.sensitivities_without((), values, time_s)
 
     def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return `sensitivities`, zeros by the angle where it is named: its differences cost the most."""
-        given = dict(zip(self.names, values.tolist(), strict=True))
-        prepared = self._prepared(given)
-        parts = self._split(prepared, given, time_s)
+        """Return `sensitivities`, zeros by the angle if it is among the names: its differences cost the most."""
+        named = dict(zip(self.names, values.tolist(), strict=True))
+        prepared = self._prepared(named)
+        parts = self._split(prepared, named, time_s)
         rows = {
-            "force_gain": parts.total / given["force_gain"],
-            "stiffness_scale": parts.stiff / given["stiffness_scale"],
-            "friction_coefficient": parts.coulomb / given["friction_coefficient"],
-            "mucus_scale": parts.viscous / given["mucus_scale"],
+            "force_gain": parts.total / named["force_gain"],
+            "stiffness_scale": parts.stiff / named["stiffness_scale"],
+            "friction_coefficient": parts.coulomb / named["friction_coefficient"],
+            "mucus_scale": parts.viscous / named["mucus_scale"],
         }
         if self.acquisition.fixture is Fixture.FOAM:
             by_element = zip(ELEMENT_SCALES, prepared.log_derivatives(time_s), strict=True)
-            rows |= {name: by_log / given[name] for name, by_log in by_element}
+            rows |= {name: by_log / named[name] for name, by_log in by_element}
             if ANGLE_PARAMETER not in names:
-                rows[ANGLE_PARAMETER] = self._by_angle(given, time_s)
-            if self._knows_its_age(given):
-                rows[DWELL_PARAMETER] = self._slope(
-                    DWELL_PARAMETER, DERIVATIVE_STEP * given[DWELL_PARAMETER], given, time_s
-                )
-        return stack_sensitivities(self.names, rows, len(time_s))
+                rows[ANGLE_PARAMETER] = self._by_angle(named, time_s)
+            slowest = self._contact(named).side_pressure().slow_rate
+            age_s = self.acquisition.insertion_dwell_s * named[DWELL_PARAMETER]
+            if float(np.exp(-slowest * age_s)) > RELAXED_SHARE:
+                rows[DWELL_PARAMETER] = self._by_dwell(named, time_s)
+        return _stack_sensitivities(self.names, rows, len(time_s))
 
-    def _slope(self, name: str, step: float, given: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        ahead, behind = (self._parts({**given, name: given[name] + side * step}, time_s).total for side in (1.0, -1.0))
-        return (ahead - behind) / (2 * step)
+    def _by_dwell(self, named: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        dwell = named[DWELL_PARAMETER]
+        step = DERIVATIVE_STEP * dwell
+        longer, shorter = (
+            self._parts({**named, DWELL_PARAMETER: dwell + side * step}, time_s).total for side in (1.0, -1.0)
+        )
+        return (longer - shorter) / (2 * step)
 
-    def _by_angle(self, given: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        turns = (given[ANGLE_PARAMETER] + ANGLE_STEP_DEG, given[ANGLE_PARAMETER] - ANGLE_STEP_DEG)
-        more, less = (self._parts({**given, ANGLE_PARAMETER: turn}, time_s) for turn in turns)
-        # Friction jumps when a bend comes to the equator; the jump over the step would be no slope, and is left out.
-        ahead, behind = (np.searchsorted(self._begins(turn), time_s, side="right") for turn in turns)
+    def _by_angle(self, named: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+        offsets = (named[ANGLE_PARAMETER] + ANGLE_STEP_DEG, named[ANGLE_PARAMETER] - ANGLE_STEP_DEG)
+        more, less = (self._parts({**named, ANGLE_PARAMETER: offset}, time_s) for offset in offsets)
+        # Friction jumps when a bend reaches the equator; a jump within the step is no slope, and is excluded.
+        ahead, behind = (np.searchsorted(self._interval_starts(offset), time_s, side="right") for offset in offsets)
         change = np.where(ahead == behind, more.total - less.total, more.elastic - less.elastic)
         return np.asarray(change / (2 * ANGLE_STEP_DEG))
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return by how much friction differs a little earlier or later: it turns on the last µm of a motion."""
-        given = dict(zip(self.names, values.tolist(), strict=True))
+        """Return by how much friction differs a little earlier or later: it changes within the last µm of a motion."""
         last = float(self.motion.breaks_s[-1])
         timing = COMMAND_TIMING_S if self.follows_command else MOTION_TIMING_S
         shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-timing, 0.0, timing)])
-        before, now, after = np.split(self._friction(given, shifted), 3)
-        early_or_late = np.maximum(np.abs(before - now), np.abs(after - now))
-        return early_or_late if self.follows_command else np.hypot(early_or_late, self._creeping(now, time_s))
+        parts = self._parts(dict(zip(self.names, values.tolist(), strict=True)), shifted)
+        before, now, after = np.split(parts.viscous + parts.coulomb, 3)
+        by_timing = np.maximum(np.abs(before - now), np.abs(after - now))
+        return by_timing if self.follows_command else np.hypot(by_timing, self._creep_uncertainty(now, time_s))
 
-    def _creeping(self, friction: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return how much friction may differ where the stage creeps more slowly than its encoder can tell."""
-        velocity, over = self.motion.velocity(time_s), self.settings.regularisation_mm_s
-        begun = time_s >= self.motion.breaks_s[np.argmax(self.motion.signs != 0)]
-        unsure = np.where(velocity == 0, CREEP_VELOCITY_ERROR_MM_S, MOVING_VELOCITY_ERROR_MM_S)
-        sides = [np.abs(np.tanh((velocity + side * unsure) / over) - np.tanh(velocity / over)) for side in (-1.0, 1.0)]
-        return np.asarray(np.where(begun, np.maximum(*sides), 0.0) * np.abs(friction).max(initial=0.0))
-
-    def _friction(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        parts = self._parts(values, time_s)
-        return parts.viscous + parts.coulomb
+    def _creep_uncertainty(self, friction: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Uncertainty of friction where the stage creeps more slowly than its encoder can show."""
+        velocity, width = self.motion.velocity(time_s), self.settings.regularisation_mm_s
+        has_started = time_s >= self.motion.breaks_s[np.argmax(self.motion.signs != 0)]
+        error = np.where(velocity == 0, CREEP_VELOCITY_ERROR_MM_S, MOVING_VELOCITY_ERROR_MM_S)
+        sides = [np.abs(np.tanh((velocity + side * error) / width) - np.tanh(velocity / width)) for side in (-1.0, 1.0)]
+        return np.asarray(np.where(has_started, np.maximum(*sides), 0.0) * np.abs(friction).max(initial=0.0))
 
     def _prepared(self, values: Mapping[str, float]) -> PreparedForce:
         return prepare(self.acquisition, self.settings.model_copy(update=values), self.motion)
@@ -326,29 +310,24 @@ class SlidingPredictor(Predictor):
 
     def _split(self, prepared: PreparedForce, values: Mapping[str, float], time_s: FloatArray) -> _ForceComponents:
         gain = values["force_gain"]
-        shown = prepared.components(time_s)
-        turning = np.tanh(self.motion.velocity(time_s) / self.settings.regularisation_mm_s)
-        weight = values["friction_coefficient"] * self.acquisition.capsule.mass_g * GRAVITY_M_S2 * turning
-        return _ForceComponents(gain * shown.f_e, gain * shown.f_v, gain * shown.f_c, gain * weight)
+        forces = prepared.components(time_s)
+        direction = np.tanh(self.motion.velocity(time_s) / self.settings.regularisation_mm_s)
+        weight = values["friction_coefficient"] * self.acquisition.capsule.mass_g * GRAVITY_M_S2 * direction
+        return _ForceComponents(gain * forces.f_e, gain * forces.f_v, gain * forces.f_c, gain * weight)
 
     def _contact(self, values: Mapping[str, float]) -> HemisphereContact:
         acquisition, model = self.acquisition, self.settings.model_copy(update=values)
         return HemisphereContact.of(acquisition.capsule, acquisition.specimen.wall_thickness_mm, model)
 
-    def _begins(self, turn_deg: float) -> FloatArray:
-        contact = self._contact({ANGLE_PARAMETER: turn_deg})
+    def _interval_starts(self, angle_offset_deg: float) -> FloatArray:
+        contact = self._contact({ANGLE_PARAMETER: angle_offset_deg})
         history = ContactHistory.of(leading_motion(self.motion), contact.length_mm + self.settings.side_contact_mm, 1.0)
-        return np.array([one.begin_s for one in smooth_intervals(history, contact.length_mm)])
-
-    def _knows_its_age(self, values: Mapping[str, float]) -> bool:
-        slowest = self._contact(values).side_pressure().slow_rate
-        dwell_s = self.acquisition.insertion_dwell_s * values[DWELL_PARAMETER]
-        return float(np.exp(-slowest * dwell_s)) > RELAXED_SHARE
+        return np.array([interval.begin_s for interval in smooth_intervals(history, contact.length_mm)])
 
 
 @dataclass(frozen=True)
 class CapsuleModel(NominalModel):
-    """The friction model of `settings`, whose scales, friction coefficient and contact angle runs determine."""
+    """The friction model of `settings`; runs determine its scales, friction coefficient and contact angle."""
 
     settings: FrictionModelSettings
 
@@ -359,17 +338,17 @@ class CapsuleModel(NominalModel):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Scales, friction coefficient, gain and contact angle, with what is known of any specimen."""
+        """Scales, friction coefficient, gain and contact angle, with their priors over specimens."""
         return capsule_parameters(self.settings)
 
     @property
     def variations(self) -> tuple[Variation, ...]:
-        """How runs on one specimen differ."""
+        """Run-to-run variations of stiffness and friction."""
         return RUN_VARIATIONS
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
-        """What the force channel shows of each scale, the gain in it, and the time constants."""
+        """The scales as the force channel shows them, with its gain, and the time constants."""
         return CAPSULE_COMBINATIONS
 
     @property
@@ -378,23 +357,23 @@ class CapsuleModel(NominalModel):
         return {FORCE_CHANNEL: FORCE_ZERO_SD_MN}
 
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
-        """Prepare the force of a run; raises `AnalysisError` where the run does not say its capsule or fixture."""
+        """Prepare the force of a run; raises `AnalysisError` where the run does not state its capsule or fixture."""
         if FORCE_CHANNEL not in experiment.run.trace.channels:
             return {}
         if experiment.contact is Contact.NONE:
             return {FORCE_CHANNEL: BlankPredictor(len(self.parameters))}
-        names = tuple(one.name for one in self.parameters)
+        names = tuple(parameter.name for parameter in self.parameters)
         if experiment.contact is Contact.STICKING:
             return {FORCE_CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}
         acquisition, motion = acquisition_of(experiment), experiment.motion
         return {FORCE_CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, experiment.follows_command)}
 
     def settings_of(self, values: Mapping[str, float]) -> FrictionModelSettings:
-        """Return the model's settings with identified values in place."""
+        """Return the model's settings with identified values."""
         return self.settings.model_copy(update=dict(values))
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
-        """Return the settings as the simulated backend loads them."""
+        """Return the settings in the form that the simulated backend loads."""
         return self.settings_of(values).model_dump(mode="json", exclude_defaults=False)
 
 

@@ -5,7 +5,7 @@ the force sensor measured in the same run, where something was attached to it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,7 +23,7 @@ MAX_WINDOW_S = 0.25
 SLOW_NOISE_SHARE = 0.45
 """Slow noise of the sensor over its white noise: a third, and more for it outlasts the windows."""
 NORMAL_MEDIAN = 0.6745
-"""Median of the absolute value of a standard normal variable."""
+"""Median of the magnitude of a standard normal variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,45 +32,44 @@ class MeasuredLoad:
 
     Attributes
     ----------
-    time_s, impulse_mNs
-        Running integral of the force, shape `(N,)`; empty where nothing hangs on the sensor.
     changes_s
-        When the motion changes, from the first sample to the last.
+        Times at which the motion changes, from the first sample to the last.
     step_s, noise_mN
         Of the samples.
-    lost_mN, lost_s
-        Where samples are missing, the load is no better known than this.
+    time_s, impulse_mNs
+        Running integral of the force, shape `(N,)`; empty without a load.
+    lost_s, range_mN
+        Times of missing samples, around which the uncertainty is the range of the force.
     """
 
-    time_s: FloatArray
-    impulse_mNs: FloatArray
     changes_s: FloatArray
     step_s: float
-    noise_mN: float
-    lost_mN: float
-    lost_s: FloatArray
+    time_s: FloatArray
+    impulse_mNs: FloatArray
+    noise_mN: float = 0.0
+    range_mN: float = 0.0
+    lost_s: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def of(cls, experiment: Experiment, changes_s: FloatArray) -> "MeasuredLoad":
-        """Take the force of a run; none where nothing hung on the sensor, or there was no sensor."""
-        trace, nothing = experiment.run.trace, np.zeros(0)
+        """Take the force of a run; no load where nothing was attached to the sensor, or there was no sensor."""
+        trace = experiment.run.trace
         step = 1.0 / trace.sample_rate_hz
-        if LOAD_CHANNEL not in trace.channels or _is_unloaded(experiment):
-            return cls(nothing, nothing, changes_s, step, 0.0, 0.0, nothing)
+        unloaded = cls(changes_s, step, np.zeros(0), np.zeros(0))
+        # A foreign measurement does not state its fixture; only its kind says that nothing is attached.
+        imported = experiment.run.info.header.backend == EXTERNAL_BACKEND
+        is_unloaded = experiment.kind == BLANK_KIND or (experiment.contact is Contact.NONE and not imported)
+        if LOAD_CHANNEL not in trace.channels or is_unloaded:
+            return unloaded
         raw = np.asarray(trace.channels[LOAD_CHANNEL], dtype=np.float64)
-        seen = np.isfinite(raw) & (experiment.valid | (trace.signal != LOAD_CHANNEL))
-        if not seen.any():
-            return cls(nothing, nothing, changes_s, step, 0.0, 0.0, nothing)
+        valid = np.isfinite(raw) & (experiment.valid | (trace.signal != LOAD_CHANNEL))
+        if not valid.any():
+            return unloaded
         time = experiment.time_s
-        force = np.interp(time, time[seen], raw[seen])
-        means = 0.5 * (force[1:] + force[:-1]) * np.diff(time)
-        noise = float(np.median(np.abs(np.diff(raw[seen])))) / NORMAL_MEDIAN / np.sqrt(2) if seen.sum() > 1 else 0.0
-        impulse = np.concatenate(([0.0], np.cumsum(means)))
-        return cls(time, impulse, changes_s, step, noise, float(np.ptp(raw[seen])), time[~seen])
-
-    def hangs(self, time_s: FloatArray) -> FloatArray:
-        """Return 1 while something hangs on the sensor, else 0, shape `(n,)`."""
-        return np.full(len(time_s), 1.0 if self.time_s.size else 0.0)
+        force = np.interp(time, time[valid], raw[valid])
+        noise = float(np.median(np.abs(np.diff(raw[valid])))) / NORMAL_MEDIAN / np.sqrt(2) if valid.sum() > 1 else 0.0
+        impulse = np.concatenate(([0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(time))))
+        return cls(changes_s, step, time, impulse, noise, float(np.ptp(raw[valid])), time[~valid])
 
     def force(self, time_s: FloatArray) -> FloatArray:
         """Smoothed force [mN] at times of shape `(n,)`."""
@@ -78,7 +77,7 @@ class MeasuredLoad:
             return np.zeros(len(time_s))
         width = self._width(time_s)
         begin = np.clip(time_s - 0.5 * width, self.time_s[0], self.time_s[-1] - width)
-        first, last = (np.interp(one, self.time_s, self.impulse_mNs) for one in (begin, begin + width))
+        first, last = (np.interp(time, self.time_s, self.impulse_mNs) for time in (begin, begin + width))
         return np.asarray((last - first) / width)
 
     def uncertainty(self, time_s: FloatArray) -> FloatArray:
@@ -86,36 +85,30 @@ class MeasuredLoad:
         if not self.time_s.size:
             return np.zeros(len(time_s))
         width = self._width(time_s)
-        found = self.noise_mN * np.sqrt(self.step_s / width + SLOW_NOISE_SHARE**2)
+        uncertainty = self.noise_mN * np.sqrt(self.step_s / width + SLOW_NOISE_SHARE**2)
         if self.lost_s.size:
             after = np.searchsorted(self.lost_s, time_s).clip(1, max(len(self.lost_s) - 1, 1))
             nearest = np.abs(self.lost_s[np.stack((after - 1, after.clip(max=len(self.lost_s) - 1)))] - time_s).min(0)
-            found = np.where(nearest <= 0.5 * width + self.step_s, self.lost_mN, found)
-        return np.asarray(found)
+            uncertainty = np.where(nearest <= 0.5 * width + self.step_s, self.range_mN, uncertainty)
+        return np.asarray(uncertainty)
 
     def _width(self, time_s: FloatArray) -> FloatArray:
         piece = np.searchsorted(self.changes_s, time_s, side="right").clip(1, len(self.changes_s) - 1)
-        since, left = time_s - self.changes_s[piece - 1], self.changes_s[piece] - time_s
-        return np.asarray(np.clip(np.minimum(WINDOW_SHARE * since, 2 * left), self.step_s, MAX_WINDOW_S))
-
-
-def _is_unloaded(experiment: Experiment) -> bool:
-    # A measurement from elsewhere does not say what it was fixed to; only its kind tells.
-    imported = experiment.run.info.header.backend == EXTERNAL_BACKEND
-    return experiment.kind == BLANK_KIND or (experiment.contact is Contact.NONE and not imported)
+        since, until = time_s - self.changes_s[piece - 1], self.changes_s[piece] - time_s
+        return np.asarray(np.clip(np.minimum(WINDOW_SHARE * since, 2 * until), self.step_s, MAX_WINDOW_S))
 
 
 MOTOR_FORCE_CHANNEL = "motor_force"
-NEWTONS_PER_G_MM_S2 = 1e-3
+MILLINEWTONS_PER_G_MM_S2 = 1e-3
 """Millinewtons that accelerate one gram by one mm/s²."""
 TURNING_SPEED_MM_S = 0.05
-"""Speed over which Coulomb friction turns its sign, the friction model's own for the capsule.
+"""Speed over which Coulomb friction changes sign, as in the capsule's friction model.
 
-A sign would have no derivative, and no encoder tells a slower creep from rest: at 1 µm per count and 500 Hz one count
-more or less already is 0.25 mm/s.
+A sign function would have no derivative, and no encoder distinguishes a slower creep from rest: at 1 µm per count and
+500 Hz one count more or less is 0.25 mm/s.
 """
 LOAD_ZERO_SD_MN = 10.0
-"""Unknown zero of the force sensor in each run with a load; a tared sensor's is a few mN."""
+"""Prior of the force sensor's zero in each run with a load; a tared sensor's is a few mN."""
 
 DRIVE_PARAMETERS = (
     Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates"),
@@ -131,17 +124,17 @@ class DriveModel(NominalModel):
 
     @property
     def name(self) -> str:
-        """What the model is called."""
+        """Name in settings and reports."""
         return "drive"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """As the rig settings name them, so wide beforehand that any stage is found."""
+        """Named as in the rig settings, with priors wide enough for any stage."""
         return DRIVE_PARAMETERS
 
     @property
     def variations(self) -> tuple[Variation, ...]:
-        """The sensor's zero, which the load holds."""
+        """The sensor's zero, which the load includes."""
         return (Variation("load_zero_mN", LOAD_ZERO_SD_MN, "mN"),)
 
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
@@ -150,7 +143,7 @@ class DriveModel(NominalModel):
         Raises
         ------
         AnalysisError
-            Where the motion cannot be used, or the run does not say what held the gut.
+            Where the motion cannot be used, or the run does not state its fixture.
         """
         if MOTOR_FORCE_CHANNEL not in experiment.run.trace.channels:
             return {}
@@ -158,10 +151,10 @@ class DriveModel(NominalModel):
         return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, MeasuredLoad.of(experiment, motion.joints_s))}
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
-        """Return rig settings that make the simulated stage this one; friction that came out below zero is none."""
-        found = {name: float(values[name]) for name in ("moving_mass_g", "offset_mN")}
-        found |= {name: max(0.0, float(values[name])) for name in ("viscous_mN_s_mm", "coulomb_mN")}
-        return {"simulated": {"motor": found}}
+        """Return rig settings with which the simulated stage equals this one; negative friction becomes 0."""
+        motor = {name: float(values[name]) for name in ("moving_mass_g", "offset_mN")}
+        motor |= {name: max(0.0, float(values[name])) for name in ("viscous_mN_s_mm", "coulomb_mN")}
+        return {"simulated": {"motor": motor}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,15 +166,18 @@ class DrivePredictor(Predictor):
 
     @property
     def events_s(self) -> FloatArray:
-        """Where the acceleration changes."""
+        """Times at which the acceleration changes."""
         return self.motion.joints_s
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict the motor force."""
-        return Prediction(values @ self.sensitivities(values, time_s), self.load.hangs(time_s)[None])
+        return Prediction(
+            values @ self.sensitivities(values, time_s),
+            np.full((1, len(time_s)), 1.0 if self.load.time_s.size else 0.0),
+        )
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return what each parameter multiplies, shape `(5, n)`."""
+        """Return the factor of each parameter, shape `(5, n)`."""
         del values
         return np.vstack((self._moving(time_s), np.ones_like(time_s), self.load.force(time_s)))
 
@@ -191,14 +187,14 @@ class DrivePredictor(Predictor):
         return viscous, coulomb
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return what the moments at which the motion changes, and the load, leave uncertain."""
-        doubt = self.motion.doubt(lambda times: values[:3] @ self._moving(times), time_s)
-        inertia = values[0] * NEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
-        return np.asarray(np.hypot(np.hypot(doubt, inertia), self.load.uncertainty(time_s)))
+        """Return the uncertainty by the times at which the motion changes, the acceleration and the load."""
+        by_joints = self.motion.joint_uncertainty(lambda times: values[:3] @ self._moving(times), time_s)
+        by_inertia = values[0] * MILLINEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
+        return np.asarray(np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s)))
 
     def _moving(self, time_s: FloatArray) -> FloatArray:
         velocity = self.motion.velocity(time_s)
-        acceleration = NEWTONS_PER_G_MM_S2 * self.motion.acceleration(time_s)
+        acceleration = MILLINEWTONS_PER_G_MM_S2 * self.motion.acceleration(time_s)
         return np.vstack((acceleration, velocity, np.tanh(velocity / TURNING_SPEED_MM_S)))
 
 

@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis.segments import Mask, clipped_samples
+from dragrig.analysis.segments import Mask, attribute_number, clipped_samples
 from dragrig.config.errors import AnalysisError
 from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.protocols import protocol_kinds
-from dragrig.rig.runfile.model import Attribute, Run
+from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction.motion import (
     ENCODER_JITTER_MM,
     MIN_SAMPLES,
@@ -26,18 +26,25 @@ from dragrig.sim_backend.friction.motion import (
     resample_uniformly,
 )
 
+DEFAULT_DWELL_S = 60.0
+"""Age of the contact at the first sample where a run does not state it (the paper's programme)."""
+DEFAULT_WALL_THICKNESS_MM = 2.5
+MAX_FOLLOWING_COUNTS = 2.5
+"""A stage whose encoder stays within this many counts of its command follows it exactly."""
+WINDOW_MEAN_NOISE_SHARE = 0.25
+"""Largest mean over a window that noise alone causes, relative to the wander."""
 SETTLED_S = 0.2
-"""A stage stands still so long after its command does."""
+"""Time that a stage takes to stand still after its command does."""
 MIN_REST_S = 0.3
-"""Rests shorter than this together do not show how far it wanders."""
+"""Shorter rests, all together, do not show the wander."""
 QUIETEST_SHARE = 0.25
-"""Share of the windows at rest that are looked at, for in others a stage may still come to rest."""
+"""Share of the windows at rest that are used, for in others a stage may still come to rest."""
 QUIETEST_SPAN_SDS, TYPICAL_SPAN_SDS = 2.9, 6.0
-"""What they span at most in white noise, in its standard deviations, and what nearly all do, also longer ones."""
+"""Largest span of the quietest windows in white noise, in its standard deviations, and that of nearly all windows."""
 MAX_WANDER_MM = 0.02
-"""What goes further than this is a motion, unless it is from one count to the next."""
+"""A larger span is a motion, unless it is from one count to the next."""
 MIN_COUNT_MM = 0.001
-"""An encoder's count is taken for no less, and for this where nothing is said of it."""
+"""Smallest count of an encoder, and the default."""
 
 
 class _EncoderSettings(BaseModel):
@@ -55,30 +62,30 @@ class _RunSettings(BaseModel):
 def encoder_count_mm(settings_toml: str) -> float:
     """Return the encoder's count [mm] in a run's settings, at least `MIN_COUNT_MM`, also the default."""
     try:
-        said = _RunSettings.model_validate(tomllib.loads(settings_toml))
+        settings = _RunSettings.model_validate(tomllib.loads(settings_toml))
     except (tomllib.TOMLDecodeError, ValidationError):
         return MIN_COUNT_MM
-    return max(1e-3 * said.rig.encoder.resolution_um, MIN_COUNT_MM)
+    return max(1e-3 * settings.rig.encoder.resolution_um, MIN_COUNT_MM)
 
 
 def position_wander_mm(
     time_s: FloatArray, position_mm: FloatArray, command_mm: FloatArray | None, count_mm: float = MIN_COUNT_MM
 ) -> float:
-    """Return how far a recorded position wanders within `SMOOTHING_WINDOW_S` at rest, from least to largest [mm].
+    """Return the range of a recorded position within `SMOOTHING_WINDOW_S` at rest [mm]: counts, noise, servo dither.
 
     Parameters
     ----------
     time_s, position_mm
         The record, shape `(N,)`: rising times from 0, finite positions.
     command_mm
-        Where the stage was told to be, shape `(N,)`, which shows its rests; None where that is not known. Then the
-        wander is what a parabola leaves in the middle of a window, in white noise.
+        The command, shape `(N,)`, which shows the rests; None where it is not known. Then the
+        wander is that of white noise with the residual of a parabola in the middle of a window.
     count_mm
         The encoder's count.
 
     Returns
     -------
-    At least the jitter of such an encoder, and at most `MAX_WANDER_MM` if that is more.
+    At least the jitter of such an encoder, and at most `MAX_WANDER_MM` beyond it.
     """
     grid, position = resample_uniformly(time_s, position_mm)
     window = max(SMOOTHING_ORDER + 3, 2 * round(0.5 * SMOOTHING_WINDOW_S / float(grid[1])) + 1)
@@ -94,25 +101,25 @@ def position_wander_mm(
 
 
 def count_jitter_mm(count_mm: float) -> float:
-    """Return how far [mm] an encoder wanders at rest: from one count to the next."""
+    """Return the wander [mm] of an encoder at rest: from one count to the next."""
     return ENCODER_JITTER_MM * count_mm / MIN_COUNT_MM
 
 
 def wander_noise_sd_mm(wander_mm: float, count_mm: float) -> float:
-    """Return the standard deviation [mm] of a position that wanders so far; 0 where it is by the counts alone."""
+    """Return the standard deviation [mm] of a position with this wander; 0 where it is by the counts alone."""
     return wander_mm / TYPICAL_SPAN_SDS if wander_mm > count_jitter_mm(count_mm) else 0.0
 
 
 def _rest_windows(grid_s: FloatArray, command_mm: FloatArray, window: int) -> Mask:
-    """Tell in the middle of which windows the stage has been told to stand still all through and long before."""
+    """Mask of the windows, by their middle, in which and long before which the command stands still."""
     from scipy.ndimage import maximum_filter1d
 
     moving = np.append(np.diff(command_mm) != 0, False)
     last_move_s = np.maximum.accumulate(np.where(moving, grid_s, -np.inf))
-    begun = maximum_filter1d(moving.astype(np.uint8), window) == 0
+    still = maximum_filter1d(moving.astype(np.uint8), window) == 0
     settled = grid_s - last_move_s > SETTLED_S + SMOOTHING_WINDOW_S
     settled[: window // 2] = settled[moving.size - window // 2 :] = False
-    return np.asarray(begun & settled)
+    return np.asarray(still & settled)
 
 
 def _window_spans(position_mm: FloatArray, window: int) -> FloatArray:
@@ -125,19 +132,10 @@ def _white_noise_sd(position_mm: FloatArray, window: int) -> float:
     """Return the standard deviation of white noise beside a motion, most of which is steady."""
     from scipy.signal import savgol_filter
 
-    left = position_mm - savgol_filter(position_mm, window, SMOOTHING_ORDER)
-    kept = 1.0 - 9.0 / (4.0 * window)
-    return 1.4826 * float(np.median(np.abs(left))) / float(np.sqrt(kept))
-
-
-DEFAULT_DWELL_S = 60.0
-"""Age of the contact at the first sample where a run does not say (the paper's programme)."""
-DEFAULT_WALL_THICKNESS_MM = 2.5
-MAX_FOLLOWING_COUNTS = 2.5
-"""A stage whose encoder stays within so many counts of its command is where it was told to be."""
-
-WINDOW_MEAN_NOISE_SHARE = 0.25
-"""The mean of a window is off by less than this part of the wander, if by noise alone."""
+    residual = position_mm - savgol_filter(position_mm, window, SMOOTHING_ORDER)
+    # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
+    residual_share = 1.0 - 9.0 / (4.0 * window)
+    return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(residual_share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +144,9 @@ class Experiment:
 
     run: Run
     trusts_command: bool = False
-    """Whether the command is the motion even where the record of the position says otherwise."""
+    """Whether the command is taken as the motion even where the recorded position deviates from it."""
     computes_command: bool = False
-    """Whether the command is where a model of the motor takes the stage, so that nothing of it was rounded."""
+    """Whether the command was computed by a model of the motor, so that it is not rounded."""
 
     @property
     def kind(self) -> str:
@@ -173,13 +171,13 @@ class Experiment:
 
     @cached_property
     def count_mm(self) -> float:
-        """The encoder's count as the run's settings tell it, at least 1 µm."""
+        """The encoder's count in the run's settings, at least 1 µm."""
         return encoder_count_mm(self.run.info.header.settings_toml)
 
     @cached_property
     def wander_mm(self) -> float:
-        """How far the recorded position wanders at rest, at least from one count to the next."""
-        time_s, position = self._seen
+        """Range of the recorded position at rest, at least from one count to the next."""
+        time_s, position = self._recorded
         if position.size < MIN_SAMPLES:
             return count_jitter_mm(MIN_COUNT_MM)
         command = np.asarray(self.run.trace.command, dtype=np.float64)[np.isfinite(self.run.trace.position)]
@@ -190,27 +188,27 @@ class Experiment:
     def follows_command(self) -> bool:
         """Whether the stage followed its command to the encoder's count, so that the command is the better record.
 
-        A position that wanders at rest may be off as much further, but not for long. One that equals the command was
-        made of it, as for records from elsewhere.
+        A position that wanders at rest may deviate by as much more, but not for long. A position that equals the
+        command was derived from it, as in foreign records.
         """
         command = np.asarray(self.run.trace.command, dtype=np.float64)
         if not np.isfinite(command).all():
             return False
         if self.trusts_command:
             return True
-        time_s, position = self._seen
-        off = position - command[np.isfinite(self.run.trace.position)]
-        furthest = float(np.abs(off).max(initial=0.0))
-        follows_mm = MAX_FOLLOWING_COUNTS * self.count_mm
-        if furthest <= follows_mm:
-            return furthest > 0
-        if furthest > follows_mm + self.wander_mm - count_jitter_mm(self.count_mm):
+        time_s, position = self._recorded
+        deviation = position - command[np.isfinite(self.run.trace.position)]
+        largest_mm = float(np.abs(deviation).max(initial=0.0))
+        allowed_mm = MAX_FOLLOWING_COUNTS * self.count_mm
+        if largest_mm <= allowed_mm:
+            return largest_mm > 0
+        if largest_mm > allowed_mm + self.wander_mm - count_jitter_mm(self.count_mm):
             return False
-        return _largest_window_mean(time_s, off) <= max(follows_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
+        return _largest_window_mean(time_s, deviation) <= max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
 
     @cached_property
     def motion(self) -> RecordedMotion:
-        """The motion, as commanded where the stage obeyed and else as measured.
+        """The motion, as commanded where the stage followed its command, otherwise as measured.
 
         Raises `AnalysisError` where the record cannot be used.
         """
@@ -219,24 +217,25 @@ class Experiment:
             return RecordedMotion.computed(self.time_s, command - command[0])
         if self.follows_command:
             return commanded_motion(self.time_s, self.run.trace.command)
-        return RecordedMotion.of(*self._seen, self.wander_mm)
+        return RecordedMotion.of(*self._recorded, self.wander_mm)
 
     @cached_property
     def unsmoothed_motion(self) -> ProfileMotion:
-        """The measured motion without any smoothing: straight lines, two from sample to sample, while the stage moves.
+        """The measured motion without smoothing: straight lines, two from sample to sample, while the stage moves.
 
-        For what depends on the position and not on the sign of the speed; its velocity is as rough as the encoder.
+        For quantities that depend on the position and not on the sign of the speed; its velocity is as rough as the
+        encoder.
         """
         if self.follows_command:
             return self.motion.fine
-        return measured_motion(self.motion, *self._seen)
+        return measured_motion(self.motion, *self._recorded)
 
     @cached_property
-    def _seen(self) -> tuple[FloatArray, FloatArray]:
-        """Times at which a position was recorded, and it."""
+    def _recorded(self) -> tuple[FloatArray, FloatArray]:
+        """Finite positions and their times."""
         position = np.asarray(self.run.trace.position, dtype=np.float64)
-        seen = np.isfinite(position)
-        return self.time_s[seen], position[seen]
+        finite = np.isfinite(position)
+        return self.time_s[finite], position[finite]
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Measured position [mm], smoothed."""
@@ -254,7 +253,7 @@ class Experiment:
 
     @property
     def fixture(self) -> Fixture:
-        """What held the gut; raises `AnalysisError` for a word that is not known."""
+        """The gut's fixture; raises `AnalysisError` for an unknown word."""
         word = str(self.run.info.header.specimen.get("fixture", ""))
         try:
             return Fixture(word)
@@ -276,46 +275,39 @@ class Experiment:
         """Strain that a relaxation goes to, or the largest one it reached; 0 for a capsule that slides."""
         if self.contact is not Contact.STICKING:
             return 0.0
-        said = _finite_number(self.run.info.header.protocol.get("shear_strain"))
-        if said is not None:
-            return abs(said)
+        stated = attribute_number(self.run.info.header.protocol, "shear_strain")
+        if stated is not None:
+            return abs(stated)
         return float(np.nanmax(np.abs(self.run.trace.position - self.run.trace.position[0]))) / self.wall_thickness_mm
 
     @property
     def wall_thickness_mm(self) -> float:
         """Mean thickness of the specimen's wall."""
-        return _finite_number(self.run.info.header.specimen.get("wall_thickness_mm")) or DEFAULT_WALL_THICKNESS_MM
+        return attribute_number(self.run.info.header.specimen, "wall_thickness_mm") or DEFAULT_WALL_THICKNESS_MM
 
     @property
     def insertion_dwell_s(self) -> float:
         """Noted age of the contact at the first sample."""
-        noted = _finite_number(self.run.info.header.entry.get("insertion_dwell_s"))
+        noted = attribute_number(self.run.info.header.entry, "insertion_dwell_s")
         return DEFAULT_DWELL_S if noted is None else noted
 
     @property
     def capsule(self) -> Capsule:
-        """The capsule dummy; raises `AnalysisError` where the run does not say enough of it."""
+        """The capsule dummy; raises `AnalysisError` where the run does not state enough of it."""
         header = self.run.info.header.capsule
-        sizes = {
-            key: _finite_number(header.get(key)) for key in ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")
-        }
-        lacking = [key for key, value in sizes.items() if value is None]
-        if lacking:
-            raise AnalysisError(f"{self.file}: the run does not say its capsule's {' and '.join(lacking)}")
+        keys = ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")
+        sizes = {key: attribute_number(header, key) for key in keys}
+        missing = [key for key, value in sizes.items() if value is None]
+        if missing:
+            raise AnalysisError(f"{self.file}: the run does not state its capsule's {' and '.join(missing)}")
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
 
 
 def _largest_window_mean(time_s: FloatArray, values: FloatArray) -> float:
-    """Return the largest mean over a window, whatever its sign."""
+    """Magnitude of the largest mean over a window."""
     from scipy.ndimage import uniform_filter1d
 
     window = max(MIN_SAMPLES, round(SMOOTHING_WINDOW_S / float(np.median(np.diff(time_s)))))
     return float(np.abs(uniform_filter1d(values, window)).max())
-
-
-def _finite_number(value: Attribute | None) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        return None
-    return float(value)

@@ -20,18 +20,18 @@ from dragrig.sim_backend.friction import RecordedMotion
 from dragrig.sim_backend.friction.motion import ENCODER_JITTER_MM, SMOOTHING_WINDOW_S
 
 MAX_JOINTS = 24
-"""A motion of more pieces is no programmed stroke; its joints stay where the smoothing of the record puts them."""
+"""A motion of more pieces is no programmed stroke; its joints stay where the smoothed record bends."""
 SAMPLES_PER_PIECE = 64
-"""Evenly spread samples of each piece that are fitted; all samples of a long steady piece would say no more."""
+"""Evenly spread samples of each piece that are fitted; all samples of a long steady piece add no information."""
 JOINT_FREEDOM = 0.45
-"""How far a joint may move in one fit, as a share of the way to its neighbours."""
+"""Largest move of a joint in one fit, as a share of the distance to its neighbours."""
 MIN_JOINT_DISTANCE_S = 0.004
-"""Joints that start out closer than this are one."""
+"""Start values of joints that are closer are merged."""
 ROUNDING_RMS_SHARE = 0.2
-"""Root mean square of what counts or noise leave of a position, over how far it wanders."""
+"""RMS error of a position by counts or noise, over its wander."""
 MAX_EVALUATIONS = 30
 MAX_FITS = 4
-"""Fits in a row, each of which may move the joints again."""
+"""Successive fits, each of which may move the joints again."""
 
 
 def fit_velocity(
@@ -42,15 +42,15 @@ def fit_velocity(
     Parameters
     ----------
     motion
-        The same record smoothed, which says where it rests and bends.
+        The same record smoothed, with its rests and bends.
     time_s, position_mm
         The record, from its first sample on, shape `(N,)`.
     wander_mm
-        How far it wanders at rest.
+        Range of the recorded position at rest.
 
     Returns
     -------
-    Times of the joints [s], from the record's begin to its end, and the velocity [mm/s] at each, shapes `(K,)`.
+    Times of the joints [s], from the start of the record to its end, and the velocity [mm/s] at each, shapes `(K,)`.
     """
     chain = _first_guess(motion)
     if len(chain.joints_s) <= MAX_JOINTS:
@@ -79,18 +79,18 @@ class _VelocityChain:
         )
 
     def moved(self, time_s: FloatArray) -> FloatArray:
-        """Way [mm] since the first joint."""
+        """Displacement [mm] since the first joint."""
         before, after = _displacement_basis(self.joints_s, time_s)
         return np.asarray(self.velocity_mm_s @ (before + after))
 
 
 def _first_guess(motion: RecordedMotion) -> _VelocityChain:
-    """Return the record's own breaks, and joints just off each rest, where its ramps may hide."""
+    """Take the breaks of the smoothed record, and joints just beside each rest, where its ramps may be."""
     breaks = motion.breaks_s
     rest = (motion.signs == 0) & (np.diff(breaks) >= 0.5 * SMOOTHING_WINDOW_S)
     ends = np.concatenate((breaks[:-1][rest], breaks[1:][rest]))
     beside = np.concatenate((breaks[:-1][rest] - SMOOTHING_WINDOW_S, breaks[1:][rest] + SMOOTHING_WINDOW_S))
-    inside = np.array([not np.any((breaks[:-1][rest] <= one) & (one <= breaks[1:][rest])) for one in beside])
+    inside = np.array([not np.any((breaks[:-1][rest] <= time) & (time <= breaks[1:][rest])) for time in beside])
     beside = beside[(beside > breaks[0]) & (beside < breaks[-1]) & inside.astype(np.bool_)]
     times = np.union1d(np.union1d(breaks, ends), beside)
     resting = np.isin(times, ends)
@@ -110,7 +110,7 @@ def _far_apart(times: FloatArray, resting: Mask) -> Mask:
 def _refine(
     chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArray, wander_mm: float
 ) -> tuple[_VelocityChain, float]:
-    """Fit a chain, with more joints where it misses the record by more than this wanders."""
+    """Fit a chain, adding joints while it deviates from the record by more than the wander."""
     chain, squares = _fit_chain(chain, time_s, position_mm)
     while squares > wander_mm**2 and len(chain.joints_s) < MAX_JOINTS:
         off = position_mm - chain.moved(time_s)
@@ -127,7 +127,7 @@ def _refine(
 def _simplify(
     chain: _VelocityChain, squares: float, time_s: FloatArray, position_mm: FloatArray, wander_mm: float
 ) -> _VelocityChain:
-    """Take joints away as long as the record does not need them (Bayesian information criterion)."""
+    """Remove joints while the record does not need them (Bayesian information criterion)."""
     while (joint := _least_needed_joint(chain)) is not None:
         fewer, more = _fit_chain(chain.keep(np.arange(len(chain.joints_s)) != joint), time_s, position_mm)
         samples = SAMPLES_PER_PIECE * len(fewer.joints_s)
@@ -138,7 +138,7 @@ def _simplify(
 
 
 def _least_needed_joint(chain: _VelocityChain) -> int | None:
-    """Return the joint without which the positions would change least; None where only ends of rests are left."""
+    """Find the joint whose removal changes the positions least; None where only ends of rests are left."""
     time, velocity = chain.joints_s, chain.velocity_mm_s
     share = (time[1:-1] - time[:-2]) / (time[2:] - time[:-2])
     off = np.abs(velocity[1:-1] - velocity[:-2] - share * (velocity[2:] - velocity[:-2])) * (time[2:] - time[:-2])
@@ -149,7 +149,7 @@ def _least_needed_joint(chain: _VelocityChain) -> int | None:
 
 
 def _fit_chain(chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArray) -> tuple[_VelocityChain, float]:
-    """Fit velocities and times of the joints; also return the mean square of what is left [mm²]."""
+    """Fit velocities and times of the joints; also return the mean squared residual [mm²]."""
     from scipy.optimize import least_squares
 
     squares = np.inf
@@ -212,7 +212,7 @@ class _ChainLeastSquares:
 
 
 def _displacement_basis(joints_s: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far a rise of one joint's velocity by 1 carries before the joint and after it, shapes `(K, n)`."""
+    """Displacement by 1 mm/s at one joint, before the joint and after it, shapes `(K, n)`."""
     length = np.diff(joints_s)[:, None]
     elapsed = np.clip(time_s - joints_s[:-1, None], 0.0, length)
     rising = elapsed**2 / (2 * length)
@@ -221,9 +221,9 @@ def _displacement_basis(joints_s: FloatArray, time_s: FloatArray) -> tuple[Float
 
 
 RAMP_LENGTH_WANDERS = 4 / 3
-"""A ramp may seem longer or shorter by so much of the wander: a count at either end."""
+"""Error of a ramp's length in units of the wander: a count at either end."""
 MAX_JOINT_TIMING_S = 0.01
-"""A joint of the slowest motion is known to this."""
+"""Uncertainty of a joint's time in the slowest motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,13 +233,13 @@ class Kinematics:
     Attributes
     ----------
     joints_s
-        Where the lines meet, from the first sample's time to the last's, shape `(K,)`.
+        Times at which the lines join, from the first sample to the last, shape `(K,)`.
     velocity_mm_s
         Velocity at the joints, shape `(K,)`.
     step_s
         Time between samples.
     wander_mm
-        How far the recorded position wanders at rest.
+        Range of the recorded position at rest.
     """
 
     joints_s: FloatArray
@@ -259,8 +259,8 @@ class Kinematics:
     def acceleration_error(self, time_s: FloatArray) -> FloatArray:
         """Error [mm/s²] of the acceleration, one standard deviation, shape `(n,)`.
 
-        A count more or less moves the ends of a ramp, and all of its samples are wrong together; the error is
-        widened so that samples which are taken for independent weigh no more than the ramp as a whole.
+        A count more or less moves the ends of a ramp, and the errors of all its samples are equal; the error is
+        widened so that samples taken as independent weigh no more than the ramp as a whole.
         """
         length, change = np.diff(self.joints_s), np.abs(np.diff(self.velocity_mm_s))
         fastest = np.maximum(np.abs(self.velocity_mm_s[1:]), np.abs(self.velocity_mm_s[:-1]))
@@ -268,16 +268,16 @@ class Kinematics:
         error = change / length * np.minimum(stretched, 1.0) * np.sqrt(np.maximum(length / self.step_s, 1.0))
         return np.asarray(error[self._piece(time_s)])
 
-    def doubt(self, of: Callable[[FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
-        """Return by how much what follows from this motion may be wrong near its joints, 0 elsewhere, shape `(n,)`.
+    def joint_uncertainty(self, of: Callable[[FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
+        """Return the uncertainty near the joints of a quantity computed from this motion, 0 elsewhere, shape `(n,)`.
 
-        A sample is told to lie on the right side of a joint only up to the time in which the stage moves by the
+        The side of a joint on which a sample lies is known only up to the time in which the stage moves by the
         encoder's wander, and up to one sample, for position and force need not be of the same instant.
 
         Parameters
         ----------
         of
-            What follows, at rising times.
+            The quantity, at rising times.
         time_s
             Rising times.
         """
@@ -286,12 +286,12 @@ class Kinematics:
         timing = self.step_s + np.minimum(self.wander_mm / np.maximum(fastest, 1e-9), MAX_JOINT_TIMING_S)
         nearest = np.searchsorted(0.5 * (self.joints_s[1:] + self.joints_s[:-1]), time_s)
         shift = timing[nearest]
-        found = np.zeros(len(time_s))
-        now = of(time_s)
-        for moved in (np.maximum.accumulate(time_s - shift), np.maximum.accumulate(time_s + shift)):
-            other = of(np.clip(moved, self.joints_s[0], self.joints_s[-1]))
-            found = np.maximum(found, np.abs(other - now))
-        return np.where(np.abs(time_s - self.joints_s[nearest]) <= shift, found, 0.0)
+        change = np.zeros(len(time_s))
+        unshifted = of(time_s)
+        for shifted_s in (np.maximum.accumulate(time_s - shift), np.maximum.accumulate(time_s + shift)):
+            shifted = of(np.clip(shifted_s, self.joints_s[0], self.joints_s[-1]))
+            change = np.maximum(change, np.abs(shifted - unshifted))
+        return np.where(np.abs(time_s - self.joints_s[nearest]) <= shift, change, 0.0)
 
     def _piece(self, time_s: FloatArray) -> IndexArray:
         piece = np.searchsorted(self.joints_s, time_s, side="right") - 1
@@ -301,14 +301,14 @@ class Kinematics:
 def fit_kinematics(experiment: Experiment) -> Kinematics:
     """Fit the measured position of a run; raises `AnalysisError` where its motion cannot be used."""
     position = np.asarray(experiment.run.trace.position, dtype=np.float64)
-    seen = np.isfinite(position)
+    finite = np.isfinite(position)
     wander_mm = experiment.wander_mm
-    fitted = fit_velocity(experiment.motion, experiment.time_s[seen], position[seen], wander_mm)
+    fitted = fit_velocity(experiment.motion, experiment.time_s[finite], position[finite], wander_mm)
     return Kinematics(*insert_reversals(*fitted), 1.0 / experiment.run.trace.sample_rate_hz, wander_mm)
 
 
 def insert_reversals(joints_s: FloatArray, velocity_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Add a joint wherever a straight line of velocity goes through 0, for there friction turns."""
+    """Add a joint wherever a straight line of velocity crosses 0, where friction changes sign."""
     before, after = velocity_mm_s[:-1], velocity_mm_s[1:]
     turning = np.flatnonzero(before * after < 0)
     share = before[turning] / (before[turning] - after[turning])

@@ -21,7 +21,7 @@ from dragrig.rig.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A quantity of a nominal model that runs are to determine, with what is known of it before any run.
+    """A quantity of a nominal model that runs determine, with its prior.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Parameter:
     nominal
         Value before any run.
     prior_sd
-        Standard deviation of what is known beforehand: of the value itself, or relative to it when `positive`.
+        Standard deviation of the prior: of the value itself, or relative to it when `positive`.
     positive
-        Whether the value cannot be 0 or below; its prior is lognormal then, with median `nominal`.
+        Whether the value must be above 0; its prior is then lognormal, with median `nominal`.
     meaning
         A few words for tables.
     """
@@ -103,9 +103,9 @@ class Predictor(Protocol):
 
     @property
     def equivalence_key(self) -> Hashable:
-        """What is equal where the same is predicted whatever the values and times; unless said, each is its own.
+        """Equal for predictors that predict the same whatever the values and times; default: its identity.
 
-        Of predictors that are alike one is asked for all, as of repeats whose motion is the same bit for bit.
+        One of several equivalent predictors is evaluated for all, as for repeats whose motion is the same bit for bit.
         """
         return id(self)
 
@@ -118,50 +118,50 @@ class Predictor(Protocol):
         return central_differences(self, values, time_s)
 
     def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return `sensitivities`; those by parameters of these names nobody asks for, and they mean nothing."""
+        """Return `sensitivities`; rows of the named parameters are not used, and may hold anything."""
         del names
         return self.sensitivities(values, time_s)
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return how well the channel can be predicted from the measured motion, one standard deviation, shape `(n,)`.
 
-        A motion that is known to a few µm leaves a start or stop uncertain by milliseconds; here 0.
+        A motion known to a few µm leaves its start or stop uncertain by milliseconds; default: 0.
         """
         del values
         return np.zeros_like(time_s)
 
 
 class NominalModel(Protocol):
-    """A model of rig and specimen without any of the effects that a diagnosis looks for."""
+    """A model of rig and specimen without any of the effects that a diagnosis searches."""
 
     @property
     def name(self) -> str:
-        """What the model is called."""
+        """Name in settings and reports."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What runs are to determine."""
+        """Parameters that runs determine."""
         ...
 
     @property
     def variations(self) -> tuple[Variation, ...]:
-        """Parts of the prediction that differ from run to run; none unless said."""
+        """Parts of the prediction that differ from run to run; default: none."""
         return ()
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
-        """Products of parameters worth reporting; none unless said."""
+        """Products of parameters worth reporting; default: none."""
         return ()
 
     @property
     def zero_sd(self) -> Mapping[str, float]:
-        """Standard deviation of the unknown zero that every run has, by channel; one that is not named has none."""
+        """Standard deviation of the unknown zero of every run, by channel; default: no zeros."""
         return MappingProxyType({})
 
     @abstractmethod
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
-        """Prepare the channels of a run that the model predicts; empty where it says nothing of such a run.
+        """Prepare the channels of a run that the model predicts; empty where it does not apply.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class NominalModel(Protocol):
         """
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
-        """Return what a settings file holds of identified values: their names and values unless a model says more."""
+        """Return the contents of a settings file with identified values; default: names and values."""
         return {"nominal": self.name, "parameters": dict(values)}
 
 
@@ -189,7 +189,7 @@ def central_differences(predictor: Predictor, values: FloatArray, time_s: FloatA
 
 
 TURNING_SPEED_MM_S = 0.05
-"""Speed over which a direction turns its sign, the friction model's own."""
+"""Speed over which a direction changes sign, as in the friction model."""
 VALUE_STEP, PRIOR_STEP = 1e-4, 1e-6
 """Steps of derivatives by differences, relative to the value and to the prior's width."""
 
@@ -205,7 +205,7 @@ class MotionState:
     position_mm, velocity_mm_s, acceleration_mm_s2
         Measured motion, position since the first sample; exactly at rest where the stage rests.
     experiment
-        The run: what was done, to what, and everything recorded.
+        The run: protocol, specimen, and everything recorded.
     """
 
     time_s: FloatArray
@@ -226,7 +226,7 @@ class MotionState:
 
 
 class ChannelModel(NominalModel):
-    """A model of one channel. A subclass gives `name` and `parameters` and says what is measured at a moment.
+    """A model of one channel. A subclass gives `name`, `parameters` and the channel as a function of the motion.
 
     Attributes
     ----------
@@ -235,10 +235,10 @@ class ChannelModel(NominalModel):
     zero_sd_mN
         Standard deviation of the sensor's unknown zero in every run; 0 where the zero is known.
     run_to_run
-        Relative standard deviation by which the whole prediction differs between runs; 0 where it does not.
+        Relative standard deviation of the whole prediction between runs; 0 where it does not vary.
     follows_s
-        Time over which the prediction runs straight even in steady motion; shorter than half a second only where
-        something changes quickly there, as cogging does.
+        Time over which the prediction is straight even in steady motion; set it below half a second only where it
+        changes quickly there, as cogging does.
     """
 
     channel: str = "force"
@@ -251,13 +251,13 @@ class ChannelModel(NominalModel):
         """Return the channel without its zero, shape `(n,)`, for parameter values by name."""
 
     def suits(self, experiment: Experiment) -> bool:
-        """Tell whether the model has something to say of a run; of every run unless a subclass says otherwise."""
+        """Whether the model applies to a run; default: to every run."""
         del experiment
         return True
 
     @property
     def variations(self) -> tuple[Variation, ...]:
-        """One factor of each run where runs differ."""
+        """A factor of each run, where runs differ."""
         return (Variation("run_to_run", self.run_to_run),) if self.run_to_run else ()
 
     @property
@@ -266,7 +266,7 @@ class ChannelModel(NominalModel):
         return {self.channel: self.zero_sd_mN} if self.zero_sd_mN else {}
 
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
-        """Prepare a run that suits and recorded the channel; raises `AnalysisError` as `fit_kinematics`."""
+        """Prepare a run with the channel that the model applies to; raises `AnalysisError` as `fit_kinematics`."""
         if self.channel not in experiment.run.trace.channels or not self.suits(experiment):
             return {}
         return {self.channel: _ChannelPredictor(self, experiment, fit_kinematics(experiment))}
@@ -301,13 +301,13 @@ class _ChannelPredictor(Predictor):
         return np.array(rows)
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        doubt = self.motion.doubt(lambda times: self._total(values, times), time_s)
+        by_joints = self.motion.joint_uncertainty(lambda times: self._total(values, times), time_s)
         accelerated = self._total(values, time_s, self.motion.acceleration_error(time_s))
-        return np.hypot(doubt, accelerated - self._total(values, time_s))
+        return np.hypot(by_joints, accelerated - self._total(values, time_s))
 
     def _total(self, values: FloatArray, time_s: FloatArray, error: FloatArray | float = 0.0) -> FloatArray:
         motion, experiment = self.motion, self.experiment
         acceleration = motion.acceleration(time_s) + error
         at = MotionState(time_s, experiment.position(time_s), motion.velocity(time_s), acceleration, experiment)
-        named = {one.name: float(value) for one, value in zip(self.model.parameters, values, strict=True)}
+        named = {parameter.name: float(value) for parameter, value in zip(self.model.parameters, values, strict=True)}
         return np.asarray(self.model.predict(named, at), dtype=np.float64)
