@@ -23,13 +23,13 @@ import numpy.typing as npt
 import psutil
 
 from dragrig.rig.runfile import Finisher, Recorder, finish, read_info
-from dragrig.rig.runfile.model import Channel, RunHeader, RunStatus
+from dragrig.rig.runfile.model import RecordedChannel, RunHeader, RunStatus
 
 RATE_HZ = 250_000.0
 BLOCK = 12_500
 BARE_CHUNKS = {"chunks of 4096": 4096, "chunks of 65536": 65_536, "chunks as long as a block": -1, "one piece": 0}
 """How bare h5py may lay out its datasets; ours is compared with the fastest. One piece cannot grow."""
-CHANNELS = (Channel("force", "mN"), Channel("position", "mm"), Channel("motor_force", "mN"))
+CHANNELS = (RecordedChannel("force", "mN"), RecordedChannel("position", "mm"), RecordedChannel("motor_force", "mN"))
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 

@@ -87,7 +87,7 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
         raise SettingsError(describe_validation_error(error, model, source)) from error
 
 
-def load_settings(model: type[ModelT], path: Path) -> ModelT:
+def read_settings_file(model: type[ModelT], path: Path) -> ModelT:
     """Read and validate a settings file; raises `SettingsError`."""
     return parse(model, read_toml(path), str(path))
 

@@ -21,7 +21,7 @@ from dragrig.config.rig import Calibration, RigSettings, StageSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionProfile
-from dragrig.rig.runfile.model import Channel
+from dragrig.rig.runfile.model import RecordedChannel
 
 MAX_BLOCK_S = 0.05
 """Longest block, so that the guard never sees older data than this."""
@@ -247,7 +247,7 @@ class Sampler(Protocol):
         """Samples per second of every channel."""
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[RecordedChannel, ...]:
         """Channels of each block: `force` and `position`, then others."""
 
     @property

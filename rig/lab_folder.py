@@ -6,7 +6,7 @@ from pathlib import Path
 
 from dragrig.config.errors import OutputError, SettingsError
 from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint
-from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.config.settings import parse, read_settings_file, to_toml
 from dragrig.rig.runfile.filesystem import replace_text
 
 
@@ -87,7 +87,7 @@ def append_calibration(folder: Path, entry: Calibration) -> None:
 def read_contact(folder: Path) -> ContactPoint | None:
     """Return the contact stored in a lab folder, or None; raises `SettingsError`."""
     path = folder / CONTACT_FILE
-    return load_settings(ContactPoint, path) if path.is_file() else None
+    return read_settings_file(ContactPoint, path) if path.is_file() else None
 
 
 def write_contact(folder: Path, contact: ContactPoint) -> Path:

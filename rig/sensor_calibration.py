@@ -86,7 +86,7 @@ def fit_encoder(travels_mm: Sequence[float], counts: Sequence[float]) -> Calibra
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredLoad:
+class LoadReading:
     """A weight on the sensor [g], its load [mN], and the sensor's reading."""
 
     weight_g: float
@@ -95,7 +95,7 @@ class MeasuredLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredTravel:
+class TravelReading:
     """A known travel [mm], and the encoder's counts over it."""
 
     travel_mm: float
@@ -109,7 +109,7 @@ def measure_loads(
     weights_g: Sequence[float],
     repeats: int,
     duration_s: float,
-) -> Iterator[MeasuredLoad]:
+) -> Iterator[LoadReading]:
     """Have each weight hung on the sensor, up and down alternately, and read the sensor.
 
     Raises `DeviceError` when the sensor is overloaded, `AbortedError` when the person aborts.
@@ -126,7 +126,7 @@ def measure_loads(
                     f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
                     "lighter weights, or check its wires."
                 )
-            yield MeasuredLoad(weight_g, weight_g * STANDARD_GRAVITY, reading)
+            yield LoadReading(weight_g, weight_g * STANDARD_GRAVITY, reading)
 
 
 def measure_driven_travel(
@@ -136,7 +136,7 @@ def measure_driven_travel(
     speed_mm_s: float,
     measured_mm: Sequence[float],
     repeats: int,
-) -> Iterator[MeasuredTravel]:
+) -> Iterator[TravelReading]:
     """Drive the stage back and forth, and yield the encoder's counts over each stroke of known travel.
 
     Parameters
@@ -149,15 +149,15 @@ def measure_driven_travel(
     manual.make_ready()
     for repeat in range(repeats):
         forward = manual.travel(travel_mm, speed_mm_s) / count_mm
-        yield MeasuredTravel(measured_mm[repeat] if measured_mm else travel_mm, forward)
+        yield TravelReading(measured_mm[repeat] if measured_mm else travel_mm, forward)
         backward = manual.travel(-travel_mm, speed_mm_s) / count_mm
         if not measured_mm:
-            yield MeasuredTravel(-travel_mm, backward)
+            yield TravelReading(-travel_mm, backward)
 
 
 def measure_pushed_travel(
     backend: Backend, manual: ManualControl, travels_mm: Sequence[float], duration_s: float
-) -> Iterator[MeasuredTravel]:
+) -> Iterator[TravelReading]:
     """Have the stage, switched off, pushed by known travels, and yield the encoder's counts."""
     backend.stage.disable()
     for travel_mm in travels_mm:
@@ -167,4 +167,4 @@ def measure_pushed_travel(
         if isinstance(backend, SupportsBenchActions):
             backend.push(travel_mm, duration_s)
         reading = backend.sampler.measure(duration_s)
-        yield MeasuredTravel(travel_mm, reading.counts_end - reading.counts_begin)
+        yield TravelReading(travel_mm, reading.counts_end - reading.counts_begin)

@@ -17,7 +17,7 @@ from dragrig.config.errors import AbortedError, DeviceError, RunFileError, Setti
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
-from dragrig.config.settings import Settings, load_settings, parse, to_toml
+from dragrig.config.settings import Settings, parse, read_settings_file, to_toml
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
@@ -104,7 +104,7 @@ def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple
     errors: list[str] = []
     for path in sorted(folder.glob(RECORD_PATTERN)):
         try:
-            records.append(load_settings(SessionRecord, path))
+            records.append(read_settings_file(SessionRecord, path))
         except SettingsError as error:
             errors.append(reason_of(error))
     return tuple(records), tuple(errors)
@@ -115,7 +115,7 @@ def latest_session_record(folder: Path) -> SessionRecord:
     paths = sorted(folder.glob(RECORD_PATTERN))
     if not paths:
         raise RunFileError(f"{folder}: contains no session-….toml, so there is no session to resume.")
-    return load_settings(SessionRecord, paths[-1])
+    return read_settings_file(SessionRecord, paths[-1])
 
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:

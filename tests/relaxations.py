@@ -8,7 +8,7 @@ import numpy as np
 
 from dragrig.analysis.selection import RunSelection, select_loaded_runs
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.sim_backend.devices.variability import SlowNoise
 from dragrig.sim_backend.friction import ProfileMotion
 from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
@@ -63,7 +63,7 @@ def _run(strain, seed, rate_hz, time, phase, channels) -> Run:
         backend="simulated",
         kind="relaxation",
         sample_rate_hz=rate_hz,
-        channels=(Channel("force", "mN"), Channel("position", "mm")),
+        channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
         protocol={"shear_strain": strain},
         capsule={"diameter_mm": 12.9, "length_mm": 15.2, "mass_g": 50.1, "contact_angle_deg": 60.0},
         specimen={"name": "made", "wall_thickness_mm": 2.5, "fixture": "vacuum"},

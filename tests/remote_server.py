@@ -34,7 +34,7 @@ from remote_doubles import (
 from dragrig.config.errors import DragrigError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.config.settings import find_settings, load_settings, suggestion
+from dragrig.config.settings import find_settings, read_settings_file, suggestion
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.card.card import Card
@@ -185,7 +185,7 @@ def _end_with_parent(end: Signal) -> None:
 def main(rig: Path, model: str, pace: float) -> None:
     """Serve doubles of card and drive on loopback until standard input ends."""
     try:
-        serve(load_settings(RigSettings, rig), find_settings(FrictionModelSettings, "model", model), pace)
+        serve(read_settings_file(RigSettings, rig), find_settings(FrictionModelSettings, "model", model), pace)
     except DragrigError as error:
         click.echo(str(error), err=True)
         sys.exit(error.exit_code)

@@ -9,13 +9,13 @@ from uuid import uuid4
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.runfile.model import Channel, RunHeader, RunStatus
+from dragrig.rig.runfile.model import RecordedChannel, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
 PRACTICE = Path(__file__).parent / "data" / "campaign"
-CHANNELS = (Channel("force", "mN"), Channel("position", "mm"), Channel("motor_force", "mN"))
+CHANNELS = (RecordedChannel("force", "mN"), RecordedChannel("position", "mm"), RecordedChannel("motor_force", "mN"))
 START = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 
 

@@ -14,7 +14,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.sim_backend.friction import prepare
 
 RATE_HZ = 500.0
@@ -60,7 +60,7 @@ def slid(
     force = prepare(sliding(profile, capsule, fixture), model).force(time) + disturbed
     header = RunHeader(
         run_id="0" * 32, start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
-        sample_rate_hz=RATE_HZ, channels=(Channel("force", "mN"), Channel("position", "mm")),
+        sample_rate_hz=RATE_HZ, channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
         entry={"insertion_dwell_s": 60.0},
         protocol={"speed_mm_s": speed_mm_s, "travel_mm": travel_mm},
         capsule={key: getattr(capsule, key) for key in ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")},

@@ -13,7 +13,7 @@ from dragrig.analysis.comparison.sides import resimulate
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects
-from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.config.settings import parse, read_settings_file, to_toml
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.effects.base import EffectChain, active_effects, catalogue
@@ -36,7 +36,7 @@ def steady(run: Run) -> np.ndarray:
 def test_a_model_file_may_have_effects(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text('name = "own"\n[[effects]]\nid = "stribeck"\nratio = 0.4\n[[effects]]\nid = "mains_hum"\n', "utf-8")
-    model = load_settings(FrictionModelSettings, path)
+    model = read_settings_file(FrictionModelSettings, path)
     assert [(one.effect.id, one.values) for one in active_effects(model)] == [
         ("stribeck", {**catalogue()["stribeck"].defaults, "ratio": 0.4}),
         ("mains_hum", catalogue()["mains_hum"].defaults),

@@ -11,7 +11,7 @@ from dragrig.api.diagnose import diagnosis_options, save_amended_model, save_gap
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import load_settings
+from dragrig.config.settings import read_settings_file
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
@@ -90,7 +90,7 @@ def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
     )
     path = save_amended_model(replace(STRIBECK, model=amended), tmp_path / "amended.toml")
     assert path is not None
-    assert load_settings(FrictionModelSettings, path) == amended
+    assert read_settings_file(FrictionModelSettings, path) == amended
     slow = ["speed_mm_s=0.5", "travel_mm=2", "way_back=stay"]
     with_it, without = (dragrig.simulate("drag", model=one, assignments=slow)[0] for one in (path, "paper"))
     steady = with_it.trace.phase == 2

@@ -103,11 +103,11 @@ def test_two_effects_are_both_named(tmp_path: Path) -> None:
 
 
 def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    from dragrig.config.settings import load_settings
+    from dragrig.config.settings import read_settings_file
 
     path = save_amended_model(diagnosis, tmp_path / "amended.toml")
     assert path is not None
-    amended = load_settings(FrictionModelSettings, path)
+    amended = read_settings_file(FrictionModelSettings, path)
     assert [effect.id for effect in amended.effects] == ["stribeck"]
     rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
     everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})

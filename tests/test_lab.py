@@ -9,7 +9,7 @@ import pytest
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, SettingsError
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.config.settings import find_settings, load_settings
+from dragrig.config.settings import find_settings, read_settings_file
 from dragrig.lab import create_lab
 from dragrig.rig import lab_folder as calibration
 from dragrig.rig.runfile import read_campaign
@@ -21,7 +21,7 @@ def entry(name: str, quantity: str = "force") -> Calibration:
 
 def test_init_makes_a_lab_whose_rig_is_the_shipped_one(tmp_path: Path) -> None:
     assert main(["init", str(tmp_path / "lab")]) == 0
-    assert load_settings(RigSettings, tmp_path / "lab" / "rig.toml") == find_settings(RigSettings, "rig", "bench")
+    assert read_settings_file(RigSettings, tmp_path / "lab" / "rig.toml") == find_settings(RigSettings, "rig", "bench")
     assert (tmp_path / "lab" / "runs").is_dir()
     assert calibration.read_calibrations(tmp_path / "lab") == ()
 

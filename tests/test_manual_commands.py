@@ -13,7 +13,7 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.config.rig import ContactPoint
-from dragrig.config.settings import load_settings
+from dragrig.config.settings import read_settings_file
 from dragrig.lab import create_lab
 from dragrig.rig.devices import Block
 from dragrig.rig.lab_folder import write_contact
@@ -148,7 +148,7 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
 
 def test_a_contact_is_kept_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
-    contact = load_settings(ContactPoint, lab / "contact.toml")
+    contact = read_settings_file(ContactPoint, lab / "contact.toml")
     assert contact.operator == "Ada"
     assert abs(contact.force_mN) >= 20.0
     moved = contact.model_copy(update={"position_mm": 61.5})

@@ -12,7 +12,7 @@ from dragrig.analysis.estimates import correlated_mean
 from dragrig.analysis.measures import measure
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import Attribute, Channel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.model import Attribute, RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 
 RATE = 500.0
 CAPSULE: dict[str, Attribute] = {"diameter_mm": 12.9, "length_mm": 15.2, "mass_g": 50.1, "contact_angle_deg": 60.0}
@@ -37,7 +37,7 @@ def sliding(kind: str = "drag", speed: float = 5.0, travel: float = 40.0) -> Run
     force[phase == Phase.HOLD] -= np.sign(travel) * 50.0
     header = RunHeader(
         run_id="0" * 32, start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
-        sample_rate_hz=RATE, channels=(Channel("force", "mN"), Channel("position", "mm")), capsule=CAPSULE,
+        sample_rate_hz=RATE, channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")), capsule=CAPSULE,
     )  # fmt: skip
     info = RunInfo(Path("run.h5"), 1, RunStatus.COMPLETE, header, len(time))
     channels = {"force": force, "position": np.round(position, 3)}

@@ -17,7 +17,7 @@ from runfiles import PRACTICE, START, arrays, header
 
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.runfile import read_campaign, read_info, read_run, run_file_name, write_run
-from dragrig.rig.runfile.model import Channel, RunEvent, RunStatus
+from dragrig.rig.runfile.model import RecordedChannel, RunEvent, RunStatus
 
 PRACTICE_FILES = sorted(PRACTICE.glob("*.h5"))
 REQUIRED_ATTRIBUTES = [
@@ -86,13 +86,19 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
 
 def test_numbers_keep_all_their_digits(tmp_path: Path) -> None:
     given_arrays = {**arrays(0, 10), "force": np.linspace(0, 1, 10) / 3}
-    channels = (Channel("force", "mN", "float64"), Channel("position", "mm"), Channel("motor_force", "mN"))
+    channels = (
+        RecordedChannel("force", "mN", "float64"),
+        RecordedChannel("position", "mm"),
+        RecordedChannel("motor_force", "mN"),
+    )
     path = write_run(tmp_path / "run.h5", replace(header(), channels=channels), given_arrays)
     np.testing.assert_array_equal(read_run(path).trace.force, given_arrays["force"])
 
 
 def test_a_stage_alone_is_about_its_motor_force(tmp_path: Path) -> None:
-    alone = replace(header(kind="motion"), channels=(Channel("position", "mm"), Channel("motor_force", "mN")))
+    alone = replace(
+        header(kind="motion"), channels=(RecordedChannel("position", "mm"), RecordedChannel("motor_force", "mN"))
+    )
     given_arrays = {name: values for name, values in arrays(0, 50).items() if name != "force"}
     trace = read_run(write_run(tmp_path / "run.h5", alone, given_arrays)).trace
     assert trace.signal == "motor_force"
@@ -269,8 +275,12 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     [
         (replace(header(), capsule={}), {}, "diameter_mm"),
         (replace(header(), protocol={}), {}, "speed_mm_s"),
-        (replace(header(), channels=(Channel("force", "N"), Channel("position", "mm"))), {}, "'N' instead of 'mN'"),
-        (replace(header(), channels=(Channel("position", "mm"),)), {}, "motor_force"),
+        (
+            replace(header(), channels=(RecordedChannel("force", "N"), RecordedChannel("position", "mm"))),
+            {},
+            "'N' instead of 'mN'",
+        ),
+        (replace(header(), channels=(RecordedChannel("position", "mm"),)), {}, "motor_force"),
         (replace(header(), start_time=START.replace(tzinfo=None)), {}, "offset"),
         (header(), {"time": np.zeros(20)}, "rise"),
         (header(), {"force": np.zeros(19, "f4")}, "shape"),

@@ -13,7 +13,7 @@ from dragrig.config.errors import PlanError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
-from dragrig.config.settings import load_settings, parse
+from dragrig.config.settings import parse, read_settings_file
 from dragrig.config.specimen import Capsule, Specimen
 from dragrig.rig.programme import build_programme
 
@@ -22,7 +22,7 @@ SHIPPED = [(kind, name) for kind in MODELS for name in library.shipped_files(kin
 
 
 def use(kind: str, path: Path) -> None:
-    settings = load_settings(MODELS[kind], path)
+    settings = read_settings_file(MODELS[kind], path)
     if isinstance(settings, Plan):
         build_programme(settings, Specimen(name="s"), 40.0, str(path))
 

@@ -20,7 +20,7 @@ from dragrig.analysis.selection import select_loaded_runs
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings, WallPolynomials
-from dragrig.config.settings import load_settings, parse, to_toml
+from dragrig.config.settings import parse, read_settings_file, to_toml
 from dragrig.present.identification_figures import relaxation_fit_figure
 from dragrig.sim_backend.friction import prepare, steady_forces, wall_parameters
 from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN
@@ -54,7 +54,7 @@ def test_any_degree_up_to_the_fourth_counts_from_the_highest_power() -> None:
 def test_a_model_file_keeps_its_polynomials_and_the_command_takes_it(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text(to_toml(polynomial()), encoding="utf-8")
-    assert load_settings(FrictionModelSettings, file) == polynomial()
+    assert read_settings_file(FrictionModelSettings, file) == polynomial()
     told = CliRunner().invoke(dragrig_group, ["model", "--model", str(file), "--out", str(tmp_path)])
     assert told.exit_code == 0, told.output
     assert "polynomials" in told.output

@@ -19,7 +19,7 @@ from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
 from dragrig.config.specimen import Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.programme import PlannedRun, Programme, build_programme
-from dragrig.rig.runfile.model import Channel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 
 START_MM = 0.0
 STROKE_MM, SHORT_STROKE_MM = 40.0, 20.0
@@ -346,7 +346,7 @@ def _candidate_experiment(trial: CandidateRun, after: Experiment, number: int) -
         backend=before.backend,
         kind=run.protocol.kind,
         sample_rate_hz=rate,
-        channels=(Channel("force", "mN"), Channel("position", "mm")),
+        channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
         entry={"insertion_dwell_s": run.wait_s},
         protocol=run.protocol.attributes(),
         capsule=run.capsule.model_dump(mode="json", exclude_none=True),

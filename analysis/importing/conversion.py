@@ -30,7 +30,7 @@ from dragrig.analysis.segments import Mask, gap_starts, mask_spans
 from dragrig.config.errors import AnalysisError, ImportDataError
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Channel, RunEvent
+from dragrig.rig.runfile.model import RecordedChannel, RunEvent
 
 IMPORT_EVENT = "import"
 RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
@@ -74,7 +74,7 @@ class ConvertedMeasurement:
     """
 
     sample_rate_hz: float
-    channels: tuple[Channel, ...]
+    channels: tuple[RecordedChannel, ...]
     columns: Mapping[str, AnyFloatArray | PhaseArray]
     events: tuple[RunEvent, ...]
     origin_mm: float = 0.0
@@ -163,10 +163,12 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         remarks.append("phases detected from the position")
     events += map(_event, remarks)
     channels = [
-        Channel(name, TARGET_UNITS.get(name) or extra[name].units, "float64") for name in values if name != "command"
+        RecordedChannel(name, TARGET_UNITS.get(name) or extra[name].units, "float64")
+        for name in values
+        if name != "command"
     ]
     if "position" not in values:
-        channels.append(Channel("position", "mm", "float64"))
+        channels.append(RecordedChannel("position", "mm", "float64"))
     return ConvertedMeasurement(
         sample_rate_hz=grid.sample_rate_hz,
         channels=tuple(channels),

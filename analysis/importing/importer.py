@@ -17,7 +17,7 @@ from dragrig.analysis.importing.mapping import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
 from dragrig.config.errors import ImportDataError, OutputError
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
-from dragrig.rig.runfile.model import Attribute, Channel, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile.model import Attribute, RecordedChannel, RunEvent, RunHeader, RunStatus
 
 NOT_CHANNELS = frozenset({"time", "command", "phase"})
 UNKNOWN_SIZE = float("nan")
@@ -152,9 +152,9 @@ def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:
 
 def _exported_columns(
     table: ForeignTable, described: Mapping[str, object]
-) -> tuple[dict[str, AnyFloatArray | PhaseArray], tuple[Channel, ...]]:
+) -> tuple[dict[str, AnyFloatArray | PhaseArray], tuple[RecordedChannel, ...]]:
     columns: dict[str, AnyFloatArray | PhaseArray] = {}
-    channels: list[Channel] = []
+    channels: list[RecordedChannel] = []
     for name, description in described.items():
         dataset, units, dtype = (str(part) for part in _sequence(description))
         if dataset.startswith("filtered/"):
@@ -165,7 +165,7 @@ def _exported_columns(
         else:
             columns[dataset] = values.astype(np.float32) if dtype == "float32" else values
         if dataset not in NOT_CHANNELS:
-            channels.append(Channel(dataset, units, "float32" if dtype == "float32" else "float64"))
+            channels.append(RecordedChannel(dataset, units, "float32" if dtype == "float32" else "float64"))
     return columns, tuple(channels)
 
 

@@ -23,7 +23,7 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
 from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import load_settings, suggestion
+from dragrig.config.settings import read_settings_file, suggestion
 from dragrig.rig.arrays import FloatArray
 
 ENTRY_POINT_GROUP = "dragrig.models"
@@ -66,7 +66,7 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
         if file is None:
             raise SettingsError(f"{name_or_file}: there is no such file; check the path of the model.")
         if file.suffix == ".toml":
-            return CapsuleModel(load_settings(FrictionModelSettings, file))
+            return CapsuleModel(read_settings_file(FrictionModelSettings, file))
         return CheckedModel.of(_load_file(file.resolve()), str(file), file.resolve())
     entry = next(iter(entry_points(group=ENTRY_POINT_GROUP, name=name_or_file)), None)
     if entry is None:

@@ -19,8 +19,8 @@ from dragrig.rig.manual import JOG_SPEED_MM_S, ManualControl, require_jog, requi
 from dragrig.rig.operator import NullOperator, Operator, park
 from dragrig.rig.sensor_calibration import (
     CalibrationLine,
-    MeasuredLoad,
-    MeasuredTravel,
+    LoadReading,
+    TravelReading,
     fit_encoder,
     fit_force,
     measure_driven_travel,
@@ -31,7 +31,7 @@ from dragrig.rig.sensor_calibration import (
 from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
 
 ResultT = TypeVar("ResultT")
-PointT = TypeVar("PointT", MeasuredLoad, MeasuredTravel)
+PointT = TypeVar("PointT", LoadReading, TravelReading)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ def calibrate_force(
     pace: Pace | None = None,
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
-) -> SensorCalibration[MeasuredLoad]:
+) -> SensorCalibration[LoadReading]:
     """Calibrate the force sensor with known weights and add the result to the lab's history.
 
     Parameters
@@ -226,7 +226,7 @@ def calibrate_force(
     require_loads(weights_g)
     _require_repeats(repeats, duration_s)
 
-    def work(bench: OpenRig) -> SensorCalibration[MeasuredLoad]:
+    def work(bench: OpenRig) -> SensorCalibration[LoadReading]:
         rig = setup.rig
         points = tuple(measure_loads(bench.backend, rig, bench.manual, tuple(weights_g), repeats, duration_s))
         line = fit_force([point.load_mN for point in points], [point.reading.force_V for point in points])
@@ -257,7 +257,7 @@ def calibrate_encoder(
     pace: Pace | None = None,
     person: Operator | None = None,
     **choices: Unpack[RigChoices],
-) -> SensorCalibration[MeasuredTravel]:
+) -> SensorCalibration[TravelReading]:
     """Calibrate the encoder over a known travel and add the result to the lab's history.
 
     Parameters
@@ -293,7 +293,7 @@ def calibrate_encoder(
     known = setup.calibrations().get("encoder")
     count_mm = known.gain if known is not None else 1e-3 * setup.rig.encoder.resolution_um
 
-    def work(bench: OpenRig) -> SensorCalibration[MeasuredTravel]:
+    def work(bench: OpenRig) -> SensorCalibration[TravelReading]:
         bench.manual.reset()
         if by_hand:
             travels = measured_mm or [travel_mm if repeat % 2 == 0 else -travel_mm for repeat in range(repeats)]

@@ -10,7 +10,7 @@ from dragrig.present.numbers import decimals, duration_text, shortest, size_text
 if TYPE_CHECKING:
     from dragrig.config.rig import Calibration
     from dragrig.rig.preflight import Preflight, RunPreview
-    from dragrig.rig.sensor_calibration import CalibrationLine, MeasuredLoad, MeasuredTravel
+    from dragrig.rig.sensor_calibration import CalibrationLine, LoadReading, TravelReading
 
 
 def preflight_document(preflight: "Preflight") -> Document:
@@ -61,7 +61,7 @@ def preflight_document(preflight: "Preflight") -> Document:
 
 
 def force_calibration_document(
-    entry: "Calibration", points: "Sequence[MeasuredLoad]", line: "CalibrationLine", notes: Sequence[str]
+    entry: "Calibration", points: "Sequence[LoadReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of a force calibration."""
     columns = (
@@ -89,7 +89,7 @@ def force_calibration_document(
 
 
 def encoder_calibration_document(
-    entry: "Calibration", points: "Sequence[MeasuredTravel]", line: "CalibrationLine", notes: Sequence[str]
+    entry: "Calibration", points: "Sequence[TravelReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of an encoder calibration."""
     columns = (

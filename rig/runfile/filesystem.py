@@ -153,7 +153,7 @@ def free_bytes(folder: Path) -> int:
     raise OutputError(f"{folder}: no part of this path exists; choose another folder.")
 
 
-def error_text(error: Exception) -> str:
+def brief_error(error: Exception) -> str:
     """Return the first line of an error, or the system's text for it; h5py's messages run over several lines."""
     if isinstance(error, OSError) and error.errno:
         return os.strerror(error.errno)

@@ -27,7 +27,7 @@ class RunStatus(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class RecordedChannel:
     """One recorded quantity: dataset name, unit and number type; float32 holds 24 bits, more than a rig's converter."""
 
     name: str
@@ -49,7 +49,7 @@ class RunHeader:
     backend: str
     kind: str
     sample_rate_hz: float
-    channels: tuple[Channel, ...]
+    channels: tuple[RecordedChannel, ...]
     entry: Mapping[str, Attribute] = field(default_factory=dict)
     protocol: Mapping[str, Attribute] = field(default_factory=dict)
     capsule: Mapping[str, Attribute] = field(default_factory=dict)

@@ -19,13 +19,13 @@ import numpy as np
 from dragrig.config.errors import DragrigError, RunFileError
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.filesystem import error_text
+from dragrig.rig.runfile.filesystem import brief_error
 from dragrig.rig.runfile.hdf5 import UnfinishedFile, find_damaged_text, is_open_for_writing
 from dragrig.rig.runfile.model import (
     PHASE_NAMES,
     Attribute,
-    Channel,
     FilteredTrace,
+    RecordedChannel,
     Run,
     RunEvent,
     RunHeader,
@@ -282,11 +282,11 @@ def _is_unfinished(file: h5py.File) -> bool:
     return "status" in entry.attrs and attribute_of(entry, "status") == RunStatus.RECORDING
 
 
-def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]]:
+def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
         required_dataset(file, f"{schema.TRACE}/{name}")
     lengths: dict[str, int] = {}
-    channels: list[Channel] = []
+    channels: list[RecordedChannel] = []
     for name, dataset in file[schema.TRACE].items():
         path = f"{schema.TRACE}/{name}"
         if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
@@ -298,7 +298,7 @@ def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[Channel, ...]
             raise LayoutError(f"{path} holds {dataset.dtype} instead of float32 or float64")
         units = _checked_units(dataset, path, schema.UNITS.get(name))
         if name not in schema.FRAME_DATASETS:
-            channels.append(Channel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
+            channels.append(RecordedChannel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     samples = lengths[schema.TIME]
     if _is_unfinished(file):
@@ -456,7 +456,9 @@ def as_run_file_error(path: Path) -> Iterator[None]:
         raise RunFileError(f"{path}: does not fit into memory; close other programs or use a larger machine") from error
     except Exception as error:
         # h5py reports damage as almost any class of exception; each means that the file cannot be read.
-        raise RunFileError(f"{path}: is damaged, cut short or no HDF5 file ({error_text(error)}); {restore}") from error
+        raise RunFileError(
+            f"{path}: is damaged, cut short or no HDF5 file ({brief_error(error)}); {restore}"
+        ) from error
 
 
 def layout_of(file: h5py.File) -> LayoutReader:

@@ -26,9 +26,9 @@ import numpy.typing as npt
 
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.filesystem import error_text, free_bytes, lock_run, remove_quietly
+from dragrig.rig.runfile.filesystem import brief_error, free_bytes, lock_run, remove_quietly
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
-from dragrig.rig.runfile.model import Attribute, Channel, RunEnding, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile.model import Attribute, RecordedChannel, RunEnding, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.reader import LayoutError, valid_count
 from dragrig.rig.runfile.writer import (
     check_header,
@@ -178,7 +178,7 @@ def create_recording(path: Path, header: RunHeader) -> None:
 
 
 @cache
-def _empty_recording(channels: tuple[Channel, ...]) -> bytes:
+def _empty_recording(channels: tuple[RecordedChannel, ...]) -> bytes:
     """Return the bytes of an empty recording with these channels; making them takes longer than writing a header."""
     image = BytesIO()
     with h5py.File(image, "w", libver=VERSION_BOUNDS) as file:
@@ -437,7 +437,7 @@ class Recorder:
         """Why recording cannot go on, or None: the disk refused data or has too little space."""
         if self._thread.failure is not None:
             return RecordingError(
-                f"{self.path}: the disk refused data ({error_text(self._thread.failure)}); make room, then"
+                f"{self.path}: the disk refused data ({brief_error(self._thread.failure)}); make room, then"
                 " `dragrig recover` finishes what was recorded"
             )
         return RecordingError(self._thread.shortage) if self._thread.shortage else None
@@ -533,4 +533,4 @@ def _create_recording_file(recording: Path, header: RunHeader, space: DiskSpace)
         create_recording(recording, header)
         return RecordingFile(recording)
     except (OSError, RuntimeError) as error:
-        raise OutputError(f"{recording}: could not be made ({error_text(error)}); choose another folder") from error
+        raise OutputError(f"{recording}: could not be made ({brief_error(error)}); choose another folder") from error

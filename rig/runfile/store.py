@@ -22,7 +22,7 @@ import numpy.typing as npt
 from dragrig.config.errors import OutputError, RecordingError
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import mark_bad
-from dragrig.rig.runfile.filesystem import error_text, move_into_place, remove_quietly
+from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
@@ -208,7 +208,7 @@ class Mirror:
         try:
             self._require_mirror()
         except (OSError, OutputError) as error:
-            self._report(f"NOT MIRRORED: {self.folder}: {error_text(error)}; the runs are recorded all the same.")
+            self._report(f"NOT MIRRORED: {self.folder}: {brief_error(error)}; the runs are recorded all the same.")
         while (file := self._jobs.get()) is not None:
             if self._copy(file):
                 self._retry_missing()
@@ -223,7 +223,7 @@ class Mirror:
             self._require_mirror()
             copy_verified(file, self.folder / file.name, self._count_step)
         except (OSError, OutputError) as error:
-            reason = error_text(error)
+            reason = brief_error(error)
             if self._missing.get(file.name) != reason:
                 self._missing[file.name] = reason
                 self._report(

@@ -16,13 +16,13 @@ import numpy as np
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.filesystem import error_text, lock_run, move_into_place, remove_quietly
+from dragrig.rig.runfile.filesystem import brief_error, lock_run, move_into_place, remove_quietly
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
 from dragrig.rig.runfile.model import (
     PHASE_NAMES,
     Attribute,
-    Channel,
     FilteredTrace,
+    RecordedChannel,
     RunEnding,
     RunEvent,
     RunHeader,
@@ -87,7 +87,7 @@ def trace_sha256(trace: h5py.Group) -> str:
     return digest.hexdigest()
 
 
-def column_types(channels: Sequence[Channel]) -> dict[str, np.dtype[np.generic]]:
+def column_types(channels: Sequence[RecordedChannel]) -> dict[str, np.dtype[np.generic]]:
     """Return the type of every dataset of a recorded trace, by name."""
     frame: dict[str, np.dtype[np.generic]] = {
         schema.TIME: np.dtype("<f8"),
@@ -162,7 +162,7 @@ def write_dataset_attributes(dataset: h5py.Dataset, name: str, units: Mapping[st
         dataset.attrs["units"] = units[name]
 
 
-def column_units(channels: Sequence[Channel]) -> dict[str, str]:
+def column_units(channels: Sequence[RecordedChannel]) -> dict[str, str]:
     """Return the unit of every dataset of a trace that has one."""
     return {schema.TIME: "s", schema.COMMAND: "mm"} | {channel.name: channel.units for channel in channels}
 
@@ -276,7 +276,7 @@ def new_file(path: Path) -> Iterator[h5py.File]:
         move_into_place(part, path)
     except (OSError, RuntimeError) as error:
         raise OutputError(
-            f"{path}: could not be written ({error_text(error)}); make room or choose another folder"
+            f"{path}: could not be written ({brief_error(error)}); make room or choose another folder"
         ) from error
     finally:
         remove_quietly(part)

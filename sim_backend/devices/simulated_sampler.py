@@ -21,7 +21,7 @@ from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.devices import MAX_BLOCK_S, Acquisition, Block, Clock, Contact, RawReading
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import Channel
+from dragrig.rig.runfile.model import RecordedChannel
 from dragrig.sim_backend.devices.simulated_stage import (
     UNDISTURBED,
     Disturbances,
@@ -199,10 +199,10 @@ class ResponseWithEffects:
         )
 
 
-def recorded_channels(rig: RigSettings) -> tuple[Channel, ...]:
+def recorded_channels(rig: RigSettings) -> tuple[RecordedChannel, ...]:
     """Return the channels that the settings ask for."""
-    always = (Channel("force", "mN"), Channel("position", "mm"))
-    return (*always, Channel("motor_force", "mN")) if rig.sampling.motor_force else always
+    always = (RecordedChannel("force", "mN"), RecordedChannel("position", "mm"))
+    return (*always, RecordedChannel("motor_force", "mN")) if rig.sampling.motor_force else always
 
 
 class SimulatedChannels:
@@ -436,7 +436,7 @@ class SimulatedSampler:
         return self._rate_hz
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[RecordedChannel, ...]:
         """Force, position and, where the settings ask for it, motor force."""
         return self._channels
 

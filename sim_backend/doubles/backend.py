@@ -8,7 +8,7 @@ from threading import Event as Signal
 from dragrig.rig.devices import Acquisition, BackendRequest, Block, Clock, RawReading, RigCheck, Sampler, Stage
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.rig.runfile.model import Channel
+from dragrig.rig.runfile.model import RecordedChannel
 from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
@@ -31,7 +31,7 @@ class NotifyingSampler:
         return self._sampler.sample_rate_hz
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[RecordedChannel, ...]:
         """What each block holds."""
         return self._sampler.channels
 

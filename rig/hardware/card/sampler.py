@@ -29,7 +29,7 @@ from dragrig.rig.hardware.card.connection import (
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import BufferedInput, OverwrittenError, SampledTasks, metres_per_count
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
-from dragrig.rig.runfile.model import Channel
+from dragrig.rig.runfile.model import RecordedChannel
 
 READ_TIMEOUT_S = 0.1
 """Longest wait of one call of the driver, twice a block: shorter ones stall it, longer ones delay a stop."""
@@ -373,7 +373,7 @@ class CardSampler:
         return self._rate_hz
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[RecordedChannel, ...]:
         """Force, position, and the further inputs of the settings."""
         return self._scaling.channels
 

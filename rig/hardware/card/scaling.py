@@ -10,7 +10,7 @@ from dragrig.config.hardware import AnalogInputSettings, ForceInputSettings
 from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.devices import Trip, TripCause
-from dragrig.rig.runfile.model import Channel
+from dragrig.rig.runfile.model import RecordedChannel
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,12 @@ class Scaling:
         )
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[RecordedChannel, ...]:
         """Force, position, then the further inputs in the settings' order."""
         return (
-            Channel("force", "mN"),
-            Channel("position", "mm"),
-            *(Channel(channel.name, channel.unit) for channel in self.inputs),
+            RecordedChannel("force", "mN"),
+            RecordedChannel("position", "mm"),
+            *(RecordedChannel(channel.name, channel.unit) for channel in self.inputs),
         )
 
     @property
