@@ -24,10 +24,7 @@ def maxwell_chain(time_s: float, spread: float) -> tuple[list[float], list[float
 
 
 def _relaxed(age_s: FloatArray, rates: list[float], weights: list[float]) -> FloatArray:
-    kept = np.zeros_like(age_s)
-    for rate, weight in zip(rates, weights, strict=True):
-        kept += weight * np.exp(-rate * age_s)
-    return kept
+    return np.asarray(sum(weight * np.exp(-rate * age_s) for rate, weight in zip(rates, weights, strict=True)))
 
 
 class ExtraRelaxation(ForceEffect):

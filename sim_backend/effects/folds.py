@@ -6,7 +6,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, phase, shape, size
 from dragrig.sim_backend.effects.run_state import RunState
 
-WAVELENGTHS_MM = tuple(round(1 / float(one), 3) for one in np.linspace(1 / 20, 1 / 1.5, 40))
+WAVELENGTHS_MM = tuple(round(1 / float(wavenumber), 3) for wavenumber in np.linspace(1 / 20, 1 / 1.5, 40))
 """Evenly spaced in wavenumber: over 40 mm no wavelength is more than a third of a period from one of them."""
 
 

@@ -1,4 +1,4 @@
-"""Play and friction in the force chain: what is shown depends on where the force comes from."""
+"""Play and friction in the force chain: the reading depends on the direction of change."""
 
 import numpy as np
 
@@ -29,9 +29,9 @@ class ForceHysteresis(SensorEffect):
         """Return the force minus the part held back, which starts at 0."""
         del run
         change = np.diff(force_mN, prepend=force_mN[:1])
-        kept = np.exp(-np.abs(change) / values["reversal_mN"])
-        held = linear_recursion(kept, np.sign(change) * (1 - kept))
-        return np.asarray(force_mN - values["half_width_mN"] * held)
+        decay = np.exp(-np.abs(change) / values["reversal_mN"])
+        state = linear_recursion(decay, np.sign(change) * (1 - decay))
+        return np.asarray(force_mN - values["half_width_mN"] * state)
 
 
 EFFECT = ForceHysteresis()
