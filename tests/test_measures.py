@@ -37,7 +37,8 @@ def sliding(kind: str = "drag", speed: float = 5.0, travel: float = 40.0) -> Run
     force[phase == Phase.HOLD] -= np.sign(travel) * 50.0
     header = RunHeader(
         run_id="0" * 32, start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
-        sample_rate_hz=RATE, channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")), capsule=CAPSULE,
+        sample_rate_hz=RATE, capsule=CAPSULE,
+        channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
     )  # fmt: skip
     info = RunInfo(Path("run.h5"), 1, RunStatus.COMPLETE, header, len(time))
     channels = {"force": force, "position": np.round(position, 3)}
