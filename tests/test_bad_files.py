@@ -68,7 +68,7 @@ COMMANDS = [
 
 @pytest.mark.parametrize("arguments", COMMANDS, ids=" ".join)
 @pytest.mark.parametrize("spoilt", SPOILT)
-def test_a_file_that_is_no_run_is_told_and_left_alone(
+def test_a_file_that_is_no_run_is_reported_and_left_alone(
     spoilt: str,
     arguments: list[str],
     tmp_path: Path,
@@ -115,7 +115,7 @@ def test_a_table_shows_the_good_runs_and_what_is_wrong_with_the_others(
     ids=lambda words: words[0],
 )
 @pytest.mark.parametrize("place", ["taken", "taken/below"])
-def test_a_place_that_cannot_be_written_is_told(
+def test_a_place_that_cannot_be_written_is_reported(
     place: str,
     arguments: list[str],
     tmp_path: Path,

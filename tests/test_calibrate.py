@@ -69,7 +69,9 @@ def volts_of(weights_g: list[float], gain: float = 950.0, zero: float = -12.0) -
     return [(9.80665 * weight - zero) / gain for weight in weights_g]
 
 
-def test_weights_make_a_line_that_is_kept(calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_weights_make_a_line_that_is_stored(
+    calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     weights = [0.0, 20.0, 50.0, 100.0]
     words = (
         "force",
@@ -136,7 +138,7 @@ def test_a_residual_beyond_the_sensors_accuracy_is_noted(
         ("0,20,2000", [0.0, 0.2, -9.95], 5, "overloaded"),
     ],
 )
-def test_nonsense_is_refused_and_nothing_kept(
+def test_invalid_readings_are_refused_and_nothing_is_stored(
     calibrate: Calibrate,
     lab: Path,
     weights: str,
@@ -246,6 +248,6 @@ def test_standard_errors_are_what_repeated_calibrations_scatter_by() -> None:
     )
 
 
-def test_counts_the_wrong_way_are_told() -> None:
+def test_counts_the_wrong_way_are_reported() -> None:
     with pytest.raises(SettingsError, match="reversed"):
         fit_encoder([40.0, -40.0], [-40_000, 40_000])

@@ -68,14 +68,14 @@ def test_clipped_and_lost_samples_are_counted() -> None:
     assert len(seen.warnings) == 2
 
 
-def test_a_loud_sensor_is_told() -> None:
+def test_a_loud_sensor_is_reported() -> None:
     profile = DragProtocol(speed_mm_s=20.0).profile(SPECIMEN)
     noise = np.random.default_rng(1).normal(0, 8.0, profile.samples(RATE)).astype(np.float32)
     assert any("noise at rest" in warning for warning in report(profile, noise).warnings)
 
 
 @pytest.mark.parametrize(("at_s", "drop"), [(2.0, 0.15), (5.0, 0.05), (15.0, 0.05)])
-def test_a_capsule_that_slips_is_told_with_its_time(at_s: float, drop: float) -> None:
+def test_a_capsule_that_slips_is_reported_with_its_time(at_s: float, drop: float) -> None:
     seen = relaxing(1, slips_at_s=at_s, drop=drop)
     assert seen.values["slip_time_s"] == pytest.approx(at_s, abs=0.25)
     assert any("slipped" in warning for warning in seen.warnings)

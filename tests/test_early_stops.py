@@ -66,7 +66,7 @@ def test_a_switch_pressed_while_limits_are_written_stops_what_follows(monkeypatc
         assert not rig.drive.status.homed
 
 
-def test_nothing_moves_once_somebody_asked_for_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_moves_once_an_end_was_requested(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = settings()
     backend = session(rig)
     guard = Guard(rig.guard)
@@ -136,7 +136,7 @@ def test_an_emergency_stop_let_go_before_the_drive_is_switched_on_forbids_nothin
         rig.stage.enable()
 
 
-def test_what_moves_already_is_stopped_before_the_drive_is_kept_fed() -> None:
+def test_what_moves_already_is_stopped_before_the_heartbeat_begins() -> None:
     with driven(homing_speed_mm_s=5.0) as rig:
         rig.ready()
         rig.bench.follow(trapezoid(140.0, 20.0, 500.0))

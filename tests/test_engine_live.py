@@ -49,7 +49,7 @@ def test_what_is_read_is_what_was_written(blocks: list[tuple[int, int, bool]]) -
         assert reader.read() is None
 
 
-def test_a_late_reader_is_told_what_it_missed() -> None:
+def test_a_late_reader_learns_what_it_missed() -> None:
     writer, reader = ring(256)
     writer.begin()
     for first in range(0, 1000, 50):

@@ -158,7 +158,7 @@ def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command,
         (("filter", "c/*.txt"), "pattern"),
     ],
 )
-def test_what_cannot_be_done_is_told_in_one_sentence(
+def test_what_is_not_possible_is_reported_in_one_sentence(
     command: Command, practice: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     (practice.parent / "taken").write_text("mine", "utf-8")

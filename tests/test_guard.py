@@ -149,7 +149,7 @@ def driven(
 @pytest.mark.parametrize("block_s", [0.01, 0.05])
 @pytest.mark.parametrize(("speed", "accel"), [(0.5, 400.0), (5.0, 50.0), (20.0, 400.0), (60.0, 400.0), (100.0, 3000.0)])
 @pytest.mark.parametrize("stuck_s", [0.0, 0.137])
-def test_a_stuck_encoder_is_told_before_anything_else(
+def test_a_stuck_encoder_is_reported_before_anything_else(
     speed: float, accel: float, stuck_s: float, block_s: float
 ) -> None:
     profile = MotionProfile.from_pieces([stationary_piece(0.1, Phase.REST), *trapezoid(60.0, speed, accel)])

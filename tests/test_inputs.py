@@ -48,7 +48,7 @@ def test_each_file_counts_once(runs: Path) -> None:
         (".", "did you mean c1?"),
     ],
 )
-def test_what_stands_for_nothing_is_told(runs: Path, name: str, words: str) -> None:
+def test_an_input_that_names_nothing_is_reported(runs: Path, name: str, words: str) -> None:
     with pytest.raises(RunFileError) as caught:
         run_files([name])
     assert words in str(caught.value)

@@ -35,7 +35,7 @@ def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.Capt
     assert (tmp_path / name).read_text("utf-8") == "mine"
 
 
-def test_a_file_in_place_of_the_folder_is_told(tmp_path: Path) -> None:
+def test_a_file_in_place_of_the_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("", "utf-8")
     with pytest.raises(OutputError, match="taken"):
         create_lab(tmp_path / "taken")
@@ -51,7 +51,7 @@ def test_the_history_grows_and_the_last_entry_of_a_quantity_holds(tmp_path: Path
     assert latest.id == "b"
 
 
-def test_what_stands_in_the_history_is_never_touched(tmp_path: Path) -> None:
+def test_entries_of_the_history_are_never_changed(tmp_path: Path) -> None:
     create_lab(tmp_path)
     history = tmp_path / "calibration.jsonl"
     torn = entry("a").model_dump_json()

@@ -99,7 +99,7 @@ def test_a_jog_that_is_not_agreed_to_moves_nothing() -> None:
         (151.0, 5.0, "0 to 150"),
     ],
 )
-def test_a_jog_that_cannot_be_is_refused_before_anybody_is_asked(distance: float, speed: float, word: str) -> None:
+def test_a_jog_that_cannot_be_is_refused_before_any_prompt(distance: float, speed: float, word: str) -> None:
     rig = bench()
     rig.manual.reset()
     with pytest.raises(SettingsError, match=word):
@@ -115,7 +115,7 @@ def test_a_jog_faster_than_the_stage_can_go_is_refused() -> None:
     assert rig.person.prompts == []
 
 
-def test_an_abort_while_a_person_is_asked_moves_nothing() -> None:
+def test_an_abort_during_a_prompt_moves_nothing() -> None:
     rig = bench()
     rig.manual.reset()
 
@@ -239,7 +239,7 @@ def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s:
     assert sign * (rig.at_mm - found.position_mm) < 0.1 * speed
 
 
-def test_it_backs_off_as_asked_but_not_beyond_where_it_began() -> None:
+def test_it_retracts_as_requested_but_not_beyond_its_start() -> None:
     for back_mm, expected in ((0.5, 1.95), (30.0, 0.0)):
         rig = bench(Faults(force_spike=ForceSpike(3.5, 400.0, duration_s=1.0)))
         rig.manual.reset()
@@ -248,7 +248,7 @@ def test_it_backs_off_as_asked_but_not_beyond_where_it_began() -> None:
         assert rig.at_mm == pytest.approx(expected, abs=0.02)
 
 
-def test_a_contact_that_is_not_there_or_lost_in_noise_is_told() -> None:
+def test_a_contact_that_is_not_there_or_lost_in_noise_is_reported() -> None:
     rig = bench()
     rig.manual.reset()
     with pytest.raises(DeviceError, match=r"no contact within 3 mm: the force changed by .* and 5000 mN are needed"):

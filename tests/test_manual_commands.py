@@ -90,7 +90,7 @@ def test_at_a_real_rig_yes_does_not_look(
         (["jog", "5", "--double"], 2, "has no double"),
     ],
 )
-def test_what_cannot_be_is_told_in_one_sentence(
+def test_invalid_values_are_reported_in_one_sentence(
     lab: Path, words: list[str], code: int, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*words, "--yes"]) == code
@@ -102,7 +102,7 @@ def test_what_cannot_be_is_told_in_one_sentence(
 @pytest.mark.parametrize(
     "words", [["jog", "5", "--speed", "101"], ["jog", "0"], ["touch-off", "--force", "-20"], ["touch-off", "--back=-5"]]
 )
-def test_nobody_is_asked_for_hands_before_nonsense_is_refused(
+def test_invalid_values_are_refused_before_any_prompt(
     lab: Path, tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     add_ons.install(tmp_path / "site", monkeypatch)
@@ -146,7 +146,7 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     assert len(blocks) < 50
 
 
-def test_a_contact_is_kept_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_contact_is_stored_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
     contact = read_settings_file(ContactPoint, lab / "contact.toml")
     assert contact.operator == "Ada"

@@ -48,7 +48,7 @@ def test_each_finished_file_has_its_equal_in_the_mirror(tmp_path: Path, capsys: 
     assert filecmp.cmpfiles(folder, mirror / "runs", made, shallow=False) == (made, [], [])
 
 
-def test_a_mirror_that_disappears_stops_nothing_and_is_said(tmp_path: Path) -> None:
+def test_a_mirror_that_disappears_stops_nothing_and_is_reported(tmp_path: Path) -> None:
     mirror, told = tmp_path / "second", list[str]()
     mirror.mkdir()
     made = dragrig.run(
@@ -106,7 +106,7 @@ def test_marks_on_runs_are_mirrored_with_them(tmp_path: Path) -> None:
     assert filecmp.cmp(mark, tmp_path / "second" / "runs" / mark.name, shallow=False)
 
 
-def test_a_missing_mirror_is_said_at_once(tmp_path: Path) -> None:
+def test_a_missing_mirror_is_reported_at_once(tmp_path: Path) -> None:
     told: list[str] = []
     mirror = Mirror(tmp_path / "gone", "runs", told.append)
     assert mirror.close().whole

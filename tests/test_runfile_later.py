@@ -46,7 +46,7 @@ def filtered(path: Path, window_s: float) -> FilteredTrace:
     )  # fmt: skip
 
 
-def test_a_filtered_trace_stands_beside_the_raw_one(run_file: Path) -> None:
+def test_a_filtered_trace_is_stored_beside_the_raw_one(run_file: Path) -> None:
     raw, inode = read_run(run_file), run_file.stat().st_ino
     wanted = filtered(run_file, 0.1)
     store_filtered(run_file, wanted, [RunEvent(0.5, "short", "piece of 3 samples")])
@@ -122,7 +122,7 @@ def test_no_folder_is_made_for_a_lock(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_read_only_folder_is_said(run_file: Path, close_folder: Callable[[Path], None]) -> None:
+def test_a_read_only_folder_is_reported(run_file: Path, close_folder: Callable[[Path], None]) -> None:
     close_folder(run_file.parent)
     with pytest.raises(OutputError, match="cannot be written to"):
         store_filtered(run_file, filtered(run_file, 0.1))
@@ -144,7 +144,7 @@ def test_the_checksum_is_of_the_samples_not_of_the_file(tmp_path: Path, run_file
     assert verify(at_once).stored == verify(run_file).stored
 
 
-def test_a_verdict_is_kept_beside_the_run(run_file: Path) -> None:
+def test_a_mark_is_stored_beside_the_run(run_file: Path) -> None:
     before = run_file.read_bytes()
     assert read_mark(run_file) is None
     mark_bad(run_file, "  capsule slipped out ")

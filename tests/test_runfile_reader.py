@@ -296,7 +296,7 @@ def test_what_could_not_be_read_back_is_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unwritable_folder_is_said_in_a_sentence(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written to"):
         whole(tmp_path / "missing" / "run.h5")
 
@@ -318,6 +318,6 @@ def test_a_folder_of_files_by_others_is_a_campaign(tmp_path: Path) -> None:
     assert [path.name for path, _ in campaign.unreadable] == ["000-broken.h5"]
 
 
-def test_the_package_loads_h5py_only_when_asked() -> None:
+def test_the_package_loads_h5py_only_when_needed() -> None:
     code = "import sys, dragrig.rig.runfile, dragrig.rig.devices; sys.exit('h5py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

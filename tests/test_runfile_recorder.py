@@ -91,7 +91,7 @@ def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
     assert "50 samples" in run.events[0].message
 
 
-def test_all_that_is_said_of_a_run_is_in_its_file(tmp_path: Path) -> None:
+def test_all_that_is_known_of_a_run_is_in_its_file(tmp_path: Path) -> None:
     long = "µ" * 200
     with Recorder(tmp_path / "run.h5", header(order=4), reserve_bytes=0) as recorder:
         recorder.event(RunEvent(0.0, "start", "drag"))
@@ -275,7 +275,7 @@ print("done", first)
 
 
 @pytest.mark.parametrize("watch", ["watched", "blind"])
-def test_a_full_disk_is_said_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
+def test_a_full_disk_is_reported_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FILLER, str(small_disk), str(Path(__file__).parent), watch],
         capture_output=True, text=True, check=False,

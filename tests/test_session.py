@@ -84,7 +84,7 @@ def test_a_plan_of_every_kind_is_carried_out() -> None:
     assert {event.kind for event in runs[0].events} >= {"start", "phase", "end"}
 
 
-def test_waits_are_kept_and_noted_as_the_contacts_age() -> None:
+def test_waits_are_made_and_noted_as_the_contacts_age() -> None:
     person = Scripted()
     _, runs = made({**SHORT_DRAG, "repeats": 2, "wait_s": 45.0}, person=person)
     drags = [run for run in runs if run.info.kind == "drag"]
@@ -351,7 +351,7 @@ class Follows(NullOperator):
     ],
     ids=["anew", "gone on with", "first marked bad", "middle marked bad", "way back marked bad"],
 )
-def test_who_follows_is_told_beforehand_of_the_runs_that_are_made(done: set[int], left: list[int]) -> None:
+def test_an_observer_is_informed_beforehand_of_the_runs_to_make(done: set[int], left: list[int]) -> None:
     person = Follows()
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
     session, _ = new_session(step, person=person, progress=CampaignProgress(done=frozenset(done), next_order=6))

@@ -107,7 +107,7 @@ def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
         ("\u0000", ["own.toml", "not valid TOML"]),
     ],
 )
-def test_a_plan_that_cannot_be_is_told_in_one_sentence(
+def test_an_invalid_plan_is_reported_in_one_sentence(
     text: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -21,7 +21,7 @@ def speeds(setup: Setup) -> list[object]:
     return [run.protocol.attributes().get("speed_mm_s") for run in setup.programme().runs if run.follows < 0]
 
 
-def test_shipped_settings_are_what_is_used_unless_told_otherwise() -> None:
+def test_shipped_settings_are_what_is_used_by_default() -> None:
     setup = resolve("drag")
     assert (setup.rig.name, setup.specimen.name, setup.model.name) == ("bench", "jejunum", "paper")
     assert setup.data_root == Path("runs")

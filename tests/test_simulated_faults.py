@@ -79,7 +79,7 @@ def test_lost_samples_across_a_chunk_keep_the_noise_in_step() -> None:
     np.testing.assert_array_equal(ill["force"], healthy["force"][kept])
 
 
-def test_silence_is_told_after_as_long_as_the_guard_allows() -> None:
+def test_stale_data_are_reported_after_the_guards_time() -> None:
     backend = session(settings(guard={"stale_data_s": 0.3}), Faults(stale_data=StaleData(0.42)))
     begin(backend, RUN)
     before = backend.clock.monotonic()

@@ -185,7 +185,7 @@ def test_runs_on_one_specimen_differ_a_little() -> None:
     assert runs[0].e1_scale == nominal.e1_scale
 
 
-def test_a_session_s_specimen_is_drawn_once_and_only_when_asked_for() -> None:
+def test_a_session_s_specimen_is_drawn_once_and_only_on_request() -> None:
     quiet = {"noise": QUIET, "variation": {**SAME, "specimen": True}}
     drawing = session(settings(simulated=quiet))
     first = record(drawing, acquire(stroke(), order=0))["force"]
