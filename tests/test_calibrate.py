@@ -69,9 +69,7 @@ def volts_of(weights_g: list[float], gain: float = 950.0, zero: float = -12.0) -
     return [(9.80665 * weight - zero) / gain for weight in weights_g]
 
 
-def test_weights_make_a_line_that_is_stored(
-    calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_weights_make_a_stored_line(calibrate: Calibrate, lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     weights = [0.0, 20.0, 50.0, 100.0]
     words = (
         "force",
