@@ -148,6 +148,8 @@ class Shell:
             command, cwd=self.folder, input=typed, capture_output=True, text=True, encoding="utf-8", env=environment,
             timeout=LONGEST_CALL_S, check=False,
         )  # fmt: skip
+        if done.returncode == 1:
+            print(f"  {' '.join(command[3:6])}: {done.stderr.strip().rpartition(chr(10))[2]}", file=sys.stderr)
         return done.returncode, done.stdout
 
 
@@ -167,8 +169,9 @@ def commands(shell: Shell) -> dict[str, Json]:
 
 def _options(shell: Shell, command: str) -> Json:
     code, printed = shell.call(*command.split(), "--help")
-    lines = [line.strip() for line in printed.splitlines()]
-    words = (word.strip(",") for line in lines if line.startswith("-") for word in line.split("  ")[0].split())
+    # An option begins in the third column; what is further right is wrapped help.
+    lines = [line.strip() for line in printed.splitlines() if line.startswith("  -")]
+    words = (word.strip(",") for line in lines for word in line.split("  ")[0].split())
     return {"code": code, "options": [word for word in words if word.startswith("-")]}
 
 
@@ -499,12 +502,15 @@ def compare_folders(before: Path, after: Path, names: Sequence[str], tolerance: 
 
 
 def _lines(name: str, tally: Tally, *, sentences: bool) -> Iterator[str]:
-    rounded = f", {tally.rounded_arrays} arrays not bit for bit" if tally.rounded_arrays else ""
-    largest = f", the others by {tally.largest_relative:.1e} at most" if tally.largest_relative else ""
-    yield (
-        f"{name}: {'DIFFERS' if tally.differences else 'same'}; {tally.values} values, {tally.exact} identical{largest}"
-        f"{rounded}, {len(tally.sentences)} sentences reworded"
-    )
+    remarks = [f"{tally.values} values", f"{tally.exact} identical"]
+    if tally.largest_relative:
+        remarks.append(f"the others within {tally.largest_relative:.1e}")
+    if tally.small:
+        remarks.append(f"{tally.small} small ones within rounding of their scale")
+    if tally.rounded_arrays:
+        remarks.append(f"{tally.rounded_arrays} arrays not bit for bit")
+    remarks.append(f"{len(tally.sentences)} sentences reworded")
+    yield f"{name}: {'DIFFERS' if tally.differences else 'same'}; {', '.join(remarks)}"
     yield from (f"  {line}" for line in tally.repaired)
     yield from (f"  {difference}" for difference in tally.differences[:SHOWN])
     if len(tally.differences) > SHOWN:

@@ -1,8 +1,9 @@
 """Compares two records of what the program answered.
 
-Numbers are equal when they differ by no more than the tolerance times the larger of the two, or when both are smaller
-than the tolerance times their natural scale: the largest magnitude at the same place of the same answer, with the
-positions in lists left out (`ranking[].probability`). Sentences may differ; everything else must be the same.
+Numbers are equal when they differ by no more than the tolerance times the larger of the two. A number that is small
+beside its natural scale, the largest magnitude at the same place of the same answer with the positions in lists left
+out (`correlation.rows[][]`), is a difference of larger ones and carries their rounding: it may also differ by a
+hundredth of the tolerance times that scale, which is 1e-11 of it. Sentences may differ; all else must be the same.
 """
 
 import re
@@ -14,6 +15,10 @@ from math import isnan
 from frozen_values import Json
 
 TOLERANCE = 1e-9
+ROUNDING_SHARE = 0.01
+"""Share of the tolerance that a number may differ by in terms of its natural scale."""
+LONGEST = 160
+"""Characters that are shown of a value."""
 
 SENTENCE_KEYS = frozenset({
     "cannot_answer", "condition", "description", "detail", "ends", "exposes", "in_words", "meaning", "message", "note",
@@ -47,7 +52,11 @@ class Difference:
     after: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.before} -> {self.after}"
+        return f"{self.path}: {_shortened(self.before)} -> {_shortened(self.after)}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} …"
 
 
 @dataclass(slots=True)
@@ -57,6 +66,7 @@ class Tally:
     values: int = 0
     exact: int = 0
     largest_relative: float = 0.0
+    small: int = 0
     rounded_arrays: int = 0
     differences: list[Difference] = field(default_factory=list)
     sentences: list[Difference] = field(default_factory=list)
@@ -174,12 +184,13 @@ class _Comparison:
     def _close(self, path: str, before: float, after: float) -> bool:
         if before == after or (isnan(before) and isnan(after)):
             return True
-        larger = max(abs(before), abs(after))
-        if larger < self.tolerance * self.scales[re.sub(r"\[\d+\]", "[]", path)]:
-            return True
-        relative = abs(before - after) / larger
+        apart = abs(before - after)
+        relative = apart / max(abs(before), abs(after))
         if relative <= self.tolerance:
             self.tally.largest_relative = max(self.tally.largest_relative, relative)
+            return True
+        if apart <= ROUNDING_SHARE * self.tolerance * self.scales[re.sub(r"\[\d+\]", "[]", path)]:
+            self.tally.small += 1
             return True
         return False
 
