@@ -15,8 +15,7 @@ from dragrig.analysis.identification.identification import (
     JointFit,
     RelaxationResult,
 )
-from dragrig.analysis.identification.identify import identify_specimen
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly, identify_specimen
 from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, CapsuleModel
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.selection import RunSelection, select_loaded_runs

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import dragrig
 from dragrig.analysis.identification.identification import JointFit
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.plan import Plan

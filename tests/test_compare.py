@@ -24,10 +24,11 @@ from dragrig.analysis.comparison.comparison import (
     MeasureDifference,
     RunCondition,
     RunPair,
+    align_runs,
     comparison_frame,
     run_condition,
+    start_of_motion,
 )
-from dragrig.analysis.comparison.overlay import align_runs, start_of_motion
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure

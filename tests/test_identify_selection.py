@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import select_loaded_runs, select_runs
 from dragrig.config.errors import AnalysisError

@@ -9,7 +9,7 @@ import pytest
 
 import dragrig
 from dragrig.analysis.identification.identification import JointFit
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import select_loaded_runs, select_runs
 from dragrig.rig.runfile import read_run

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import dragrig
 from dragrig.analysis.identification.identification import JointFit
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.catalogue import find_model, model_names
 from dragrig.analysis.models.drive_model import MODEL

@@ -10,7 +10,7 @@ from runfiles import header
 from simulated import stroke
 
 import dragrig
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.catalogue import find_model, model_names
 from dragrig.analysis.selection import select_runs
 from dragrig.config.errors import AnalysisError, SettingsError

@@ -28,8 +28,10 @@ from dragrig.analysis.identification.identification import (
     ParameterEstimate,
     RunResidual,
 )
-from dragrig.analysis.paper.friction_findings import (
+from dragrig.analysis.paper.findings import (
+    all_findings,
     determination_examples,
+    element_rows,
     offset_for_r2,
     r2_by_correlation,
     r2_by_eq15,
@@ -43,7 +45,6 @@ from dragrig.analysis.paper.published import (
     percent,
     rounded,
 )
-from dragrig.analysis.paper.reproduction import all_findings, element_rows
 from dragrig.analysis.paper.wall_findings import stress_by_eq4, stress_by_superposition
 from dragrig.api import report as reproducing
 from dragrig.cli import main

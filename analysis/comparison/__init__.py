@@ -2,8 +2,7 @@
 
 | module | content |
 |---|---|
-| `overlay` | two runs aligned on one clock |
-| `comparison` | everything that a comparison says, as values and as a data frame |
+| `comparison` | two runs aligned on one clock; everything that a comparison says, as values and as a data frame |
 | `sides` | the runs of either side, recorded or computed by the friction model |
 | `compare` | measures, pairs and compares the runs of two sides |
 """

@@ -13,6 +13,7 @@ from dragrig.analysis.comparison.comparison import (
     REST_FORCE,
     STEADY_FORCE,
     STEADY_SPEED,
+    AlignedRuns,
     ComparedRun,
     ComparedSide,
     Comparison,
@@ -24,11 +25,11 @@ from dragrig.analysis.comparison.comparison import (
     PhaseDifference,
     RunCondition,
     RunPair,
+    align_runs,
     main_measures,
     run_condition,
     secondary_differences,
 )
-from dragrig.analysis.comparison.overlay import AlignedRuns, align_runs
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import NORMAL_95, Estimate, Exclusion
 from dragrig.analysis.measures import RunMeasures, measure

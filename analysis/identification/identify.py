@@ -1,20 +1,232 @@
-"""The whole identification of one specimen from a campaign."""
+"""The identification of a specimen: one fit of a nominal model to all its runs, and each kind of run on its own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TypeVar
 
-from dragrig.analysis.computation import Progress, no_progress
+import numpy as np
+
+from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
+from dragrig.analysis.estimates import NORMAL_95, Estimate, missing
 from dragrig.analysis.identification.coulomb_friction import identify_coulomb
-from dragrig.analysis.identification.identification import Identification, JointFit, RelaxationResult
-from dragrig.analysis.identification.joint_posterior import fit_jointly
+from dragrig.analysis.identification.identification import (
+    MIN_P_VALUE,
+    Identification,
+    JointFit,
+    ParameterEstimate,
+    RelaxationResult,
+    RunResidual,
+)
 from dragrig.analysis.identification.relaxation_elements import identify_relaxation, wall_polynomials
 from dragrig.analysis.identification.steady_drag import identify_drag
+from dragrig.analysis.inference.linear_gaussian import (
+    PARAMETER_BOUND,
+    JointProblem,
+    JointSolution,
+    is_at_bound,
+    solve_joint,
+)
 from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, CapsuleModel
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.arrays import FloatArray
+
+MAX_CORRELATION = 0.95
+"""Parameters that are correlated more strongly cannot be separated."""
+MIN_VARIATION_P = 1e-3
+"""Variations as large as the runs' are less probable than this, where a remark says so."""
+MAX_ERROR_OF_PRIOR = 0.8
+"""A run constrains a variation if it reduces the prior's error below this share."""
+
+
+@single_blas_thread()
+def fit_jointly(selection: RunSelection, nominal: NominalModel) -> JointFit:
+    """Fit a nominal model, with its priors, to all runs of a specimen at once.
+
+    Raises
+    ------
+    AnalysisError
+        Where the model predicts nothing of these runs, or a run lacks what it needs.
+    """
+    from scipy.special import fdtrc
+
+    problem = JointProblem.of(selection, nominal)
+    solution = solve_joint(problem)
+    values = problem.scales.values(solution.z)
+    runs = tuple(_run_residuals(problem, solution, values))
+    chi2 = sum(run.chi2 * run.blocks for run in runs) + float(solution.z @ solution.z)
+    degrees = sum(run.blocks for run in runs)
+    noise_degrees = min(noise.degrees for noise in problem.noises)
+    # Noise that was assumed rejects no model, but it excuses nothing either.
+    p_value = float(fdtrc(degrees, noise_degrees, chi2 / degrees)) if noise_degrees else float("nan")
+    misfit = 1.0 if p_value >= MIN_P_VALUE else max(1.0, chi2 / degrees)
+    # The solution's own misfit is in its covariance already.
+    covariance = max(1.0, misfit / solution.misfit) * solution.covariance
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    return JointFit(
+        nominal=nominal.name,
+        parameters=tuple(_parameter_estimates(problem, solution.z, sd)),
+        combinations=tuple(_combination_estimates(problem, values, covariance)),
+        correlation=correlation,
+        runs=runs,
+        chi2=chi2,
+        degrees=degrees,
+        p_value=p_value,
+        converged=solution.converged,
+        steps=solution.steps,
+        remarks=tuple(_joint_remarks(problem, solution, runs, correlation, misfit)),
+    )
+
+
+def _parameter_estimates(problem: JointProblem, z: FloatArray, sd: FloatArray) -> Iterator[ParameterEstimate]:
+    scales = problem.scales
+    values, low, high = (scales.values(z + side * NORMAL_95 * sd) for side in (0.0, -1.0, 1.0))
+    prior_low, prior_high = (scales.values(np.full_like(z, side * NORMAL_95)) for side in (-1.0, 1.0))
+    errors = scales.slopes(values) * sd
+    for index, parameter in enumerate(problem.nominal.parameters):
+        yield ParameterEstimate(
+            name=parameter.name,
+            unit=parameter.unit,
+            value=float(values[index]),
+            standard_error=float(errors[index]),
+            interval=(float(low[index]), float(high[index])),
+            prior=(float(prior_low[index]), float(prior_high[index])),
+            learnt=max(0.0, 1.0 - float(sd[index])),
+            meaning=parameter.meaning,
+        )
+
+
+def _combination_estimates(
+    problem: JointProblem, values: FloatArray, covariance: FloatArray
+) -> Iterator[ParameterEstimate]:
+    parameters = problem.nominal.parameters
+    nominal = np.array([parameter.nominal for parameter in parameters])
+    for combination in problem.nominal.combinations:
+        powers = np.array([combination.powers.get(parameter.name, 0.0) for parameter in parameters])
+        value, prior_value = float(np.prod(values**powers)), float(np.prod(nominal**powers))
+        direction = powers * problem.scales.sd
+        sd, prior_sd = float(np.sqrt(direction @ covariance @ direction)), float(np.sqrt(direction @ direction))
+        yield ParameterEstimate(
+            name=combination.name,
+            unit=combination.unit,
+            value=value,
+            standard_error=value * sd,
+            interval=_lognormal_interval(value, sd),
+            prior=_lognormal_interval(prior_value, prior_sd),
+            learnt=max(0.0, 1.0 - sd / prior_sd) if prior_sd else 0.0,
+            meaning=combination.meaning,
+        )
+
+
+def _lognormal_interval(median: float, sd: float) -> tuple[float, float]:
+    return median * float(np.exp(-NORMAL_95 * sd)), median * float(np.exp(NORMAL_95 * sd))
+
+
+def _run_residuals(problem: JointProblem, solution: JointSolution, values: FloatArray) -> Iterator[RunResidual]:
+    by_channel = zip(problem.channels, solution.whitenings, solution.slopes, problem.zero_sds, strict=True)
+    for channel, whitening, slopes, zero_sd in by_channel:
+        prediction = channel.predict(values)
+        residual = channel.blocks.mean - prediction.total
+        whitened = whitening.whiten(residual)
+        effects, covariance = whitening.posterior_run_effects(residual, slopes, solution.covariance)
+        errors = np.sqrt(np.diag(covariance))
+        zero = missing("the model has no zero in this channel")
+        if zero_sd > 0:
+            zero = Estimate(float(effects[0]) * zero_sd, float(errors[0]) * zero_sd)
+            residual, effects, errors = residual - effects[0] * zero_sd, effects[1:], errors[1:]
+        residual = residual - (effects * problem.variation_sds) @ prediction.varying
+        factors: dict[str, Estimate] = {}
+        offsets: dict[str, Estimate] = {}
+        for variation, size, error in zip(problem.nominal.variations, effects, errors, strict=True):
+            estimate = Estimate(variation.usual + float(size) * variation.sd, float(error) * variation.sd)
+            (factors if variation.unit == "1" else offsets)[variation.name] = estimate
+        durations = channel.blocks.end_s - channel.blocks.start_s
+        yield RunResidual(
+            file=channel.experiment.file,
+            kind=channel.experiment.kind,
+            channel=channel.channel,
+            blocks=len(residual),
+            chi2=float(whitened @ whitened) / len(residual),
+            rms_mN=float(np.sqrt(np.average(residual**2, weights=durations))),
+            zero=zero,
+            factors=factors,
+            offsets=offsets,
+        )
+
+
+def _joint_remarks(
+    problem: JointProblem,
+    solution: JointSolution,
+    runs: tuple[RunResidual, ...],
+    correlation: FloatArray,
+    misfit: float,
+) -> Iterator[str]:
+    parameters = problem.nominal.parameters
+    noise_is_assumed = min(noise.degrees for noise in problem.noises) == 0
+    if not solution.converged:
+        yield f"the fit did not converge ({solution.why}): its intervals are invalid"
+    if misfit > 1.0 and not noise_is_assumed:
+        worst = max(runs, key=lambda run: run.chi2)
+        yield (
+            f"χ² of the model {problem.nominal.name} is {misfit:.3g} times what noise and repeatability explain, most "
+            f"in {worst.file} ({worst.chi2:.3g} times): an effect that it does not contain acts, its parameters absorb "
+            f"some of it, and the intervals, widened by {np.sqrt(misfit):.2f}, may not hold"
+        )
+    yield from _variation_remarks(problem, runs)
+    pinned = [parameter.name for parameter, bound in zip(parameters, is_at_bound(solution.z), strict=True) if bound]
+    if pinned:
+        yield (
+            f"{' and '.join(pinned)} reached the bound of the fit, {PARAMETER_BOUND:g} prior standard deviations from "
+            "the nominal value: the model does not describe these runs"
+        )
+    for group in _correlated_groups(correlation):
+        names = [parameters[index].name for index in group]
+        yield (
+            f"{', '.join(names[:-1])} and {names[-1]} can hardly be separated by these runs (correlation at least "
+            f"{MAX_CORRELATION:g}): their combination is known better than each of them"
+        )
+    if noise_is_assumed:
+        yield (
+            "no run rests long enough to show its noise, which was assumed: whether the model holds cannot be tested, "
+            f"and the intervals were widened by {np.sqrt(misfit):.2f} for its residuals"
+        )
+
+
+def _correlated_groups(correlation: FloatArray) -> Iterator[list[int]]:
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(np.abs(correlation) > MAX_CORRELATION, directed=False)
+    for group in range(count):
+        members = np.flatnonzero(label == group).tolist()
+        if len(members) > 1:
+            yield members
+
+
+def _variation_remarks(problem: JointProblem, runs: tuple[RunResidual, ...]) -> Iterator[str]:
+    from scipy.special import chdtrc
+
+    for variation in problem.nominal.variations:
+        estimates = [{**run.factors, **run.offsets}[variation.name] for run in runs]
+        # A run that does not constrain a variation has the usual value with the prior's error.
+        deviations = [
+            estimate.value - variation.usual
+            for estimate in estimates
+            if estimate.value is not None
+            and estimate.standard_error is not None
+            and estimate.standard_error < MAX_ERROR_OF_PRIOR * variation.sd
+        ]
+        chi2 = float(np.sum(np.square(deviations))) / variation.sd**2
+        if deviations and chdtrc(len(deviations), chi2) < MIN_VARIATION_P:
+            rms = float(np.sqrt(np.mean(np.square(deviations))))
+            by, usual = (f"{size:.1%}" if variation.unit == "1" else f"{size:.3g}" for size in (rms, variation.sd))
+            yield (
+                f"{variation.name} differs from run to run by {by}, more than the usual {usual}: "
+                "the specimen changes, or an effect acts that the model does not contain"
+            )
+
 
 ResultT = TypeVar("ResultT")
 

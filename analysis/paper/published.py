@@ -34,10 +34,7 @@ PAPER_CAPSULE: Final = Capsule(name="drag", surface="smooth", diameter_mm=12.9, 
 
 @dataclass(frozen=True, slots=True)
 class FindingNumber:
-    """A computed number; `quantity` names it, `digits` are the significant ones that are shown.
-
-    `signed` shows a plus sign too.
-    """
+    """A computed number with its significant digits; `signed` shows a plus sign too."""
 
     quantity: str
     value: float
@@ -61,7 +58,7 @@ class PaperFinding:
     where
         The paper's equations, tables or sections concerned.
     paper
-        What the paper says, in other words.
+        The paper's statement, paraphrased.
     shown
         What the numbers show.
     practice
@@ -77,12 +74,12 @@ class PaperFinding:
     practice: str
 
     def value(self, quantity: str) -> float:
-        """Return one of the numbers; raises `KeyError` for one that is not there."""
-        return {one.quantity: one.value for one in self.numbers}[quantity]
+        """Return one of the numbers; raises `KeyError` for an unknown quantity."""
+        return {number.quantity: number.value for number in self.numbers}[quantity]
 
 
 def rounded(value: float, digits: int = 3) -> str:
-    """Spell a number to so many significant digits, without an exponent: 0.0816, 113, −7.2."""
+    """Format a number to so many significant digits, without an exponent: 0.0816, 113, −7.2."""
     if not isfinite(value):
         return "–"
     if value == 0:
@@ -91,12 +88,12 @@ def rounded(value: float, digits: int = 3) -> str:
 
 
 def percent(difference: float, digits: int = 2) -> str:
-    """Spell a relative difference with its sign: +20 %, −0.35 %."""
+    """Format a relative difference with its sign: +20 %, −0.35 %."""
     sign = "+" if difference > 0 else ""
     return f"{sign}{rounded(100 * difference, digits)} %"
 
 
 def rounded_list(numbers: Iterable[float], digits: int = 3) -> str:
-    """Spell several numbers in a row: 1, 2 and 3."""
-    words = [rounded(one, digits) for one in numbers]
+    """Format several numbers: 1, 2 and 3."""
+    words = [rounded(number, digits) for number in numbers]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,6 +1,7 @@
 """Findings on the wall's parameters, the relaxation test, the contact, its pressure, and speeds above the boundary."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -29,23 +30,14 @@ SPEED_MM_S = 20.0
 """Speed of the examples."""
 
 
-def wall_parameter_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _eq14_against_table1()
-    yield _damper_unit()
-    yield _stress_falls()
-    yield _shear_as_hoop()
-    yield _strain_range()
-
-
 def largest_misses(quadratic: bool = False) -> dict[str, float]:
     """Largest difference from Table 1 of each element, signed: of Eq. 14, or of the quadratic through Table 1."""
-    found: dict[str, float] = {}
-    for one in parameter_set_differences():
-        difference = one.quadratic_difference if quadratic else one.eq14_difference
-        if abs(difference) > abs(found.get(one.parameter, 0.0)):
-            found[one.parameter] = difference
-    return found
+    largest: dict[str, float] = {}
+    for row in parameter_set_differences():
+        difference = row.quadratic_difference if quadratic else row.eq14_difference
+        if abs(difference) > abs(largest.get(row.parameter, 0.0)):
+            largest[row.parameter] = difference
+    return largest
 
 
 def _eq14_against_table1() -> PaperFinding:
@@ -66,7 +58,7 @@ def _eq14_against_table1() -> PaperFinding:
         "Eq. 14 is introduced as the relation between Table 1's parameters and strain.",
         tuple(numbers),
         f"Its largest misses are {misses}. A least-squares quadratic through the same four points, with as many "
-        f"coefficients, stays within {rounded_list((100 * abs(one) for one in fitted.values()), 2)} %.",
+        f"coefficients, stays within {rounded_list((100 * abs(miss) for miss in fitted.values()), 2)} %.",
         "Both sets can be chosen: wall eq14, which the paper's figures use, and wall table1, the quadratic.",
     )
 
@@ -84,7 +76,7 @@ def _damper_unit() -> PaperFinding:
             FindingNumber("shortest η2/E2", 1e3 * slow.min(), "ms"),
             FindingNumber("longest η2/E2", 1e3 * slow.max(), "ms"),
         ),
-        f"With kPa the exponent E t/η of Eq. 3 would have the unit of a time. In kPa·s the time constants are "
+        "With kPa the exponent E t/η of Eq. 3 would have the unit of a time. In kPa·s the time constants are "
         f"{rounded(1e3 * fast.min(), 2)} to {rounded(1e3 * fast.max(), 2)} ms and {rounded(1e3 * slow.min())} to "
         f"{rounded(1e3 * slow.max())} ms.",
         "η is taken in kPa·s everywhere.",
@@ -114,8 +106,8 @@ def _stress_falls() -> PaperFinding:
         f"{rounded_list(at_last)} kPa once relaxed: the last step, larger by a third, meets "
         f"{percent(at_once[-1] / at_once[-2] - 1)} and {percent(at_last[-1] / at_last[-2] - 1)} of stress. Slip, "
         "damage or other pieces of gut would look like this; the text does not say which.",
-        "The parameters are used as printed. On a campaign of one's own, the identification gives each strain its own "
-        "elements and says whether the relaxation fits them.",
+        "The parameters are used as printed. On a campaign of one's own, the identification gives each strain its "
+        "own elements and says whether the relaxation fits them.",
     )
 
 
@@ -131,7 +123,7 @@ def _shear_as_hoop() -> PaperFinding:
             FindingNumber(f"f_e at {SPEED_MM_S:g} mm/s as published", f_e, "mN"),
             FindingNumber(f"f_e at {SPEED_MM_S:g} mm/s with E = 3 G", 3 * f_e, "mN"),
         ),
-        f"For such a material a stretching modulus is three times the shear modulus (at small strains): f_e at "
+        "For such a material a stretching modulus is three times the shear modulus (at small strains): f_e at "
         f"{SPEED_MM_S:g} mm/s would be {rounded(3 * f_e)} mN instead of {rounded(f_e)} mN.",
         "The moduli are used as published; what a specimen's own stiffness is, its drags say (stiffness_scale).",
     )
@@ -163,10 +155,10 @@ def _strain_range() -> PaperFinding:
             FindingNumber("η1 at no strain by Eq. 14", at_rest[0], "kPa·s"),
             FindingNumber("η1 at no strain by the quadratic", at_rest[1], "kPa·s"),
         ),
-        f"For α = 60° the strain on the contact goes from 0 to {100 * contact.strain_at_equator:.0f} % and uses two of "
-        f"the four strains; 200 % would need α = {rounded(angle)}°. The first {rounded(x_first)} mm, below the "
-        "smallest "
-        f"strain tested, are extrapolated, and make {rounded(100 * share, 2)} % of f_e at {SPEED_MM_S:g} mm/s.",
+        f"For α = 60° the strain on the contact goes from 0 to {100 * contact.strain_at_equator:.0f} % and uses two "
+        f"of the four strains; 200 % would need α = {rounded(angle)}°. The first {rounded(x_first)} mm, below the "
+        f"smallest strain tested, are extrapolated, and make {rounded(100 * share, 2)} % of f_e at {SPEED_MM_S:g} "
+        "mm/s.",
         "The polynomials are extrapolated as printed; a contact that leads them to a modulus of zero is refused.",
     )
 
@@ -175,12 +167,6 @@ RAMP_MM_S = 20.0
 """Speed of the ramp in the shipped plan; the paper prints none."""
 MIN_STRESS_SHARE = 0.9
 """Share of the fast branch's stress that a good step keeps."""
-
-
-def relaxation_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _ramp_as_step()
-    yield _fixture_gap()
 
 
 def _ramp_as_step() -> PaperFinding:
@@ -211,8 +197,8 @@ def _ramp_as_step() -> PaperFinding:
         f"The fast branch relaxes within {rounded(1e3 * time.min(), 2)} to {rounded(1e3 * time.max(), 2)} ms. A ramp "
         f"of {RAMP_MM_S:g} mm/s would leave {rounded(100 * left[0], 2)} % of its stress at a strain of 50 % and "
         f"{rounded(100 * left[-1], 2)} % at 200 %; to keep {100 * MIN_STRESS_SHARE:.0f} % takes "
-        f"{rounded(needed.min(), 2)} to {rounded(needed.max(), 2)} mm/s. What a step fitted to "
-        "a ramp calls E1 depends on the ramp.",
+        f"{rounded(needed.min(), 2)} to {rounded(needed.max(), 2)} mm/s. What a step fitted to a ramp calls E1 "
+        "depends on the ramp.",
         "The identification integrates each branch through the ramp that the encoder saw, not through a step.",
     )
 
@@ -227,8 +213,7 @@ def _fixture_gap() -> PaperFinding:
         "The dummy of the relaxation test is thinner than the fixture is wide",
         "Sections 3.2 and 3.3",
         "The gut is sucked open in the vacuum fixture, to 13 mm in the Coulomb test; a dummy of 12.9 mm with "
-        "asperities "
-        "then holds on to the wall without slip.",
+        "asperities then holds on to the wall without slip.",
         (
             FindingNumber("diameter of the opened gut", COULOMB_DIAMETER_MM, "mm"),
             FindingNumber("diameter of the relaxation dummy", PAPER_CAPSULE.diameter_mm, "mm"),
@@ -236,20 +221,11 @@ def _fixture_gap() -> PaperFinding:
             FindingNumber("hoop strain of the opened gut", 100 * stretch, "%"),
         ),
         f"If the opening is the same in both tests, there is a gap of {rounded(1e3 * gap, 2)} µm all round that the "
-        f"asperities have to bridge; their height is not given. By Eq. 5 the wall is stretched by {100 * stretch:.0f} "
-        "% "
-        "before it is sheared, while on the capsule that strain is reached only at the equator.",
+        "asperities have to bridge; their height is not given. By Eq. 5 the wall is stretched by "
+        f"{100 * stretch:.0f} % before it is sheared, while on the capsule that strain is reached only at the "
+        "equator.",
         "The simulated dummy sticks, and its area is the cylinder π · 12.9 mm · 15.2 mm, as model and run files say.",
     )
-
-
-def contact_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _thick_wall()
-    yield _constant_thickness()
-    yield _two_capsules()
-    yield _side_area()
-    yield _side_length()
 
 
 def _paper_contact() -> HemisphereContact:
@@ -273,7 +249,7 @@ def _thick_wall() -> PaperFinding:
             FindingNumber("thickness over radius, undisturbed", undisturbed),
             FindingNumber("thickness over radius, at the equator", equator),
         ),
-        f"That holds for a wall much thinner than its radius, usually up to a tenth of it. Here the wall measures "
+        "That holds for a wall much thinner than its radius, usually up to a tenth of it. Here the wall measures "
         f"{rounded(undisturbed, 2)} of the inner radius where the contact begins and {rounded(equator, 2)} at the "
         "equator.",
         "P is computed as printed.",
@@ -294,19 +270,19 @@ def _constant_thickness() -> PaperFinding:
             FindingNumber("thickness at the equator at constant cross-section", thinned, "mm"),
             FindingNumber("difference in P(L)", 100 * (thinned / WALL_THICKNESS_MM - 1), "%", 2),
         ),
-        f"A gut that keeps its cross-section while it is stretched over the capsule is {rounded(thinned)} mm thick at "
-        f"the equator, which changes the pressure there by {percent(thinned / WALL_THICKNESS_MM - 1)}.",
+        f"A gut that keeps its cross-section while it is stretched over the capsule is {rounded(thinned)} mm thick "
+        f"at the equator, which changes the pressure there by {percent(thinned / WALL_THICKNESS_MM - 1)}.",
         "λ is the specimen's wall_thickness_mm, the same everywhere, as printed.",
     )
 
 
 def _two_capsules() -> PaperFinding:
     wide = PAPER_CAPSULE.model_copy(update={"diameter_mm": COULOMB_DIAMETER_MM})
-    usual, other = (
-        float(steady_forces([SPEED_MM_S], PAPER_MODEL, one, WALL_THICKNESS_MM).total[0])
-        for one in (PAPER_CAPSULE, wide)
+    capsules = (PAPER_CAPSULE, wide)
+    narrow_mN, wide_mN = (
+        float(steady_forces([SPEED_MM_S], PAPER_MODEL, capsule, WALL_THICKNESS_MM).total[0]) for capsule in capsules
     )
-    inner = [2 * _inner_radius() * one.diameter_mm / PAPER_CAPSULE.diameter_mm for one in (PAPER_CAPSULE, wide)]
+    inner = [2 * _inner_radius() * capsule.diameter_mm / PAPER_CAPSULE.diameter_mm for capsule in capsules]
     return PaperFinding(
         "two-capsules",
         "Two capsules, and a gut whose diameter follows them",
@@ -314,15 +290,14 @@ def _two_capsules() -> PaperFinding:
         "The dummy of the relaxation test measures 12.9 mm, that of the Coulomb test 13 mm; the gut's undisturbed "
         "diameter is 2 R cos α.",
         (
-            FindingNumber("total at 20 mm/s with 12.9 mm", usual, "mN", 4),
-            FindingNumber("total at 20 mm/s with 13 mm", other, "mN", 4),
+            FindingNumber("total at 20 mm/s with 12.9 mm", narrow_mN, "mN", 4),
+            FindingNumber("total at 20 mm/s with 13 mm", wide_mN, "mN", 4),
             FindingNumber("undisturbed diameter for 12.9 mm", inner[0], "mm"),
             FindingNumber("undisturbed diameter for 13 mm", inner[1], "mm"),
         ),
-        f"The size alone matters little ({percent(other / usual - 1)} at 20 mm/s). But with a fixed α the gut is "
+        f"The size alone matters little ({percent(wide_mN / narrow_mN - 1)} at 20 mm/s). But with a fixed α the gut is "
         f"{inner[0]:.2f} mm wide for one capsule and {inner[1]:.2f} mm for the other: half of the capsule by "
-        "definition, "
-        "not a property of the gut.",
+        "definition, not a property of the gut.",
         "Each kind of run has its own capsule (drag and rough 12.9 mm, smooth 13 mm); α belongs to the capsule's file.",
     )
 
@@ -337,8 +312,8 @@ def _side_area() -> PaperFinding:
         "side-area",
         "The side's pressure acts on the hemisphere's area",
         "Eqs. 8, 12 and 13",
-        "The normal force at the capsule's side is P S with the hemisphere's contact surface S; the side pressure acts "
-        "on 20 mm behind the equator.",
+        "The normal force at the capsule's side is P S with the hemisphere's contact surface S; the side pressure "
+        "acts on 20 mm behind the equator.",
         (
             FindingNumber("S, the hemisphere's contact", contact.area_mm2, "mm²", 4),
             FindingNumber("the strip of 20 mm beside the capsule", strip, "mm²", 4),
@@ -362,8 +337,8 @@ def _side_length() -> PaperFinding:
         "side-length",
         "The contact beside the capsule is a length where a time is meant",
         "Section 3.3",
-        "For 20 mm behind the equator the radial pressure is taken as at the equator; beyond, it is left out because "
-        "the gut needs time to tighten again.",
+        "For 20 mm behind the equator the radial pressure is taken as at the equator; beyond, it is left out "
+        "because the gut needs time to tighten again.",
         (
             FindingNumber("length of the dummy", PAPER_CAPSULE.length_mm, "mm"),
             FindingNumber("contact from its beginning to its end", length + side, "mm"),
@@ -376,19 +351,12 @@ def _side_length() -> PaperFinding:
         f"{HIGHEST_MM_S:g} mm/s, so that a fixed length is no time. By Eq. 3 it also goes on relaxing there: at "
         f"{SPEED_MM_S:g} mm/s P S falls from {rounded(begin)} to {rounded(end)} mN. And the dummy of the text is "
         f"{PAPER_CAPSULE.length_mm:g} mm long, shorter than the {rounded(length + side)} mm of contact.",
-        "The pressure beside the capsule stays as at the equator and ends after side_contact_mm, as printed; it is in "
-        "the picture of the skew resistance and in no force.",
+        "The pressure beside the capsule stays as at the equator and ends after side_contact_mm, as printed; it is "
+        "in the picture of the skew resistance and in no force.",
     )
 
 
 CONTACT_POINTS = 20_001
-
-
-def pressure_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _strain_history()
-    yield _pointwise()
-    yield _pressure_maximum()
 
 
 def _strain_along_contact() -> tuple[FloatArray, FloatArray]:
@@ -435,13 +403,13 @@ def _strain_history() -> PaperFinding:
         "strain-history",
         "A growing strain is treated as a step",
         "Eqs. 3 and 4",
-        "Eq. 3 holds for a strain applied at once; Eq. 4 puts t = x / v into it for wall whose strain grows from 0 to "
-        "ε(x) on its way.",
+        "Eq. 3 holds for a strain applied at once; Eq. 4 puts t = x / v into it for wall whose strain grows from 0 "
+        "to ε(x) on its way.",
         tuple(numbers),
-        "Eq. 4 lets all of the strain relax since the first touch, though part of it came later. Integrating the same "
-        f"elements along the path raises the stress at the equator by {by_speed}.",
-        "The simulator follows Eq. 4, with the contact age in place of x / v; relaxation runs are integrated through "
-        "their ramp.",
+        "Eq. 4 lets all of the strain relax since the first touch, though part of it came later. Integrating the "
+        f"same elements along the path raises the stress at the equator by {by_speed}.",
+        "The simulator follows Eq. 4, with the contact age in place of x / v; relaxation runs are integrated "
+        "through their ramp.",
     )
 
 
@@ -464,7 +432,7 @@ def _pointwise() -> PaperFinding:
             FindingNumber("integral of P sin θ over the surface", f_e, "mN"),
         ),
         f"At {SPEED_MM_S:g} mm/s it is {rounded(point[top])} mN at x = {rounded(x[top], 2)} mm and 0 at the equator. "
-        f"Since S = 2 π R L, its mean over x is exactly the integral of the pressure's axial part over the contact, "
+        "Since S = 2 π R L, its mean over x is exactly the integral of the pressure's axial part over the contact, "
         f"{rounded(f_e)} mN.",
         "f_e is the integral; the pointwise curve P(x) S is drawn in Fig. 7.",
     )
@@ -500,11 +468,10 @@ def _pressure_maximum() -> PaperFinding:
             *(FindingNumber(f"x of the maximum: {case}", value, "mm") for case, value in where.items()),
         ),
         f"It lies at {rounded(at.min(), 2)} to {rounded(at.max(), 2)} mm of {rounded(length)} mm. No strain rate "
-        "enters "
-        "Eqs. 4 and 7; two other things bring the maximum forward. The moduli fall with strain: this alone moves it to "
-        f"{rounded(relaxed)} mm in relaxed wall (in fresh wall it stays at {rounded(fresh)} mm). And wall further back "
-        f"has been relaxing for longer: with constant moduli this alone moves it to {rounded(aged)} mm at "
-        f"{SPEED_MM_S:g} mm/s.",
+        "enters Eqs. 4 and 7; two other things bring the maximum forward. The moduli fall with strain: this alone "
+        f"moves it to {rounded(relaxed)} mm in relaxed wall (in fresh wall it stays at {rounded(fresh)} mm). And "
+        "wall further back has been relaxing for longer: with constant moduli this alone moves it to "
+        f"{rounded(aged)} mm at {SPEED_MM_S:g} mm/s.",
         "The curve and its maximum are computed for any speed, and drawn.",
     )
 
@@ -521,12 +488,6 @@ def _position_of_maximum(wall: Callable[[FloatArray], WallParameters], speed_mm_
 
 DENSITY_G_MM3 = 1.0e-3
 """Of soft tissue, close to water's."""
-
-
-def high_speed_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _inertia()
-    yield _model_speeds()
 
 
 def inertial_pressure(x_mm: FloatArray, speed_mm_s: float) -> FloatArray:
@@ -561,8 +522,8 @@ def _inertia() -> PaperFinding:
             FindingNumber(f"stretch of x in which inertia is larger, {HIGHEST_MM_S:g} mm/s", 1e3 * lifted, "µm", 2),
         ),
         f"Where 2.5 mm of tissue (1 g/cm³) follow the hemisphere at {HIGHEST_MM_S:g} mm/s, inertia takes at most "
-        f"{rounded(most, 2)} Pa off a contact pressure of up to {rounded(contact)} Pa, and more than there is only in "
-        f"the first {rounded(1e3 * lifted, 2)} µm. A wall that is slow because of its viscosity is another matter.",
+        f"{rounded(most, 2)} Pa off a contact pressure of up to {rounded(contact)} Pa, and more than there is only "
+        f"in the first {rounded(1e3 * lifted, 2)} µm. A wall that is slow because of its viscosity is another matter.",
         "The model has no inertia of the wall.",
     )
 
@@ -581,9 +542,28 @@ def _model_speeds() -> PaperFinding:
             FindingNumber("L E2/η2 at the equator", slow, "mm/s", 2),
             FindingNumber("L E1/η1 at the equator", fast, "mm/s", 2),
         ),
-        f"The wall's branches stop relaxing under the hemisphere around {rounded(slow, 2)} and {rounded(fast, 2)} mm/s "
-        "(contact length over time constant). Between them the model changes smoothly; a boundary near 20 mm/s would "
-        "be "
-        "something that it does not hold.",
+        f"The wall's branches stop relaxing under the hemisphere around {rounded(slow, 2)} and {rounded(fast, 2)} "
+        "mm/s (contact length over time constant). Between them the model changes smoothly; a boundary near 20 mm/s "
+        "would be something that it does not hold.",
         "A boundary is estimated from the runs with the speeds that they do not exclude, and only if they show one.",
     )
+
+
+WALL_FINDINGS: Final = (
+    _eq14_against_table1,
+    _damper_unit,
+    _stress_falls,
+    _shear_as_hoop,
+    _strain_range,
+    _ramp_as_step,
+    _fixture_gap,
+    _thick_wall,
+    _constant_thickness,
+    _two_capsules,
+    _side_area,
+    _side_length,
+    _strain_history,
+    _pointwise,
+    _pressure_maximum,
+)
+HIGH_SPEED_FINDINGS: Final = (_inertia, _model_speeds)

@@ -253,7 +253,7 @@ def _write_paper_files(
 
 
 def _paper_data(made: Made, setup: Setup, identified: IdentifiedCampaign) -> "PaperReportData":
-    from dragrig.analysis.paper.reproduction import all_findings, element_rows
+    from dragrig.analysis.paper.findings import all_findings, element_rows
     from dragrig.config.settings import find_settings
     from dragrig.config.specimen import Capsule
     from dragrig.present.paper import PaperReportData

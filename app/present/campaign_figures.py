@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dragrig.analysis.comparison.comparison import (
+    AlignedRuns,
     Comparison,
     DifferenceVerdict,
     GroupDifference,
     MeasureDifference,
     RunPair,
 )
-from dragrig.analysis.comparison.overlay import AlignedRuns
 from dragrig.analysis.estimates import NORMAL_95, Estimate
 from dragrig.analysis.measures import measure
 from dragrig.present.drawing import (

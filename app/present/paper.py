@@ -21,11 +21,10 @@ from dragrig.analysis.identification.identify import identified_settings
 from dragrig.analysis.identification.steady_drag import DragSetup, steady_force_parts
 from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARIATIONS, CapsuleModel
 from dragrig.analysis.models.nominal_model import Variation
-from dragrig.analysis.paper import friction_findings as coulomb_test
+from dragrig.analysis.paper import findings as coulomb_test
 from dragrig.analysis.paper import published
-from dragrig.analysis.paper.friction_findings import determination_examples
+from dragrig.analysis.paper.findings import ElementRow, determination_examples
 from dragrig.analysis.paper.published import PaperFinding
-from dragrig.analysis.paper.reproduction import ElementRow
 from dragrig.analysis.paper.wall_findings import ELEMENT_SYMBOLS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings

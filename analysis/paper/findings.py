@@ -1,11 +1,15 @@
-"""Findings on viscous and Coulomb friction, on the Coulomb test, and on R² as Eq. 15 defines it."""
+"""All findings in the paper's order, those on friction and R² among them; Table 1 beside identified elements."""
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from math import sqrt
 
 import numpy as np
 
+from dragrig.analysis.estimates import EstimatedQuantity
+from dragrig.analysis.identification.identification import RelaxationResult
+from dragrig.analysis.identification.relaxation_elements import ELEMENT_NAMES, ELEMENT_UNITS
 from dragrig.analysis.paper import published as printed
 from dragrig.analysis.paper.published import (
     BOUNDARY_MM_S,
@@ -23,23 +27,15 @@ from dragrig.analysis.paper.published import (
     percent,
     rounded,
 )
+from dragrig.analysis.paper.wall_findings import HIGH_SPEED_FINDINGS, WALL_FINDINGS
+from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction import SteadyForces, steady_forces
+from dragrig.sim_backend.friction import ParameterSetDifference, SteadyForces, parameter_set_differences, steady_forces
 from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
-from dragrig.sim_backend.friction.wall import HemisphereContact
+from dragrig.sim_backend.friction.wall import HemisphereContact, model_wall
 
 ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)
 SPEED_MM_S = 20.0
-
-
-def friction_sum_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _dimension()
-    yield _lubrication()
-    yield _weight()
-    yield _coulomb_and_speed()
-    yield _major_share()
-    yield _logarithm()
 
 
 def _steady_forces(*speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous) -> SteadyForces:
@@ -48,13 +44,13 @@ def _steady_forces(*speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous) -> S
 
 
 def _dimension() -> PaperFinding:
-    published, newtonian = (_steady_forces(*ENDS_MM_S, viscous=one) for one in ("published", "newtonian"))
+    published, newtonian = (_steady_forces(*ENDS_MM_S, viscous=reading) for reading in ("published", "newtonian"))
     numbers = [
         FindingNumber(f"f_v read as {name}, {speed:g} mm/s", float(value), "mN")
         for name, forces in (("δ v", published), ("δ (v/d) S", newtonian))
         for speed, value in zip(ENDS_MM_S, forces.f_v, strict=True)
     ]
-    share = [float(one.f_v[-1] / one.total[-1]) for one in (published, newtonian)]
+    share = [float(forces.f_v[-1] / forces.total[-1]) for forces in (published, newtonian)]
     return PaperFinding(
         "viscous-dimension",
         "Eq. 10 is no force if δ is a viscosity",
@@ -66,8 +62,8 @@ def _dimension() -> PaperFinding:
             FindingNumber(f"share of the total at {HIGHEST_MM_S:g} mm/s, δ (v/d) S", 100 * share[1], "%", 2),
         ),
         f"Read with v in mm/s and δ in mN·s/mm it gives {rounded(published.f_v[0], 2)} to "
-        f"{rounded(published.f_v[1], 2)} mN, the small share that the text speaks of. With δ in Pa·s the shear stress "
-        f"δ v / d on S gives {rounded(newtonian.f_v[0], 2)} to {rounded(newtonian.f_v[1], 2)} mN, "
+        f"{rounded(published.f_v[1], 2)} mN, the small share that the text speaks of. With δ in Pa·s the shear "
+        f"stress δ v / d on S gives {rounded(newtonian.f_v[0], 2)} to {rounded(newtonian.f_v[1], 2)} mN, "
         f"{rounded(100 * share[1], 2)} % of the total at {HIGHEST_MM_S:g} mm/s.",
         "viscous = published is the default, newtonian the dimensionally consistent reading.",
     )
@@ -81,15 +77,15 @@ def _lubrication() -> PaperFinding:
         "lubrication",
         "Full lubrication and dry friction at once",
         "Sections 2.2 and 2.3",
-        "The capsule is said to be nearly completely lubricated, by a film of 30 µm; Coulomb friction of the villi is "
-        "added in full.",
+        "The capsule is said to be nearly completely lubricated, by a film of 30 µm; Coulomb friction of the villi "
+        "is added in full.",
         (
             FindingNumber(f"friction coefficient of the film alone, {SPEED_MM_S:g} mm/s", film, "", 2),
             FindingNumber("friction coefficient used", PAPER_MODEL.friction_coefficient, "", 2),
         ),
         f"The film alone would make a coefficient of {rounded(film, 2)} at {SPEED_MM_S:g} mm/s; the model adds "
         f"{rounded(PAPER_MODEL.friction_coefficient / film, 2)} times as much for the contact that a film excludes.",
-        "Both are added, as printed; the joint fit gives each its own scale and says whether the runs tell them apart.",
+        "Both are added, as printed; the joint fit gives each its own scale and says whether the runs separate them.",
     )
 
 
@@ -137,7 +133,7 @@ def _major_share() -> PaperFinding:
     from scipy.optimize import brentq
 
     forces = _steady_forces(*ENDS_MM_S)
-    shares = [float(one) for one in forces.f_e / forces.total]
+    shares = (forces.f_e / forces.total).tolist()
 
     def ahead(speed: float) -> float:
         there = _steady_forces(speed)
@@ -154,8 +150,8 @@ def _major_share() -> PaperFinding:
             FindingNumber(f"share of f_e at {HIGHEST_MM_S:g} mm/s", 100 * shares[1], "%", 2),
             FindingNumber("speed at which f_e = f_c", equal, "mm/s", 2),
         ),
-        f"Its share is {rounded(100 * shares[0], 2)} % at {LOWEST_MM_S:g} mm/s and {rounded(100 * shares[1], 2)} % at "
-        f"{HIGHEST_MM_S:g} mm/s; below {rounded(equal, 2)} mm/s Coulomb friction is larger.",
+        f"Its share is {rounded(100 * shares[0], 2)} % at {LOWEST_MM_S:g} mm/s and {rounded(100 * shares[1], 2)} % "
+        f"at {HIGHEST_MM_S:g} mm/s; below {rounded(equal, 2)} mm/s Coulomb friction is larger.",
         "The parts are given for every speed.",
     )
 
@@ -183,19 +179,12 @@ def _logarithm() -> PaperFinding:
             FindingNumber(f"the model's own slope at {LOWEST_MM_S:g} mm/s", slopes[0], "mN", 2),
             FindingNumber(f"the model's own slope at {HIGHEST_MM_S:g} mm/s", slopes[1], "mN", 2),
         ),
-        f"The best law {rounded(intercept)} + {rounded(slope)} ln(v / 1 mm/s) mN misses the model's own curve, without "
-        f"any noise, by up to {rounded(worst, 2)} mN, more than the sensor's {SENSOR_ACCURACY_MN:g} mN. The model's "
-        f"slope against ln v grows from {rounded(slopes[0], 2)} to {rounded(slopes[1], 2)} mN; that of a logarithm "
-        "would be constant.",
+        f"The best law {rounded(intercept)} + {rounded(slope)} ln(v / 1 mm/s) mN misses the model's own curve, "
+        f"without any noise, by up to {rounded(worst, 2)} mN, more than the sensor's {SENSOR_ACCURACY_MN:g} mN. The "
+        f"model's slope against ln v grows from {rounded(slopes[0], 2)} to {rounded(slopes[1], 2)} mN; that of a "
+        "logarithm would be constant.",
         "The law is fitted with the chance of its lack of fit beside it, and never taken for the model.",
     )
-
-
-def coulomb_test_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _coefficient_finding()
-    yield _not_returned()
-    yield _accuracy()
 
 
 def coulomb_weight_mN() -> float:
@@ -257,8 +246,7 @@ def _not_returned() -> PaperFinding:
         ),
         f"For the same run the model with μ = 0.082 says {rounded(force, 4)} mN, "
         f"{rounded(100 * force / printed.COULOMB_FORCE_MN - 100, 2)} % more than was measured: rounding and the "
-        "viscous friction "
-        "that is counted twice.",
+        "viscous friction that is counted twice.",
         "The simulated run shows that force; what was put in comes back as μ without the viscous share.",
     )
 
@@ -278,7 +266,7 @@ def _accuracy() -> PaperFinding:
     enough = float(brentq(lacking, 1e-3, 1e3))
     return PaperFinding(
         "accuracy",
-        "The sensor's accuracy is as large as what is told apart",
+        "The sensor's accuracy is as large as the differences that are interpreted",
         "Sections 3.1 and 3.3, Figs. 8, 9 and 11",
         "The force sensor is accurate to 5 mN; forces are given to 0.01 mN, and the parts of the model are compared.",
         (
@@ -291,13 +279,12 @@ def _accuracy() -> PaperFinding:
                 for low, high, step in zip(printed.SPEEDS_MM_S, printed.SPEEDS_MM_S[1:], steps, strict=False)
             ),
         ),
-        f"5 mN are {rounded(100 * accuracy / printed.COULOMB_FORCE_MN, 2)} % of 40.07 mN, or ±"
-        f"{rounded(accuracy / coulomb_weight_mN(), 2)} in μ. f_v stays below them up to {rounded(enough, 2)} mm/s, and "
-        f"the model's whole rise over the slowest speeds ({slowest} mm/s) is smaller. "
-        "A mean over many samples is more precise than that, but a zero that is off by 5 mN is not averaged "
-        "out.",
-        "Each run has a zero of its own in the joint fit, means carry errors that know of correlated noise, and a tare "
-        "can be planned before each run.",
+        f"5 mN are {rounded(100 * accuracy / printed.COULOMB_FORCE_MN, 2)} % of 40.07 mN, or "
+        f"±{rounded(accuracy / coulomb_weight_mN(), 2)} in μ. f_v stays below them up to {rounded(enough, 2)} mm/s, "
+        f"and the model's whole rise over the slowest speeds ({slowest} mm/s) is smaller. A mean over many samples "
+        "is more precise than that, but a zero that is off by 5 mN is not averaged out.",
+        "Each run has a zero of its own in the joint fit, means carry errors that know of correlated noise, and a "
+        "tare can be planned before each run.",
     )
 
 
@@ -309,12 +296,6 @@ class DeterminationExample:
     measured_mN: tuple[float, ...]
     eq15: float
     correlation: float
-
-
-def r2_findings() -> Iterator[PaperFinding]:
-    """Yield the findings."""
-    yield _no_correlation()
-    yield _offset_finding()
 
 
 def r2_by_eq15(model: FloatArray, measured: FloatArray) -> float:
@@ -350,8 +331,10 @@ def determination_examples() -> tuple[DeterminationExample, ...]:
         f"shifted so far that Eq. 15 gives {R2_ABOVE:g}": model + offset_for_r2(R2_ABOVE, model),
     }
     return tuple(
-        DeterminationExample(name, tuple(map(float, one)), r2_by_eq15(model, one), r2_by_correlation(model, one))
-        for name, one in made_up.items()
+        DeterminationExample(
+            name, tuple(map(float, forces)), r2_by_eq15(model, forces), r2_by_correlation(model, forces)
+        )
+        for name, forces in made_up.items()
     )
 
 
@@ -365,20 +348,20 @@ def _no_correlation() -> PaperFinding:
     flat, mirrored = made_up[0], made_up[1]
     numbers = [
         number
-        for one in made_up
+        for example in made_up
         for number in (
-            FindingNumber(f"Eq. 15, {one.name}", one.eq15, "", 4),
-            FindingNumber(f"squared correlation, {one.name}", one.correlation, "", 4),
+            FindingNumber(f"Eq. 15, {example.name}", example.eq15, "", 4),
+            FindingNumber(f"squared correlation, {example.name}", example.correlation, "", 4),
         )
     ]
     return PaperFinding(
         "eq15",
         "Eq. 15 is not the square of the correlation",
         "Section 4, Eq. 15",
-        "R² is called the square of the correlation; its formula divides the model's sum of squares about the model's "
-        "mean by the measurement's about the same mean.",
+        "R² is called the square of the correlation; its formula divides the model's sum of squares about the "
+        "model's mean by the measurement's about the same mean.",
         tuple(numbers),
-        f"The ratio can exceed 1 and does not see the sign: a measurement half as steep as the model gets "
+        "The ratio can exceed 1 and does not see the sign: a measurement half as steep as the model gets "
         f"{rounded(flat.eq15)}, one that falls where the model rises {rounded(mirrored.eq15)}; both have a squared "
         f"correlation of {rounded(flat.correlation)}.",
         "Both forms are reported, under names of their own.",
@@ -393,8 +376,8 @@ def _offset_finding() -> PaperFinding:
         "offset",
         "A constant offset and a narrow band lower Eq. 15 by themselves",
         "Section 4, Eq. 15, Fig. 11",
-        f"R² is {R2_BELOW:g} below {BOUNDARY_MM_S:g} mm/s and {R2_ABOVE:g} above, from which the model is said to fail "
-        "above.",
+        f"R² is {R2_BELOW:g} below {BOUNDARY_MM_S:g} mm/s and {R2_ABOVE:g} above, from which the model is said to "
+        "fail above.",
         (
             FindingNumber(f"spread of the model's forces up to {BOUNDARY_MM_S:g} mm/s", float(below.std()), "mN"),
             FindingNumber(f"spread of the model's forces above {BOUNDARY_MM_S:g} mm/s", float(above.std()), "mN"),
@@ -407,7 +390,97 @@ def _offset_finding() -> PaperFinding:
         f"{R2_BELOW:g} below; the same offset makes {rounded(same, 2)} above, where the model's forces spread less "
         f"({rounded(above.std())} against {rounded(below.std())} mN). {R2_ABOVE:g} needs {rounded(high, 2)} mN, "
         f"{rounded(100 * high / float(above.mean()), 2)} % of the model's mean there. How much of the paper's "
-        "difference is of this kind cannot be told "
-        "without its data.",
+        "difference is of this kind is unknown without its data.",
         "R² stands beside the differences themselves, with their errors, and the boundary is estimated from these.",
     )
+
+
+SAME_STRAIN_TOLERANCE = 0.02
+"""Largest difference of strains that count as equal."""
+
+
+@dataclass(frozen=True, slots=True)
+class ElementRow:
+    """One element at one of Table 1's strains.
+
+    Attributes
+    ----------
+    published
+        Table 1's entry, the values of Eq. 14 and of the quadratic, and their differences from the entry.
+    identified
+        From a relaxation; None where there is none at that strain, or it supports none.
+    simulated
+        The element that the run was simulated with, its own variation included.
+    """
+
+    published: ParameterSetDifference
+    identified: EstimatedQuantity | None
+    simulated: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of the element."""
+        return ELEMENT_UNITS[self.published.parameter]
+
+    @property
+    def difference(self) -> float | None:
+        """Relative difference of the identified from the simulated value."""
+        return None if self.identified is None else self.identified.value / self.simulated - 1
+
+    @property
+    def difference_from_table1(self) -> float | None:
+        """Relative difference of the identified value from Table 1's entry."""
+        return None if self.identified is None else self.identified.value / self.published.table1 - 1
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the interval holds the simulated value."""
+        if self.identified is None:
+            return None
+        low, high = self.identified.interval
+        return low <= self.simulated <= high
+
+
+def element_rows(
+    relaxation: RelaxationResult | None, model: FrictionModelSettings, of_run: Mapping[str, FrictionModelSettings]
+) -> tuple[ElementRow, ...]:
+    """Compare an identification of simulated relaxations with the published elements.
+
+    Parameters
+    ----------
+    model
+        The simulated model, before a run's own variation.
+    of_run
+        The model of each run, by its file's name.
+    """
+    fits = () if relaxation is None else [fit for fit in relaxation.fits if fit.elements]
+    rows = []
+    for published in parameter_set_differences():
+        near = (fit for fit in fits if abs(fit.shear_strain - published.strain) <= SAME_STRAIN_TOLERANCE)
+        fit = next(near, None)
+        elements = {} if fit is None else {element.name: element for element in fit.elements}
+        wall = model_wall(model if fit is None else of_run.get(fit.file, model), published.strain)
+        simulated = float(getattr(wall, published.parameter))
+        rows.append(ElementRow(published, elements.get(published.parameter), simulated))
+    return tuple(sorted(rows, key=lambda row: (ELEMENT_NAMES.index(row.published.parameter), row.published.strain)))
+
+
+FRICTION_FINDINGS = (
+    _dimension,
+    _lubrication,
+    _weight,
+    _coulomb_and_speed,
+    _major_share,
+    _logarithm,
+    _coefficient_finding,
+    _not_returned,
+    _accuracy,
+    _no_correlation,
+    _offset_finding,
+)
+
+
+@cache
+def all_findings() -> tuple[PaperFinding, ...]:
+    """Compute all findings, by the model as printed."""
+    return tuple(finding() for finding in (*WALL_FINDINGS, *FRICTION_FINDINGS, *HIGH_SPEED_FINDINGS))
