@@ -7,7 +7,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from dragrig.analysis.campaign_table import UNREADABLE, TableRow, mean_per_speed
-from dragrig.present.document import Cell, Column, Document, Figure, FormattedNumber, Section, Table, Text
+from dragrig.present.document import Cell, Column, Document, Field, Figure, FormattedNumber, Section, Table, Text
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import decimals, shortest, shortest_percent, value_with_error
 from dragrig.present.run import run_drawing, run_problem, run_title
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
-SPEED = Column("speed_mm_s", "mm/s", shortest(3))
-STEADY_FORCE = Column("steady_force_mN", "steady force, mN")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,63 +101,55 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
 
 def mean_table(rows: Sequence[TableRow]) -> Table:
     """Tabulate the mean steady force of repeated runs."""
-    columns = (
-        Column("specimen", "specimen"),
-        Column("kind", "kind"),
-        Column("capsule", "capsule"),
-        SPEED,
-        Column("direction", "direction"),
-        Column("runs", "runs", shortest()),
-        STEADY_FORCE,
+    return Table.of(
+        "means",
+        "Mean of repeated runs ± standard error, without bad and unfinished runs",
+        mean_per_speed(rows),
+        Field("specimen", "specimen", lambda mean: mean.specimen),
+        Field("kind", "kind", lambda mean: mean.kind),
+        Field("capsule", "capsule", lambda mean: mean.capsule),
+        Field("speed_mm_s", "mm/s", lambda mean: mean.speed_mm_s, shortest(3)),
+        Field("direction", "direction", lambda mean: "forward" if mean.direction > 0 else "backward"),
+        Field("runs", "runs", lambda mean: mean.runs, shortest()),
+        Field(
+            "steady_force_mN",
+            "steady force, mN",
+            lambda mean: _with_error(mean.steady_force_mN, mean.standard_error_mN),
+        ),
     )
-    cells = tuple(
-        (
-            mean.specimen,
-            mean.kind,
-            mean.capsule,
-            mean.speed_mm_s,
-            "forward" if mean.direction > 0 else "backward",
-            mean.runs,
-            _with_error(mean.steady_force_mN, mean.standard_error_mN),
-        )
-        for mean in mean_per_speed(rows)
-    )
-    caption = "Mean of repeated runs ± standard error, without bad and unfinished runs"
-    return Table("means", caption, columns, cells)
 
 
 def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -> Table:
     """Tabulate the measures of each run; the first cell links to the runs that have an anchor."""
-    columns = (
-        Column("file", "run"),
-        Column("kind", "kind"),
-        SPEED,
-        Column("shear_strain", "strain", shortest_percent),
-        STEADY_FORCE,
-        Column("rest_offset_mN", "at rest, mN", decimals(1)),
-        Column("peak_force_mN", "peak, mN", decimals(1)),
-        Column("status", "status"),
-        Column("checks", "checks"),
-        Column("began", "began"),
-        Column("remark", "remark"),
-    )
-    links = tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows)
-    return Table("runs", "Steady force ± standard error", columns, tuple(map(_run_row, rows)), links)
-
-
-def _run_row(row: TableRow) -> tuple[Cell, ...]:
-    return (
-        row.file,
-        row.kind,
-        row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s,
-        row.shear_strain,
-        _with_error(row.steady_force_mN, row.steady_force_error_mN),
-        row.rest_offset_mN,
-        row.peak_force_mN,
-        row.status,
-        row.checks,
-        "" if row.start_time is None else f"{row.start_time:%H:%M:%S}",
-        "; ".join(filter(None, (f"marked bad: {row.mark}" if row.bad else "", row.remark))),
+    return Table.of(
+        "runs",
+        "Steady force ± standard error",
+        rows,
+        Field("file", "run", lambda row: row.file),
+        Field("kind", "kind", lambda row: row.kind),
+        Field(
+            "speed_mm_s",
+            "mm/s",
+            lambda row: row.measured_speed_mm_s if row.speed_mm_s is None else row.speed_mm_s,
+            shortest(3),
+        ),
+        Field("shear_strain", "strain", lambda row: row.shear_strain, shortest_percent),
+        Field(
+            "steady_force_mN",
+            "steady force, mN",
+            lambda row: _with_error(row.steady_force_mN, row.steady_force_error_mN),
+        ),
+        Field("rest_offset_mN", "at rest, mN", lambda row: row.rest_offset_mN, decimals(1)),
+        Field("peak_force_mN", "peak, mN", lambda row: row.peak_force_mN, decimals(1)),
+        Field("status", "status", lambda row: row.status),
+        Field("checks", "checks", lambda row: row.checks),
+        Field("began", "began", lambda row: "" if row.start_time is None else f"{row.start_time:%H:%M:%S}"),
+        Field(
+            "remark",
+            "remark",
+            lambda row: "; ".join(filter(None, (f"marked bad: {row.mark}" if row.bad else "", row.remark))),
+        ),
+        links=tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows),
     )
 
 
@@ -168,34 +158,25 @@ def _with_error(value: float | None, error: float | None) -> FormattedNumber:
 
 
 def _session_table(data: CampaignReportData) -> Table:
-    columns = (
-        Column("begun", "begun"),
-        Column("plan", "plan"),
-        Column("rig", "rig"),
-        Column("operator", "operator"),
-        Column("runs", "runs", shortest()),
-        Column("calibration", "force calibration"),
-        Column("note", "note"),
-    )
-    ends = [*(session.begun_at for session in data.sessions[1:]), None]
-    rows = tuple(
-        (
-            f"{session.begun_at:%Y-%m-%d %H:%M:%S}",
-            session.plan.name,
-            f"{session.backend}, double" if session.double else session.backend,
-            session.operator,
-            _runs_between(data, session.begun_at, end),
-            session.calibration_id,
-            session.note,
-        )
-        for session, end in zip(data.sessions, ends, strict=True)
-    )
-    return Table("sessions", "Each start or continuation of the campaign", columns, rows)
-
-
-def _runs_between(data: CampaignReportData, begin: datetime, end: datetime | None) -> int:
     times = [info.header.start_time for info in data.campaign.runs]
-    return sum(begin <= time and (end is None or time < end) for time in times)
+    ends = [*(session.begun_at for session in data.sessions[1:]), None]
+    return Table.of(
+        "sessions",
+        "Each start or continuation of the campaign",
+        tuple(zip(data.sessions, ends, strict=True)),
+        Field("begun", "begun", lambda row: f"{row[0].begun_at:%Y-%m-%d %H:%M:%S}"),
+        Field("plan", "plan", lambda row: row[0].plan.name),
+        Field("rig", "rig", lambda row: f"{row[0].backend}, double" if row[0].double else row[0].backend),
+        Field("operator", "operator", lambda row: row[0].operator),
+        Field(
+            "runs",
+            "runs",
+            lambda row: sum(row[0].begun_at <= time and (row[1] is None or time < row[1]) for time in times),
+            shortest(),
+        ),
+        Field("calibration", "force calibration", lambda row: row[0].calibration_id),
+        Field("note", "note", lambda row: row[0].note),
+    )
 
 
 def _left_out_table(data: CampaignReportData) -> Table:

@@ -11,7 +11,7 @@ from dragrig.analysis.comparison.comparison import (
     comparison_rows,
 )
 from dragrig.analysis.estimates import NORMAL_95, Exclusion
-from dragrig.present.document import Cell, Column, Document, Facts, Figure, Items, Section, Table
+from dragrig.present.document import Cell, Column, Document, Facts, Field, Figure, Items, Section, Table
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import decimals, percent_difference, shortest
 
@@ -102,36 +102,25 @@ def comparison_json(comparison: Comparison) -> Mapping[str, object]:
 
 
 def _group_table(groups: Iterable[GroupDifference]) -> Table:
-    columns = (
-        Column("condition", "condition"),
-        Column("measure", "measure"),
-        Column("pairs", "pairs", shortest()),
-        Column("a_mN", "A, mN", ONE_DECIMAL),
-        Column("b_mN", "B, mN", ONE_DECIMAL),
-        Column("difference_mN", "B − A", SIGNED),
-        Column("half_width_mN", "± 95 %", ONE_DECIMAL),
-        Column("relative", "relative", percent_difference),
-        Column("errors", "standard errors", shortest(2)),
-        Column("verdict", ""),
-        Column("rms_mN", "rms, mN", ONE_DECIMAL),
+
+    return Table.of(
+        "conditions-table",
+        "",
+        groups,
+        Field("condition", "condition", lambda group: str(group.condition)),
+        Field("measure", "measure", lambda group: group.measure),
+        Field("pairs", "pairs", lambda group: group.pairs, shortest()),
+        Field("a_mN", "A, mN", lambda group: group.a, ONE_DECIMAL),
+        Field("b_mN", "B, mN", lambda group: group.b, ONE_DECIMAL),
+        Field("difference_mN", "B − A", lambda group: group.value, SIGNED),
+        Field("half_width_mN", "± 95 %", lambda group: NORMAL_95 * group.error, ONE_DECIMAL),
+        Field(
+            "relative", "relative", lambda group: "" if group.relative is None else group.relative, percent_difference
+        ),
+        Field("errors", "standard errors", lambda group: group.times_error, shortest(2)),
+        Field("verdict", "", lambda group: group.verdict.value),
+        Field("rms_mN", "rms, mN", lambda group: group.rms_mN, ONE_DECIMAL),
     )
-    rows = tuple(
-        (
-            str(group.condition),
-            group.measure,
-            group.pairs,
-            group.a,
-            group.b,
-            group.value,
-            NORMAL_95 * group.error,
-            "" if group.relative is None else group.relative,
-            group.times_error,
-            group.verdict.value,
-            group.rms_mN,
-        )
-        for group in groups
-    )
-    return Table("conditions-table", "", columns, rows)
 
 
 def _pair_table(pairs: Iterable[RunPair]) -> Table:

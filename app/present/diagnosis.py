@@ -39,6 +39,7 @@ from dragrig.present.document import (
     Column,
     Document,
     Facts,
+    Field,
     Figure,
     FormattedNumber,
     Items,
@@ -131,19 +132,31 @@ def next_experiment_document(recommendation: NextExperiment | None) -> Document:
     if recommendation is None:
         answer = "No run of the grid would separate the leading hypotheses any better."
         return Document(title="Next runs", answer=answer, data=next_experiment_json(None))
-    columns = (
-        Column("run", "run"),
-        Column("minutes", "min", decimals(1)),
-        Column("effect", "what it adds to the runs above"),
-    )
-    rows = tuple(
-        (run_text(run.step), run.minutes, separation_text(run.before, run.after)) for run in recommendation.runs
-    )
+
     caption = f"{recommendation.minutes:.1f} min of rig time in all"
     return Document(
         title="Next runs",
         answer=recommendation.reason,
-        sections=(Section("runs", "Recommended runs", (Table("next-runs", caption, columns, rows),)),),
+        sections=(
+            Section(
+                "runs",
+                "Recommended runs",
+                (
+                    Table.of(
+                        "next-runs",
+                        caption,
+                        recommendation.runs,
+                        Field("run", "run", lambda run: run_text(run.step)),
+                        Field("minutes", "min", lambda run: run.minutes, decimals(1)),
+                        Field(
+                            "effect",
+                            "what it adds to the runs above",
+                            lambda run: separation_text(run.before, run.after),
+                        ),
+                    ),
+                ),
+            ),
+        ),
         data=next_experiment_json(recommendation),
     )
 
@@ -191,10 +204,7 @@ def _location_section(diagnosis: Diagnosis) -> Section:
         return location_figure(diagnosis.where)
 
     basis = "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen."
-    columns = (Column("axis", "axis"), Column("where", "most of the excess"), Column("p", "p-value without a gap"))
-    rows = tuple(
-        (axis.axis, axis.where, FormattedNumber(axis.p, p_value_text(axis.p))) for axis in axis_texts(diagnosis.where)
-    )
+
     return Section(
         "where",
         "1. Where",
@@ -209,7 +219,14 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 "the residual each coordinate predicts. Below, shares of the excess, in colour where significant.",
                 draw,
             ),
-            Table("location", "", columns, rows),
+            Table.of(
+                "location",
+                "",
+                axis_texts(diagnosis.where),
+                Field("axis", "axis", lambda axis: axis.axis),
+                Field("where", "most of the excess", lambda axis: axis.where),
+                Field("p", "p-value without a gap", lambda axis: FormattedNumber(axis.p, p_value_text(axis.p))),
+            ),
         ),
     )
 
@@ -238,25 +255,28 @@ def _ranking_section(diagnosis: Diagnosis) -> Section:
 
 def ranking_table(diagnosis: Diagnosis) -> Table:
     """Tabulate the hypotheses, the most probable first."""
-    columns = (
-        Column("name", "hypothesis"),
-        Column("hypothesis", "id"),
-        Column("probability", "probability"),
-        Column("held_out_improvement", "gap explained on held-out runs", percent()),
-        Column("role", ""),
-    )
     ranked = sorted(diagnosis.ranking, key=lambda hypothesis: -hypothesis.probability)
-    rows = tuple(
-        (
-            capitalise(display_name(hypothesis.hypothesis)),
-            hypothesis.hypothesis,
-            FormattedNumber(hypothesis.probability, probability_text(hypothesis.probability)),
-            hypothesis.held_out_improvement,
-            hypothesis_role(hypothesis, diagnosis),
-        )
-        for hypothesis in ranked
+
+    return Table.of(
+        "ranking",
+        "",
+        ranked,
+        Field("name", "hypothesis", lambda hypothesis: capitalise(display_name(hypothesis.hypothesis))),
+        Field("hypothesis", "id", lambda hypothesis: hypothesis.hypothesis),
+        Field(
+            "probability",
+            "probability",
+            lambda hypothesis: FormattedNumber(hypothesis.probability, probability_text(hypothesis.probability)),
+        ),
+        Field(
+            "held_out_improvement",
+            "gap explained on held-out runs",
+            lambda hypothesis: hypothesis.held_out_improvement,
+            percent(),
+        ),
+        Field("role", "", lambda hypothesis: hypothesis_role(hypothesis, diagnosis)),
+        brief_rows=MAX_RANKED,
     )
-    return Table("ranking", "", columns, rows, brief_rows=MAX_RANKED)
 
 
 def hypothesis_role(hypothesis: RankedHypothesis, diagnosis: Diagnosis) -> str:
@@ -320,25 +340,25 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
 
 
 def _parameter_table(diagnosis: Diagnosis) -> Table:
-    columns = (
-        Column("parameter", "parameter"),
-        Column("value", "value"),
-        Column("interval_95", "95 % interval"),
-        Column("unit", "unit"),
-        Column("meaning", "meaning"),
-    )
+
     verdict = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (
-            parameter.name,
-            FormattedNumber(parameter.value, rounded_to_error(parameter.value, parameter.standard_error)),
-            interval_text(parameter),
-            unit_text(parameter.unit),
-            _parameter_meaning(parameter.name, diagnosis),
-        )
-        for parameter in (() if verdict is None else verdict.parameters)
+
+    return Table.of(
+        "parameters",
+        "Refitted with all parameters of the specimen",
+        () if verdict is None else verdict.parameters,
+        Field("parameter", "parameter", lambda parameter: parameter.name),
+        Field(
+            "value",
+            "value",
+            lambda parameter: FormattedNumber(
+                parameter.value, rounded_to_error(parameter.value, parameter.standard_error)
+            ),
+        ),
+        Field("interval_95", "95 % interval", interval_text),
+        Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
+        Field("meaning", "meaning", lambda parameter: _parameter_meaning(parameter.name, diagnosis)),
     )
-    return Table("parameters", "Refitted with all parameters of the specimen", columns, rows)
 
 
 def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
@@ -375,17 +395,18 @@ def _runs_section(diagnosis: Diagnosis) -> Section:
     uses = {"fit and held out in turn": fitted & held, "fit only": fitted - held, "held out only": held - fitted}
     columns = (Column("use", "use"), Column("runs", "runs", shortest()), Column("files", "files"))
     rows = tuple((use, len(files), ", ".join(sorted(files))) for use, files in uses.items() if files)
-    left_out = (Column("file", "left out"), Column("reason", "reason"))
+
     return Section(
         "runs",
         "4. The runs",
         (
             Section("used", "Runs used", (Table("runs", "", columns, rows),), collapsed=True),
-            Table(
+            Table.of(
                 "left-out",
                 "",
-                left_out,
-                tuple((one.what, one.reason) for one in diagnosis.left_out),
+                diagnosis.left_out,
+                Field("file", "left out", lambda one: one.what),
+                Field("reason", "reason", lambda one: one.reason),
                 brief_rows=MAX_LEFT_OUT,
             ),
         ),

@@ -9,11 +9,11 @@ document need not ask. Between backticks stands what is typed or is the name of 
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from dragrig.present.numbers import UNKNOWN, NumberFormat, significant
 
@@ -33,6 +33,7 @@ Cell: TypeAlias = str | float | int | FormattedNumber | None
 """A word, a number in the column's unit, or None for what is not known."""
 
 
+ItemT = TypeVar("ItemT")
 FOUR_DIGITS = significant(4)
 
 
@@ -42,6 +43,16 @@ class Column:
 
     name: str
     heading: str
+    number_format: NumberFormat = FOUR_DIGITS
+
+
+@dataclass(frozen=True, slots=True)
+class Field(Generic[ItemT]):
+    """A column of a table of items: what a `Column` has, and the cell that it takes from an item."""
+
+    name: str
+    heading: str
+    cell: Callable[[ItemT], Cell]
     number_format: NumberFormat = FOUR_DIGITS
 
 
@@ -77,6 +88,21 @@ class Table:
     links: tuple[str, ...] = ()
     brief_rows: int | None = None
     file: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        caption: str,
+        items: Iterable[ItemT],
+        *fields: Field[ItemT],
+        brief_rows: int | None = None,
+        links: tuple[str, ...] = (),
+    ) -> "Table":
+        """Return a table with a row for each item."""
+        columns = tuple(Column(field.name, field.heading, field.number_format) for field in fields)
+        rows = tuple(tuple(field.cell(item) for field in fields) for item in items)
+        return cls(name, caption, columns, rows, links, brief_rows)
 
     @property
     def cells(self) -> tuple[tuple[RenderedCell, ...], ...]:

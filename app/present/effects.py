@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from dragrig.present.document import Column, Document, Facts, Section, Table, Text
+from dragrig.present.document import Document, Facts, Field, Section, Table, Text
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import shortest, unit_text
 from dragrig.sim_backend.effects.base import Effect, EffectParameter, Location
@@ -56,25 +56,7 @@ def _parameter_json(parameter: EffectParameter) -> Mapping[str, object]:
 
 
 def _effect_section(effect: Effect) -> Section:
-    columns = (
-        Column("parameter", "parameter"),
-        Column("unit", "unit"),
-        Column("usual", "usual", shortest()),
-        Column("low", "from", shortest()),
-        Column("high", "to", shortest()),
-        Column("meaning", ""),
-    )
-    rows = tuple(
-        (
-            parameter.name,
-            unit_text(parameter.unit),
-            parameter.default,
-            parameter.low,
-            parameter.high,
-            f"{parameter.role}: {parameter.meaning}",
-        )
-        for parameter in effect.parameters
-    )
+
     facts = {
         "seen in": f"{effect.visible_in} ({effect.channel})",
         "similar": ", ".join(effect.confused_with),
@@ -82,5 +64,21 @@ def _effect_section(effect: Effect) -> Section:
         "source": effect.source,
     }
     return Section(
-        effect.id, effect.id, (Text(effect.summary), Table(f"{effect.id}-parameters", "", columns, rows), Facts(facts))
+        effect.id,
+        effect.id,
+        (
+            Text(effect.summary),
+            Table.of(
+                f"{effect.id}-parameters",
+                "",
+                effect.parameters,
+                Field("parameter", "parameter", lambda parameter: parameter.name),
+                Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
+                Field("usual", "usual", lambda parameter: parameter.default, shortest()),
+                Field("low", "from", lambda parameter: parameter.low, shortest()),
+                Field("high", "to", lambda parameter: parameter.high, shortest()),
+                Field("meaning", "", lambda parameter: f"{parameter.role}: {parameter.meaning}"),
+            ),
+            Facts(facts),
+        ),
     )

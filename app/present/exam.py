@@ -9,6 +9,7 @@ from dragrig.present.document import (
     Column,
     Document,
     Facts,
+    Field,
     Figure,
     FormattedNumber,
     Section,
@@ -92,17 +93,16 @@ def calibration_document(calibration: "Calibration", cross_validated: Sequence[R
 
 def rates_table(name: str, caption: str, rates: Iterable[Rate]) -> Table:
     """Tabulate how often something held, each rate that has cases with its Wilson interval."""
-    columns = (
-        Column("rate", "rate"),
-        Column("held", "held", shortest()),
-        Column("count", "of", shortest()),
-        Column("share", "share", decimals(2)),
-        Column("interval_95", "95 % interval"),
+    return Table.of(
+        name,
+        caption,
+        (rate for rate in rates if rate.count),
+        Field("rate", "rate", lambda rate: rate.name),
+        Field("held", "held", lambda rate: rate.held, shortest()),
+        Field("count", "of", lambda rate: rate.count, shortest()),
+        Field("share", "share", lambda rate: rate.share, decimals(2)),
+        Field("interval_95", "95 % interval", lambda rate: _interval(rate.low, rate.high)),
     )
-    rows = tuple(
-        (rate.name, rate.held, rate.count, rate.share, _interval(rate.low, rate.high)) for rate in rates if rate.count
-    )
-    return Table(name, caption, columns, rows)
 
 
 def _exam_sentences(score: ExamScore, cases: int, seed: int, answers_sha256: str) -> Iterator[str]:
@@ -217,12 +217,6 @@ def _calibration_section(score: ExamScore) -> Section:
 
         return exam_reliability_figure(score.calibration)
 
-    columns = (
-        Column("probability", "probability"),
-        Column("count", "verdicts", shortest()),
-        Column("share", "right", decimals(2)),
-        Column("band_95", "expected, 95 %"),
-    )
     rows = tuple(
         (_range(verdicts.low, verdicts.high), verdicts.count, verdicts.share, _interval(*verdicts.band))
         for verdicts in score.calibration.bins
@@ -240,7 +234,15 @@ def _calibration_section(score: ExamScore) -> Section:
                 "A point above its band: more verdicts are right than was stated; below it, fewer.",
                 draw,
             ),
-            Table("reliability", "Verdicts by their probability", columns, rows),
+            Table.of(
+                "reliability",
+                "Verdicts by their probability",
+                score.calibration.bins,
+                Field("probability", "probability", lambda verdicts: _range(verdicts.low, verdicts.high)),
+                Field("count", "verdicts", lambda verdicts: verdicts.count, shortest()),
+                Field("share", "right", lambda verdicts: verdicts.share, decimals(2)),
+                Field("band_95", "expected, 95 %", lambda verdicts: _interval(*verdicts.band)),
+            ),
         ),
     )
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
-from dragrig.present.document import Column, Document, Figure, Section, Table, Text
+from dragrig.present.document import Column, Document, Field, Figure, Section, Table, Text
 from dragrig.present.numbers import decimals, percent_difference, shortest, shortest_percent
 
 if TYPE_CHECKING:
@@ -80,28 +80,18 @@ def model_document(
 def _wall_table() -> Table:
     from dragrig.sim_backend.friction import parameter_set_differences
 
-    columns = (
-        Column("element", "element"),
-        Column("unit", "unit"),
-        Column("strain", "strain", shortest_percent),
-        Column("table1", "Table 1", shortest()),
-        Column("eq14", "Eq. 14", shortest(4)),
-        Column("eq14_difference", "difference", percent_difference),
-        Column("quadratic", "quadratic", shortest(4)),
-        Column("quadratic_difference", "difference", percent_difference),
-    )
     order = list(WALL_UNITS)
-    rows = tuple(
-        (
-            entry.parameter.replace("eta", "η"),
-            WALL_UNITS[entry.parameter],
-            entry.strain,
-            entry.table1,
-            entry.eq14,
-            entry.eq14_difference,
-            entry.quadratic,
-            entry.quadratic_difference,
-        )
-        for entry in sorted(parameter_set_differences(), key=lambda entry: order.index(entry.parameter))
+
+    return Table.of(
+        "wall-parameters",
+        "",
+        sorted(parameter_set_differences(), key=lambda entry: order.index(entry.parameter)),
+        Field("element", "element", lambda entry: entry.parameter.replace("eta", "η")),
+        Field("unit", "unit", lambda entry: WALL_UNITS[entry.parameter]),
+        Field("strain", "strain", lambda entry: entry.strain, shortest_percent),
+        Field("table1", "Table 1", lambda entry: entry.table1, shortest()),
+        Field("eq14", "Eq. 14", lambda entry: entry.eq14, shortest(4)),
+        Field("eq14_difference", "difference", lambda entry: entry.eq14_difference, percent_difference),
+        Field("quadratic", "quadratic", lambda entry: entry.quadratic, shortest(4)),
+        Field("quadratic_difference", "difference", lambda entry: entry.quadratic_difference, percent_difference),
     )
-    return Table("wall-parameters", "", columns, rows)

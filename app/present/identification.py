@@ -2,13 +2,12 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from math import isfinite, isnan, sqrt
+from math import isnan, sqrt
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity
 from dragrig.analysis.gap.diagnosis_text import join_names
 from dragrig.analysis.identification.identification import (
     CoulombResult,
-    CoulombRun,
     DragResult,
     Identification,
     JointFit,
@@ -26,6 +25,7 @@ from dragrig.present.document import (
     Column,
     Document,
     Facts,
+    Field,
     FormattedNumber,
     Items,
     Section,
@@ -64,7 +64,7 @@ def identification_document(identification: Identification) -> Document:
     parts = (identification.relaxation, identification.coulomb, identification.drag)
     # A nominal model such as the drive alone has none of the parts of the friction model.
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
-    columns = (Column("what", "what"), Column("reason", "reason"))
+
     left_out = tuple((exclusion.what, exclusion.reason) for exclusion in identification.left_out)
     return Document(
         title=f"Specimen {identification.specimen}: {used} of {used + len(left_out)} runs used",
@@ -72,7 +72,19 @@ def identification_document(identification: Identification) -> Document:
         sections=(
             Section("joint", "Joint fit", (Text("None."),) if joint is None else _joint_blocks(joint)),
             *sections,
-            Section("left-out", "Left out", (Table("exclusions", "", columns, left_out),)),
+            Section(
+                "left-out",
+                "Left out",
+                (
+                    Table.of(
+                        "exclusions",
+                        "",
+                        identification.left_out,
+                        Field("what", "what", lambda exclusion: exclusion.what),
+                        Field("reason", "reason", lambda exclusion: exclusion.reason),
+                    ),
+                ),
+            ),
             Section("remarks", "", (Items(identification.remarks, remarks=True),)),
         ),
         data=identification_json(identification),
@@ -104,30 +116,36 @@ def _campaign_cells(identification: Identification | None, names: Iterable[str])
 
 
 def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
-    parameters = (
-        Column("parameter", "parameter"),
-        Column("value", "value"),
-        Column("interval_95", "95 % interval"),
-        Column("unit", "unit"),
-        Column("prior_95", "before the runs"),
-        Column("learnt", "learnt", percent()),
-        Column("meaning", "meaning"),
-    )
-    combinations = (
-        Column("combination", "combination"),
-        Column("value", "value"),
-        Column("interval_95", "95 % interval"),
-        Column("half_width", "±"),
-        Column("unit", "unit"),
-    )
+    """Lay out a joint fit: no value that the runs do not determine, no interval of a fit that did not converge."""
+
+    def interval(parameter: ParameterEstimate) -> str:
+        return interval_text(parameter) if parameter.determined and fit.converged else ""
+
     return (
         Text(_joint_fit_heading(fit)),
-        Table("parameters", "", parameters, tuple(_parameter_row(parameter, fit) for parameter in fit.parameters)),
-        Table(
+        Table.of(
+            "parameters",
+            "",
+            fit.parameters,
+            Field("parameter", "parameter", lambda parameter: parameter.name),
+            Field("value", "value", lambda parameter: _value_cell(parameter if parameter.determined else None)),
+            Field("interval_95", "95 % interval", interval),
+            Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
+            Field(
+                "prior_95", "before the runs", lambda parameter: range_text(parameter.prior, parameter.standard_error)
+            ),
+            Field("learnt", "learnt", lambda parameter: parameter.learnt if fit.converged else "", percent()),
+            Field("meaning", "meaning", lambda parameter: parameter.meaning),
+        ),
+        Table.of(
             "combinations",
             "Combinations",
-            combinations,
-            tuple(_combination_row(product, fit) for product in fit.combinations),
+            fit.combinations,
+            Field("combination", "combination", lambda product: product.name),
+            Field("value", "value", lambda product: _value_cell(product if product.determined else None)),
+            Field("interval_95", "95 % interval", interval),
+            Field("half_width", "±", lambda product: _half_width_text(product) if interval(product) else ""),
+            Field("unit", "unit", lambda product: unit_text(product.unit)),
         ),
         Items((*_joint_fit_warnings(fit), *fit.remarks), remarks=True),
         _residual_table(fit.runs),
@@ -149,31 +167,6 @@ def _joint_fit_heading(fit: JointFit) -> str:
     if not any(parameter.determined for parameter in fit.parameters):
         return f"{heading}. These runs determine NONE of its parameters."
     return f"{heading}."
-
-
-def _parameter_row(parameter: ParameterEstimate, fit: JointFit) -> tuple[Cell, ...]:
-    """Return the cells of a parameter: no value that the runs do not determine, no interval that does not hold."""
-    known = parameter.determined
-    return (
-        parameter.name,
-        _value_cell(parameter if known else None),
-        interval_text(parameter) if known and fit.converged else "",
-        unit_text(parameter.unit),
-        range_text(parameter.prior, parameter.standard_error),
-        parameter.learnt if fit.converged else "",
-        parameter.meaning,
-    )
-
-
-def _combination_row(product: ParameterEstimate, fit: JointFit) -> tuple[Cell, ...]:
-    known = product.determined
-    return (
-        product.name,
-        _value_cell(product if known else None),
-        interval_text(product) if known and fit.converged else "",
-        _half_width_text(product) if known and fit.converged else "",
-        unit_text(product.unit),
-    )
 
 
 def _value_cell(quantity: EstimatedQuantity | None, *, with_error: bool = False) -> FormattedNumber:
@@ -205,38 +198,29 @@ def _joint_fit_warnings(fit: JointFit) -> Iterator[str]:
 
 
 def _residual_table(runs: Sequence[RunResidual]) -> Table:
-    factors = list(dict.fromkeys(name for run in runs for name in run.factors))
-    offsets = list(dict.fromkeys(name for run in runs for name in run.offsets))
-    columns = (
-        Column("file", "run"),
-        Column("kind", "kind"),
-        Column("channel", "channel"),
-        Column("chi2_per_degree", "χ² per degree", decimals(2)),
-        Column("alert", ""),
-        Column("rms_mN", "rms, mN", decimals(2)),
-        Column("zero_mN", "zero, mN"),
-        *(Column(name, f"{name} ×", decimals(3)) for name in factors),
-        *(Column(name, name, decimals(1)) for name in offsets),
-    )
-    rows = tuple(
-        (
-            run.file,
-            run.kind,
-            run.channel,
-            run.chi2,
-            "!" if _exceeds_noise(run) else "",
-            run.rms_mN,
-            _estimate_cell(run.zero),
-            *(_own_value(run.factors, name) for name in factors),
-            *(_own_value(run.offsets, name) for name in offsets),
-        )
-        for run in runs
-    )
-    return Table("residuals", "What the fit leaves of each run", columns, rows)
+    def own_field(estimates: str, name: str, heading: str, places: int) -> Field[RunResidual]:
+        def cell(run: RunResidual) -> Cell:
+            own: Mapping[str, Estimate] = getattr(run, estimates)
+            return own[name].value if name in own else ""
 
+        return Field(name, heading, cell, decimals(places))
 
-def _own_value(estimates: Mapping[str, Estimate], name: str) -> Cell:
-    return "" if name not in estimates else estimates[name].value
+    factors = dict.fromkeys(name for run in runs for name in run.factors)
+    offsets = dict.fromkeys(name for run in runs for name in run.offsets)
+    return Table.of(
+        "residuals",
+        "What the fit leaves of each run",
+        runs,
+        Field("file", "run", lambda run: run.file),
+        Field("kind", "kind", lambda run: run.kind),
+        Field("channel", "channel", lambda run: run.channel),
+        Field("chi2_per_degree", "χ² per degree", lambda run: run.chi2, decimals(2)),
+        Field("alert", "", lambda run: "!" if _exceeds_noise(run) else ""),
+        Field("rms_mN", "rms, mN", lambda run: run.rms_mN, decimals(2)),
+        Field("zero_mN", "zero, mN", lambda run: _estimate_cell(run.zero)),
+        *(own_field("factors", name, f"{name} ×", 3) for name in factors),
+        *(own_field("offsets", name, name, 1) for name in offsets),
+    )
 
 
 def _estimate_cell(estimate: Estimate) -> FormattedNumber:
@@ -266,19 +250,21 @@ def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
         Column("half_width", "±"),
         Column("unit", "unit"),
     )
-    laws = (
-        Column("element", "element"),
-        Column("unit", "unit"),
-        Column("law", "against strain ε"),
-        Column("r2", "R²", decimals(3)),
-        Column("strains", "strains"),
-    )
     known = [fit for fit in relaxation.fits if fit.elements]
     return (
         Text(f"Five elements from {len(known)} of {len(relaxation.fits)} runs."),
         Table("elements", "", elements, tuple(row for fit in known for row in _element_rows(fit))),
         Items(tuple(f"{fit.file}: {text}" for fit in relaxation.fits for text in _relaxation_fit_sentences(fit))),
-        Table("strain-laws", "Elements against strain", laws, tuple(map(_strain_law_row, relaxation.laws))),
+        Table.of(
+            "strain-laws",
+            "Elements against strain",
+            relaxation.laws,
+            Field("element", "element", lambda law: element_symbol(law.element)),
+            Field("unit", "unit", lambda law: unit_text(law.unit)),
+            Field("law", "against strain ε", _strain_law_text),
+            Field("r2", "R²", lambda law: "" if law.r2 is None else law.r2, decimals(3)),
+            Field("strains", "strains", lambda law: ", ".join(f"{100 * strain:.3g}" for strain in law.strains) + " %"),
+        ),
         Items(relaxation.remarks, remarks=True),
     )
 
@@ -323,94 +309,95 @@ def _correlated_pairs(fit: RelaxationFit) -> list[str]:
     ]
 
 
-def _strain_law_row(law: StrainLaw) -> tuple[Cell, ...]:
+def _strain_law_text(law: StrainLaw) -> str:
     highest = len(law.coefficients) - 1
     terms = ""
     for place, coefficient in enumerate(law.coefficients):
         error = float(law.covariance[place, place]) ** 0.5
         sign = ("−" if coefficient < 0 else "") if place == 0 else (" − " if coefficient < 0 else " + ")
-        terms += (
-            f"{sign}({value_with_error(abs(coefficient), error)}){('', ' ε', ' ε²', ' ε³')[min(highest - place, 3)]}"
-        )
-    strains = ", ".join(f"{100 * strain:.3g}" for strain in law.strains)
-    r2 = "" if law.r2 is None else law.r2
-    return element_symbol(law.element), unit_text(law.unit), terms, r2, f"{strains} %"
+        power = ("", " ε", " ε²", " ε³")[min(highest - place, 3)]
+        terms += f"{sign}({value_with_error(abs(coefficient), error)}){power}"
+    return terms
 
 
 def _coulomb_blocks(coulomb: CoulombResult) -> tuple[Block, ...]:
-    columns = (
-        Column("file", "run"),
-        Column("speed_mm_s", "mm/s", shortest(3)),
-        Column("weight_mN", "weight, mN", decimals(1)),
-        Column("force_mN", "force, mN"),
-        Column("mu", "μ"),
-        Column("mu_without_viscous", "μ without viscous part"),
-        Column("viscous_mN", "viscous, mN", decimals(2)),
-        Column("viscous_share", "viscous share", percent(1)),
-    )
-    estimates = {
-        "μ": estimate_text(coulomb.mu),
-        "μ without viscous part": estimate_text(coulomb.mu_without_viscous),
-    }
     return (
-        Facts(estimates),
-        Table("coulomb-runs", "", columns, tuple(map(_coulomb_row, coulomb.runs))),
+        Facts(
+            {
+                "μ": estimate_text(coulomb.mu),
+                "μ without viscous part": estimate_text(coulomb.mu_without_viscous),
+            }
+        ),
+        Table.of(
+            "coulomb-runs",
+            "",
+            coulomb.runs,
+            Field("file", "run", lambda run: run.file),
+            Field("speed_mm_s", "mm/s", lambda run: run.speed_mm_s, shortest(3)),
+            Field("weight_mN", "weight, mN", lambda run: run.weight_mN, decimals(1)),
+            Field("force_mN", "force, mN", lambda run: _estimate_cell(run.force)),
+            Field("mu", "μ", lambda run: _estimate_cell(run.mu)),
+            Field("mu_without_viscous", "μ without viscous part", lambda run: _estimate_cell(run.mu_without_viscous)),
+            Field("viscous_mN", "viscous, mN", lambda run: run.viscous_mN, decimals(2)),
+            Field(
+                "viscous_share",
+                "viscous share",
+                lambda run: "" if run.viscous_share is None else run.viscous_share,
+                percent(1),
+            ),
+        ),
         Items(coulomb.remarks, remarks=True),
     )
 
 
-def _coulomb_row(run: CoulombRun) -> tuple[Cell, ...]:
-    return (
-        run.file,
-        run.speed_mm_s,
-        run.weight_mN,
-        *(_estimate_cell(estimate) for estimate in (run.force, run.mu, run.mu_without_viscous)),
-        run.viscous_mN if isfinite(run.viscous_mN) else None,
-        "" if run.viscous_share is None else run.viscous_share,
-    )
-
-
 def _drag_blocks(drag: DragResult) -> tuple[Block, ...]:
-    points = (
-        Column("speed_mm_s", "mm/s", shortest(3)),
-        Column("runs", "runs", shortest()),
-        Column("measured_mN", "measured, mN"),
-        *(Column(f"{name}_mN", f"{name}, mN", decimals(1)) for name in ("f_e", "f_v", "f_c", "model")),
-        Column("residual_mN", "measured − model", decimals(1, signed=True)),
-        Column("residual_errors", "in errors", decimals(1, signed=True)),
-    )
-    determination = (
-        Column("band", "R² of the model"),
-        Column("speeds", "speeds", shortest()),
-        Column("eq15", "Eq. 15", decimals(4)),
-        Column("correlation2", "correlation²", decimals(4)),
-    )
-    bands = tuple((band.band, band.speeds, band.eq15, band.correlation) for band in drag.determination)
+    one_decimal, signed = decimals(1), decimals(1, signed=True)
     return (
-        Table(
-            "drag-points", "Steady force, zero subtracted, beside the model", points, tuple(map(_drag_row, drag.points))
+        Table.of(
+            "drag-points",
+            "Steady force, zero subtracted, beside the model",
+            drag.points,
+            Field("speed_mm_s", "mm/s", lambda point: point.speed_mm_s, shortest(3)),
+            Field("runs", "runs", lambda point: point.runs, shortest()),
+            Field("measured_mN", "measured, mN", _measured_cell),
+            Field("f_e_mN", "f_e, mN", lambda point: point.f_e_mN, one_decimal),
+            Field("f_v_mN", "f_v, mN", lambda point: point.f_v_mN, one_decimal),
+            Field("f_c_mN", "f_c, mN", lambda point: point.f_c_mN, one_decimal),
+            Field("model_mN", "model, mN", lambda point: point.model_mN, one_decimal),
+            Field("residual_mN", "measured − model", _drag_residual, signed),
+            Field(
+                "residual_errors",
+                "in errors",
+                lambda point: _drag_residual(point, in_errors=True),
+                signed,
+            ),
         ),
         *(() if drag.log_law is None else _log_law_blocks(drag.log_law)),
         Text("" if drag.boundary is None else drag.boundary.sentence),
-        Table("drag-r2", "", determination, bands),
+        Table.of(
+            "drag-r2",
+            "",
+            drag.determination,
+            Field("band", "R² of the model", lambda band: band.band),
+            Field("speeds", "speeds", lambda band: band.speeds, shortest()),
+            Field("eq15", "Eq. 15", lambda band: band.eq15, decimals(4)),
+            Field("correlation2", "correlation²", lambda band: band.correlation, decimals(4)),
+        ),
         Items(drag.remarks, remarks=True),
     )
 
 
-def _drag_row(point: SpeedPoint) -> tuple[Cell, ...]:
+def _measured_cell(point: SpeedPoint) -> FormattedNumber:
+    force = point.force
+    text = estimate_text(force) if force.value is None else value_with_error(force.value, force.standard_error)
+    return FormattedNumber(force.value, text)
+
+
+def _drag_residual(point: SpeedPoint, *, in_errors: bool = False) -> Cell:
     value, error = point.force.value, point.force.standard_error
-    residual = None if value is None else value - point.model_mN
-    return (
-        point.speed_mm_s,
-        point.runs,
-        FormattedNumber(value, value_with_error(value, error) if value is not None else estimate_text(point.force)),
-        point.f_e_mN,
-        point.f_v_mN,
-        point.f_c_mN,
-        point.model_mN,
-        "" if residual is None else residual,
-        "" if residual is None or not error else residual / error,
-    )
+    if value is None or (in_errors and not error):
+        return ""
+    return (value - point.model_mN) / ((error or 1.0) if in_errors else 1.0)
 
 
 def _log_law_blocks(law: LogLaw) -> tuple[Block, ...]:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from dragrig.analysis.gap.diagnosis_text import as_sentence, capitalise, display_name
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
-from dragrig.present.document import Column, Document, Figure, Items, Section, Table, Text, TextKind
+from dragrig.present.document import Column, Document, Field, Figure, Items, Section, Table, Text, TextKind
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import decimals, shortest, significant, unit_text
 
@@ -102,30 +102,25 @@ def isolability_document(isolability: Isolability) -> Document:
 
 
 def _effect_table(isolability: Isolability) -> Table:
-    columns = (
-        Column("effect", "effect"),
-        Column("id", "id"),
-        Column("channel", "channel"),
-        Column("d_prime", "d′ at the usual size", decimals(0)),
-        Column("usual", "usual size", shortest()),
-        Column("least", "smallest detected", significant(2)),
-        Column("unit", "unit"),
-        Column("least_mN", "as force, mN", significant(2)),
+
+    return Table.of(
+        "effects",
+        "Similar effects together",
+        isolability.effects,
+        Field("effect", "effect", lambda effect: capitalise(display_name(effect.effect))),
+        Field("id", "id", lambda effect: effect.effect),
+        Field("channel", "channel", lambda effect: effect.channel),
+        Field("d_prime", "d′ at the usual size", lambda effect: effect.d_prime, decimals(0)),
+        Field("usual", "usual size", lambda effect: effect.usual, shortest()),
+        Field(
+            "least",
+            "smallest detected",
+            lambda effect: "never" if effect.smallest is None else effect.smallest,
+            significant(2),
+        ),
+        Field("unit", "unit", lambda effect: unit_text(effect.unit)),
+        Field("least_mN", "as force, mN", lambda effect: effect.smallest_mN, significant(2)),
     )
-    rows = tuple(
-        (
-            capitalise(display_name(effect.effect)),
-            effect.effect,
-            effect.channel,
-            effect.d_prime,
-            effect.usual,
-            "never" if effect.smallest is None else effect.smallest,
-            unit_text(effect.unit),
-            effect.smallest_mN,
-        )
-        for effect in isolability.effects
-    )
-    return Table("effects", "Similar effects together", columns, rows)
 
 
 def _pair_table(isolability: Isolability) -> Table:

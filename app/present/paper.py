@@ -36,6 +36,7 @@ from dragrig.present.document import (
     Column,
     Document,
     Facts,
+    Field,
     Figure,
     Items,
     Section,
@@ -373,27 +374,30 @@ def _drag_table(results: PaperReportData) -> Table:
 
 
 def _determination_table(results: PaperReportData) -> Table:
-    columns = (
-        Column("band", "simulated runs, band"),
-        Column("speeds", "speeds", shortest()),
-        Column("eq15_ratio", "ratio of Eq. 15", decimals(4)),
-        Column("squared_correlation", "squared correlation", decimals(4)),
-    )
+
     drag = results.identification.drag
-    rows = tuple(
-        (one.band, one.speeds, one.eq15, one.correlation) for one in (() if drag is None else drag.determination)
+
+    return Table.of(
+        "determination",
+        "How the identified model explains the simulated runs",
+        () if drag is None else drag.determination,
+        Field("band", "simulated runs, band", lambda one: one.band),
+        Field("speeds", "speeds", lambda one: one.speeds, shortest()),
+        Field("eq15_ratio", "ratio of Eq. 15", lambda one: one.eq15, decimals(4)),
+        Field("squared_correlation", "squared correlation", lambda one: one.correlation, decimals(4)),
     )
-    return Table("determination", "How the identified model explains the simulated runs", columns, rows)
 
 
 def _eq15_example_table() -> Table:
-    columns = (
-        Column("made_up_measurement", "made-up measurement"),
-        Column("eq15_ratio", "ratio of Eq. 15", decimals(4)),
-        Column("squared_correlation", "squared correlation", decimals(4)),
+
+    return Table.of(
+        "eq15-examples",
+        "Eq. 15 beside the squared correlation, above 20 mm/s",
+        determination_examples(),
+        Field("made_up_measurement", "made-up measurement", lambda one: one.name),
+        Field("eq15_ratio", "ratio of Eq. 15", lambda one: one.eq15, decimals(4)),
+        Field("squared_correlation", "squared correlation", lambda one: one.correlation, decimals(4)),
     )
-    rows = tuple((one.name, one.eq15, one.correlation) for one in determination_examples())
-    return Table("eq15-examples", "Eq. 15 beside the squared correlation, above 20 mm/s", columns, rows)
 
 
 def _findings_table(results: PaperReportData) -> Table:

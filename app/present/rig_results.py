@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dragrig.present.document import Column, Document, Items, Section, Table
+from dragrig.present.document import Document, Field, Items, Section, Table
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import decimals, duration_text, shortest, size_text
 
@@ -15,19 +15,6 @@ if TYPE_CHECKING:
 
 def preflight_document(preflight: "Preflight") -> Document:
     """Lay out what a plan would do: each run with its range, speed and time."""
-    columns = (
-        Column("index", ""),
-        Column("run", "run"),
-        Column("capsule", "capsule"),
-        Column("lowest_mm", "min mm", shortest()),
-        Column("highest_mm", "max mm", shortest()),
-        Column("speed_mm_s", "mm/s", shortest()),
-        Column("accel_mm_s2", "mm/s²", shortest()),
-        Column("wait_s", "rest", duration_text),
-        Column("duration_s", "duration", duration_text),
-        Column("size_bytes", "size", size_text),
-        Column("prompt", "prompt"),
-    )
     rows = tuple(
         (
             str(preview.run.index),
@@ -47,7 +34,30 @@ def preflight_document(preflight: "Preflight") -> Document:
     return Document(
         title=f"{len(rows)} runs, {duration_text(preflight.duration_s)}, {size_text(preflight.size_bytes)} "
         f"of {size_text(preflight.free_bytes)} free",
-        sections=(Section("runs", "", (Table("preflight", "", columns, rows),)),),
+        sections=(
+            Section(
+                "runs",
+                "",
+                (
+                    Table.of(
+                        "preflight",
+                        "",
+                        preflight.previews,
+                        Field("index", "", lambda preview: str(preview.run.index)),
+                        Field("run", "run", lambda preview: preview.run.protocol.summary()),
+                        Field("capsule", "capsule", lambda preview: preview.run.capsule.name),
+                        Field("lowest_mm", "min mm", lambda preview: preview.lowest_mm, shortest()),
+                        Field("highest_mm", "max mm", lambda preview: preview.highest_mm, shortest()),
+                        Field("speed_mm_s", "mm/s", lambda preview: preview.speed_mm_s, shortest()),
+                        Field("accel_mm_s2", "mm/s²", lambda preview: preview.accel_mm_s2, shortest()),
+                        Field("wait_s", "rest", lambda preview: preview.run.wait_s, duration_text),
+                        Field("duration_s", "duration", lambda preview: preview.run.duration_s, duration_text),
+                        Field("size_bytes", "size", lambda preview: preview.size_bytes, size_text),
+                        Field("prompt", "prompt", lambda preview: preview.run.prompt),
+                    ),
+                ),
+            ),
+        ),
         data=to_json_object(
             {
                 "runs": [_preview_json(preview) for preview in preflight.previews],
@@ -64,44 +74,59 @@ def force_calibration_document(
     entry: "Calibration", points: "Sequence[LoadReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of a force calibration."""
-    columns = (
-        Column("weight_g", "weight, g", shortest()),
-        Column("load_mN", "load, mN", decimals(2)),
-        Column("reading_V", "reading, V", decimals(5)),
-        Column("noise_mV", "noise, mV", decimals(2)),
-        Column("residual_mN", "residual, mN", decimals(2, signed=True)),
-    )
-    rows = tuple(
-        (
-            point.weight_g,
-            point.load_mN,
-            point.reading.force_V,
-            1e3 * point.reading.force_V_sd,
-            point.load_mN - line.at(point.reading.force_V),
-        )
-        for point in points
-    )
     summary = (
         f"Gain {line.gain:.6g} ± {line.gain_error:.2g} mN/V, zero {line.zero:.2f} ± {line.zero_error:.2f} mN, residual "
         f"{line.residual:.2f} mN"
     )
-    return _calibration_document(summary, entry, points, Table("points", "", columns, rows), notes)
+    return _calibration_document(
+        summary,
+        entry,
+        points,
+        Table.of(
+            "points",
+            "",
+            points,
+            Field("weight_g", "weight, g", lambda point: point.weight_g, shortest()),
+            Field("load_mN", "load, mN", lambda point: point.load_mN, decimals(2)),
+            Field("reading_V", "reading, V", lambda point: point.reading.force_V, decimals(5)),
+            Field("noise_mV", "noise, mV", lambda point: 1e3 * point.reading.force_V_sd, decimals(2)),
+            Field(
+                "residual_mN",
+                "residual, mN",
+                lambda point: point.load_mN - line.at(point.reading.force_V),
+                decimals(2, signed=True),
+            ),
+        ),
+        notes,
+    )
 
 
 def encoder_calibration_document(
     entry: "Calibration", points: "Sequence[TravelReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of an encoder calibration."""
-    columns = (
-        Column("travel_mm", "travel, mm", shortest()),
-        Column("counts", "counts", decimals(0)),
-        Column("residual_um", "residual, µm", decimals(1, signed=True)),
-    )
-    rows = tuple((point.travel_mm, point.counts, 1e3 * (point.travel_mm - line.at(point.counts))) for point in points)
     summary = (
         f"A count is {1e3 * line.gain:.6g} ± {1e3 * line.gain_error:.2g} µm, residual {1e3 * line.residual:.2g} µm"
     )
-    return _calibration_document(summary, entry, points, Table("points", "", columns, rows), notes)
+    return _calibration_document(
+        summary,
+        entry,
+        points,
+        Table.of(
+            "points",
+            "",
+            points,
+            Field("travel_mm", "travel, mm", lambda point: point.travel_mm, shortest()),
+            Field("counts", "counts", lambda point: point.counts, decimals(0)),
+            Field(
+                "residual_um",
+                "residual, µm",
+                lambda point: 1e3 * (point.travel_mm - line.at(point.counts)),
+                decimals(1, signed=True),
+            ),
+        ),
+        notes,
+    )
 
 
 def _calibration_document(

@@ -11,6 +11,7 @@ from dragrig.present.document import (
     Column,
     Document,
     Facts,
+    Field,
     Figure,
     FormattedNumber,
     Section,
@@ -228,6 +229,12 @@ def _measure_row(name: str, estimate: Estimate, unit: str, how: str) -> tuple[Ce
 
 
 def _event_table(events: tuple[RunEvent, ...]) -> Table:
-    columns = (Column("time_s", "time, s", decimals(3)), Column("kind", "event"), Column("message", "message"))
-    rows = tuple((event.time_s, event.kind, event.message) for event in events)
-    return Table("events", "By the clock of the run", columns, rows)
+
+    return Table.of(
+        "events",
+        "By the clock of the run",
+        events,
+        Field("time_s", "time, s", lambda event: event.time_s, decimals(3)),
+        Field("kind", "event", lambda event: event.kind),
+        Field("message", "message", lambda event: event.message),
+    )
