@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nidaqmx.constants import TaskMode
+from nidaqmx.constants import AcquisitionType, TaskMode
 from rig_faults import (
     RIG,
     SOON_STALE,
@@ -97,14 +97,14 @@ def test_a_card_that_another_program_has_is_left_to_it(faulty_rig: Bench) -> Non
     connection = Connection(faulty_rig.doubles.rig().hardware.card)
     with connection.task("another program's") as task:
         task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
-        task.timing.cfg_samp_clk_timing(1000.0)
+        task.timing.cfg_samp_clk_timing(1000.0, sample_mode=AcquisitionType.CONTINUOUS)
         task.control(TaskMode.TASK_RESERVE)
         ended = begin(faulty_rig).end()
         assert ended.exit_code == 5
         assert sentence("card taken by another program").fullmatch(ended.told), ended.told
         assert not ended.stage.moving
         assert not ended.stage.enabled
-        assert task.is_task_done() is not None
+        assert task.name
     connection.close()
     assert_goes_on(faulty_rig, ended.folder)
 

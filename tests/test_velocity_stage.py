@@ -154,6 +154,7 @@ def test_a_motion_whose_first_sample_never_comes_is_dropped(rig: VoltageRig, end
 def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: pytest.MonkeyPatch) -> None:
     begin(rig, acquire(LONG))
     until(lambda: rig.is_under_way)
+    rig.bench.clock.waits_for_voltage = False
     sleep, late = rig.bench.clock.sleep, []
     late_until_s = rig.clock.monotonic() + 3 * LEAD_S
 
@@ -182,16 +183,17 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     assert rig.stage.state().position_mm == pytest.approx(at_mm + 5.0, abs=STANDS_MM)
 
 
-def test_a_program_that_hangs_loses_the_drives_power(rig: VoltageRig) -> None:
-    begin(rig, acquire(LONG))
-    until(lambda: rig.is_under_way)
-    until(lambda: not rig.bench.powered)
-    until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
-    fault = rig.stage.fault
-    assert fault is not None
-    assert fault.cause is TripCause.WATCHDOG
-    until(lambda: not rig.drive.status.enabled)
-    assert rig.bench.position_mm() < 60.0
+def test_a_program_that_hangs_loses_the_drives_power() -> None:
+    with voltage_rig(velocity_rig(hang_s=1.0)) as rig:
+        begin(rig.ready(), acquire(LONG))
+        until(lambda: rig.is_under_way)
+        until(lambda: not rig.bench.powered)
+        until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
+        fault = rig.stage.fault
+        assert fault is not None
+        assert fault.cause is TripCause.WATCHDOG
+        until(lambda: not rig.drive.status.enabled)
+        assert rig.bench.position_mm() < 100.0
 
 
 def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(rig: VoltageRig) -> None:

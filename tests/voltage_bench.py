@@ -1,5 +1,6 @@
 """What the tests of velocity mode share: the real rig on doubles, in a time that a stalled computer stalls too."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from simulated import settings
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
+from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
@@ -26,24 +28,34 @@ LEAD_S = UPDATE_S * AHEAD
 
 
 class StallingClock(DoubleClock):
-    """The wall's pace, but no more than 5 ms between two looks at it: threads that starve together miss nothing.
+    """Wall time, but no more than 5 ms between two readings, and never past the voltages that are written.
 
-    The drive's double looks every 2 ms.
+    So threads that starve on a busy machine miss nothing: the drive's double reads the clock every 2 ms, and a voltage
+    never runs out unless `waits_for_voltage` is False.
     """
 
-    longest_step_s = 0.005
+    max_step_s = 0.005
 
     def __init__(self) -> None:
         super().__init__()
-        self._looking = threading.Lock()
-        self._looked_s, self._passed_s = time.perf_counter(), 0.0
+        self._reading = threading.Lock()
+        self._read_s, self._passed_s = time.perf_counter(), 0.0
+        self._written_until_s = math.inf
+        self.waits_for_voltage = True
 
     def monotonic(self) -> float:
-        with self._looking:
+        with self._reading:
             now_s = time.perf_counter()
-            self._passed_s += min(now_s - self._looked_s, self.longest_step_s)
-            self._looked_s = now_s
+            passed_s = self._passed_s + min(now_s - self._read_s, self.max_step_s)
+            if self.waits_for_voltage:
+                passed_s = min(passed_s, self._written_until_s)
+            self._passed_s = max(self._passed_s, passed_s)
+            self._read_s = now_s
             return self._passed_s
+
+    def put_out(self, volts: FloatArray, rate_hz: float, at_s: float) -> None:
+        """Stop at the end of these voltages, until others follow; one that is held has no end."""
+        self._written_until_s = at_s + (len(volts) - 0.5) / rate_hz if rate_hz else math.inf
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         until_s = self.monotonic() + duration_s
@@ -83,24 +95,32 @@ class VoltageRig(HardwareBackend):
         return self
 
 
-def velocity_rig(encoder: dict[str, object] | None = None, heartbeat_s: float = 0.3, **voltage: object) -> RigSettings:
+def velocity_rig(
+    encoder: dict[str, object] | None = None, heartbeat_s: float = 0.5, hang_s: float = 5.0, **voltage: object
+) -> RigSettings:
     velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 4.0, **voltage}
-    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 0.5, "velocity": velocity}
+    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 1.0, "velocity": velocity}
     lines = {"heartbeat": "port1/line4", "heartbeat_s": heartbeat_s}
     return settings(
         RATE,
-        hardware={"card": {"lines": lines, "encoder": encoder or {}}, "drive": drive, "hang_s": 1.0},
+        hardware={"card": {"lines": lines, "encoder": encoder or {}}, "drive": drive, "hang_s": hang_s},
         stage={"start_mm": 1.0},
         guard={"stale_data_s": 1.0},
     )
 
 
 def open_voltage_rig(rig: RigSettings) -> VoltageRig:
-    bench = SimulatedBench(rig, FrictionModelSettings(), StallingClock())
+    clock = StallingClock()
+    bench = SimulatedBench(rig, FrictionModelSettings(), clock)
+
+    def put_out(output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
+        clock.put_out(volts, rate_hz, at_s)
+        bench.put_out(output, volts, rate_hz, at_s)
+
     with ExitStack() as opened:
         drive = opened.enter_context(make_drive_double(bench, find_dialect(rig.hardware.drive.dialect)))
         port = opened.enter_context(SocketPort(drive))
-        opened.enter_context(installed(Card(bench, bench.put_out)))
+        opened.enter_context(installed(Card(bench, put_out)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})
         wired = rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": reached})})
         backend = VoltageRig(BackendRequest(wired, FrictionModelSettings()), bench, drive)
