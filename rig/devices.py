@@ -20,7 +20,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import Calibration, RigSettings, StageSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import MotionExtremes, MotionProfile
 from dragrig.rig.runfile.model import RecordedChannel
 
 MAX_BLOCK_S = 0.05
@@ -403,32 +403,37 @@ def limits_with_override(limits: StageLimits, override: TravelEnd | None, origin
             return limits
 
 
-def require_within_limits(profile: MotionProfile, origin_mm: float, limits: StageLimits, tolerance_mm: float) -> None:
-    """Raise `DeviceError` for a profile that leaves the travel, exceeds a limit or does not end at a standstill.
+def limit_violations(
+    extremes: MotionExtremes, origin_mm: float, limits: StageLimits, tolerance_mm: float = 1e-9
+) -> Iterator[str]:
+    """Yield each limit that a motion would exceed, run-up and run-down included, as the end of a sentence.
 
     Parameters
     ----------
     origin_mm
-        Absolute position where the profile begins.
+        Absolute position where the motion begins.
     tolerance_mm
-        Allowance beyond the ends of travel: a count or two of an encoder.
+        Allowance beyond the ends of travel: rounding, or a count or two of an encoder.
     """
-    extremes = profile.extremes()
-    lowest, highest = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
+    lowest_mm, highest_mm = origin_mm + extremes.lowest_mm, origin_mm + extremes.highest_mm
     # Written so that a NaN is refused too.
-    if not (lowest >= limits.lowest_mm - tolerance_mm and highest <= limits.highest_mm + tolerance_mm):
-        raise DeviceError(
-            f"the stage refuses a move from {origin_mm:g} mm that reaches {lowest:g} to {highest:g} mm: its travel is "
-            f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
+    if not (lowest_mm >= limits.lowest_mm - tolerance_mm and highest_mm <= limits.highest_mm + tolerance_mm):
+        yield (
+            f"would move from {lowest_mm:g} to {highest_mm:g} mm, outside the stage's travel of "
+            f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm (stage.lowest_mm and highest_mm "
+            "of the rig file); change travel_mm or start_mm"
         )
-    for what, unit, value, most, key in (
-        ("speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
-        ("acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
+    for quantity, unit, value, limit, key in (
+        ("a speed", "mm/s", extremes.speed_mm_s, limits.speed_mm_s, "max_speed_mm_s"),
+        ("an acceleration", "mm/s²", extremes.acceleration_mm_s2, limits.acceleration_mm_s2, "max_accel_mm_s2"),
     ):
-        if not value <= most * (1 + 1e-9):
-            raise DeviceError(
-                f"the stage refuses a {what} of {value:g} {unit}: it goes up to {most:g} {unit} "
-                f"(stage.{key} of the rig file)."
-            )
+        if not value <= limit * (1 + 1e-9):
+            yield f"would reach {quantity} of {value:g} {unit}, over the limit of {limit:g} {unit} (stage.{key})"
+
+
+def require_within_limits(profile: MotionProfile, origin_mm: float, limits: StageLimits, tolerance_mm: float) -> None:
+    """Raise `DeviceError` for a profile that violates a limit, as of `limit_violations`, or does not end at rest."""
+    for violation in limit_violations(profile.extremes(), origin_mm, limits, tolerance_mm):
+        raise DeviceError(f"the stage refuses a motion from {origin_mm:g} mm that {violation}.")
     if not abs(float(profile.velocity(profile.duration_s))) <= STANDSTILL_SPEED_MM_S:
         raise DeviceError("the stage refuses a profile that ends in motion: let it end at a standstill.")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dragrig.config.errors import PlanError
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.rig.devices import MAX_BLOCK_S, RigCheck, StageLimits
+from dragrig.rig.devices import MAX_BLOCK_S, RigCheck, StageLimits, limit_violations
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.runfile.filesystem import free_bytes
 
@@ -78,8 +78,11 @@ def preflight(
     if extra_channels is None:
         extra_channels = 1 if rig.sampling.motor_force else 0
     previews: list[RunPreview] = []
+    findings: list[str] = []
     for run in programme.runs:
         extremes, samples = run.profile.extremes(), run.profile.samples(rig.sampling.rate_hz)
+        name = f"{source}: run {run.index} ({run.protocol.summary()})"
+        findings += [f"{name} {violation}" for violation in limit_violations(extremes, run.start_mm, limits)]
         previews.append(
             RunPreview(
                 run=run,
@@ -91,7 +94,6 @@ def preflight(
                 size_bytes=recording_bytes(samples, extra_channels),
             )
         )
-    findings = [f"{source}: {text}" for preview in previews for text in _limit_violations(preview, limits)]
     free = free_bytes(folder)
     total = sum(preview.size_bytes for preview in previews)
     largest = max((preview.size_bytes for preview in previews), default=0)
@@ -102,27 +104,6 @@ def preflight(
             "make room or name another folder with --out"
         )
     return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings))
-
-
-def _limit_violations(preview: RunPreview, limits: StageLimits) -> list[str]:
-    run = preview.run
-    name = f"run {run.index} ({run.protocol.summary()})"
-    violations = []
-    if preview.lowest_mm < limits.lowest_mm - 1e-9 or preview.highest_mm > limits.highest_mm + 1e-9:
-        violations.append(
-            f"{name} would move from {preview.lowest_mm:g} to {preview.highest_mm:g} mm, outside the stage's travel of "
-            f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm; change travel_mm or start_mm"
-        )
-    if preview.speed_mm_s > limits.speed_mm_s * (1 + 1e-9):
-        violations.append(
-            f"{name} would reach {preview.speed_mm_s:g} mm/s, over the stage's limit of {limits.speed_mm_s:g} mm/s"
-        )
-    if preview.accel_mm_s2 > limits.acceleration_mm_s2 * (1 + 1e-9):
-        violations.append(
-            f"{name} would accelerate with {preview.accel_mm_s2:g} mm/s², over the stage's limit of "
-            f"{limits.acceleration_mm_s2:g} mm/s²"
-        )
-    return violations
 
 
 def check_limits(rig: RigSettings) -> RigCheck:

@@ -132,8 +132,8 @@ def test_what_is_refused_is_refused_in_one_sentence(step: dict[str, object], wor
     [
         ({"kind": "drag", "speed_mm_s": 5, "travel_mm": 120}, "from 40 to 160 mm, outside the stage's travel"),
         ({"kind": "drag", "speed_mm_s": 5, "travel_mm": -50}, "from -10 to 40 mm"),
-        ({"kind": "drag", "speed_mm_s": 120}, "would reach 120 mm/s"),
-        ({"kind": "relaxation", "shear_strain": 1, "ramp_accel_mm_s2": 9000}, "would accelerate with 9000"),
+        ({"kind": "drag", "speed_mm_s": 120}, "would reach a speed of 120 mm/s"),
+        ({"kind": "relaxation", "shear_strain": 1, "ramp_accel_mm_s2": 9000}, "would reach an acceleration of 9000"),
     ],
 )
 def test_impossible_plans_are_found_before_anything_moves(step: dict[str, object], words: str, tmp_path: Path) -> None:
