@@ -43,10 +43,10 @@ def shape(found: Diagnosis) -> str:
     return found.unknown.dependence
 
 
-def dies_away(found: Diagnosis) -> tuple[float, float, float]:
+def decay_of(found: Diagnosis) -> tuple[float, float, float]:
     """Return way [mm] and root mean squares [mN] without and with the exponential that is told."""
     told = re.search(
-        r"along the way .* mN over ([\d.]+) mm .*line ([\d.]+) mN are left .*, ([\d.]+) mN with", shape(found)
+        r"along the travel .* mN over ([\d.]+) mm.*line: ([\d.]+) mN without .*, ([\d.]+) mN with", shape(found)
     )
     assert told is not None, shape(found)
     way, before, after = map(float, told.groups())
@@ -62,7 +62,7 @@ def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path
     found = step(tmp_path, "sepiolite", 1.0)
     assert unknown_without_a_rival(found), found.ranking
     assert any("cannot be separated from friction that changes along the stroke" in one for one in found.limitations)
-    way, before, after = dies_away(found)
+    way, before, after = decay_of(found)
     # Published over the same stretch: 0.0034 without, 0.0013 with one exponential over about 210 µm; 1 is 1000 mN here.
     assert way == pytest.approx(0.21, abs=0.03)
     assert before == pytest.approx(3.4, abs=0.3)
@@ -72,7 +72,7 @@ def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path
 def test_basalt_is_unknown_and_evolves_over_a_short_slip(tmp_path: Path) -> None:
     found = step(tmp_path, "basalt", 10.0)
     assert unknown_without_a_rival(found), found.ranking
-    assert dies_away(found)[0] == pytest.approx(0.012, abs=0.005)
+    assert decay_of(found)[0] == pytest.approx(0.012, abs=0.005)
 
 
 def test_a_motors_cogging_is_periodic_in_position_with_72_to_a_turn(tmp_path: Path) -> None:
@@ -81,7 +81,9 @@ def test_a_motors_cogging_is_periodic_in_position_with_72_to_a_turn(tmp_path: Pa
         found = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive")
         assert found.verdict is Verdict.UNKNOWN, found.ranking
         assert found.where.domain == "position"
-        told = re.search(r"periodic along the stroke, ([\d.]+) mm long, with an amplitude of ([\d.]+) mN", shape(found))
+        told = re.search(
+            r"periodic along the stroke with a period of ([\d.]+) mm and an amplitude of ([\d.]+) mN", shape(found)
+        )
         assert told is not None, shape(found)
         assert 2 * pi * RADIUS_MM / float(told[1]) == pytest.approx(72, abs=0.5)
         gaps[name] = float(told[2])

@@ -81,7 +81,7 @@ def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
 
 
 def test_nothing_is_learnt_from_nothing() -> None:
-    with pytest.raises(ValueError, match="no campaign"):
+    with pytest.raises(ValueError, match="No campaign"):
         fit_weights([], DEFAULT_TOLERANCE_MN)
 
 
@@ -128,7 +128,7 @@ def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:
 
 def test_more_parts_than_campaigns_are_told_in_one_sentence(tmp_path: Path) -> None:
     folder = exam(tmp_path / "learnt", lessons(6)[:5])
-    with pytest.raises(AnalysisError, match="5 campaigns cannot be divided into 6 parts; hold a larger exam"):
+    with pytest.raises(AnalysisError, match="5 campaigns cannot be divided into 6 folds; hold a larger exam"):
         dragrig.gap_cross_validate([folder], folds=6)
 
 

@@ -129,7 +129,7 @@ def test_a_law_opens_a_gap_that_no_effect_sees_unless_it_is_too_small_to_matter(
 def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it() -> None:
     inputs = case("wall_lift_off", 14_000.0, "speed in the gut", 8400.0)
     assert nonparametric_law_text(inputs) == (
-        "A force that depends on the speed alone, in the gut, in whatever way, explains 97% of it; "
+        "A force that depends on the speed alone, in the gut, in any form, explains 97% of it; "
         "wall lift-off, in any form, 50%."
     )
     assert nonparametric_law_text(case("wall_lift_off", 8400.0, "speed in the gut", 8400.0)) == ""
@@ -158,7 +158,7 @@ def test_every_law_has_words(study: Study, nominal: Design) -> None:
         ("current_crosstalk", 32, "depends on the speed alone, in all runs"),
         ("fixture_creeps", 33, "time since start and stop alone, in all runs"),
         ("gain_switches", 34, "whose gain differs from run to run"),
-        ("thermostat_zero", 35, "swings on the session's clock, in all runs"),
+        ("thermostat_zero", 35, "is periodic in session time, in all runs"),
     ],
 )
 def test_what_resembles_an_effect_but_is_another_law_is_unknown(

@@ -59,15 +59,17 @@ def words(html: str) -> str:
 def test_what_was_left_out_of_the_search_is_not_called_inseparable() -> None:
     inputs = DecisionInputs(block_count=8000, chi2=20_000.0, excluded=("adhesion",))
     sentence = text(replace(STRIBECK, confusable_with=("adhesion",), decision_inputs=inputs))
-    assert f"Left out of the search, and hardly told from it: {display_name('adhesion')}" in " ".join(sentence.split())
+    assert f"Excluded from the search and hardly distinguishable from it: {display_name('adhesion')}" in " ".join(
+        sentence.split()
+    )
     assert "with these runs" not in sentence
 
 
 FIRST = {
-    "effect": "Stribeck friction (0.93).",
-    "no_gap": "No gap (0.97): an effect above 2.1 mN would have been seen.",
-    "unknown": "A gap that no effect of the catalogue explains (0.88).",
-    "several": "Stribeck friction and velocity ripple act together (above 0.99).",
+    "effect": "Most likely: Stribeck friction (probability 0.93).",
+    "no_gap": "No gap (probability 0.97): an effect above 2.1 mN would have been detected.",
+    "unknown": "A gap that no effect of the catalogue explains (probability 0.88).",
+    "several": "Stribeck friction and velocity ripple act together (probability above 0.99).",
 }
 
 
@@ -82,14 +84,14 @@ def test_the_verdict_comes_first_in_plain_words(verdict: str) -> None:
 
 def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
     for sentence in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
-        assert "Adhesion and film depletion cannot be told from it with these runs." in sentence
+        assert "Adhesion and film depletion cannot be distinguished from it with these runs." in sentence
         assert "No relaxation is held long enough" in sentence
         assert "018-drag.h5" in sentence
         assert "the gut slipped off the foam" in sentence
         assert "Calibrated on 400 simulated campaigns" in sentence
-        assert "An effect above 2.1 mN would have been seen." in sentence
-    assert "cannot be told" not in text(NO_GAP)
-    assert "Something is left beside them that no effect" in text(TOGETHER)
+        assert "An effect above 2.1 mN would have been detected." in sentence
+    assert "cannot be distinguished" not in text(NO_GAP)
+    assert "Part of the gap remains that no effect" in text(TOGETHER)
     assert "4.1 mN · x / 40 mm" in text(UNKNOWN)
     assert "4.1 mN · x / 40 mm" in words(diagnosis_page(UNKNOWN))
 
@@ -103,13 +105,13 @@ def test_probabilities_that_nothing_calibrated_are_not_passed_off_as_chances() -
 
 def test_a_verdict_is_never_certain() -> None:
     sure = replace(STRIBECK, ranking=(RankedHypothesis("stribeck", 1.0), RankedHypothesis("no_gap", 0.0)))
-    assert text(sure).startswith("Stribeck friction (above 0.99).")
+    assert text(sure).startswith("Most likely: Stribeck friction (probability above 0.99).")
     assert re.search(r"no_gap +below 0\.01", text(sure))
 
 
 def test_how_much_stands_beside_what_the_paper_prints() -> None:
     sentence = text(STRIBECK)
-    assert "99.3 % of the gap closes (95 %: 98.5 % to 99.8 %)." in sentence
+    assert "99.3 % of the gap closes (95 % interval: 98.5 % to 99.8 %)." in sentence
     assert re.search(r"ratio +0\.410 +0\.312 to 0\.508", sentence)
     assert re.search(r"Eq\. 15 +without the effect +0\.7000 +0\.4000", sentence)
     assert re.search(r"Eq\. 15 +with it +0\.9800 +0\.9700", sentence)
@@ -121,13 +123,13 @@ def test_how_much_stands_beside_what_the_paper_prints() -> None:
 
 
 def test_no_share_closes_where_there_is_no_gap() -> None:
-    assert "no share of a gap can be said to close" in text(NO_GAP)
+    assert "too close to noise and repeatability" in text(NO_GAP)
     assert "% of the gap closes" not in text(NO_GAP)
     assert " after " not in text(NO_GAP)
     assert not re.search(r"\bwith it\b", words(diagnosis_page(NO_GAP)))
     assert re.search(r"\bwith it\b", words(diagnosis_page(STRIBECK)))
     worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
-    assert "−20 % of the gap closes (95 %: −40 % to 10 %): it grows." in document_text(shrink_document(worse))
+    assert "−20 % of the gap closes (95 % interval: −40 % to 10 %): it grows." in document_text(shrink_document(worse))
 
 
 def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
@@ -135,7 +137,7 @@ def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
     sentence = shrink_sentences(beyond)[1]
     assert (
         sentence
-        == "The whole gap closes (101 %; 95 %: 100 % to 105 %): less is left than noise and scatter of repeats make."
+        == "The whole gap closes (101 %; 95 % interval: 100 % to 105 %): the residual is below noise and repeatability."
     )
 
 
@@ -143,10 +145,10 @@ def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
     for sentence in (text(STRIBECK), words(diagnosis_page(STRIBECK))):
         assert re.search(r"protocol +drag 90 %, coulomb 10 % ", sentence)
         assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", sentence)
-        assert re.search(r"session +nothing stands out ", sentence)
+        assert re.search(r"session +not significant ", sentence)
         assert "strain" not in text(STRIBECK).split("Which")[0]
-        assert "above all a function of speed, which accounts for 71 %" in sentence
-    assert "No place stands out" in text(NO_GAP)
+        assert "mainly a function of speed, which accounts for 71 %" in sentence
+    assert "exceeds noise and repeatability nowhere" in text(NO_GAP)
     location = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
     here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(location,)))
     assert "at 2 mm/s: 79 %" in text(here)
@@ -300,7 +302,7 @@ def test_json_knows_no_nan_and_no_infinity() -> None:
     assert said["where"]["p"] is None
     assert said["shrink"] == json.loads(json.dumps(shrink_report_json(ill.shrink or shrink())))["shrink"]
     assert "nan" not in text(ill).lower().split()
-    assert "how small an effect these runs would have shown is not known" in text(ill).lower()
+    assert "the detection limit of these runs is not known" in text(ill).lower()
     diagnosis_page(ill)
 
 

@@ -94,7 +94,7 @@ def test_a_wave_longer_than_any_steady_motion_is_told_without_an_amplitude() -> 
 
     text = words_of([blocks for blocks in campaign(1, slow_wave) if blocks.kind == "relaxation"])[1]
     assert "periodic in time" in text
-    assert "more than any run moves steadily" in text
+    assert "longer than the steady motion of any run" in text
     assert "nan" not in text
 
 
@@ -188,26 +188,29 @@ def test_a_law_of_speed_is_told_in_words() -> None:
     assert where == (
         "It is in the force of drag runs at 45 mm/s and faster, while moving; not in relaxation, blank or Coulomb runs."
     )
-    assert how.startswith("Above all a function of speed:")
-    assert "much the same in every run" in how
+    assert how.startswith("Mainly a function of speed:")
+    assert "nearly the same in every run" in how
     assert "grows with speed, from " in how
     assert "mN at 60 mm/s" in how
-    assert "higher than the model's force" in how
+    assert "The measured force is higher" in how
 
 
 def test_waves_are_told_with_period_amplitude_and_phase() -> None:
     where, how = words_of(campaign(1, waves, channel="position"))
     assert where.startswith("It is in the position of drag runs")
-    assert "periodic along the stroke, 6 mm long, with an amplitude of 11 µm, at the same place in every run" in how
+    assert (
+        "periodic along the stroke with a period of 6 mm and an amplitude of 11 µm, at the same place in every run"
+        in how
+    )
     assert "both signs" in how
 
 
 def test_a_late_gap_is_told_by_the_session() -> None:
     where, how = words_of(campaign(1, late_in_the_session))
     assert " s of the session" in where
-    assert "function of the session's time" in how
+    assert "function of session time" in how
     assert "falls with session time" in how
-    assert "lower than the model's force" in how
+    assert "The measured force is lower" in how
 
 
 def test_large_forces_are_told_in_whole_numbers() -> None:

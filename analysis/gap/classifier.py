@@ -30,26 +30,25 @@ NO_GAP, UNKNOWN = "no_gap", "unknown"
 MIN_MAINS_LLR, MIN_OTHER_LINE_LLR = 14.0, 60.0
 MAINS_LLR_WIDTH, OTHER_LINE_LLR_WIDTH = 1.5, 8.0
 MIN_POSITION_SHARE, POSITION_SHARE_WIDTH = 0.7, 0.04
-"""Share of the position's errors that an effect explains on runs that took no part."""
+"""Held-out share of the position error that an effect explains: midpoint and width of the logistic."""
 POSITION_RIVAL_SLOPE = 400.0
-"""Weight of a rival: e to the minus this times by how much less of the errors it explains."""
+"""Weight of a rival: exp(-slope · difference of the held-out shares)."""
 MIN_POSTERIOR_BESIDE_POSITION, MIN_LLR_BESIDE_POSITION = 0.6, 60.0
-"""Beside an effect on the position, one on the force is named from this probability and this gain on, whatever other
-effects of the force may be there too: where a stage strays, what is uncertain of its motion passes for small effects.
-"""
+"""Where the stage has position errors, motion errors mimic small force effects: posterior > 0.6 and Δχ²/2 > 60 are
+required for an effect on the force."""
 MIN_LEFT_OVER_EXCESS, MAX_EXPLAINED_SHARE = 0.15, 0.9
-"""Something is left beside named effects that have less than this share, from so many squares over blocks on."""
+"""A residual remains beside named effects with a smaller explained share, above this excess chi-square per block."""
 PARSIMONY_RATIO = 1.2
-"""An explanation that is a part of another is named unless the other is so much likelier."""
+"""A subset of the most likely hypothesis is preferred unless the latter is more likely by this factor."""
 CONFUSABLE_RATIO = 0.1
-"""A rival with this share of the probability cannot be told apart."""
+"""Hypotheses with at least this fraction of the highest probability count as confusable with it."""
 MIN_PROBABILITY, MAX_PROBABILITY = 0.003, 0.985
-"""No probability is closer to 0 or 1 than simulated campaigns can show."""
+"""Limits of all probabilities: simulated campaigns cannot confirm more extreme ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Classification:
-    """A verdict, the probabilities of all hypotheses that matter, and what cannot be told apart."""
+    """A verdict with the probabilities of all relevant hypotheses, and what is confusable with it."""
 
     verdict: Verdict
     effects: tuple[str, ...]
@@ -59,7 +58,7 @@ class Classification:
 
 
 def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
-    """Weigh the hypotheses and name what earns its place."""
+    """Return the verdict on a campaign; `calibration` defaults to the shipped one."""
     weights = calibration or shipped_calibration()
     force = _force_posterior(inputs, tolerance_mN, weights)
     classification = (
@@ -73,15 +72,15 @@ def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibrati
     )
 
 
-def _excluded_aliases(effects: Sequence[str], without: Sequence[str]) -> tuple[str, ...]:
-    """Return what was left out of the search although it is hardly told from what was found."""
-    alike = {name for label in effects for name in confusable_effects(label)}
-    return tuple(label for label in without if label in alike)
+def _excluded_aliases(effects: Sequence[str], excluded: Sequence[str]) -> tuple[str, ...]:
+    """Return excluded effects that are confusable with the named ones."""
+    confusable = {name for effect in effects for name in confusable_effects(effect)}
+    return tuple(effect for effect in excluded if effect in confusable)
 
 
 @dataclass(frozen=True, slots=True)
 class _ForcePosterior:
-    """Probabilities of the force's explanations; what is missing to 1 is `no_gap`."""
+    """Probabilities of the hypotheses on the force; the remainder to 1 is `no_gap`."""
 
     unknown: float
     probabilities: Mapping[tuple[str, ...], float]
@@ -89,97 +88,103 @@ class _ForcePosterior:
 
     @property
     def most_likely(self) -> tuple[str, ...]:
-        """The likeliest explanation."""
+        """The most likely hypothesis."""
         return max(self.probabilities, key=lambda names: self.probabilities[names], default=())
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """All effects of the explanations, those of the likeliest first."""
+        """Effects of all hypotheses, those of the most likely first."""
         ordered = sorted(self.probabilities, key=lambda names: -self.probabilities[names])
         return tuple(dict.fromkeys(name for names in ordered for name in names))
 
     def marginal(self, name: str) -> float:
-        """Probability of all explanations that an effect is a part of."""
+        """Return the probability that an effect is present."""
         return sum(value for names, value in self.probabilities.items() if name in names)
 
     @property
     def total(self) -> float:
-        """Probability of all explanations together."""
+        """Probability of all named hypotheses together."""
         return sum(self.probabilities.values())
 
 
 def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calibration) -> _ForcePosterior:
-    tried = hypothesis_features(inputs, tolerance_mN)
+    hypotheses = hypothesis_features(inputs, tolerance_mN)
     gate = weights.gate
-    over = inputs.excess / max(inputs.block_count, 1)
-    gain = largest_llr(inputs, tolerance_mN)
-    left_alone = _logistic((over - gate.least_left) / gate.left_width)
-    gap = max(_logistic((gain - gate.least_gain) / gate.gain_width), left_alone)
-    if not tried:
-        # What explains the gap is too small to matter, and so is the gap.
-        small = max((hypothesis.share for hypothesis in hypothesis_features(inputs, 0.0)), default=0.0)
-        gap *= 1.0 - small
+    excess_per_block = inputs.excess / max(inputs.block_count, 1)
+    llr = largest_llr(inputs, tolerance_mN)
+    gap_by_excess = _logistic((excess_per_block - gate.least_left) / gate.left_width)
+    gap = max(_logistic((llr - gate.least_gain) / gate.gain_width), gap_by_excess)
+    if not hypotheses:
+        # All explanations of the gap are too small to matter, and so is the gap.
+        negligible = max((hypothesis.share for hypothesis in hypothesis_features(inputs, 0.0)), default=0.0)
+        gap *= 1.0 - negligible
     gap = min(max(gap, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
-    shares = _softmax([weights.utility(hypothesis.features) for hypothesis in tried])
-    # What was not tried and looks the same is as likely, each of it.
-    kept = {summary.effects: 1.0 / (1 + summary.untried_lookalikes) for summary in inputs.hypotheses}
-    named = {
-        hypothesis.effects: gap * value * kept[hypothesis.effects]
-        for hypothesis, value in zip(tried, shares[:-1], strict=True)
+    shares = _softmax([weights.utility(hypothesis.features) for hypothesis in hypotheses])
+    # Each untried lookalike is as likely as the effect itself.
+    lookalike_factors = {summary.effects: 1.0 / (1 + summary.untried_lookalikes) for summary in inputs.hypotheses}
+    probabilities = {
+        hypothesis.effects: gap * posterior * lookalike_factors[hypothesis.effects]
+        for hypothesis, posterior in zip(hypotheses, shares[:-1], strict=True)
     }
-    return _ForcePosterior(gap - sum(named.values()), named, frozenset(_leaving_residual(inputs, tried)))
+    return _ForcePosterior(
+        gap - sum(probabilities.values()), probabilities, frozenset(_leaving_residual(inputs, hypotheses))
+    )
 
 
-def _leaving_residual(inputs: DecisionInputs, tried: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:
-    """Return the explanations that leave something that no other one named would leave."""
-    left = {
+def _leaving_residual(inputs: DecisionInputs, features: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:
+    """Return the hypotheses that leave an excess which no other hypothesis explains."""
+    excess_per_block = {
         hypothesis.effects: (hypothesis.chi2_with_form_error - inputs.block_count) / max(inputs.block_count, 1)
         for hypothesis in inputs.hypotheses
     }
     return [
-        one.effects for one in tried if left[one.effects] > MIN_LEFT_OVER_EXCESS and one.share < MAX_EXPLAINED_SHARE
+        candidate.effects
+        for candidate in features
+        if excess_per_block[candidate.effects] > MIN_LEFT_OVER_EXCESS and candidate.share < MAX_EXPLAINED_SHARE
     ]
 
 
 def _softmax(utilities: Sequence[float]) -> list[float]:
-    """Return probabilities of hypotheses, and last that of the unknown, whose utility is 0."""
+    """Return probabilities of the hypotheses, and last of `unknown`, whose utility is 0."""
     highest = max((*utilities, 0.0))
     weights = [exp(value - highest) for value in (*utilities, 0.0)]
-    within = [min(max(value / sum(weights), MIN_PROBABILITY / len(weights)), MAX_PROBABILITY) for value in weights]
-    return [value / sum(within) for value in within]
+    limited = [min(max(value / sum(weights), MIN_PROBABILITY / len(weights)), MAX_PROBABILITY) for value in weights]
+    return [value / sum(limited) for value in limited]
 
 
 def mains_hum_present(mains_llr: float, line_llr: float) -> bool:
-    """Return whether a line at the mains' frequency is one of the mains, the strongest elsewhere being what it is."""
+    """Whether there is mains hum, given the strongest lines at the mains frequency and elsewhere."""
     return mains_llr > MIN_MAINS_LLR and _mains_dominates(mains_llr, line_llr)
 
 
 def _mains_dominates(mains_llr: float, line_llr: float) -> bool:
-    """Return whether the mains' frequency is louder than others: where all are loud, it is no finding."""
+    """Whether the mains line exceeds all others clearly: if all frequencies are loud, it is no finding."""
     return line_llr <= 0.5 * mains_llr
 
 
 def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
-    seen = _logistic((inputs.mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
+    line_probability = _logistic((inputs.mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
     hum_id = hum_effect().id
-    hum = 0.0 if hum_id in inputs.excluded else seen
+    hum_probability = 0.0 if hum_id in inputs.excluded else line_probability
     if not _mains_dominates(inputs.mains_llr, inputs.line_llr):
-        hum = min(hum, 0.2)
-    foreign = _other_line_probability(inputs)
+        hum_probability = min(hum_probability, 0.2)
+    other_line = _other_line_probability(inputs)
     if hum_id in inputs.excluded:
-        foreign = max(foreign, seen)
-    if hum > 0.5:
-        beside = force.total > 0.5
-        named = {(*names, hum_id): value for names, value in force.probabilities.items()} if beside else {}
-        alone = min(hum, MAX_PROBABILITY) * (1.0 - force.total if beside else 1.0)
-        return _classification({**named, (hum_id,): alone}, 1.0 - min(hum, MAX_PROBABILITY), 0.0, force)
-    if foreign > 0.5 and foreign > force.total:
-        return _classification({}, foreign, 1.0 - foreign, force)
+        other_line = max(other_line, line_probability)
+    if hum_probability > 0.5:
+        with_force = force.total > 0.5
+        combinations = {(*names, hum_id): value for names, value in force.probabilities.items()} if with_force else {}
+        hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - force.total if with_force else 1.0)
+        return _classification(
+            {**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0, force
+        )
+    if other_line > 0.5 and other_line > force.total:
+        return _classification({}, other_line, 1.0 - other_line, force)
     return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total, force)
 
 
 def _has_clear_llr(name: str, inputs: DecisionInputs) -> bool:
-    """Return whether an effect takes much away, alone or beside those taken up before it."""
+    """Whether an effect has a clear log likelihood ratio, alone or beside effects selected before it."""
     return (
         max((hypothesis.llr for hypothesis in inputs.hypotheses if hypothesis.effects[-1] == name), default=0.0)
         > MIN_LLR_BESIDE_POSITION
@@ -187,12 +192,12 @@ def _has_clear_llr(name: str, inputs: DecisionInputs) -> bool:
 
 
 def _other_line_probability(inputs: DecisionInputs) -> float:
-    """Return how likely a line is that is not the mains'."""
+    """Return the probability of a spectral line that is not the mains'."""
     return _logistic((inputs.line_llr - 0.02 * inputs.mains_llr - MIN_OTHER_LINE_LLR) / OTHER_LINE_LLR_WIDTH)
 
 
 def unknown_because_of_line(inputs: DecisionInputs, classification: Classification) -> bool:
-    """Return whether it is a line that no effect of the catalogue explains which made a verdict `unknown`."""
+    """Whether the verdict is `unknown` because of a spectral line that no effect explains."""
     return (
         classification.verdict is Verdict.UNKNOWN
         and not inputs.has_position_error
@@ -201,32 +206,40 @@ def unknown_because_of_line(inputs: DecisionInputs, classification: Classificati
 
 
 def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
-    beside = tuple(
+    force_effects = tuple(
         name
         for name in force.effects
         if _has_clear_llr(name, inputs) and force.marginal(name) > MIN_POSTERIOR_BESIDE_POSITION
     )
-    sure = min((force.marginal(name) for name in beside), default=1.0)
-    alternatives = {beside: sure} if beside else _confusable_group(inputs, force)
-    alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
+    force_probability = min((force.marginal(name) for name in force_effects), default=1.0)
+    alternatives = {force_effects: force_probability} if force_effects else _confusable_group(inputs, force)
+    position_alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
     hum_id = hum_effect().id
     hum = (hum_id,) if inputs.mains_llr > MIN_MAINS_LLR and hum_id not in inputs.excluded else ()
     share = inputs.position[0][1] if inputs.position else 0.0
-    named = min(max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY)
-    rivals = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
-    whole = sum(rivals.values())
-    families = {(name, *hum): alone * named * weight / whole for name, weight in rivals.items() if alone > 0.0}
-    for others, value in alternatives.items():
-        families |= {(name, *others, *hum): value * named * weight / whole for name, weight in rivals.items()}
-    return _classification(families, 1.0 - named if families else 1.0, 0.0, force)
+    known_probability = min(
+        max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY
+    )
+    weights = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
+    total = sum(weights.values())
+    combinations = {
+        (name, *hum): position_alone * known_probability * weight / total
+        for name, weight in weights.items()
+        if position_alone > 0.0
+    }
+    for effects, value in alternatives.items():
+        combinations |= {
+            (name, *effects, *hum): value * known_probability * weight / total for name, weight in weights.items()
+        }
+    return _classification(combinations, 1.0 - known_probability if combinations else 1.0, 0.0, force)
 
 
 def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tuple[str, ...], float]:
-    """Return effects that are hardly told from each other, one of which acts, with their probabilities; else none."""
+    """Return confusable effects, one of which acts, with their probabilities; empty for none."""
     for name in force.effects:
         group = [name, *sorted(confusable_effects(name) & set(force.effects))]
         shares: dict[tuple[str, ...], float] = {
-            (label,): force.marginal(label) for label in group if _has_clear_llr(label, inputs)
+            (member,): force.marginal(member) for member in group if _has_clear_llr(member, inputs)
         }
         if len(shares) > 1 and MIN_POSTERIOR_BESIDE_POSITION < sum(shares.values()) <= 1.0:
             return shares
@@ -236,30 +249,30 @@ def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tu
 def _classification(
     named: Mapping[tuple[str, ...], float], unknown: float, no_gap: float, force: _ForcePosterior
 ) -> Classification:
-    """Name the likeliest explanation where it is likelier than `unknown` and than `no_gap`."""
+    """Return the most likely hypothesis as verdict if it is more likely than `unknown` and `no_gap`."""
     named = _prefer_subset(named)
-    whole = sum(named.values()) + unknown + no_gap
-    probabilities = {NO_GAP: no_gap / whole, UNKNOWN: unknown / whole}
-    probabilities |= {"+".join(names): value / whole for names, value in named.items()}
+    total = sum(named.values()) + unknown + no_gap
+    probabilities = {NO_GAP: no_gap / total, UNKNOWN: unknown / total}
+    probabilities |= {"+".join(names): value / total for names, value in named.items()}
     effects = max(named, key=lambda names: named[names], default=())
     if not effects or named[effects] < max(unknown, no_gap):
         verdict = Verdict.NO_GAP if no_gap >= unknown else Verdict.UNKNOWN
         return Classification(verdict, (), probabilities, (), residual_unknown=False)
-    least = CONFUSABLE_RATIO * named[effects]
-    others = [names for names, value in named.items() if value > least and not set(effects) <= set(names)]
-    confusable = tuple(dict.fromkeys(name for names in others for name in names if name not in effects))
+    threshold = CONFUSABLE_RATIO * named[effects]
+    rivals = [names for names, value in named.items() if value > threshold and not set(effects) <= set(names)]
+    confusable = tuple(dict.fromkeys(name for names in rivals for name in names if name not in effects))
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
     return Classification(verdict, effects, probabilities, confusable, effects in force.left_over)
 
 
 def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str, ...], float]:
-    """Let a part of the likeliest explanation that is nearly as likely on its own be the likelier one."""
+    """Prefer a subset of the most likely hypothesis that is nearly as likely alone."""
     best = max(named, key=lambda names: named[names], default=())
-    parts = [names for names in named if set(names) < set(best) and named[names] * PARSIMONY_RATIO > named[best]]
-    if not parts:
+    subsets = [names for names in named if set(names) < set(best) and named[names] * PARSIMONY_RATIO > named[best]]
+    if not subsets:
         return named
-    part, moved = max(parts, key=lambda names: named[names]), named[best] * (1.0 - 1.0 / PARSIMONY_RATIO)
-    return {**named, best: named[best] - moved, part: named[part] + moved}
+    subset, transferred = max(subsets, key=lambda names: named[names]), named[best] * (1.0 - 1.0 / PARSIMONY_RATIO)
+    return {**named, best: named[best] - transferred, subset: named[subset] + transferred}
 
 
 def _logistic(value: float) -> float:
@@ -267,32 +280,32 @@ def _logistic(value: float) -> float:
 
 
 FEATURE_RIDGE, EFFECT_RIDGE = 0.02, 0.5
-"""Prior precisions of a weight: of a feature, and of a single effect's, of which there are few campaigns each."""
+"""Prior precisions of a feature's weight, and of a single effect's, for which there are few campaigns."""
 PRIOR_GATE = GapGate(least_gain=18.0, gain_width=3.0, least_left=0.075, left_width=0.012)
-"""What is thought of the thresholds beforehand: the best of all shapes reaches a gain of 8 in noise alone, and seldom
-more than 15 where the nominal model is a little wrong."""
+"""Prior of the thresholds: the best variant reaches Δχ²/2 of 8 in noise alone, and rarely more than 15 where the
+nominal model is slightly wrong."""
 GATE_PRIOR_SD = 0.03
-"""How well that is known, relative."""
+"""Relative prior standard deviation of the thresholds."""
 MIN_TRAINING_LLR = 11.0
-"""A campaign teaches which effect it is if any takes away so many half squares."""
+"""A campaign trains the choice of effects only if a hypothesis reaches this log likelihood ratio."""
 
 POSITIVE_FEATURES = ("plain", "flexible", "further: share", "further: over", "further: gain", "further: worse")
 NEGATIVE_FEATURES = ("known, in", "behind", "left", "nameless", "further: alike", "third")
-"""How features begin whose sense is known beforehand: what explains more is never the less likely for it."""
+"""Prefixes of features with known sign: a better explanation never makes a hypothesis less likely."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingCase:
-    """What was found in a campaign, and what was hidden in it.
+    """Decision inputs of a campaign, with the effects hidden in it.
 
     Attributes
     ----------
     effects
         Hidden effects of the catalogue.
     outside
-        Whether an effect was hidden that the catalogue does not have.
+        Whether an effect outside the catalogue was hidden.
     size
-        The smallest size of the hidden effects; small ones teach nothing about when a gap is seen.
+        Smallest size of the hidden effects; small ones do not train the gate.
     """
 
     inputs: DecisionInputs
@@ -303,34 +316,36 @@ class TrainingCase:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LabelledChoice:
-    """Features of the hypotheses of one campaign, shape `(H, F)`, and which is right (H where none is)."""
+    """Features of one campaign's hypotheses, shape `(H, F)`, and the index of the correct one (H for none)."""
 
     features: FloatArray
     correct: int
 
 
 def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str, float]:
-    """Return the weights that make the right choices most probable: penalised maximum likelihood.
+    """Return the weights that maximise the penalised likelihood of the correct choices.
 
     Raises
     ------
     ValueError
-        When no lesson teaches a choice.
+        When no case is informative.
     """
     from scipy.optimize import minimize
 
-    weighed = [
+    informative = [
         (case, hypothesis_features(case.inputs, tolerance_mN)) for case in cases if _is_informative(case, tolerance_mN)
     ]
-    tried = [(case, hypotheses) for case, hypotheses in weighed if hypotheses]
-    if not tried:
-        raise ValueError("There is no campaign among these whose force teaches which effect it is")
-    names = sorted({name for _, hypotheses in tried for hypothesis in hypotheses for name in hypothesis.features})
+    labelled = [(case, hypotheses) for case, hypotheses in informative if hypotheses]
+    if not labelled:
+        raise ValueError("No campaign among these has a force from which effects can be learnt")
+    names = sorted({name for _, hypotheses in labelled for hypothesis in hypotheses for name in hypothesis.features})
     choices = []
-    for lesson, hypotheses in tried:
+    for labelled_case, hypotheses in labelled:
         rows = [[hypothesis.features.get(name, 0.0) for name in names] for hypothesis in hypotheses]
         choices.append(
-            _LabelledChoice(np.array(rows), _correct_choice(lesson, [hypothesis.effects for hypothesis in hypotheses]))
+            _LabelledChoice(
+                np.array(rows), _correct_choice(labelled_case, [hypothesis.effects for hypothesis in hypotheses])
+            )
         )
     ridge = np.array([EFFECT_RIDGE if name.startswith(EFFECT_FEATURE) else FEATURE_RIDGE for name in names])
 
@@ -341,10 +356,10 @@ def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str,
             shares = np.exp(utilities - utilities.max())
             shares /= shares.sum()
             total -= float(np.log(shares[choice.correct] + 1e-300))
-            pulled = shares[:-1].copy()
-            if choice.correct < len(pulled):
-                pulled[choice.correct] -= 1.0
-            slope = slope + choice.features.T @ pulled
+            residuals = shares[:-1].copy()
+            if choice.correct < len(residuals):
+                residuals[choice.correct] -= 1.0
+            slope = slope + choice.features.T @ residuals
         return total, slope
 
     bounds = [_weight_bounds(name) for name in names]
@@ -353,14 +368,14 @@ def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str,
 
 
 def _weight_bounds(feature: str) -> tuple[float | None, float | None]:
-    """Return between what the weight of a feature may be."""
+    """Return the bounds of a feature's weight."""
     return 0.0 if feature.startswith(POSITIVE_FEATURES) else None, 0.0 if feature.startswith(
         NEGATIVE_FEATURES
     ) else None
 
 
 def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float = 0.2) -> GapGate:
-    """Return the thresholds that tell campaigns with a gap from those without most probably."""
+    """Return the gate that maximises the penalised likelihood of gap or no gap."""
     from scipy.optimize import minimize
 
     rows = [
@@ -370,16 +385,16 @@ def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float
         and _force_effects(case) == case.effects
         and (not case.effects or case.size >= min_size)
     ]
-    gain, left, there = (np.array(column) for column in zip(*rows, strict=True))
+    llr, excess, has_gap = (np.array(column) for column in zip(*rows, strict=True))
 
     def loss(steps: FloatArray) -> float:
         gate = _gate_at(steps)
-        seen = np.maximum(
-            _logistic_array((gain - gate.least_gain) / gate.gain_width),
-            _logistic_array((left - gate.least_left) / gate.left_width),
+        probability = np.maximum(
+            _logistic_array((llr - gate.least_gain) / gate.gain_width),
+            _logistic_array((excess - gate.least_left) / gate.left_width),
         )
-        within = np.clip(seen, 1e-3, 1.0 - 1e-3)
-        return -float(np.sum(np.log(np.where(there, within, 1.0 - within)))) + 0.5 * float(np.sum(steps**2))
+        limited = np.clip(probability, 1e-3, 1.0 - 1e-3)
+        return -float(np.sum(np.log(np.where(has_gap, limited, 1.0 - limited)))) + 0.5 * float(np.sum(steps**2))
 
     solution = minimize(loss, np.zeros(4), method="Nelder-Mead", options={"maxiter": 2000})
     return _gate_at(np.asarray(solution.x, dtype=np.float64))
@@ -389,8 +404,8 @@ def _gate_at(steps: FloatArray) -> GapGate:
     values = [
         value * float(np.exp(GATE_PRIOR_SD * step)) for value, step in zip(_gate_values(PRIOR_GATE), steps, strict=True)
     ]
-    gain, width, left, left_width = (round(value, 4) for value in values)
-    return GapGate(least_gain=gain, gain_width=width, least_left=left, left_width=left_width)
+    llr, width, excess, excess_width = (round(value, 4) for value in values)
+    return GapGate(least_gain=llr, gain_width=width, least_left=excess, left_width=excess_width)
 
 
 def _gate_values(gate: GapGate) -> tuple[float, ...]:
@@ -412,21 +427,21 @@ def _force_effects(case: TrainingCase) -> frozenset[str]:
 
 
 def _is_informative(case: TrainingCase, tolerance_mN: float) -> bool:
-    """Whether it is the force that is to be explained, and anything explains some of it."""
-    of_force = _force_effects(case)
-    tried = [hypothesis.llr for hypothesis in case.inputs.hypotheses if hypothesis.change_mN >= tolerance_mN]
-    return (bool(of_force) or (case.outside and not case.inputs.has_position_error)) and max(
-        tried, default=0.0
+    """Whether a campaign has a gap in the force, and some hypothesis explains part of it."""
+    force_effects = _force_effects(case)
+    llrs = [hypothesis.llr for hypothesis in case.inputs.hypotheses if hypothesis.change_mN >= tolerance_mN]
+    return (bool(force_effects) or (case.outside and not case.inputs.has_position_error)) and max(
+        llrs, default=0.0
     ) > MIN_TRAINING_LLR
 
 
 def _correct_choice(case: TrainingCase, hypotheses: Sequence[tuple[str, ...]]) -> int:
-    """Return which explanation has just the hidden effects, else the most of them and no other, else none."""
+    """Return the index of the hypothesis with most of the hidden effects and no others; their number for none."""
     hidden = _force_effects(case)
     if case.outside:
         return len(hypotheses)
-    fitting = [number for number, names in enumerate(hypotheses) if set(names) <= hidden]
-    return max(fitting, key=lambda number: len(hypotheses[number]), default=len(hypotheses))
+    subsets = [number for number, names in enumerate(hypotheses) if set(names) <= hidden]
+    return max(subsets, key=lambda number: len(hypotheses[number]), default=len(hypotheses))
 
 
 CROSS_VALIDATION_FOLDS = 10
@@ -435,28 +450,29 @@ CROSS_VALIDATION_FOLDS = 10
 def cross_validate(
     cases: Sequence[TrainingCase], tolerance_mN: float, folds: int = CROSS_VALIDATION_FOLDS
 ) -> tuple[Classification, ...]:
-    """Judge each campaign with thresholds and weights that all but its own part of them teach.
+    """Classify each campaign with gate and weights fitted to the other folds.
 
     Parameters
     ----------
     cases
         Campaigns whose hidden effects are known.
     tolerance_mN
-        What an effect must change to matter.
+        Smallest rms change of the force that matters.
     folds
-        Into so many parts they are divided: with 10, the first, eleventh, … campaign are one.
+        Number of folds; with 10, campaigns 1, 11, … are one fold.
 
     Raises
     ------
     ValueError
-        When there are fewer campaigns than parts, fewer than two parts, or the others teach nothing.
+        When there are fewer campaigns than folds, fewer than two folds, or no informative campaign in the others.
     """
     if not 2 <= folds <= len(cases):
-        raise ValueError(f"{len(cases)} campaigns cannot be divided into {folds} parts")
-    learnt = [
-        _trained([case for at, case in enumerate(cases) if at % folds != fold], tolerance_mN) for fold in range(folds)
+        raise ValueError(f"{len(cases)} campaigns cannot be divided into {folds} folds")
+    calibrations = [
+        _trained([case for index, case in enumerate(cases) if index % folds != fold], tolerance_mN)
+        for fold in range(folds)
     ]
-    return tuple(classify(case.inputs, tolerance_mN, learnt[at % folds]) for at, case in enumerate(cases))
+    return tuple(classify(case.inputs, tolerance_mN, calibrations[index % folds]) for index, case in enumerate(cases))
 
 
 def _trained(cases: Sequence[TrainingCase], tolerance_mN: float) -> Calibration:

@@ -19,25 +19,31 @@ from dragrig.sim_backend.effects.base import catalogue
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
 NAMES_WITHOUT_EFFECT = {NO_GAP: "no gap", UNKNOWN: "none of the catalogue"}
-UNCALIBRATED_NOTE = "The probabilities are not calibrated: take them for an order, not for chances."
+UNCALIBRATED_NOTE = "The probabilities are not calibrated: use them as a ranking only."
 
 
 def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
-    """Return the verdict in plain words, with its probability; the first sentence is the answer."""
-    text = f"({probability_text(verdict_probability(diagnosis))})"
+    """Return the verdict with its probability; the first sentence is the answer."""
+    probability = f"({_verdict_probability_text(diagnosis)})"
     match diagnosis.verdict:
         case Verdict.NO_GAP:
-            return (f"No gap {text}: {_detection_limit_clause(diagnosis)}.",)
+            return (f"No gap {probability}: {_detection_limit_clause(diagnosis)}.",)
         case Verdict.UNKNOWN:
             gap = diagnosis.unknown
-            first = f"A gap that no effect of the catalogue explains {text}."
-            told = () if gap is None else (as_sentence(gap.location), as_sentence(gap.dependence))
-            return tuple(one for one in (first, *told, *_law_sentences(diagnosis)) if one)
+            first = f"A gap that no effect of the catalogue explains {probability}."
+            description = () if gap is None else (as_sentence(gap.location), as_sentence(gap.dependence))
+            return tuple(sentence for sentence in (first, *description, *_law_sentences(diagnosis)) if sentence)
         case Verdict.SEVERAL:
-            first = f"{capitalise(join_names([display_name(name) for name in diagnosis.effects]))} act together {text}."
+            names = join_names([display_name(name) for name in diagnosis.effects])
+            first = f"{capitalise(names)} act together {probability}."
         case Verdict.EFFECT:
-            first = f"{capitalise(join_names([display_name(name) for name in diagnosis.effects]))} {text}."
+            first = f"Most likely: {join_names([display_name(name) for name in diagnosis.effects])} {probability}."
     return first, *_confusable_sentences(diagnosis), *_residual_sentences(diagnosis)
+
+
+def _verdict_probability_text(diagnosis: Diagnosis) -> str:
+    probability = verdict_probability(diagnosis)
+    return f"probability {probability_text(probability)}" if isfinite(probability) else probability_text(probability)
 
 
 def detection_limit_sentence(diagnosis: Diagnosis) -> str:
@@ -51,42 +57,42 @@ def calibration_sentence(diagnosis: Diagnosis) -> str:
 
 
 def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, ...]:
-    """Say how far the gap closes on runs that took no part; how large it is where no effect is named to close it."""
-    runs = f", on {count_text(len(shrink.runs), 'run')} that took no part in fit or choice" if shrink.runs else ""
-    floor = f"noise and scatter of repeats alone are {force_text(shrink.noise_floor_mN)}"
+    """Say what share of the gap closes on held-out runs, or only its size where no effect is named."""
+    runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and choice" if shrink.runs else ""
+    floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
-    sizes = f"Root mean square of the residual{runs}: {before} without the effect, {after} with it; {floor}."
+    sizes = f"Residual (rms){runs}: {before} without the effect, {after} with it; {floor}."
     if not named and shrink.closed is not None:
-        return (f"Root mean square of the residual{runs}: {before}; {floor}.",)
+        return (f"Residual (rms){runs}: {before}; {floor}.",)
     if shrink.closed is None or not isfinite(shrink.closed):
-        sizes = f"Root mean square of the residual{runs}: {before}; {floor}."
-        return sizes, "That is hardly above them, so that no share of a gap can be said to close."
-    text, interval = percent_text(shrink.closed), ""
+        sizes = f"Residual (rms){runs}: {before}; {floor}."
+        return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
+    share, interval = percent_text(shrink.closed), ""
     if shrink.closed_95ci is not None:
         low, high = shrink.closed_95ci
-        interval = f"95 %: {percent_text(low)} to {percent_text(high)}"
+        interval = f"95 % interval: {percent_text(low)} to {percent_text(high)}"
     if shrink.closed > 1:
-        exactly = "; ".join(name for name in (text, interval) if name)
-        return sizes, f"The whole gap closes ({exactly}): less is left than noise and scatter of repeats make."
-    closed = f"{text} of the gap closes" + (f" ({interval})" if interval else "")
+        details = "; ".join(detail for detail in (share, interval) if detail)
+        return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
+    closed = f"{share} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
 
 
 def verdict_probability(diagnosis: Diagnosis) -> float:
-    """Return the probability of the verdict; NaN where the ranking does not hold it."""
+    """Return the probability of the verdict; NaN where the ranking lacks it."""
     hypothesis = next((entry for entry in diagnosis.ranking if is_stated_verdict(entry, diagnosis)), None)
     return float("nan") if hypothesis is None else hypothesis.probability
 
 
 def is_stated_verdict(ranked: RankedHypothesis, diagnosis: Diagnosis) -> bool:
-    """Whether a hypothesis of the ranking is the one that the verdict names."""
+    """Whether a hypothesis of the ranking is the verdict."""
     if diagnosis.effects:
         return set(ranked.hypothesis.split("+")) == set(diagnosis.effects)
     return ranked.hypothesis == diagnosis.verdict.value
 
 
 def display_name(hypothesis: str) -> str:
-    """Return what a person calls a hypothesis: an effect by its name, several joined with `and`."""
+    """Return the name of a hypothesis for a sentence; several effects joined with `and`."""
     if hypothesis in NAMES_WITHOUT_EFFECT:
         return NAMES_WITHOUT_EFFECT[hypothesis]
     known = catalogue()
@@ -95,17 +101,15 @@ def display_name(hypothesis: str) -> str:
 
 
 def effect_description(effect: str) -> str:
-    """Say what an effect is and where it acts, from the catalogue."""
+    """Describe an effect of the catalogue and where it acts."""
     known = catalogue().get(effect)
     if known is None:
         return f"{capitalise(display_name(effect))} is not in this catalogue."
-    return (
-        f"{capitalise(known.name)}, in the {known.location.value}. {known.summary} What shows it: {known.visible_in}."
-    )
+    return f"{capitalise(known.name)}, in the {known.location.value}. {known.summary} Visible in: {known.visible_in}."
 
 
 def probability_text(probability: float) -> str:
-    """Spell a probability with two digits; never as a certainty."""
+    """Return a probability with two digits, never as certainty."""
     if not isfinite(probability):
         return "probability not known"
     if probability > 0.995:
@@ -114,69 +118,68 @@ def probability_text(probability: float) -> str:
 
 
 def force_text(value: float) -> str:
-    """Spell a force."""
+    """Return a force with its unit."""
     if not isfinite(value):
         return "an unknown force"
     return f"{value:.1f} mN" if abs(value) < 100 else f"{value:.0f} mN"
 
 
 def percent_text(share: float) -> str:
-    """Spell a share: 71 %, 99.3 %."""
+    """Return a share as percentage: 71 %, 99.3 %."""
     if not isfinite(share):
         return "an unknown share"
-    near = 0.9 < share < 1 or 0 < share < 0.01
-    return f"{100 * share:.1f} %".replace("-", "−") if near else f"{100 * share:.0f} %".replace("-", "−")
+    precise = 0.9 < share < 1 or 0 < share < 0.01
+    return f"{100 * share:.1f} %".replace("-", "−") if precise else f"{100 * share:.0f} %".replace("-", "−")
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Join names as in a sentence."""
+    """Join names for a sentence."""
     if not names:
         return ""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def count_text(number: int, noun: str) -> str:
-    """Spell a number of things."""
+    """Return a number with its noun."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def capitalise(text: str) -> str:
-    """Let a sentence begin."""
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def as_sentence(text: str) -> str:
-    """Let a text begin and end as a sentence; nothing of nothing."""
-    whole = capitalise(text.strip())
-    return whole if not whole or whole.endswith((".", "!", "?")) else f"{whole}."
+    """Return a text as a sentence with capital and full stop; empty for an empty text."""
+    sentence = capitalise(text.strip())
+    return sentence if not sentence or sentence.endswith((".", "!", "?")) else f"{sentence}."
 
 
 def _detection_limit_clause(diagnosis: Diagnosis) -> str:
-    least = diagnosis.detection_limit_mN
-    if not isfinite(least):
-        return "how small an effect these runs would have shown is not known"
-    return f"an effect above {force_text(least)} would have been seen"
+    limit_mN = diagnosis.detection_limit_mN
+    if not isfinite(limit_mN):
+        return "the detection limit of these runs is not known"
+    return f"an effect above {force_text(limit_mN)} would have been detected"
 
 
 def _confusable_sentences(diagnosis: Diagnosis) -> Iterator[str]:
-    left_out = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
+    excluded = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
     it = "it" if len(diagnosis.effects) == 1 else "them"
-    alike = [display_name(name) for name in diagnosis.confusable_with if name not in left_out]
-    if alike:
-        yield f"{capitalise(join_names(alike))} cannot be told from {it} with these runs."
-    untried = [display_name(name) for name in diagnosis.confusable_with if name in left_out]
-    if untried:
-        yield f"Left out of the search, and hardly told from {it}: {join_names(untried)}."
+    confusable = [display_name(name) for name in diagnosis.confusable_with if name not in excluded]
+    if confusable:
+        yield f"{capitalise(join_names(confusable))} cannot be distinguished from {it} with these runs."
+    excluded_names = [display_name(name) for name in diagnosis.confusable_with if name in excluded]
+    if excluded_names:
+        yield f"Excluded from the search and hardly distinguishable from {it}: {join_names(excluded_names)}."
 
 
 def _residual_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     if not diagnosis.residual_unknown:
         return
-    it = "it" if len(diagnosis.effects) == 1 else "them"
-    yield f"Something is left beside {it} that no effect of the catalogue explains."
+    yield "Part of the gap remains that no effect of the catalogue explains."
     gap = diagnosis.unknown
     if gap is not None:
-        yield from (name for name in (as_sentence(gap.location), as_sentence(gap.dependence)) if name)
+        yield from (sentence for sentence in (as_sentence(gap.location), as_sentence(gap.dependence)) if sentence)
         yield from _law_sentences(diagnosis)
 
 
@@ -187,20 +190,20 @@ def _law_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     share = (
         ""
         if gap.held_out_share is None
-        else f" explains {percent_text(gap.held_out_share)} of it on runs that took no part"
+        else f"; it explains {percent_text(gap.held_out_share)} of this gap on held-out runs"
     )
-    yield f"What describes it best, {gap.expression},{share or ' holds up on runs that took no part'}."
+    yield f"Best description: {gap.expression}{share}."
 
 
 MIN_SHOWN_SHARE = 0.01
-"""Smaller shares are not told."""
+"""Smaller shares are omitted."""
 MAX_SHOWN_P = 0.05
-NOTHING_SIGNIFICANT = "nothing stands out"
+NOTHING_SIGNIFICANT = "not significant"
 
 
 @dataclass(frozen=True, slots=True)
 class AxisText:
-    """One axis: its name, where on it most of the excess is, and the chance that it stands out so without a gap."""
+    """An axis of the location: its name, where most of the excess is, and the p-value."""
 
     axis: str
     where: str
@@ -214,20 +217,20 @@ _AXIS_UNITS: Mapping[str, tuple[str, str, float]] = {
     "strain": ("strain", "%", 100.0),
     "band_hz": ("frequency", "Hz", 1.0),
 }
-"""Name, unit and factor of axes whose bins are ranges."""
+"""Name, unit and factor of axes with numeric bins."""
 DOMAIN_NAMES: Mapping[str, str] = {
     "speed": "speed",
     "position": "position along the stroke",
     "time": "time within the run",
-    "session": "the session's clock",
-    "frequency": "time at a high frequency",
+    "session": "session time",
+    "frequency": "time, at high frequency",
     "strain": "strain",
-    "transient": "what happens when the velocity changes",
+    "transient": "changes of velocity",
 }
 
 
 def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
-    """Return the axes on which a part of the excess lies; none without a gap."""
+    """Return the axes with a part of the excess; none without a gap."""
     if not where.present:
         return ()
     alone = where.runs == 1
@@ -239,17 +242,17 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
 
 
 def domain_sentence(where: GapLocation) -> str:
-    """Say what the residual is above all a function of."""
+    """Say what the residual is mainly a function of."""
     if not where.present:
-        return "No place stands out of noise and repeatability."
+        return "The residual exceeds noise and repeatability nowhere."
     if not where.domain:
-        return "What the residual is a function of, these runs do not say of one another."
+        return "No coordinate predicts the residual of held-out runs."
     score = where.domain_scores.get(where.domain, float("nan"))
-    others = "" if where.runs == 1 else " on runs that took no part"
-    share = f", which accounts for {100 * score:.0f} % of its squares{others}"
+    basis = "" if where.runs == 1 else " on held-out runs"
+    share = f", which accounts for {100 * score:.0f} % of its squares{basis}"
     if not isfinite(score):
         share = ""
-    return f"The residual is above all a function of {DOMAIN_NAMES.get(where.domain, where.domain)}{share}."
+    return f"The residual is mainly a function of {DOMAIN_NAMES.get(where.domain, where.domain)}{share}."
 
 
 def _axis_name(location: AxisLocation) -> str:
@@ -273,11 +276,11 @@ def _axis_text(location: AxisLocation, *, alone: bool) -> str:
 
 
 MAX_QUOTED_SHARE = 0.9
-"""A rival that leaves more than this share resembles the truth so little that the share is not told."""
+"""Shares above this are not quoted: the rival hardly resembles the assumed effect."""
 
 
 def run_text(step: PlanStep) -> str:
-    """Say what a run is: a drag at 1 mm/s over 20 mm."""
+    """Describe a run: a drag at 1 mm/s over 20 mm."""
     settings = step.parameters
     match step.kind:
         case "relaxation":
@@ -302,27 +305,27 @@ def run_text(step: PlanStep) -> str:
 
 
 def recommendation_reason(run: NextRun, tried: int) -> str:
-    """Say why a run is recommended, with numbers, and that it need not be where that is so."""
+    """Say why a run is recommended, with numbers, and whether it is optional."""
     text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
     return (
-        f"{'What is likely is told apart well enough already. ' if run.optional else ''}{text} "
-        f"in {run.minutes:.1f} min of rig time, more per minute than any other of {tried} runs that were compared."
+        f"{'The leading hypotheses are already separated well enough. ' if run.optional else ''}{text} "
+        f"in {run.minutes:.1f} min of rig time, the largest gain per minute of {tried} candidate runs."
     )
 
 
 def run_subject(step: PlanStep) -> str:
-    """Let a sentence begin with a run."""
+    """Return a run as the begin of a sentence."""
     return capitalise(run_text(step)) + ("," if step.repeats > 1 else "")
 
 
 def separation_text(before: ModelPair, after: ModelPair) -> str:
-    """Say what a run decides, as the rest of a sentence."""
-    grows = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
+    """Say what a run separates, as the rest of a sentence."""
+    change = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
     if not after.rival:
-        return f"would show a smaller {display_name(after.truth)}: its {grows}"
+        return f"would show a smaller {display_name(after.truth)}: its {change}"
     truth, rival = display_name(after.truth), display_name(after.rival)
-    text = f"separates {truth} from {rival}: {grows}"
+    text = f"separates {truth} from {rival}: {change}"
     if before.remaining_share > MAX_QUOTED_SHARE:
         return text
     shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
-    return f"{text}, and what {rival} leaves of {truth} {shares}"
+    return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"

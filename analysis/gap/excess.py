@@ -19,14 +19,14 @@ from dragrig.rig.profile import Phase
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandPowers:
-    """Mean squares of a steady phase, its mean taken off, by the bands of `BANDS_HZ`.
+    """Mean squares of a steady phase without its mean, by the bands of `BANDS_HZ`.
 
     Attributes
     ----------
     residual
-        What the residual has [the channel's unit squared], shape `(bands,)`.
+        Of the residual [the channel's unit squared], shape `(bands,)`.
     expected
-        What noise has.
+        Of noise.
     """
 
     residual: FloatArray
@@ -35,45 +35,45 @@ class BandPowers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlocks:
-    """What the nominal model, refitted, leaves of one channel of one run: means over `B` blocks.
+    """Residuals of one channel of one run after the nominal fit: means over `B` blocks.
 
     Attributes
     ----------
     run_id
-        The run; its channels share it.
+        Id of the run, shared by its channels.
     channel
         `force` or `position`.
     kind
         The run's protocol.
     contact
-        How capsule and gut met.
+        Contact between capsule and gut.
     speed_mm_s
         Commanded top speed.
     strain
-        Commanded shear strain; 0 where nothing is sheared.
+        Commanded shear strain; 0 for none.
     session_s
-        The first sample on the session's clock.
+        Time of the first sample on the session clock.
     residual
-        Measured less model [the channel's unit], shape `(B,)`.
+        Measured minus model [the channel's unit], shape `(B,)`.
     noise_sd
-        What it is expected to be without a gap: noise, repeatability and tolerance in one standard deviation.
+        Expected standard deviation without a gap: noise, repeatability and tolerance.
     duration_s
         Durations of the blocks.
     time_s
-        Their middles, from the first sample on.
+        Middles of the blocks, from the first sample on.
     phase
-        Their phases.
+        Phases of the blocks.
     position_mm
-        Where the stage is, from the first sample on.
+        Position of the stage, from the first sample on.
     bands
-        The steady phase by frequency, from the whole trace; from the blocks where it is missing.
+        Spectrum of the steady phase from the whole trace; default: from the blocks.
     origin_mm
-        Where on the rig the run begins.
+        Where on the machine the run begins.
     force_mN
-        The force that was measured, shape `(B,)`, where it is at hand.
+        Measured force, shape `(B,)`, where known.
     explained
-        What an effect that is known to be there adds to the residual [the channel's unit], shape `(B,)`: it is looked
-        at instead of the residual, and all of it is excess.
+        Contribution of a known effect [the channel's unit], shape `(B,)`: replaces the residual, and all of it counts
+        as excess.
     """
 
     run_id: str
@@ -95,41 +95,43 @@ class ResidualBlocks:
     origin_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for arrays of unequal lengths and for noise or widths that are not positive."""
+        """Raise `ValueError` for arrays of unequal lengths, and for noise or durations that are not positive."""
         level = self.residual if self.force_mN is None else self.force_mN
         arrays = (self.residual, self.noise_sd, self.duration_s, self.time_s, self.phase, self.position_mm, level)
         if len({values.shape for values in arrays}) != 1 or self.residual.ndim != 1 or not self.residual.size:
             raise ValueError(f"Blocks of run {self.run_id} differ in their number, or there are none")
         if not (np.isfinite(self.residual).all() and (self.noise_sd > 0).all() and (self.duration_s > 0).all()):
-            raise ValueError(f"Blocks of run {self.run_id} need finite residuals, positive noise and positive widths")
+            raise ValueError(
+                f"Blocks of run {self.run_id} need finite residuals, positive noise and positive durations"
+            )
 
     @property
     def deviation(self) -> FloatArray:
-        """The residual, or what is explained of it, over what is expected of it, shape `(B,)`."""
-        looked_at = self.residual if self.explained is None else self.explained
-        return np.asarray(looked_at / self.noise_sd)
+        """Residual, or its explained part, in expected standard deviations, shape `(B,)`."""
+        values = self.residual if self.explained is None else self.explained
+        return np.asarray(values / self.noise_sd)
 
     @property
     def weight(self) -> FloatArray:
-        """Each block's part of the run's duration, shape `(B,)`."""
+        """Share of each block in the run's duration, shape `(B,)`."""
         return np.asarray(self.duration_s / self.duration_s.sum())
 
     @property
     def excess(self) -> FloatArray:
-        """Each block's part of the run's mean square above the expected one, in units of it, shape `(B,)`."""
+        """Contribution of each block to the run's mean square deviation above its expectation, shape `(B,)`."""
         return np.asarray(self.weight * (self.deviation**2 - (self.explained is None)))
 
 
 BANDS_HZ: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
-"""Edges of the bands; the constant part belongs to none."""
+"""Edges of the bands; the mean belongs to none."""
 
 MIN_SPECTRUM_BLOCKS = 4
 
 
 def band_powers(signal: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the mean square of an even signal in each band, its mean taken off, shape `(n,)` to `(bands,)`.
+    """Return the mean square of an evenly sampled signal in each band, without its mean, shape `(n,)` to `(bands,)`.
 
-    All bands together have the signal's variance, but for what lies above the last edge.
+    All bands together have the signal's variance, except above the last edge.
     """
     spectrum = np.abs(np.fft.rfft(signal - signal.mean())) ** 2 / signal.size**2
     spectrum[1:] *= 2.0
@@ -140,14 +142,14 @@ def band_powers(signal: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def band_excess(blocks: ResidualBlocks) -> FloatArray:
-    """Return the excess of the steady phase by band, as a part of the run's expected mean square, shape `(bands,)`.
+    """Return the excess of the steady phase by band, relative to the run's expected mean square, shape `(bands,)`.
 
-    Without the trace's own powers the blocks are read as a staircase at their usual width, with white noise.
+    Without a spectrum of the trace, blocks are resampled at their median duration, with white noise.
     """
     steady = blocks.phase == Phase.STEADY
-    nothing = np.zeros(len(BANDS_HZ) - 1)
+    zeros = np.zeros(len(BANDS_HZ) - 1)
     if not steady.any():
-        return nothing
+        return zeros
     share = float(blocks.weight[steady].sum())
     if blocks.bands is not None:
         expected = float(np.average(blocks.noise_sd[steady] ** 2, weights=blocks.duration_s[steady]))
@@ -156,7 +158,7 @@ def band_excess(blocks: ResidualBlocks) -> FloatArray:
     time, value = blocks.time_s[steady], blocks.deviation[steady]
     count = int((time[-1] - time[0]) / step + 1e-6) + 1
     if count < MIN_SPECTRUM_BLOCKS:
-        return nothing
+        return zeros
     grid = time[0] + step * np.arange(count)
     nearest = np.clip(np.searchsorted(0.5 * (time[1:] + time[:-1]), grid), 0, time.size - 1)
     lines = np.histogram(np.fft.rfftfreq(count, step)[1:], BANDS_HZ)[0]
@@ -173,29 +175,29 @@ class ComparisonBasis(StrEnum):
     """What the excess in a bin is compared with."""
 
     RUNS = "runs"
-    """Other runs of the same kind, where a run lies in one bin as a whole."""
+    """Other runs of the same kind, for bins that contain whole runs."""
     REST = "rest"
-    """The rest of the run, where every run has a part in the bin."""
+    """The rest of the run, for bins with a part of every run."""
     NOISE = "noise"
-    """What is expected, where bins differ in what noise has in them."""
+    """The expectation, for bins that differ in their noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcessAxis:
-    """One way to divide the excess of `R` runs into `J` bins.
+    """One division of the excess of `R` runs into `J` bins.
 
     Attributes
     ----------
     name
-        As in the report.
+        Name in the report.
     labels
-        Names of the bins, or none where `edges` has their ends.
+        Names of the bins; empty for numeric bins.
     edges
-        Lower and upper end of each bin, shape `(J, 2)`.
+        Lower and upper end of each numeric bin, shape `(J, 2)`.
     energy
-        Excess of each run in each bin, in units of the expected mean square, shape `(R, J)`.
+        Excess of each run in each bin, relative to the expected mean square, shape `(R, J)`.
     duration
-        Part of each run's duration in each bin, shape `(R, J)`.
+        Share of each run's duration in each bin, shape `(R, J)`.
     basis
         What the excess in a bin is compared with.
     """
@@ -209,20 +211,20 @@ class ExcessAxis:
 
     @property
     def ordered(self) -> bool:
-        """Whether neighbouring bins belong together."""
+        """Whether the bins are ordered."""
         return not self.labels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignResiduals:
-    """The runs of a campaign in order of their kinds, with the blocks of each run's channels."""
+    """Blocks of each run and channel, runs in the order of their kinds."""
 
     ids: tuple[str, ...]
     blocks: tuple[tuple[ResidualBlocks, ...], ...]
 
     @classmethod
     def of(cls, blocks: Sequence[ResidualBlocks]) -> "CampaignResiduals":
-        """Gather channels by run."""
+        """Group blocks by run."""
         by_run: dict[str, list[ResidualBlocks]] = {}
         for run in blocks:
             by_run.setdefault(run.run_id, []).append(run)
@@ -231,7 +233,7 @@ class CampaignResiduals:
 
     @property
     def first_channels(self) -> tuple[ResidualBlocks, ...]:
-        """One channel of each run, for what belongs to the run as a whole."""
+        """One channel of each run, for properties of the whole run."""
         return tuple(channels[0] for channels in self.blocks)
 
     @property
@@ -241,7 +243,7 @@ class CampaignResiduals:
 
     @property
     def kind_index(self) -> IndexArray:
-        """Number of each run's kind, rising, shape `(R,)`."""
+        """Index of each run's kind, ascending, shape `(R,)`."""
         return np.asarray(np.unique([blocks.kind for blocks in self.first_channels], return_inverse=True)[1])
 
 
@@ -307,9 +309,9 @@ def _position_axis(runs: CampaignResiduals) -> ExcessAxis:
     edges = np.linspace(0.0, max(round(longest, 1), 0.1), POSITION_BINS + 1)
 
     def index(blocks: ResidualBlocks) -> IndexArray:
-        result = np.clip(np.searchsorted(edges, np.abs(blocks.position_mm), side="right") - 1, 0, POSITION_BINS - 1)
-        under_way = (blocks.phase != Phase.REST) & (blocks.phase != Phase.HOLD)
-        return np.asarray(np.where(under_way & _moves(blocks), result, -1))
+        bins = np.clip(np.searchsorted(edges, np.abs(blocks.position_mm), side="right") - 1, 0, POSITION_BINS - 1)
+        moving = (blocks.phase != Phase.REST) & (blocks.phase != Phase.HOLD)
+        return np.asarray(np.where(moving & _moves(blocks), bins, -1))
 
     energy, time = _excess_within_runs(runs, index, POSITION_BINS)
     return ExcessAxis("position", (), np.stack((edges[:-1], edges[1:]), axis=1), energy, time, ComparisonBasis.REST)
@@ -349,7 +351,7 @@ def _whole_run_axis(
 def _excess_within_runs(
     runs: CampaignResiduals, index_of: Callable[[ResidualBlocks], IndexArray], count: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return excess and part of the duration of each run by bin; an index of −1 is in no bin."""
+    """Return excess and share of the duration of each run by bin; index -1 is in no bin."""
     energy, time = np.zeros((2, len(runs.ids), count))
     for row, channels in enumerate(runs.blocks):
         for blocks in channels:
@@ -365,36 +367,36 @@ PERMUTATIONS = 999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Significance:
-    """Familywise p-values of windows of neighbouring bins, or of single bins where they have no order.
+    """Familywise p-values of windows of adjacent bins, or of single bins where they are not ordered.
 
     Attributes
     ----------
     windows
         First and last bin of each window, shape `(K, 2)`.
     p
-        Chance of a statistic as large anywhere on the axis without a gap, shape `(K,)`.
+        Probability of a statistic as large anywhere on the axis without a gap, shape `(K,)`.
     """
 
     windows: npt.NDArray[np.intp]
     p: FloatArray
 
     def of_window(self, first: int, last: int) -> float:
-        """Return the p-value of a window; 1 for the whole axis, which nothing stands out from."""
-        result = np.flatnonzero((self.windows == (first, last)).all(axis=1))
-        return float(self.p[result[0]]) if result.size else 1.0
+        """Return the p-value of a window; 1 for the whole axis."""
+        index = np.flatnonzero((self.windows == (first, last)).all(axis=1))
+        return float(self.p[index[0]]) if index.size else 1.0
 
     @property
     def min_p(self) -> float:
-        """The smallest of them, which is the axis' own."""
+        """Smallest p-value, the axis' own."""
         return float(self.p.min(initial=1.0))
 
 
 def permutation_test(axis: ExcessAxis, stratum: IndexArray, generator: np.random.Generator) -> Significance:
     """Test all windows of an axis.
 
-    Between runs, their excess is permuted among runs of one kind (of all kinds, for the protocol): it stands out where
-    it belongs to the bin. Within runs, the sign of what a window has more than the rest of its run, and more than is
-    expected, is flipped run by run. Less than expected is no excess, whatever stands out in it.
+    Between runs, excess is permuted among runs of one kind (among all for the protocol axis). Within runs, the sign of
+    the difference between a window and the rest of its run is flipped run by run. A window with less than the expected
+    mean square is never significant.
     """
     windows = _windows(axis)
     if not windows.size:
@@ -406,19 +408,19 @@ def permutation_test(axis: ExcessAxis, stratum: IndexArray, generator: np.random
         statistic = _permutation_statistic(axis, inside, kinds, generator)
     else:
         statistic = _sign_flip_statistic(axis, inside, generator)
-    above = (axis.energy.sum(axis=0) @ inside) > 0
-    return Significance(windows, np.where(above, _familywise_p(statistic), 1.0))
+    has_excess = (axis.energy.sum(axis=0) @ inside) > 0
+    return Significance(windows, np.where(has_excess, _familywise_p(statistic), 1.0))
 
 
 def overall_p(energy: FloatArray, generator: np.random.Generator) -> float:
-    """Return the p-value of an excess in all runs together, the sign of each run's flipped."""
+    """Return the p-value of the excess of all runs together, by random signs of the runs."""
     return float(_familywise_p(_sign_flip_sums(_signed_root(energy)[:, None], generator))[0])
 
 
 def largest_excess_p(blocks: Sequence[ResidualBlocks]) -> float:
-    """Return the p-value of the largest mean square of all, as if all blocks of a run were one: no test is milder.
+    """Return a p-value of the largest mean square, as if all blocks of a run were one: the most conservative test.
 
-    Permutations cannot tell few runs from chance, however large their excess.
+    Permutations of few runs cannot reach small p-values, however large their excess.
     """
     from scipy.special import chdtrc
 
@@ -427,24 +429,24 @@ def largest_excess_p(blocks: Sequence[ResidualBlocks]) -> float:
 
 
 def _windows(axis: ExcessAxis) -> IndexArray:
-    """Return windows that leave something outside; bins of no run are none."""
+    """Return the windows that leave something outside; bins without runs are dropped."""
     count = axis.energy.shape[1]
     if not axis.ordered:
         used = np.flatnonzero(axis.duration.any(axis=0))
         return np.stack((used, used), axis=1) if used.size > 1 else np.zeros((0, 2), dtype=np.intp)
     first, last = np.triu_indices(count)
-    kept = last - first < count - 1
-    return np.stack((first[kept], last[kept]), axis=1)
+    proper = last - first < count - 1
+    return np.stack((first[proper], last[proper]), axis=1)
 
 
 def _permutation_statistic(
     axis: ExcessAxis, inside: FloatArray, stratum: IndexArray, generator: np.random.Generator
 ) -> FloatArray:
-    """Return standardised sums over each window, shape `(1 + PERMUTATIONS, K)`, the first as found."""
-    part = axis.duration.sum(axis=1) > 0
-    member = (axis.duration @ inside)[part]
-    amplitude = _signed_root(axis.energy.sum(axis=1))[part]
-    kinds = np.unique(stratum[part], return_inverse=True)[1]
+    """Return standardised sums over each window, shape `(1 + PERMUTATIONS, K)`, observed ones first."""
+    included = axis.duration.sum(axis=1) > 0
+    member = (axis.duration @ inside)[included]
+    amplitude = _signed_root(axis.energy.sum(axis=1))[included]
+    kinds = np.unique(stratum[included], return_inverse=True)[1]
     if not kinds.size:
         return np.zeros((1 + PERMUTATIONS, inside.shape[1]))
     centred = amplitude - (np.bincount(kinds, amplitude) / np.bincount(kinds))[kinds]
@@ -455,19 +457,19 @@ def _permutation_statistic(
 
 
 def _sign_flip_statistic(axis: ExcessAxis, inside: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Return statistics of what each window has more than the rest of its run, shape `(1 + PERMUTATIONS, K)`."""
+    """Return statistics of the difference between each window and the rest, shape `(1 + PERMUTATIONS, K)`."""
     time, energy = axis.duration @ inside, axis.energy @ inside
     if axis.basis is ComparisonBasis.NOISE:
         return _sign_flip_sums(_signed_root(energy), generator)
     rest_time, rest_energy = axis.duration @ (1 - inside), axis.energy @ (1 - inside)
     both = (time > 0) & (rest_time > 0)
-    safe = np.where(both, time, 1.0), np.where(both, rest_time, 1.0)
-    more = _signed_root(energy / safe[0]) - np.maximum(_signed_root(rest_energy / safe[1]), 0.0)
-    return _sign_flip_sums(np.where(both, more, 0.0), generator)
+    durations = np.where(both, time, 1.0), np.where(both, rest_time, 1.0)
+    difference = _signed_root(energy / durations[0]) - np.maximum(_signed_root(rest_energy / durations[1]), 0.0)
+    return _sign_flip_sums(np.where(both, difference, 0.0), generator)
 
 
 def _sign_flip_sums(values: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Return sums over runs over the root of their squares, as found and under random signs of the runs."""
+    """Return sums over runs divided by their root sum of squares, observed and under random signs."""
     signs = np.where(generator.random((PERMUTATIONS, values.shape[0])) < 0.5, -1.0, 1.0)
     scale = np.sqrt((values**2).sum(axis=0))
     sums = np.vstack((values.sum(axis=0), signs @ values))
@@ -475,8 +477,8 @@ def _sign_flip_sums(values: FloatArray, generator: np.random.Generator) -> Float
 
 
 def _familywise_p(statistic: FloatArray) -> FloatArray:
-    found, largest = statistic[0], statistic[1:].max(axis=1)
-    at_least = (largest[:, None] >= found - 1e-12).sum(axis=0)
+    observed, largest = statistic[0], statistic[1:].max(axis=1)
+    at_least = (largest[:, None] >= observed - 1e-12).sum(axis=0)
     return np.asarray((1 + at_least) / (1 + largest.size))
 
 

@@ -29,7 +29,7 @@ from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
 
 CONSTANT_DOMAIN = "constant"
-"""What a residual would be a function of that is the same in all runs of a kind."""
+"""Pseudo-domain of a residual that is the same in all runs of a kind."""
 
 POSITION_BIN_MM, TIME_BINS = 1.0, 24
 """Width of the bins along the stroke, and number of bins from 10 ms to 300 s after a start or stop."""
@@ -37,7 +37,7 @@ POSITION_BIN_MM, TIME_BINS = 1.0, 24
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockTable:
-    """All blocks one below the other: number of the run, weight, residual over what is expected."""
+    """All blocks stacked: index of the run, weight, deviation."""
 
     run: IndexArray
     weight: FloatArray
@@ -45,7 +45,7 @@ class BlockTable:
 
     @classmethod
     def of(cls, blocks: Sequence[ResidualBlocks]) -> "BlockTable":
-        """Stack the blocks."""
+        """Stack the blocks of all runs."""
         number = {name: index for index, name in enumerate(dict.fromkeys(run.run_id for run in blocks))}
         return cls(
             np.concatenate([np.full(run.residual.size, number[run.run_id]) for run in blocks]),
@@ -56,16 +56,16 @@ class BlockTable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DomainCoordinate:
-    """What a domain knows of each block: a bin, and how the residual is scaled in it."""
+    """Bin of each block along a domain's coordinate, and a scale of the residual in it."""
 
     bins: IndexArray
     scale: FloatArray
 
 
 def cross_predicted_share(table: BlockTable, coordinate: DomainCoordinate) -> float:
-    """Return which part of the squares the other runs' bins predict, weighted; below 0 where they mislead.
+    """Return the weighted share of the squares that other runs' bins predict; negative where they mislead.
 
-    In each bin the residual is a factor times the scale; the factor comes by least squares from the other runs.
+    In each bin the residual is a factor times the scale, fitted to the other runs by least squares.
     """
     runs = int(table.run.max()) + 1
     cell = np.unique(coordinate.bins * runs + table.run, return_inverse=True)
@@ -73,16 +73,16 @@ def cross_predicted_share(table: BlockTable, coordinate: DomainCoordinate) -> fl
     product = np.bincount(cell[1], table.weight * coordinate.scale * table.deviation)
     square = np.bincount(cell[1], table.weight * coordinate.scale**2)
     bins = np.unique(keys // runs, return_inverse=True)[1]
-    others = np.bincount(bins, product)[bins] - product
-    scales = np.bincount(bins, square)[bins] - square
-    factor = np.divide(others, scales, out=np.zeros_like(others), where=scales > 1e-9 * square)
-    left = table.deviation - factor[cell[1]] * coordinate.scale
+    moment = np.bincount(bins, product)[bins] - product
+    squares = np.bincount(bins, square)[bins] - square
+    factor = np.divide(moment, squares, out=np.zeros_like(moment), where=squares > 1e-9 * square)
+    residual = table.deviation - factor[cell[1]] * coordinate.scale
     total = float((table.weight * table.deviation**2).sum())
-    return 1 - float((table.weight * left**2).sum()) / total if total > 0 else 0.0
+    return 1 - float((table.weight * residual**2).sum()) / total if total > 0 else 0.0
 
 
 def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[DomainCoordinate, ...]]:
-    """Return what is tried for each domain that runs can predict."""
+    """Return the coordinates of each domain that other runs can predict."""
     group = _per_block(blocks, [_group_index(blocks, run) for run in blocks])
     ones = np.ones(group.size)
     strain = np.concatenate([np.full(run.residual.size, run.strain or 1.0) for run in blocks])
@@ -106,7 +106,7 @@ def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[D
 
 
 def _per_block(blocks: Sequence[ResidualBlocks], number: Sequence[int]) -> IndexArray:
-    """Return a number of each run for each of its blocks."""
+    """Repeat a number of each run for each of its blocks."""
     return np.concatenate([np.full(run.residual.size, value) for run, value in zip(blocks, number, strict=True)])
 
 
@@ -116,7 +116,7 @@ def _group_index(blocks: Sequence[ResidualBlocks], run: ResidualBlocks) -> int:
 
 
 def _session_pairs(blocks: Sequence[ResidualBlocks], shift: int) -> list[int]:
-    """Return the number of the pair of neighbours in the session that a run belongs to, within its kind."""
+    """Return the index of the pair of consecutive runs of a kind that each run belongs to."""
     ranks = []
     for run in blocks:
         before = sum(o.kind == run.kind and o.channel == run.channel and o.session_s < run.session_s for o in blocks)
@@ -125,13 +125,13 @@ def _session_pairs(blocks: Sequence[ResidualBlocks], shift: int) -> list[int]:
 
 
 def _position_bins(blocks: ResidualBlocks) -> IndexArray:
-    """Return the bin along the stroke; rests and holds are apart, as they say nothing of the stroke."""
+    """Return the bin along the stroke; rests and holds have bins of their own."""
     along = 2 + np.floor(np.abs(blocks.position_mm) / POSITION_BIN_MM).astype(np.intp)
     return np.where(blocks.phase == Phase.REST, 0, np.where(blocks.phase == Phase.HOLD, 1, along))
 
 
 def _time_bins(blocks: ResidualBlocks) -> IndexArray:
-    """Return the bin of the time since the last start or stop, on a logarithmic scale; the rest has one of its own."""
+    """Return the logarithmic bin of the time since the last start or stop; rests have a bin of their own."""
     held = blocks.phase == Phase.HOLD
     begun = blocks.phase != Phase.REST
     start = blocks.time_s[begun][0] if begun.any() else 0.0
@@ -142,7 +142,7 @@ def _time_bins(blocks: ResidualBlocks) -> IndexArray:
 
 
 def _combined_index(*parts: IndexArray) -> IndexArray:
-    """Return one number for each combination."""
+    """Return a unique index for each combination of indices."""
     joined = parts[0]
     for values in parts[1:]:
         joined = joined * (int(values.max()) + 1) + values
@@ -152,37 +152,37 @@ def _combined_index(*parts: IndexArray) -> IndexArray:
 WAVENUMBERS_PER_MM = np.geomspace(1 / 20, 1.0, 120)
 FREQUENCIES_HZ = np.geomspace(1 / 30, 3.0, 120)
 WAVENUMBER_SPACING, MAX_FINE_WAVENUMBERS = 0.4, 200
-"""Beyond these, wave numbers lie so many waves over the longest run apart, and are so many at most."""
+"""Spacing of further wave numbers in waves over the longest run, and their largest number."""
 REFINEMENT_POINTS = 41
-"""So many rates about the best one are tried to tell it exactly."""
+"""Number of wave numbers that refine the best one."""
 MIN_SINE_BLOCKS = 8
-"""Least blocks for a sine."""
+"""Fewest blocks for a sine."""
 
 MIN_PERIODS = 2.0
-"""Fewest periods of a sine that a run must hold to have a say on it."""
+"""Fewest periods of a sine in a run that contributes to it."""
 
 
 def best_periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[float, float]:
-    """Return which part of all squares the best sine accounts for, in position and in time."""
+    """Return the share of all squares that the best sine explains, in position and in time."""
     in_position, in_time = periodic_shares(blocks)
     return float(in_position.max()), float(in_time.max())
 
 
 def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
-    """Return the wave numbers per mm that are tried: the usual ones, and shorter waves as far as blocks show them."""
+    """Return the trial wave numbers per mm: the standard ones, and shorter waves that the blocks resolve."""
     steady = [np.abs(run.position_mm[run.phase == Phase.STEADY]) for run in blocks]
-    steady = [one for one in steady if one.size >= MIN_SINE_BLOCKS and np.ptp(one) > 0]
+    steady = [positions for positions in steady if positions.size >= MIN_SINE_BLOCKS and np.ptp(positions) > 0]
     if not steady:
         return WAVENUMBERS_PER_MM
-    shortest = float(np.median([np.median(np.diff(np.sort(one))) for one in steady]))
-    step = WAVENUMBER_SPACING / max(float(np.ptp(one)) for one in steady)
+    shortest = float(np.median([np.median(np.diff(np.sort(positions))) for positions in steady]))
+    step = WAVENUMBER_SPACING / max(float(np.ptp(positions)) for positions in steady)
     last = float(WAVENUMBERS_PER_MM[-1])
     highest = min(0.5 / max(shortest, 1e-9), last + MAX_FINE_WAVENUMBERS * step)
     return np.concatenate((WAVENUMBERS_PER_MM, np.arange(last + step, highest, step)))
 
 
 def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, FloatArray]:
-    """Return that part for a sine of each of `trial_wavenumbers` in position, and of `FREQUENCIES_HZ` in time."""
+    """Return the share for a sine of each of `trial_wavenumbers` in position and of `FREQUENCIES_HZ` in time."""
     total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
     waves = trial_wavenumbers(blocks)
     in_position, in_time = np.zeros(waves.size), np.zeros(FREQUENCIES_HZ.size)
@@ -196,46 +196,48 @@ def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, Float
 
 
 def best_wavenumber(blocks: Sequence[ResidualBlocks]) -> float:
-    """Return the wave number per mm of which a sine accounts for most, told as exactly as runs tell it."""
-    waves, result = trial_wavenumbers(blocks), periodic_shares(blocks)[0]
-    at = int(result.argmax())
-    low, high = waves[max(at - 1, 0)], waves[min(at + 1, waves.size - 1)]
+    """Return the wave number per mm of the best sine, refined."""
+    waves, shares = trial_wavenumbers(blocks), periodic_shares(blocks)[0]
+    index = int(shares.argmax())
+    low, high = waves[max(index - 1, 0)], waves[min(index + 1, waves.size - 1)]
     near = np.linspace(low, high, REFINEMENT_POINTS)
     moving = [(run, run.phase == Phase.STEADY) for run in blocks]
-    taken = np.sum([_sine_power(run, np.abs(run.position_mm), steady, near) for run, steady in moving], axis=0)
-    return float(near[int(taken.argmax())])
+    powers = np.sum([_sine_power(run, np.abs(run.position_mm), steady, near) for run, steady in moving], axis=0)
+    return float(near[int(powers.argmax())])
 
 
 def _sine_power(blocks: ResidualBlocks, coordinate: FloatArray, inside: BoolArray, rates: FloatArray) -> FloatArray:
-    """Return the squares that a sine of each rate accounts for, beyond a straight line, in a part of a run."""
+    """Return the squares that a sine of each rate explains beyond a straight line, in a part of a run."""
     if np.count_nonzero(inside) < MIN_SINE_BLOCKS:
         return np.zeros_like(rates)
-    at, deviation, weight = coordinate[inside], blocks.deviation[inside], blocks.weight[inside]
+    coordinates, deviation, weight = coordinate[inside], blocks.deviation[inside], blocks.weight[inside]
     root = np.sqrt(weight)
-    line = np.linalg.qr(np.stack((root, root * (at - at.mean())), axis=1))[0]
-    left = root * deviation
-    left = left - line @ (line.T @ left)
-    wave = np.exp(-2j * np.pi * rates[:, None] * at) @ (root * left)
+    line = np.linalg.qr(np.stack((root, root * (coordinates - coordinates.mean())), axis=1))[0]
+    residual = root * deviation
+    residual = residual - line @ (line.T @ residual)
+    wave = np.exp(-2j * np.pi * rates[:, None] * coordinates) @ (root * residual)
     share = 2 * np.abs(wave) ** 2 / weight.sum()
-    widest = float(np.diff(np.sort(at)).max())
-    allowed = (rates * np.ptp(at) >= MIN_PERIODS) & (rates * widest < 0.5)
-    return np.where(allowed, np.minimum(share, float(left @ left)), 0.0)
+    max_gap = float(np.diff(np.sort(coordinates)).max())
+    allowed = (rates * np.ptp(coordinates) >= MIN_PERIODS) & (rates * max_gap < 0.5)
+    return np.where(allowed, np.minimum(share, float(residual @ residual)), 0.0)
 
 
 FAST_HZ = 10.0
-"""From here on a disturbance is one of frequency."""
+"""Residuals faster than this belong to the frequency domain."""
 
 TRANSIENT_S = 0.3
-"""How long after a change of velocity its transient is looked for."""
+"""Time after a change of velocity that counts as transient."""
 
 DOMAINS = ("speed", "position", "time", "session", "frequency", "strain", "transient")
 
 
 def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
-    """Return which part of the residuals' squares each domain accounts for, 0 to 1."""
+    """Return the share of the residuals' squares that each domain explains, 0 to 1."""
     table = BlockTable.of(blocks)
-    seen = domain_coordinates(blocks)
-    scores = {name: max(cross_predicted_share(table, coordinate) for coordinate in seen[name]) for name in seen}
+    coordinates = domain_coordinates(blocks)
+    scores = {
+        name: max(cross_predicted_share(table, coordinate) for coordinate in coordinates[name]) for name in coordinates
+    }
     in_position, in_time = best_periodic_shares(blocks)
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
     scores["session"] = max(scores["session"], scores[CONSTANT_DOMAIN] + in_time)
@@ -251,7 +253,7 @@ def _fast_excess(blocks: ResidualBlocks) -> float:
 
 
 def _transient_excess(blocks: ResidualBlocks) -> float:
-    """Return the excess while the velocity changes and shortly after, above what the run has elsewhere."""
+    """Return the excess during and shortly after changes of velocity, above that of the rest of the run."""
     changing = (blocks.phase == Phase.ACCELERATE) | (blocks.phase == Phase.DECELERATE)
     if not changing.any():
         return 0.0
@@ -263,31 +265,31 @@ def _transient_excess(blocks: ResidualBlocks) -> float:
 
 
 MAIN_SHARE = 0.8
-"""Part of the excess that is most of it."""
+"""Share of the excess that counts as most of it."""
 
 MIN_COVERED_SHARE = 0.05
-"""An axis on which less of the whole excess lies has no shares: relaxations know nothing of speed, drags of strain."""
+"""Smallest covered share of the excess for an axis to have shares: relaxations have no speed, drags no strain."""
 
 MIN_SINGLE_RUN_SCORE = 0.3
-"""One run is said to be a function of what accounts for more than this of it: no other run confirms it."""
+"""Smallest score of a domain for a single run, which no other run confirms."""
 
 ALPHA = 0.05
-"""Chance of calling noise a gap."""
+"""Significance level of a gap."""
 
 
 def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed: int = 0) -> GapLocation:
-    """Say where the residuals of a campaign are larger than noise and repeatability explain.
+    """Locate where residuals of a campaign exceed noise and repeatability.
 
-    Within a run the excess is weighted by duration; every run counts alike, however long it is.
+    Within a run, excess is weighted by duration; every run counts equally.
 
     Parameters
     ----------
     blocks
         Residuals of each run and channel.
     present
-        Whether there is a gap, where that has been decided; otherwise `p` decides.
+        Whether there is a gap, if decided elsewhere; default: by the p-value.
     seed
-        Of the permutations.
+        Seed of the permutations.
 
     Raises
     ------
@@ -295,26 +297,27 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
         When there are no blocks.
     """
     if not blocks:
-        raise ValueError("There are no residuals to look at")
+        raise ValueError("There are no residuals to localise")
     runs = CampaignResiduals.of(blocks)
     generator = np.random.default_rng(seed)
     axes = excess_axes(runs)
-    found = [permutation_test(axis, runs.kind_index, generator) for axis in axes]
+    significances = [permutation_test(axis, runs.kind_index, generator) for axis in axes]
     tests = [
         largest_excess_p(blocks),
         overall_p(runs.energy, generator),
-        *(significance.min_p for significance in found if significance.p.size),
+        *(significance.min_p for significance in significances if significance.p.size),
     ]
     p = min(1.0, len(tests) * min(tests))
-    there = p < ALPHA if present is None else present
-    whole = float(np.maximum(runs.energy, 0.0).sum())
-    scores = domain_scores(blocks) if there else {}
+    gap_present = p < ALPHA if present is None else present
+    total = float(np.maximum(runs.energy, 0.0).sum())
+    scores = domain_scores(blocks) if gap_present else {}
     return GapLocation(
-        present=there,
+        present=gap_present,
         p=p,
         rms=_root_of_excess(float(runs.energy.mean())),
         locations=tuple(
-            _axis_location(axis, significance, whole, there) for axis, significance in zip(axes, found, strict=True)
+            _axis_location(axis, significance, total, gap_present)
+            for axis, significance in zip(axes, significances, strict=True)
         ),
         cells=_phase_cells(blocks),
         domain=_main_domain(scores, MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0),
@@ -325,32 +328,37 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
     )
 
 
-def _main_domain(scores: Mapping[str, float], least: float) -> str:
+def _main_domain(scores: Mapping[str, float], threshold: float) -> str:
     best = max(scores, key=lambda name: scores[name], default="")
-    return best if best and scores[best] > least else ""
+    return best if best and scores[best] > threshold else ""
 
 
-def _axis_location(axis: ExcessAxis, tested: Significance, whole: float, there: bool) -> AxisLocation:
+def _axis_location(
+    axis: ExcessAxis, significance: Significance, total_excess: float, gap_present: bool
+) -> AxisLocation:
     energy = np.maximum(axis.energy.sum(axis=0), 0.0)
-    covered = float(energy.sum()) / whole if whole > 0 else 0.0
-    energy *= there and covered >= MIN_COVERED_SHARE
+    covered = float(energy.sum()) / total_excess if total_excess > 0 else 0.0
+    energy *= gap_present and covered >= MIN_COVERED_SHARE
     total = float(energy.sum())
     shares = energy / total if total > 0 else np.zeros_like(energy)
     time = axis.duration.sum(axis=0)
     rms = np.sqrt(np.maximum(np.divide(axis.energy.sum(axis=0), time, out=np.zeros_like(time), where=time > 0), 0.0))
     bins = tuple(
-        _axis_bin(axis, number, float(shares[number]), float(rms[number]), tested) for number in range(shares.size)
+        _axis_bin(axis, number, float(shares[number]), float(rms[number]), significance)
+        for number in range(shares.size)
     )
     if not axis.ordered or total <= 0:
-        return AxisLocation(axis.name, bins, covered, None, None, 0.0, 1.0, tested.min_p)
+        return AxisLocation(axis.name, bins, covered, None, None, 0.0, 1.0, significance.min_p)
     first, last = _narrowest_window(shares)
     low, high = float(axis.edges[first, 0]), float(axis.edges[last, 1])
     share = float(shares[first : last + 1].sum())
-    return AxisLocation(axis.name, bins, covered, low, high, share, tested.of_window(first, last), tested.min_p)
+    return AxisLocation(
+        axis.name, bins, covered, low, high, share, significance.of_window(first, last), significance.min_p
+    )
 
 
-def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, tested: Significance) -> AxisBin:
-    p = tested.of_window(number, number)
+def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, significance: Significance) -> AxisBin:
+    p = significance.of_window(number, number)
     if not axis.ordered:
         return AxisBin(axis.labels[number], None, None, share, rms, p)
     low, high = axis.edges[number].tolist()
@@ -358,12 +366,12 @@ def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, tested: S
 
 
 def _narrowest_window(shares: FloatArray) -> tuple[int, int]:
-    """Return first and last of the fewest neighbouring bins that have most; of equally few those that have more."""
-    until = np.append(0.0, np.cumsum(shares))
+    """Return first and last of the fewest adjacent bins with most of the excess; of equal ones those with more."""
+    cumulative = np.append(0.0, np.cumsum(shares))
     first, last = np.triu_indices(shares.size)
-    within = until[last + 1] - until[first]
-    enough = np.flatnonzero(within >= MAIN_SHARE - 1e-9)
-    best = min(enough.tolist(), key=lambda at: (int(last[at] - first[at]), -float(within[at])))
+    contained = cumulative[last + 1] - cumulative[first]
+    enough = np.flatnonzero(contained >= MAIN_SHARE - 1e-9)
+    best = min(enough.tolist(), key=lambda index: (int(last[index] - first[index]), -float(contained[index])))
     return int(first[best]), int(last[best])
 
 
@@ -373,14 +381,19 @@ def _phase_cells(blocks: Sequence[ResidualBlocks]) -> tuple[PhaseCell, ...]:
         for phase in np.unique(run.phase).tolist():
             inside = run.phase == phase
             key = run.channel, run.kind, phase
-            more = np.array([run.excess[inside].sum(), run.weight[inside].sum()])
-            excess[key] = excess.get(key, np.zeros(2)) + more
-    places = dict.fromkeys((run.channel, run.kind) for run in blocks)
+            sums = np.array([run.excess[inside].sum(), run.weight[inside].sum()])
+            excess[key] = excess.get(key, np.zeros(2)) + sums
+    groups = dict.fromkeys((run.channel, run.kind) for run in blocks)
     return tuple(
-        PhaseCell(channel, kind, name, _root_of_excess(float(result[0] / result[1])) if result is not None else None)
-        for channel, kind in places
+        PhaseCell(
+            channel,
+            kind,
+            name,
+            _root_of_excess(float(sums_of_cell[0] / sums_of_cell[1])) if sums_of_cell is not None else None,
+        )
+        for channel, kind in groups
         for phase, name in enumerate(PHASE_NAMES)
-        for result in [excess.get((channel, kind, phase))]
+        for sums_of_cell in [excess.get((channel, kind, phase))]
     )
 
 
@@ -391,23 +404,23 @@ def _root_of_excess(energy: float) -> float:
 def attribute_to_effects(
     location: GapLocation, blocks: Sequence[ResidualBlocks], added: Sequence[FloatArray]
 ) -> GapLocation:
-    """Return shares of what named effects add, where the residuals of the campaign have no excess to share out.
+    """Return the shares of named effects where the residuals have no excess to locate.
 
-    A change of a few per cent from run to run is as large as repeatability in each block, and still plain over a
+    A change of a few per cent from run to run is as large as repeatability in each block, and yet significant over a
     session. The p-values stay those of the residuals.
 
     Parameters
     ----------
     location
-        What the residuals say.
+        Location from the residuals.
     blocks
-        They.
+        The residuals.
     added
-        What the effects add, block by block, to each of the first of these [the channel's unit].
+        Contribution of the effects to each of the first of these, by block [the channel's unit].
     """
     if not location.present or any(location.location("channel").shares.values()):
         return location
-    shown = [replace(run, explained=more) for run, more in zip(blocks, added, strict=False)]
+    shown = [replace(run, explained=contribution) for run, contribution in zip(blocks, added, strict=False)]
     where = localise([*shown, *blocks[len(shown) :]], present=True, seed=location.seed)
     pairs = zip(location.locations, where.locations, strict=True)
     return replace(where, p=location.p, locations=tuple(_with_residual_p(*pair) for pair in pairs))

@@ -8,6 +8,7 @@ import numpy as np
 
 from dragrig.analysis.gap.classifier import Classification
 from dragrig.analysis.gap.diagnosis import AxisLocation, GapLocation, UnexplainedGap, Verdict
+from dragrig.analysis.gap.diagnosis_text import display_name
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.localise import ALPHA, FAST_HZ, FREQUENCIES_HZ, best_wavenumber, periodic_shares
@@ -26,22 +27,21 @@ from dragrig.analysis.gap.unknown_law import (
 from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.devices import Contact
 from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.base import catalogue
 
 MAX_BINS, MIN_BINS = 10, 3
 MONOTONIC_CORRELATION, MONOTONIC_TO_END_CORRELATION = 0.85, 0.6
-"""Rank correlation from which on means rise or fall; less is enough where the largest is the first or the last."""
+"""Rank correlation above which means rise or fall; a smaller one suffices if the largest is at an end."""
 TREND_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """Means of a residual along a coordinate.
+    """Mean residuals along a coordinate.
 
     Attributes
     ----------
     coordinate, mean, error
-        Coordinate, mean and its standard error over runs [the part's unit], shape `(J,)` each.
+        Coordinate, mean and its standard error over runs [the region's unit], shape `(J,)` each.
     """
 
     coordinate: FloatArray
@@ -56,12 +56,12 @@ class Trend:
 
     @property
     def rank_correlation(self) -> float:
-        """Rank correlation of means and coordinate, −1 to 1."""
+        """Rank correlation of means and coordinate, -1 to 1."""
         ranks = np.argsort(np.argsort(self.mean))
         return float(np.corrcoef(ranks, np.arange(self.coordinate.size))[0, 1])
 
     def text(self, name: str, unit: str, coordinate_unit: str) -> str:
-        """Return how the residual goes along it; empty where its means do not differ."""
+        """Describe how the residual depends on the coordinate; empty where its means do not differ."""
         if self.coordinate.size < MIN_BINS or not self.clear:
             return ""
         peak = int(np.argmax(np.abs(self.mean)))
@@ -74,30 +74,30 @@ class Trend:
         place = f"{two_digits(self.coordinate[peak])}{coordinate_unit}"
         return f"is {side} at about {place}, {_signed_two_digits(self.mean[peak])} {unit}"
 
-    def _at_bin(self, at: int, unit: str, coordinate_unit: str) -> str:
-        return f"{_signed_two_digits(self.mean[at])} {unit} at {two_digits(self.coordinate[at])}{coordinate_unit}"
+    def _at_bin(self, index: int, unit: str, coordinate_unit: str) -> str:
+        return f"{_signed_two_digits(self.mean[index])} {unit} at {two_digits(self.coordinate[index])}{coordinate_unit}"
 
 
 def trend_of(region: GapRegion, domain: str) -> Trend | None:
-    """Return the means along what belongs to a domain; None for domains that have no coordinate.
+    """Return the mean residuals along the coordinate of a domain; None for domains without one.
 
-    Means are over runs, each run's blocks weighted by duration; values that are commanded are kept apart, others put
-    into bins with equally many blocks.
+    Means are over runs, each run's blocks weighted by duration. Commanded values are bins of their own, others are
+    binned with equal numbers of blocks.
     """
     if domain not in ("speed", "position", "time", "session", "strain"):
         return None
-    inside = list(zip(region.blocks, region.masks, strict=True))
-    at = np.concatenate([_domain_values(blocks, domain)[here] for blocks, here in inside])
-    residual = region.unit_factor * np.concatenate([blocks.residual[here] for blocks, here in inside])
-    weight = np.concatenate([blocks.weight[here] for blocks, here in inside])
-    run = np.concatenate([np.full(np.count_nonzero(here), number) for number, (_, here) in enumerate(inside)])
-    levels = np.unique(at)
+    masked = list(zip(region.blocks, region.masks, strict=True))
+    coordinate = np.concatenate([_domain_values(blocks, domain)[mask] for blocks, mask in masked])
+    residual = region.unit_factor * np.concatenate([blocks.residual[mask] for blocks, mask in masked])
+    weight = np.concatenate([blocks.weight[mask] for blocks, mask in masked])
+    run = np.concatenate([np.full(np.count_nonzero(mask), number) for number, (_, mask) in enumerate(masked)])
+    levels = np.unique(coordinate)
     if levels.size > MAX_BINS:
         edges = np.unique(np.quantile(levels, np.linspace(0.0, 1.0, MAX_BINS + 1)[1:-1]))
-        result = np.searchsorted(edges, at, side="right")
+        bins = np.searchsorted(edges, coordinate, side="right")
     else:
-        result = np.searchsorted(levels, at)
-    return _binned_means(result, run, at, residual, weight)
+        bins = np.searchsorted(levels, coordinate)
+    return _binned_means(bins, run, coordinate, residual, weight)
 
 
 def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
@@ -115,20 +115,20 @@ def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
 
 
 def _binned_means(
-    result: IndexArray,
+    bins: IndexArray,
     run: IndexArray,
-    at: FloatArray,
+    coordinate: FloatArray,
     residual: FloatArray,
     weight: FloatArray,
 ) -> Trend:
     rows: list[Sequence[float]] = []
-    for number in np.unique(result).tolist():
-        here = result == number
-        total = np.bincount(run[here], weight[here])
-        seen = total > 0
-        means = np.bincount(run[here], weight[here] * residual[here])[seen] / total[seen]
+    for number in np.unique(bins).tolist():
+        mask = bins == number
+        total = np.bincount(run[mask], weight[mask])
+        present = total > 0
+        means = np.bincount(run[mask], weight[mask] * residual[mask])[present] / total[present]
         error = float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else 0.0
-        rows.append((float(np.average(at[here], weights=weight[here])), float(means.mean()), error))
+        rows.append((float(np.average(coordinate[mask], weights=weight[mask])), float(means.mean()), error))
     table = np.array(rows)
     return Trend(table[:, 0], table[:, 1], table[:, 2])
 
@@ -144,31 +144,31 @@ def _signed_two_digits(value: float) -> str:
 
 DECAY_LENGTHS = 80
 MIN_STEADY_BLOCKS = 12
-"""Least blocks of steady motion that an exponential is looked for in."""
+"""Fewest blocks of steady motion for an exponential."""
 MIN_DECAY_SHARE = 0.5
-"""Part of the squares beyond a straight line from which on it is told."""
+"""Smallest share of the squares beyond a straight line that an exponential must explain."""
 MAX_DECAY_FRACTION = 0.5
-"""One longer than this part of the motion is no more than a bend."""
+"""An exponential longer than this fraction of the motion is no more than curvature."""
 MIN_SHARE_DIFFERENCE = 0.03
-"""Way and time are not told apart where the shares that they explain differ by less."""
+"""Travel and time are not separable where their explained shares differ by less."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExponentialDecay:
-    """An exponential that is common to runs but for its size.
+    """An exponential shared by all runs except for its amplitude.
 
     Attributes
     ----------
     length, along_way
-        Where it has fallen to 37 %: mm of the way, or s where it is one of time.
+        Decay length to 37 %: mm of travel, or s of time.
     alternative_length
-        The same of the other of the two, where runs do not tell them apart; None where they do.
+        Decay length of the other coordinate where both fit equally well; otherwise None.
     start
-        Its size at the begin of steady motion, median over runs [the part's unit].
+        Amplitude at the begin of steady motion, median over runs [the region's unit].
     share
-        Part of the squares beyond a straight line that it takes away.
+        Explained share of the squares beyond a straight line.
     before, after
-        Root mean square beyond a straight line without it and with it [the part's unit].
+        Rms beyond a straight line without and with the exponential [the region's unit].
     """
 
     length: float
@@ -180,25 +180,25 @@ class ExponentialDecay:
     after: float
 
     def text(self, unit: str) -> str:
-        """Return it as a sentence."""
-        way, of_way = ("along the way", "mm") if self.along_way else ("in time", "s")
-        as_well, of_other = ("a time of", "s") if self.along_way else ("a way of", "mm")
-        name = (
+        """Describe it in sentences."""
+        coordinate, length_unit = ("along the travel", "mm") if self.along_way else ("in time", "s")
+        other_coordinate, other_unit = ("over a time of", "s") if self.along_way else ("over a travel of", "mm")
+        alternative = (
             ""
             if self.alternative_length is None
-            else f" (as these runs go, as well {as_well} {two_digits(self.alternative_length)} {of_other})"
+            else f" (these runs fit equally well {other_coordinate} {two_digits(self.alternative_length)} {other_unit})"
         )
         start = f"{self.start:+.2g}".replace("-", "−")
         return (
-            f"It dies away {way} from the begin of steady motion, {start} {unit} over {two_digits(self.length)} "
-            f"{of_way}{name}. "
-            f"Beyond a straight line {two_digits(self.before)} {unit} are left without that exponential, "
+            f"It decays exponentially {coordinate} from the begin of steady motion, {start} {unit} "
+            f"over {two_digits(self.length)} {length_unit}{alternative}. "
+            f"Residual (rms) beyond a straight line: {two_digits(self.before)} {unit} without this exponential, "
             f"{two_digits(self.after)} {unit} with it."
         )
 
 
 def fit_decay(region: GapRegion) -> ExponentialDecay | None:
-    """Return the exponential that steady motion shows most of; None where it explains little or is but a bend."""
+    """Return the best exponential in steady motion; None where it explains little or is only curvature."""
     runs = [
         blocks
         for blocks in region.blocks
@@ -206,14 +206,18 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     ]
     if not runs:
         return None
-    way = _best_decay(runs, [_distance_from_start(blocks, np.abs(blocks.position_mm)) for blocks in runs])
-    time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
-    fit, other, along = (way, time, True) if way.share >= time.share - MIN_SHARE_DIFFERENCE else (time, way, False)
+    in_travel = _best_decay(runs, [_distance_from_start(blocks, np.abs(blocks.position_mm)) for blocks in runs])
+    in_time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
+    fit, other, along_way = (
+        (in_travel, in_time, True)
+        if in_travel.share >= in_time.share - MIN_SHARE_DIFFERENCE
+        else (in_time, in_travel, False)
+    )
     if fit.share < MIN_DECAY_SHARE or fit.at_end:
         return None
     return ExponentialDecay(
         length=fit.length,
-        along_way=along,
+        along_way=along_way,
         alternative_length=other.length if fit.share - other.share < MIN_SHARE_DIFFERENCE else None,
         start=region.unit_factor * float(np.median(fit.starts)),
         share=fit.share,
@@ -236,74 +240,74 @@ def _steady_mask(blocks: ResidualBlocks) -> BoolArray:
 
 
 def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> FloatArray:
-    at = coordinate[_steady_mask(blocks)]
-    return np.asarray(np.abs(at - at[0]), dtype=np.float64)
+    steady = coordinate[_steady_mask(blocks)]
+    return np.asarray(np.abs(steady - steady[0]), dtype=np.float64)
 
 
-def _best_decay(runs: Sequence[ResidualBlocks], since: Sequence[FloatArray]) -> _DecayFit:
-    span = max(float(array.max()) for array in since)
-    shortest = max(min(float(np.median(np.diff(array))) for array in since), 1e-6 * span, 1e-12)
+def _best_decay(runs: Sequence[ResidualBlocks], distances: Sequence[FloatArray]) -> _DecayFit:
+    span = max(float(distance.max()) for distance in distances)
+    shortest = max(min(float(np.median(np.diff(distance))) for distance in distances), 1e-6 * span, 1e-12)
     lengths = np.geomspace(shortest, max(MAX_DECAY_FRACTION * span, 2 * shortest), DECAY_LENGTHS)
     before = np.zeros(len(runs))
-    taken, starts = np.zeros((2, len(runs), lengths.size))
-    for number, (blocks, at) in enumerate(zip(runs, since, strict=True)):
-        inside = _steady_mask(blocks)
-        root = np.sqrt(blocks.weight[inside] / blocks.weight[inside].sum())
-        line = np.linalg.qr(root[:, None] * np.stack((np.ones_like(at), at), axis=1))[0]
-        values = root * blocks.residual[inside]
-        waves = root[:, None] * np.exp(-at[:, None] / lengths)
-        values, waves = (each - line @ (line.T @ each) for each in (values, waves))
-        size = np.maximum((waves**2).sum(axis=0), 1e-12)
-        along = values @ waves
+    explained, starts = np.zeros((2, len(runs), lengths.size))
+    for number, (blocks, distance_of_run) in enumerate(zip(runs, distances, strict=True)):
+        steady = _steady_mask(blocks)
+        root = np.sqrt(blocks.weight[steady] / blocks.weight[steady].sum())
+        line = np.linalg.qr(root[:, None] * np.stack((np.ones_like(distance_of_run), distance_of_run), axis=1))[0]
+        values = root * blocks.residual[steady]
+        exponentials = root[:, None] * np.exp(-distance_of_run[:, None] / lengths)
+        values, exponentials = (columns - line @ (line.T @ columns) for columns in (values, exponentials))
+        size = np.maximum((exponentials**2).sum(axis=0), 1e-12)
+        moment = values @ exponentials
         before[number] = values @ values
-        taken[number], starts[number] = along**2 / size, along / size
-    share = taken.sum(axis=0) / max(float(before.sum()), 1e-300)
+        explained[number], starts[number] = moment**2 / size, moment / size
+    share = explained.sum(axis=0) / max(float(before.sum()), 1e-300)
     best = int(share.argmax())
     at_end = best in {0, lengths.size - 1}
     return _DecayFit(float(lengths[best]), float(share[best]), float(before.sum()), starts[:, best], at_end)
 
 
 MIN_PERIODIC_SHARE = 0.3
-"""Part of all squares from which on a sine is worth telling."""
+"""Smallest share of all squares for a sine to be reported."""
 COMMON_SHARE, MIN_COMMON_SHARE = 0.6, 0.3
-"""Part of a gap that other runs tell from which on it is the same in every run, and below which it is not."""
+"""Share predicted from other runs above which a gap is equal in all runs, and below which it is not common."""
 COMMON_PHASE = 0.7
-"""Mean of the runs' directions in the period from which on they begin alike."""
+"""Mean resultant length of the runs' phases above which they are equal."""
 ONE_SIGN_SHARE = 0.8
 
 _DOMAIN_PHRASES: Mapping[str, tuple[str, str, str]] = {
     "speed": ("of speed", "speed", " mm/s"),
     "position": ("of the position along the stroke", "position", " mm"),
     "time": ("of the time since the start of a run", "time", " s"),
-    "session": ("of the session's time", "session time", " s"),
+    "session": ("of session time", "session time", " s"),
     "strain": ("of strain", "strain", ""),
     "frequency": ("of frequency", "", ""),
-    "transient": ("of starting and stopping", "", ""),
+    "transient": ("of changes of velocity", "", ""),
 }
-"""Domain in words, its coordinate, and the coordinate's unit."""
+"""Phrase for a domain, its coordinate, and the coordinate's unit."""
 
 
 def dependence_text(where: GapLocation, region: GapRegion) -> str:
-    """Return what the residual is above all a function of, how it goes, its sign, and whether runs agree on it."""
-    words, name, unit = _DOMAIN_PHRASES.get(where.domain, (f"of {where.domain}", "", ""))
+    """Describe what the residual depends on, how, its sign, and whether runs agree."""
+    phrase, name, unit = _DOMAIN_PHRASES.get(where.domain, (f"of {where.domain}", "", ""))
     wave = _periodic_text(region)
     trend = trend_of(region, where.domain) if where.runs != 1 else None
-    along = trend.text(name, region.unit, unit) if trend is not None else ""
+    trend_text = trend.text(name, region.unit, unit) if trend is not None else ""
     decay = None if wave else fit_decay(region)
-    said = [
-        _agreement_text(where, region, words, bool(wave)),
+    sentences = [
+        _agreement_text(where, region, phrase, bool(wave)),
         wave,
-        f"Measured less modelled {along}." if along else "",
+        f"Measured minus modelled {trend_text}." if trend_text else "",
         "" if decay is None else decay.text(region.unit),
         _sign_text(region),
     ]
-    return " ".join(label for label in said if label)
+    return " ".join(sentence for sentence in sentences if sentence)
 
 
-def _agreement_text(where: GapLocation, region: GapRegion, words: str, periodic: bool) -> str:
-    value = where.domain_scores.get(where.domain, 0.0)
+def _agreement_text(where: GapLocation, region: GapRegion, phrase: str, periodic: bool) -> str:
+    score = where.domain_scores.get(where.domain, 0.0)
     total = sum(float((blocks.weight * blocks.deviation**2).sum()) for blocks in region.blocks)
-    share = min(value * total / region.excess, 1.0) if region.excess > 0 else value
+    share = min(score * total / region.excess, 1.0) if region.excess > 0 else score
     if where.domain == "transient" and share >= MIN_COMMON_SHARE:
         return f"{share:.0%} of it is at changes of velocity and shortly after. {_transient_text(region)}".rstrip()
     if where.domain == "frequency" and share >= MIN_COMMON_SHARE:
@@ -311,49 +315,49 @@ def _agreement_text(where: GapLocation, region: GapRegion, words: str, periodic:
     if where.runs == 1:
         return ""
     if share < MIN_COMMON_SHARE and not periodic:
-        return "It differs from run to run, and is not clearly a function of anything that runs have in common."
-    alike = ", so that it is much the same in every run" if share >= COMMON_SHARE and not periodic else ""
+        return "It differs from run to run and does not clearly depend on any coordinate that runs share."
+    conclusion = ", so it is nearly the same in every run" if share >= COMMON_SHARE and not periodic else ""
     if where.domain == "session" and not periodic:
-        alike = ", so that it changes slowly"
-    told_by = "" if periodic else f": runs alike in it tell {share:.0%} of one another{alike}"
-    return f"Above all a function {words}{told_by}."
+        conclusion = ", so it changes slowly"
+    agreement = "" if periodic else f": runs with equal values predict {share:.0%} of each other{conclusion}"
+    return f"Mainly a function {phrase}{agreement}."
 
 
 def _sign_text(region: GapRegion) -> str:
-    above = whole = 0.0
-    for blocks, inside in zip(region.blocks, region.masks, strict=True):
-        squares = (blocks.weight * blocks.deviation**2)[inside]
-        above += float(squares[blocks.residual[inside] > 0].sum())
-        whole += float(squares.sum())
-    share = above / whole if whole > 0 else 0.5
+    positive = total = 0.0
+    for blocks, mask in zip(region.blocks, region.masks, strict=True):
+        squares = (blocks.weight * blocks.deviation**2)[mask]
+        positive += float(squares[blocks.residual[mask] > 0].sum())
+        total += float(squares.sum())
+    share = positive / total if total > 0 else 0.5
     if share >= ONE_SIGN_SHARE:
-        return f"What is measured is higher than the model's {region.channel} nearly everywhere."
+        return f"The measured {region.channel} is higher than the modelled one nearly everywhere."
     if share <= 1 - ONE_SIGN_SHARE:
-        return f"What is measured is lower than the model's {region.channel} nearly everywhere."
+        return f"The measured {region.channel} is lower than the modelled one nearly everywhere."
     return "It has both signs."
 
 
 def _transient_text(region: GapRegion) -> str:
-    told = [
+    means = [
         f"{mean:+.2g} {region.unit} while {name}".replace("-", "−")
         for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking"))
         if (mean := _mean_residual(region, phase)) is not None
     ]
-    return f"On average it is {' and '.join(told)}." if told else ""
+    return f"On average it is {' and '.join(means)}." if means else ""
 
 
 def _mean_residual(region: GapRegion, phase: Phase) -> float | None:
     """Return the mean residual of a phase over runs."""
     means = [
-        float(np.average(blocks.residual[here], weights=blocks.weight[here]))
+        float(np.average(blocks.residual[mask], weights=blocks.weight[mask]))
         for blocks in region.blocks
-        if (here := blocks.phase == phase).any()
+        if (mask := blocks.phase == phase).any()
     ]
     return region.unit_factor * float(np.mean(means)) if means else None
 
 
 def _periodic_text(region: GapRegion) -> str:
-    """Return period, amplitude and phase of what is periodic; empty for what is not."""
+    """Describe period, amplitude and phase of a periodic residual; empty for others."""
     in_position, in_time = periodic_shares(region.blocks)
     if max(in_position.max(), in_time.max()) < MIN_PERIODIC_SHARE:
         return ""
@@ -366,35 +370,35 @@ def _periodic_text(region: GapRegion) -> str:
         ]
     )
     place, unit = ("along the stroke", "mm") if along else ("in time", "s")
-    periodic = f"It is periodic {place}, {1 / rate:.3g} {unit} long"
+    periodic = f"It is periodic {place} with a period of {1 / rate:.3g} {unit}"
     if not waves.any():
-        return f"{periodic}, which is more than any run moves steadily."
-    size = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * region.unit_factor
-    step = abs(waves.sum()) / np.abs(waves).sum()
-    begin = "at the same place" if along else "at the same time"
-    phase = f", {begin} in every run" if step >= COMMON_PHASE else ", with a phase of its own in each run"
+        return f"{periodic}, longer than the steady motion of any run."
+    amplitude = float(np.median(np.abs(waves[np.abs(waves) > 0]))) * region.unit_factor
+    coherence = abs(waves.sum()) / np.abs(waves).sum()
+    place_of_phase = "at the same place" if along else "at the same time"
+    phase = f", {place_of_phase} in every run" if coherence >= COMMON_PHASE else ", with a different phase in each run"
     if along and len({round(blocks.origin_mm, 1) for blocks in region.blocks}) > 1:
         # Positions count from where each run begins.
         phase = ""
-    return f"{periodic}, with an amplitude of {two_digits(size)} {region.unit}{phase}."
+    return f"{periodic} and an amplitude of {two_digits(amplitude)} {region.unit}{phase}."
 
 
 def _wave_amplitude(blocks: ResidualBlocks, coordinate: FloatArray, rate: float) -> complex:
-    """Return the wave of a run's steady motion, 0 for one that holds less than a period."""
-    here = blocks.phase == Phase.STEADY
-    if not here.any() or rate * np.ptp(coordinate[here]) < 1:
+    """Return the complex amplitude in a run's steady motion; 0 for less than a period."""
+    steady = blocks.phase == Phase.STEADY
+    if not steady.any() or rate * np.ptp(coordinate[steady]) < 1:
         return 0j
-    weight, deviation = blocks.weight[here], blocks.residual[here]
-    left = deviation - np.average(deviation, weights=weight)
-    turned = np.exp(-2j * np.pi * rate * coordinate[here])
-    return complex(2 * np.sum(weight * left * turned) / weight.sum())
+    weight, deviation = blocks.weight[steady], blocks.residual[steady]
+    residual = deviation - np.average(deviation, weights=weight)
+    phasor = np.exp(-2j * np.pi * rate * coordinate[steady])
+    return complex(2 * np.sum(weight * residual * phasor) / weight.sum())
 
 
 _KIND_NAMES = {"coulomb": "Coulomb"}
 
 
 def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
-    """Return where the excess is, and in which runs it is not; ranges are told where they are not chance."""
+    """Describe where the excess is, and in which runs it is not; ranges only where significant."""
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
     absent = [
         name
@@ -412,9 +416,9 @@ def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
 
 
 def kinds_text(kinds: Sequence[str], joiner: str = "and") -> str:
-    """Return kinds of run in words."""
-    called = [_KIND_NAMES.get(name, name) for name in kinds]
-    listed = f" {joiner} ".join([", ".join(called[:-1]), called[-1]]) if len(called) > 1 else called[0]
+    """Return kinds of run as a phrase."""
+    names = [_KIND_NAMES.get(name, name) for name in kinds]
+    listed = f" {joiner} ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
     return f"{listed} runs"
 
 
@@ -457,15 +461,15 @@ def _single_run_text(blocks: Sequence[ResidualBlocks]) -> str:
         excess[run.run_id] = excess.get(run.run_id, 0.0) + float(run.excess.sum())
     if len(excess) == 1:
         return ""
-    whole = sum(max(value, 0.0) for value in excess.values())
+    total = sum(max(value, 0.0) for value in excess.values())
     most = max(excess, key=lambda name: excess[name])
-    return f" Nearly all of it is in one run, {most}." if excess[most] >= DOMINANT_SHARE * whole > 0 else ""
+    return f" Nearly all of it is in one run, {most}." if excess[most] >= DOMINANT_SHARE * total > 0 else ""
 
 
 MIN_NONPARAMETRIC_SHARE = 0.5
-"""Part of the excess that a law must explain."""
+"""Share of the excess that a law must explain."""
 MIN_ADVANTAGE = 1.1
-"""A law is told that explains so much more than the effect most like it."""
+"""A law is reported if it explains more than the best effect by this factor."""
 
 _LAW_PHRASES: Mapping[str, str] = MappingProxyType(
     {
@@ -479,16 +483,16 @@ _LAW_PHRASES: Mapping[str, str] = MappingProxyType(
         "time since start and stop": "that depends on the time since start and stop alone, in all runs",
         "time since start and stop in the gut": "that depends on the time since start and stop alone, in the gut",
         "load": "that depends on the load alone",
-        "session": "that depends on the session's time alone",
+        "session": "that depends on session time alone",
         "gain of a run": "whose gain differs from run to run",
-        "swing in all runs": "that swings on the session's clock, in all runs",
+        "swing in all runs": "that is periodic in session time, in all runs",
     }
 )
-"""Laws in words."""
+"""Phrases for nonparametric laws."""
 
 
 def nonparametric_law_text(inputs: DecisionInputs) -> str:
-    """Return a sentence on the law without a name that explains more than any effect; empty where none does."""
+    """Describe the nonparametric law that explains more than any effect; empty for none."""
     if not inputs.laws:
         return ""
     law = inputs.laws[0]
@@ -497,37 +501,39 @@ def nonparametric_law_text(inputs: DecisionInputs) -> str:
         key=lambda hypothesis: hypothesis.chi2_with_form_error,
         default=None,
     )
-    gain, value = inputs.chi2 - law.chi2, 0.0 if best is None else max(inputs.chi2 - best.chi2_with_form_error, 0.0)
-    if gain < MIN_NONPARAMETRIC_SHARE * max(inputs.excess, 1.0) or gain < MIN_ADVANTAGE * value:
+    law_chi2_difference, effect_chi2_difference = (
+        inputs.chi2 - law.chi2,
+        0.0 if best is None else max(inputs.chi2 - best.chi2_with_form_error, 0.0),
+    )
+    if (
+        law_chi2_difference < MIN_NONPARAMETRIC_SHARE * max(inputs.excess, 1.0)
+        or law_chi2_difference < MIN_ADVANTAGE * effect_chi2_difference
+    ):
         return ""
-    beside = (
-        "" if best is None else f"; {_effect_name(best.effects[0])}, in any form, {_share_of_excess(value, inputs)}"
+    text = (
+        f"A force {_LAW_PHRASES[law.name]}, in any form, explains {_share_of_excess(law_chi2_difference, inputs)} of it"
     )
-    return (
-        f"A force {_LAW_PHRASES[law.name]}, in whatever way, explains {_share_of_excess(gain, inputs)} of it{beside}."
-    )
+    if best is not None:
+        effect = display_name(best.effects[0])
+        text += f"; {effect}, in any form, {_share_of_excess(effect_chi2_difference, inputs)}"
+    return f"{text}."
 
 
-def _effect_name(effect: str) -> str:
-    known = catalogue()
-    return known[effect].name if effect in known else effect.replace("_", " ")
-
-
-def _share_of_excess(gain: float, inputs: DecisionInputs) -> str:
-    return f"{min(gain / max(inputs.excess, 1.0), 1.0):.0%}"
+def _share_of_excess(chi2_difference: float, inputs: DecisionInputs) -> str:
+    return f"{min(chi2_difference / max(inputs.excess, 1.0), 1.0):.0%}"
 
 
 def line_texts(line: SpectralLine, channel: str) -> tuple[str, str]:
-    """Return where a line is that no effect of the catalogue explains, and how it goes."""
-    there = f"It is in the {channel.replace('_', ' ')}, also while the stage stands still"
-    how = (
-        f"A swing at about {line.frequency_hz:.3g} Hz with an amplitude of some {line.amplitude:.2g} mN, "
-        "looked for at rest and in holds. What else there may be cannot be told beside it"
+    """Describe where an unexplained spectral line is, and its frequency and amplitude."""
+    location = f"It is in the {channel.replace('_', ' ')}, also while the stage is at rest"
+    line_text = (
+        f"An oscillation at about {line.frequency_hz:.3g} Hz with an amplitude of about {line.amplitude:.2g} mN, "
+        "seen at rest and in holds. Other causes cannot be separated from it"
     )
-    return f"{there}.", f"{how}."
+    return f"{location}.", f"{line_text}."
 
 
-NOT_LOCALISABLE = "It is too small beside noise and the scatter of repeats to say where it is."
+NOT_LOCALISABLE = "It is too small compared with noise and repeatability to say where it is."
 """Of a gap that many runs show together, and none of its parts alone."""
 
 
@@ -538,12 +544,12 @@ def describe_unexplained_gap(
     line: SpectralLine | None,
     inputs: DecisionInputs,
 ) -> UnexplainedGap | None:
-    """Return where it is, what it depends on and a law of it; None where everything is explained.
+    """Return location, dependence and law of an unexplained gap; None if all is explained.
 
     Parameters
     ----------
     line
-        The line that made the verdict `unknown`, where one did.
+        Spectral line because of which the verdict is `unknown`, if any.
     """
     if classification.verdict is not Verdict.UNKNOWN and not classification.residual_unknown:
         return None
@@ -553,11 +559,11 @@ def describe_unexplained_gap(
         return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(inputs))
     region = gap_region(where, blocks)
     law = fit_gap_law(region)
-    whole = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
-    said = (dependence_text(where, region), nonparametric_law_text(inputs) if whole else "")
+    entirely_unknown = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
+    sentences = (dependence_text(where, region), nonparametric_law_text(inputs) if entirely_unknown else "")
     return UnexplainedGap(
         location=location_text(where, blocks),
-        dependence=" ".join(name for name in said if name),
+        dependence=" ".join(sentence for sentence in sentences if sentence),
         expression="" if law is None else law.text,
         held_out_share=None if law is None else law.held_out_share,
     )

@@ -18,7 +18,7 @@ from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
 from dragrig.rig.profile import Phase
 
 DOMINANT_SHARE, NOTABLE_SHARE, NEGLIGIBLE_SHARE = 0.8, 0.1, 0.05
-"""Shares of the excess that are most of it, a part to be named, and as good as nothing."""
+"""Shares of the excess that count as nearly all of it, as worth naming, and as negligible."""
 
 PHASE_SPANS: Mapping[str, frozenset[Phase]] = {
     "at rest": frozenset({Phase.REST}),
@@ -31,21 +31,21 @@ PHASE_SPANS: Mapping[str, frozenset[Phase]] = {
     "while moving and in the hold": frozenset({Phase.ACCELERATE, Phase.STEADY, Phase.DECELERATE, Phase.HOLD}),
     "at rest and in the hold": frozenset({Phase.REST, Phase.HOLD}),
 }
-"""Phases that belong together, the fewest first."""
+"""Groups of phases, the smallest first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapRegion:
-    """The blocks that a gap is in.
+    """The blocks in which a gap is.
 
     Attributes
     ----------
     channel, kinds, phase_text
-        Its channel, its kinds of run, and its phases in words; no words for all phases.
+        Its channel, kinds of run, and phases in words; empty for all phases.
     blocks
-        The runs of these kinds, that channel alone.
+        Runs of these kinds, this channel alone.
     masks
-        Which of each run's blocks are in these phases.
+        Which blocks of each run are in these phases.
     excess
         Excess of the whole campaign, other channels and kinds included.
     """
@@ -59,37 +59,37 @@ class GapRegion:
 
     @property
     def unit(self) -> str:
-        """Unit that residuals are told in."""
+        """Unit in which residuals are reported."""
         return "µm" if self.channel == "position" else "mN"
 
     @property
     def unit_factor(self) -> float:
-        """That unit over the channel's own."""
+        """Factor from the channel's unit to that unit."""
         return 1000.0 if self.channel == "position" else 1.0
 
 
 def gap_region(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> GapRegion:
-    """Return the blocks that have all of the gap but what is as good as nothing."""
+    """Return the blocks with all but a negligible share of the gap."""
     shares = where.location("channel").shares
     channels = list(dict.fromkeys(run.channel for run in blocks))
     channel = max(channels, key=lambda name: shares.get(name, 0.0))
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
-    found = tuple(run for run in blocks if run.channel == channel and run.kind in kinds)
-    span = phase_span(where)
-    phases = np.array(sorted(PHASE_SPANS.get(span, frozenset(Phase))), dtype=np.uint8)
-    inside = tuple(np.isin(run.phase, phases) for run in found)
-    return GapRegion(channel, kinds, span, found, inside, sum(float(run.excess.sum()) for run in blocks))
+    selected = tuple(run for run in blocks if run.channel == channel and run.kind in kinds)
+    phase_text = phase_span(where)
+    phases = np.array(sorted(PHASE_SPANS.get(phase_text, frozenset(Phase))), dtype=np.uint8)
+    masks = tuple(np.isin(run.phase, phases) for run in selected)
+    return GapRegion(channel, kinds, phase_text, selected, masks, sum(float(run.excess.sum()) for run in blocks))
 
 
-def kinds_with_excess(where: GapLocation, blocks: Sequence[ResidualBlocks], least: float) -> tuple[str, ...]:
-    """Return the kinds of run that have at least this share of the excess, or the one that has most."""
+def kinds_with_excess(where: GapLocation, blocks: Sequence[ResidualBlocks], min_share: float) -> tuple[str, ...]:
+    """Return the kinds of run with at least this share of the excess, or the one with most."""
     shares = where.location("protocol").shares
-    seen = sorted(dict.fromkeys(run.kind for run in blocks), key=lambda kind: -shares.get(kind, 0.0))
-    return tuple(kind for at, kind in enumerate(seen) if at == 0 or shares.get(kind, 0.0) >= least)
+    kinds = sorted(dict.fromkeys(run.kind for run in blocks), key=lambda kind: -shares.get(kind, 0.0))
+    return tuple(kind for rank, kind in enumerate(kinds) if rank == 0 or shares.get(kind, 0.0) >= min_share)
 
 
 def phase_span(where: GapLocation) -> str:
-    """Return the fewest phases that have all of the gap but what is as good as nothing; empty for all of them."""
+    """Return the smallest group of phases with all but a negligible share of the gap; empty for all phases."""
     shares = where.location("phase").shares
     for name, phases in PHASE_SPANS.items():
         if sum(shares.get(phase.name.lower(), 0.0) for phase in phases) >= 1 - NEGLIGIBLE_SHARE:
@@ -98,9 +98,9 @@ def phase_span(where: GapLocation) -> str:
 
 
 MIN_LOG_SPEED_MM_S = 0.05
-"""Where the logarithm of the speed ends."""
+"""Speed below which the logarithm of the speed is constant."""
 MIN_VARIATION = 1e-3
-"""Terms that vary by less than this part of themselves are constant."""
+"""Terms with a smaller relative variation are constant."""
 
 SYMBOL_UNITS: Mapping[str, str] = {
     "v": "speed v in mm/s",
@@ -111,7 +111,7 @@ SYMBOL_UNITS: Mapping[str, str] = {
     "ε": "strain ε",
     "F": "measured force F in mN",
 }
-"""What the symbols are."""
+"""Meaning and unit of the symbols."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,16 +121,16 @@ class TermLibrary:
     Attributes
     ----------
     names
-        Of the `M` terms.
+        Names of the `M` terms.
     factors
         Number of factors of each term, shape `(M,)`.
     values
-        Shape `(N, M)`.
+        Values of the terms, shape `(N, M)`.
     residual, weight
-        What is to be explained [the part's unit], and what its square counts: all blocks of a run together at most 1
-        over the expected mean square. Shape `(N,)`.
+        Residual [the region's unit], and the weight of its square, at most 1 over the expected mean square for all
+        blocks of a run together. Shape `(N,)`.
     run
-        Number of the run, shape `(N,)`.
+        Index of the run, shape `(N,)`.
     """
 
     names: tuple[str, ...]
@@ -142,31 +142,34 @@ class TermLibrary:
 
 
 def term_library(region: GapRegion) -> TermLibrary:
-    """Return all terms that vary, and 1, at the blocks of a part."""
-    starts = sorted({(blocks.session_s, blocks.run_id) for blocks in region.blocks})
-    order = {name: number for number, (_, name) in enumerate(starts)}
-    leave = _excluded_variables(region)
+    """Return the constant and all terms that vary in a region."""
+    runs_in_order = sorted({(blocks.session_s, blocks.run_id) for blocks in region.blocks})
+    order = {name: number for number, (_, name) in enumerate(runs_in_order)}
+    excluded = _excluded_variables(region)
     columns: dict[str, FloatArray] = {}
-    for name, of in _variables(order).items():
-        if not name.startswith(leave):
+    for name, variable in _variables(order).items():
+        if not name.startswith(excluded):
             columns[name] = np.concatenate(
-                [of(blocks)[at] for blocks, at in zip(region.blocks, region.masks, strict=True)]
+                [variable(blocks)[mask] for blocks, mask in zip(region.blocks, region.masks, strict=True)]
             )
     simple = {name: values for name, values in columns.items() if name == "1" or _varies(values)}
-    bare = [name for name in simple if name != "1" and not name.endswith("²")]
-    products = {f"{label}·{other}": simple[label] * simple[other] for label, other in combinations(bare, 2)}
+    linear = [name for name in simple if name != "1" and not name.endswith("²")]
+    products = {
+        f"{factor}·{other_factor}": simple[factor] * simple[other_factor]
+        for factor, other_factor in combinations(linear, 2)
+    }
     pairs = {name: values for name, values in products.items() if _varies(values) and name != "v·ln(v)"}
     terms = {**simple, **pairs}
-    inside = list(zip(region.blocks, region.masks, strict=True))
+    masked = list(zip(region.blocks, region.masks, strict=True))
     return TermLibrary(
         names=tuple(terms),
         factors=np.array([2.0 if name in pairs or name.endswith("²") else 1.0 for name in terms]),
         values=np.stack(list(terms.values()), axis=1),
-        residual=region.unit_factor * np.concatenate([blocks.residual[at] for blocks, at in inside]),
+        residual=region.unit_factor * np.concatenate([blocks.residual[mask] for blocks, mask in masked]),
         weight=np.concatenate(
-            [(blocks.weight / (region.unit_factor * blocks.noise_sd) ** 2)[at] for blocks, at in inside]
+            [(blocks.weight / (region.unit_factor * blocks.noise_sd) ** 2)[mask] for blocks, mask in masked]
         ),
-        run=np.concatenate([np.full(np.count_nonzero(at), number) for number, (_, at) in enumerate(inside)]),
+        run=np.concatenate([np.full(np.count_nonzero(mask), number) for number, (_, mask) in enumerate(masked)]),
     )
 
 
@@ -175,7 +178,7 @@ def _varies(values: FloatArray) -> bool:
 
 
 def _excluded_variables(region: GapRegion) -> tuple[str, ...]:
-    """Return variables that say nothing here: speed and way where walls are sheared, force where it is not known."""
+    """Return variables without meaning here: speed and travel of sheared walls, force where unknown."""
     sheared = all(blocks.strain > 0 for blocks in region.blocks)
     unknown = any(blocks.force_mN is None for blocks in region.blocks)
     return (*(("v", "ln(v)", "x") if sheared else ()), *(("F",) if unknown else ()))
@@ -199,7 +202,7 @@ def _variables(order: Mapping[str, int]) -> Mapping[str, Callable[[ResidualBlock
 
 
 def block_speed(blocks: ResidualBlocks) -> FloatArray:
-    """Return the speed [mm/s], as commanded where it is steady, shape `(B,)`."""
+    """Return the speed [mm/s], the commanded one where steady, shape `(B,)`."""
     if blocks.residual.size < 2:
         return np.full_like(blocks.residual, blocks.speed_mm_s)
     local = np.abs(np.gradient(blocks.position_mm, blocks.time_s))
@@ -216,19 +219,19 @@ def time_since_start(blocks: ResidualBlocks) -> FloatArray:
 
 MAX_TERMS, EXHAUSTIVE_SIZE = 4, 3
 TERM_RIDGE = 1e-7
-"""Keeps terms that are the same in all runs apart; parts of the terms' squares."""
+"""Relative ridge that separates terms which are equal in all runs."""
 
 TermIndices = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoldProducts:
-    """Weighted products of `M` terms and the residual in `K` folds, terms scaled to one.
+    """Weighted products of `M` terms and the residual in `K` folds, terms scaled to norm 1.
 
     Attributes
     ----------
     gram, moment, squares
-        Term with term, term with residual, residual with itself; shapes `(K, M, M)`, `(K, M)` and `(K,)`.
+        Terms with terms, terms with residual, residual with itself; shapes `(K, M, M)`, `(K, M)` and `(K,)`.
     """
 
     gram: FloatArray
@@ -237,92 +240,92 @@ class FoldProducts:
 
     def without(self, fold: int) -> "FoldProducts":
         """Leave a fold out."""
-        kept = np.arange(self.squares.size) != fold
-        return FoldProducts(self.gram[kept], self.moment[kept], self.squares[kept])
+        others = np.arange(self.squares.size) != fold
+        return FoldProducts(self.gram[others], self.moment[others], self.squares[others])
 
     def predicted(self, terms: TermIndices, fold: int) -> float:
-        """Return the squares that are left in a fold by coefficients from the others."""
+        """Return the remaining squares of a fold, with coefficients from the others."""
         return float(held_out_chi2(self, np.array([terms], dtype=np.intp))[0, fold])
 
 
 def held_out_chi2(products: FoldProducts, subsets: npt.NDArray[np.intp]) -> FloatArray:
-    """Return the squares that each of `S` subsets of `k` terms leaves in each fold, shape `(S, k)` to `(S, K)`."""
+    """Return the remaining squares of `S` subsets of `k` terms in each held-out fold, `(S, k)` to `(S, K)`."""
     if not subsets.shape[1]:
         return np.broadcast_to(products.squares, (subsets.shape[0], products.squares.size))
     rows, columns = subsets[:, :, None], subsets[:, None, :]
     gram, moment = products.gram[:, rows, columns], products.moment[:, subsets]
-    others = gram.sum(axis=0) - gram + TERM_RIDGE * np.eye(subsets.shape[1])
-    from_others = np.linalg.solve(others, (moment.sum(axis=0) - moment)[..., None])[..., 0]
-    explained = 2 * np.einsum("fsk,fsk->fs", from_others, moment)
-    left = products.squares[:, None] - explained + np.einsum("fsi,fsij,fsj->fs", from_others, gram, from_others)
-    return np.asarray(left.T)
+    other_gram = gram.sum(axis=0) - gram + TERM_RIDGE * np.eye(subsets.shape[1])
+    coefficients = np.linalg.solve(other_gram, (moment.sum(axis=0) - moment)[..., None])[..., 0]
+    explained = 2 * np.einsum("fsk,fsk->fs", coefficients, moment)
+    remaining = products.squares[:, None] - explained + np.einsum("fsi,fsij,fsj->fs", coefficients, gram, coefficients)
+    return np.asarray(remaining.T)
 
 
 def select_terms(products: FoldProducts, penalty: FloatArray) -> TermIndices:
-    """Return the terms that together leave least in the folds, each at its price in squares, shape `(M,)`.
+    """Return the terms with the smallest held-out squares plus penalties, shape `(M,)`.
 
-    All pairs and threes of the cheapest terms are looked at too: two may tell what neither tells alone.
+    All pairs and triples of the cheapest terms are tried, too: two terms may explain what neither explains alone.
     """
     chosen: TermIndices = ()
     best: tuple[TermIndices, float] = (chosen, float(products.squares.sum()))
     cheapest = np.flatnonzero(penalty == penalty.min()).tolist()
     for size in range(1, min(MAX_TERMS, penalty.size) + 1):
-        more = [(*chosen, index) for index in range(penalty.size) if index not in chosen]
-        more += combinations(cheapest, size) if size <= EXHAUSTIVE_SIZE else ()
-        chosen, cost = _exchange_terms(products, penalty, *_best_subset(products, penalty, more))
+        subsets = [(*chosen, index) for index in range(penalty.size) if index not in chosen]
+        subsets += combinations(cheapest, size) if size <= EXHAUSTIVE_SIZE else ()
+        chosen, cost = _exchange_terms(products, penalty, *_best_subset(products, penalty, subsets))
         best = min(best, (chosen, cost), key=lambda pair: pair[1])
     chosen, cost = best
     while len(chosen) > 1:
-        fewer = [tuple(index for index in chosen if index != left) for left in chosen]
-        found, at = _best_subset(products, penalty, fewer)
-        if at >= cost:
+        subsets_without = [tuple(index for index in chosen if index != dropped) for dropped in chosen]
+        subset, subset_cost = _best_subset(products, penalty, subsets_without)
+        if subset_cost >= cost:
             break
-        chosen, cost = found, at
+        chosen, cost = subset, subset_cost
     return tuple(sorted(chosen))
 
 
 def _exchange_terms(
     products: FoldProducts, penalty: FloatArray, chosen: TermIndices, cost: float
 ) -> tuple[TermIndices, float]:
-    """Put another term in the place of each that came before the last one, if that leaves less."""
+    """Replace each term before the last one by another if that lowers the cost."""
     for place in range(len(chosen) - 1):
-        kept = (*chosen[:place], *chosen[place + 1 :])
-        found, at = _best_subset(
-            products, penalty, [(*kept, index) for index in range(penalty.size) if index not in kept]
+        others = (*chosen[:place], *chosen[place + 1 :])
+        subset, subset_cost = _best_subset(
+            products, penalty, [(*others, index) for index in range(penalty.size) if index not in others]
         )
-        if at < cost:
-            chosen, cost = found, at
+        if subset_cost < cost:
+            chosen, cost = subset, subset_cost
     return chosen, cost
 
 
 def _best_subset(products: FoldProducts, penalty: FloatArray, subsets: list[TermIndices]) -> tuple[TermIndices, float]:
     index = np.array(subsets, dtype=np.intp)
     cost = held_out_chi2(products, index).sum(axis=1) + penalty[index].sum(axis=1)
-    at = int(np.argmin(cost))
-    return subsets[at], float(cost[at])
+    best = int(np.argmin(cost))
+    return subsets[best], float(cost[best])
 
 
 LAW_FOLDS, MIN_CONDITIONS = 6, 3
 MIN_LAW_SHARE = 0.5
-"""Part of the excess that a law must explain in runs that took no part."""
+"""Share of the excess that a law must explain in held-out runs."""
 TERM_PENALTY = 0.015
-"""Part of the excess that each factor of a term must explain."""
+"""Share of the excess that each factor of a term must explain."""
 MIN_EXCESS_SIGMAS = 3.0
-"""An excess below so many of its standard deviations is not worth a law; a run's mean square has √2 at most."""
+"""Smallest excess for a law, in standard deviations; that of a run's mean square is at most √2."""
 
 
 @dataclass(frozen=True, slots=True)
 class GapLaw:
-    """An expression of a gap.
+    """A sparse expression of a gap.
 
     Attributes
     ----------
     terms, coefficients, sd
-        Names of the terms, and their coefficients with standard deviations that hold for runs as wholes.
+        Names of the terms, and their coefficients with standard deviations robust to dependence within runs.
     unit
-        Of the expression.
+        Unit of the expression.
     held_out_share
-        Part of the whole excess that it explains, terms and coefficients chosen without the runs it is asked of.
+        Share of the whole excess that it explains in held-out runs, terms and coefficients chosen without them.
     """
 
     terms: tuple[str, ...]
@@ -333,59 +336,59 @@ class GapLaw:
 
     @property
     def text(self) -> str:
-        """The expression in words and numbers, coefficients as exact as they are known."""
+        """The expression, coefficients rounded to their standard deviations."""
         text = ""
         for name, value, sd in zip(self.terms, self.coefficients, self.sd, strict=True):
             sign = " − " if value < 0 else " + "
             text += (sign if text else sign.strip().replace("+", "")) + _rounded_to_sd(abs(value), sd)
             text += "" if name == "1" else f"·{name}"
         factors = {
-            label.removesuffix("²").removeprefix("ln(").removesuffix(")") for label in "·".join(self.terms).split("·")
+            symbol.removesuffix("²").removeprefix("ln(").removesuffix(")") for symbol in "·".join(self.terms).split("·")
         }
-        symbols = [label for label in SYMBOL_UNITS if label in factors]
-        return f"{text} [{self.unit}]" + "".join(f", {SYMBOL_UNITS[label]}" for label in symbols)
+        symbols = [symbol for symbol in SYMBOL_UNITS if symbol in factors]
+        return f"{text} [{self.unit}]" + "".join(f", {SYMBOL_UNITS[symbol]}" for symbol in symbols)
 
 
 def fit_gap_law(region: GapRegion) -> GapLaw | None:
-    """Return a law that explains at least half of a gap in runs that took no part, if there is one.
+    """Return a law that explains at least half of a gap in held-out runs; None for no such law.
 
-    Folds are whole conditions (kind, speed and strain), so that a law has to predict those that it has not seen.
-    Terms are chosen anew for each fold that it is judged on.
+    Folds are whole conditions (kind, speed and strain): a law must predict conditions that it has not seen. Terms are
+    selected anew for each fold.
     """
-    fold = condition_folds(region.blocks)
-    if fold is None:
+    folds = condition_folds(region.blocks)
+    if folds is None:
         return None
     terms = term_library(region)
     by_run, scale = _products_by_run(terms, len(region.blocks))
-    inside = sum(float(blocks.weight[at].sum()) for blocks, at in zip(region.blocks, region.masks, strict=True))
-    excess = max(region.excess, float(by_run.squares.sum()) - inside)
+    weight = sum(float(blocks.weight[mask].sum()) for blocks, mask in zip(region.blocks, region.masks, strict=True))
+    excess = max(region.excess, float(by_run.squares.sum()) - weight)
     if excess < MIN_EXCESS_SIGMAS * np.sqrt(2 * len(region.blocks)):
         return None
-    products = _products_by_fold(by_run, fold)
-    price = TERM_PENALTY * excess * terms.factors
-    parts = [(select_terms(products.without(index), price), index) for index in range(products.squares.size)]
-    left = sum(products.predicted(chosen, index) for chosen, index in parts)
-    share = (float(products.squares.sum()) - left) / excess
-    chosen = select_terms(products, price)
+    products = _products_by_fold(by_run, folds)
+    penalty = TERM_PENALTY * excess * terms.factors
+    choices = [(select_terms(products.without(index), penalty), index) for index in range(products.squares.size)]
+    remaining = sum(products.predicted(chosen, index) for chosen, index in choices)
+    share = (float(products.squares.sum()) - remaining) / excess
+    chosen = select_terms(products, penalty)
     if share < MIN_LAW_SHARE or not chosen:
         return None
-    value, sd = _robust_coefficients(by_run, chosen)
+    coefficients, sd = _robust_coefficients(by_run, chosen)
     names = tuple(terms.names[index] for index in chosen)
-    unscaled = scale[list(chosen)]
-    return GapLaw(names, _as_floats(value / unscaled), _as_floats(sd / unscaled), region.unit, min(share, 1.0))
+    scales = scale[list(chosen)]
+    return GapLaw(names, _as_floats(coefficients / scales), _as_floats(sd / scales), region.unit, min(share, 1.0))
 
 
 def condition_folds(blocks: Sequence[ResidualBlocks]) -> IndexArray | None:
-    """Return the fold of each run, whole conditions together and neighbours apart; None for too few conditions."""
+    """Return the fold of each run, whole conditions together and adjacent ones apart; None for too few conditions."""
     conditions = [(run.kind, run.speed_mm_s, run.strain) for run in blocks]
-    number = {pair: at for at, pair in enumerate(sorted(set(conditions)))}
+    number = {condition: index for index, condition in enumerate(sorted(set(conditions)))}
     if len(number) < MIN_CONDITIONS:
         return None
-    return np.array([number[pair] % min(LAW_FOLDS, len(number)) for pair in conditions], dtype=np.intp)
+    return np.array([number[condition] % min(LAW_FOLDS, len(number)) for condition in conditions], dtype=np.intp)
 
 
 def _products_by_run(terms: TermLibrary, runs: int) -> tuple[FoldProducts, FloatArray]:
-    """Return the products run by run, and the scale of each term."""
+    """Return the products of each run, and the scale of each term."""
     root = np.sqrt(terms.weight)
     columns = root[:, None] * terms.values
     scale = np.linalg.norm(columns, axis=0)
@@ -404,23 +407,23 @@ def _products_by_fold(by_run: FoldProducts, fold: IndexArray) -> FoldProducts:
 
 
 def _robust_coefficients(by_run: FoldProducts, chosen: TermIndices) -> tuple[FloatArray, FloatArray]:
-    """Return scaled coefficients and standard deviations, blocks of one run taken as dependent (sandwich)."""
+    """Return scaled coefficients with sandwich standard deviations, blocks of a run dependent."""
     index = np.array(chosen)
     gram, moment = by_run.gram[:, index[:, None], index], by_run.moment[:, index]
     inverse = np.linalg.inv(gram.sum(axis=0) + 1e-12 * np.eye(index.size))
-    value = inverse @ moment.sum(axis=0)
-    slopes = moment - gram @ value
-    runs = slopes.shape[0]
-    spread = inverse @ (slopes.T @ slopes) @ inverse * runs / max(runs - index.size, 1)
-    return value, np.sqrt(np.maximum(np.diag(spread), 0.0))
+    coefficients = inverse @ moment.sum(axis=0)
+    scores = moment - gram @ coefficients
+    runs = scores.shape[0]
+    covariance = inverse @ (scores.T @ scores) @ inverse * runs / max(runs - index.size, 1)
+    return coefficients, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def _as_floats(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(one) for one in values)
+    return tuple(float(value) for value in values)
 
 
 def _rounded_to_sd(value: float, sd: float) -> str:
-    """Round to the first digit of the standard deviation, to the second where that is a 1."""
+    """Round to the first digit of the standard deviation, to the second one if the first is 1."""
     last = floor(log10(sd)) if sd > 0 else floor(log10(max(value, 1e-12))) - 3
     last -= int(sd / 10**last < 2)
     # An amount that is smaller than its uncertainty still shows its first digit.
