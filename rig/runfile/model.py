@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Literal, Self
 
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
+from dragrig.rig.profile import Phase
 
 Attribute = str | float | int | bool
 """What an attribute of the file can be; NumPy scalars become these on reading."""
 
-PHASE_NAMES = ("rest", "accelerate", "steady", "decelerate", "hold")
+PHASE_NAMES = tuple(phase.name.lower() for phase in Phase)
 
 
 class RunStatus(StrEnum):
