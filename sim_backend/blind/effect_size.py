@@ -72,10 +72,7 @@ def nuisance_directions(campaign: BlindCampaign) -> NuisanceDirections:
         changed = [noise_free_run(replace(plain, specimen=specimen), index).force for specimen in specimens]
         shared.append(whiten((np.column_stack(changed) - force[:, None]) * priors, campaign.noise))
         step = 1 + RELATIVE_STEP
-        varied = (
-            replace(variation, stiffness=variation.stiffness * step),
-            replace(variation, mu=variation.mu * step),
-        )
+        varied = (replace(variation, stiffness=variation.stiffness * step), replace(variation, mu=variation.mu * step))
         before, after = plain.variations[:index], plain.variations[index + 1 :]
         stiff, slip = (
             (noise_free_run(replace(plain, variations=(*before, run, *after)), index).force - force) / RELATIVE_STEP

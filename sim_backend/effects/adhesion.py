@@ -29,6 +29,3 @@ class Adhesion(ForceEffect):
         if not run.gut_closed:
             return np.zeros_like(run.time_s)
         return np.asarray(values["force_mN"] * run.coulomb_sign / (1 + run.speed_mm_s / values["speed_mm_s"]))
-
-
-EFFECT = Adhesion()

@@ -40,6 +40,3 @@ class ArmCompliance(SensorEffect):
         pull = 1e-3 * REFERENCE_MASS_G * (1.0 - by_force) * run.acceleration_mm_s2
         rung = resonator(run.time_s, pull + by_force * force_mN, values["frequency_hz"], values["damping"])
         return np.asarray(force_mN + values["share"] * (rung - by_force * force_mN))
-
-
-EFFECT = ArmCompliance()

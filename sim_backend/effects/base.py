@@ -2,8 +2,8 @@
 
 An effect declares where it acts, its parameters with units and priors, its source, and how a diagnosis finds it; its
 hooks say what it changes. Everything else in the program goes by these declarations and hooks: no other module knows an
-effect by its id, by a parameter's name or by its class. The catalogue is every module of this package that has an
-`EFFECT`.
+effect by its id, by a parameter's name or by its class. The catalogue holds every effect
+class of this package's modules.
 
 In a chain the command goes through the motor effects; the forces of wall and interface are added to the nominal one;
 then come the force gain and the sensor effects, in their order from the payload to the channel's clock; the position
@@ -150,8 +150,8 @@ phase = partial(EffectParameter, role=Role.PHASE)
 class Effect(ABC):
     """A candidate for a gap between the simulated and the real rig.
 
-    Derive from `ForceEffect`, `SensorEffect`, `MotorEffect` or `EncoderEffect`, one class in one file with an instance
-    `EFFECT`. Everything is a pure function; values of parameters travel by name.
+    Derive from `ForceEffect`, `SensorEffect`, `MotorEffect` or `EncoderEffect`, one class in one file. Everything is a
+    pure function; values of parameters are passed by name.
     """
 
     id: ClassVar[str]
@@ -247,12 +247,10 @@ class Effect(ABC):
 
         The sign is the run's: positive resists motion towards positive position.
         """
-        del values
         return np.zeros_like(run.time_s)
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
         """Return what the channel shows [mN] of a force at the run's times, shape `(n,)`."""
-        del run, values
         return force_mN
 
     def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
@@ -260,12 +258,10 @@ class Effect(ABC):
 
         Positions count from the first sample. Between times the command is taken as a straight line.
         """
-        del time_s, values
         return command_mm
 
     def counted_position(self, time_s: FloatArray, position_mm: FloatArray, values: Values) -> FloatArray:
         """Return the recorded position [mm], counted from the first sample, of a true one, shapes `(n,)`."""
-        del time_s, values
         return position_mm
 
     def force_change(self, run: RunState, values: Values, gain: float = 1.0) -> FloatArray:
@@ -321,9 +317,10 @@ class EncoderEffect(Effect):
 @cache
 def catalogue() -> Mapping[str, Effect]:
     """Return all effects by id, in order of their ids."""
-    modules = sorted(module.name for module in iter_modules(effects.__path__) if not module.ispkg)
-    candidates = [getattr(import_module(f"{effects.__name__}.{name}"), "EFFECT", None) for name in modules]
-    return MappingProxyType({effect.id: effect for effect in candidates if isinstance(effect, Effect)})
+    modules = [import_module(f"{effects.__name__}.{module.name}") for module in iter_modules(effects.__path__)]
+    declared = (value for module in modules for value in vars(module).values() if isinstance(value, type))
+    found = {kind.id: kind() for kind in declared if issubclass(kind, Effect) and hasattr(kind, "id")}
+    return MappingProxyType(dict(sorted(found.items())))
 
 
 def find_effect(effect_id: str) -> Effect:

@@ -27,8 +27,4 @@ class Breakaway(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the friction of the aged contact."""
         return np.asarray(run.f_c * values["ratio"] * np.exp(-run.slip.slid_mm / values["slip_mm"]))
-
-
-EFFECT = Breakaway()

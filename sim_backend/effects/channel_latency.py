@@ -36,6 +36,3 @@ class ChannelLatency(SensorEffect):
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
         """Return the delayed force; beyond the ends of the run it is constant."""
         return np.asarray(np.interp(run.time_s - values["latency_s"], run.time_s, force_mN))
-
-
-EFFECT = ChannelLatency()

@@ -22,6 +22,3 @@ class DirectionAsymmetry(ForceEffect):
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the added friction, which resists motion towards positive position whichever way the drive moves."""
         return np.asarray(values["asymmetry"] * np.abs(run.f_c + run.f_v))
-
-
-EFFECT = DirectionAsymmetry()

@@ -20,9 +20,4 @@ class EncoderScale(EncoderEffect):
     parameters = (size("scale_error", "1", 0.002, -0.1, 0.1, "relative error of scale"),)
 
     def counted_position(self, time_s: FloatArray, position_mm: FloatArray, values: Values) -> FloatArray:
-        """Return the position as it is counted."""
-        del time_s
         return np.asarray(position_mm * (1 + values["scale_error"]))
-
-
-EFFECT = EncoderScale()

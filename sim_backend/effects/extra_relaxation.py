@@ -51,7 +51,6 @@ class ExtraRelaxation(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the third branch."""
         rates, weights = maxwell_chain(values["time_s"], values["spread"])
         if run.sheared is not None:
             branches = [weight * run.sheared.branch(rate) for rate, weight in zip(rates, weights, strict=True)]
@@ -63,6 +62,3 @@ class ExtraRelaxation(ForceEffect):
         front = values["share"] * wall.parameters.E3 * wall.strain * _relaxed(wall.age_s, rates, weights)
         equator = values["share"] * wall.equator_parameters.E3 * wall.strain_at_equator
         return force_of_hoop_stress(run, wall, front, equator * _relaxed(wall.equator_age_s, rates, weights))
-
-
-EFFECT = ExtraRelaxation()

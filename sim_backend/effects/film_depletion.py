@@ -32,9 +32,5 @@ class FilmDepletion(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the friction that is added."""
         depleted = -np.expm1(-distance_travelled(run.motion, run.time_s) / values["length_mm"])
         return np.asarray(run.f_c * values["ratio"] * depleted / -np.expm1(-REFERENCE_MM / values["length_mm"]))
-
-
-EFFECT = FilmDepletion()

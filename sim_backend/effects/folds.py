@@ -33,11 +33,7 @@ class Folds(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the modulation."""
         if not run.gut_closed:
             return np.zeros_like(run.time_s)
         angle = 2 * np.pi * run.position_mm / values["wavelength_mm"] + values["phase_rad"]
         return np.asarray((run.f_e + run.f_c) * values["depth"] * np.sin(angle))
-
-
-EFFECT = Folds()

@@ -27,10 +27,6 @@ class ForceDrift(SensorEffect):
     )
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return the force with the zero's drift."""
         warm_up = values["warm_up_s"]
         drift = np.expm1(-run.time_s / warm_up) / np.expm1(-60.0 / warm_up)
         return np.asarray(force_mN + values["drift_mN_min"] * drift)
-
-
-EFFECT = ForceDrift()

@@ -27,11 +27,7 @@ class ForceHysteresis(SensorEffect):
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
         """Return the force minus the part held back, which starts at 0."""
-        del run
         change = np.diff(force_mN, prepend=force_mN[:1])
         decay = np.exp(-np.abs(change) / values["reversal_mN"])
         state = linear_recursion(decay, np.sign(change) * (1 - decay))
         return np.asarray(force_mN - values["half_width_mN"] * state)
-
-
-EFFECT = ForceHysteresis()

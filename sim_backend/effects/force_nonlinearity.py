@@ -28,10 +28,5 @@ class ForceNonlinearity(SensorEffect):
     )
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return the force times the gain at its load."""
-        del run
         load = np.abs(force_mN) / REFERENCE_LOAD_MN
         return np.asarray(force_mN * (1 + values["gain_error"] * load ** values["power"]))
-
-
-EFFECT = ForceNonlinearity()

@@ -38,7 +38,6 @@ class HyperelasticWall(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the additional stress."""
         power, slow_share = values["power"], values["slow_share"]
         if run.sheared is not None:
             fast, slow, spring = run.sheared.stresses
@@ -53,6 +52,3 @@ class HyperelasticWall(ForceEffect):
         at_end = values["stiffening"] * wall.strain_at_equator**power
         at_end = at_end * (equator.fast + slow_share * (equator.slow + equator.spring))
         return force_of_hoop_stress(run, wall, along, at_end)
-
-
-EFFECT = HyperelasticWall()

@@ -43,6 +43,3 @@ class MainsHum(SensorEffect):
         """Return the force with the hum on the session's clock."""
         angle = 2 * np.pi * values["frequency_hz"] * run.session_s + values["phase_rad"]
         return np.asarray(force_mN + values["amplitude_mN"] * np.sin(angle))
-
-
-EFFECT = MainsHum()

@@ -29,12 +29,8 @@ class MesenteryTether(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the pull."""
         if not run.gut_closed:
             return np.zeros_like(run.time_s)
         position = run.position_mm
         taken_up = np.maximum(np.abs(position) - values["onset_mm"], 0.0) / REFERENCE_MM
         return np.asarray(values["force_mN"] * np.sign(position) * taken_up ** values["power"])
-
-
-EFFECT = MesenteryTether()

@@ -34,6 +34,3 @@ class PayloadInertia(SensorEffect):
         pull = 1e-3 * values["mass_g"] * run.acceleration_mm_s2
         lag_s = values["lag_s"]
         return np.asarray(force_mN + (first_order(run.time_s, pull, lag_s) if lag_s > MIN_LAG_S else pull))
-
-
-EFFECT = PayloadInertia()

@@ -36,6 +36,3 @@ class Peristalsis(ForceEffect):
             return np.zeros_like(run.time_s)
         angle = 2 * np.pi * run.session_s / values["period_s"] + values["phase_rad"]
         return np.asarray(values["force_mN"] * np.exp(values["sharpness"] * (np.cos(angle) - 1)))
-
-
-EFFECT = Peristalsis()

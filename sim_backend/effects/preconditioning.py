@@ -23,8 +23,4 @@ class Preconditioning(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the additional stiffness."""
         return np.asarray(run.stiffness_force * (values["excess"] * float(np.exp(-run.order / values["runs"]))))
-
-
-EFFECT = Preconditioning()

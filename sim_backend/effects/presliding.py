@@ -43,6 +43,3 @@ class Presliding(ForceEffect):
         bristles = bristle_deflection(run.motion, run.time_s, values["deflection_mm"])
         friction = run.friction_coefficient * normal_force(run) * bristles
         return np.asarray(values["share"] * (friction - run.f_c))
-
-
-EFFECT = Presliding()

@@ -28,7 +28,6 @@ class ServoLag(MotorEffect):
     )
 
     def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
-        """Return the response of the loop."""
         lag, damping = values["lag_s"], values["damping"]
         frequency = values["frequency_hz"]
         if lag > 0:
@@ -36,6 +35,3 @@ class ServoLag(MotorEffect):
         share = lag * np.pi * frequency / damping
         behind = command_mm - resonator(time_s, command_mm, frequency, damping)
         return np.asarray(command_mm - share * behind)
-
-
-EFFECT = ServoLag()

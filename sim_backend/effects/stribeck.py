@@ -26,9 +26,5 @@ class Stribeck(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the additional Coulomb friction."""
         faster = (run.speed_mm_s / values["speed_mm_s"]) ** values["power"]
         return np.asarray(run.f_c * values["ratio"] * np.exp(-faster))
-
-
-EFFECT = Stribeck()

@@ -37,9 +37,5 @@ class TissueAgeing(ForceEffect):
     )
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of the additional stiffness."""
         aged = (np.maximum(run.session_s, 0.0) / REFERENCE_S) ** values["power"]
         return np.asarray(run.stiffness_force * values["change"] * aged)
-
-
-EFFECT = TissueAgeing()

@@ -27,11 +27,6 @@ class VelocityRipple(MotorEffect):
     )
 
     def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
-        """Return the position with the ripple, which is nothing at the start."""
-        del time_s
         phase = values["phase_rad"]
         ripple = np.sin(2 * np.pi * command_mm / values["pitch_mm"] + phase) - np.sin(phase)
         return np.asarray(command_mm + values["amplitude_mm"] * ripple)
-
-
-EFFECT = VelocityRipple()

@@ -26,11 +26,7 @@ class WallInertia(ForceEffect):
     parameters = (size("force_mN", "mN", 20.0, 0.0, 300.0, "force at 60 mm/s"),)
 
     def added_force(self, run: RunState, values: Values) -> FloatArray:
-        """Return the force of inertia."""
         if not run.gut_closed:
             return np.zeros_like(run.time_s)
         velocity = run.velocity_mm_s / REFERENCE_MM_S
         return np.asarray(values["force_mN"] * velocity * np.abs(velocity))
-
-
-EFFECT = WallInertia()

@@ -49,6 +49,3 @@ class WallLiftOff(ForceEffect):
         beyond = wall.x_mm / np.maximum(lifted_mm, MIN_LIFTED_MM)[:, None]
         gone = values["share"] * np.clip(2 - 1.5 * beyond, 0.0, 1.0) * HoopStress.on_hemisphere(wall).total
         return np.asarray(-np.sign(run.f_e) * wall.resistance(gone))
-
-
-EFFECT = WallLiftOff()

@@ -1,41 +1,49 @@
 """Hidden effects by id: those of the catalogue in other functional forms, and some that it does not have."""
 
 from collections.abc import Mapping
-from itertools import chain
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 
+from dragrig.sim_backend.blind.effects import gut, instrument, interface, outside
 from dragrig.sim_backend.blind.effects.base import HiddenEffect
-from dragrig.sim_backend.blind.effects.gut import ORGAN_FORMS, SESSION_FORMS, WALL_FORMS
-from dragrig.sim_backend.blind.effects.instrument import DRIVE_FORMS, SENSOR_FORMS
-from dragrig.sim_backend.blind.effects.interface import INTERFACE_FORMS, SLIP_FORMS
-from dragrig.sim_backend.blind.effects.outside import OUTSIDE_FORCE_FORMS, OUTSIDE_POSITION_FORMS
+
+GROUPS = {
+    "wall": ("wall_lift_off", "wall_inertia", "hyperelastic_wall", "extra_relaxation"),
+    "interface": ("stribeck", "adhesion", "film_depletion"),
+    "slip": ("breakaway", "presliding"),
+    "organ": ("folds", "mesentery_tether", "peristalsis"),
+    "session": ("tissue_ageing", "preconditioning"),
+    "sensor": (
+        "force_drift",
+        "force_nonlinearity",
+        "force_hysteresis",
+        "mains_hum",
+        "payload_inertia",
+        "arm_compliance",
+    ),
+    "drive": ("servo_lag", "velocity_ripple", "channel_latency", "encoder_scale"),
+}
+"""Effects of the catalogue by what they act on; their order decides what a seed draws."""
 
 
-def _by_name(*forms: type[HiddenEffect]) -> Mapping[str, tuple[type[HiddenEffect], ...]]:
-    names: dict[str, tuple[type[HiddenEffect], ...]] = {}
-    for form in forms:
-        names[form.name] = (*names.get(form.name, ()), form)
-    return MappingProxyType(names)
+def _forms_by_name(*modules: ModuleType) -> dict[str, tuple[type[HiddenEffect], ...]]:
+    """Return the forms that modules define, in the order of their definition, which decides what a seed draws."""
+    forms: dict[str, tuple[type[HiddenEffect], ...]] = {}
+    for module in modules:
+        for form in vars(module).values():
+            if isinstance(form, type) and issubclass(form, HiddenEffect) and form is not HiddenEffect:
+                forms[form.name] = (*forms.get(form.name, ()), form)
+    return forms
 
 
-GROUPS: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(
-    {
-        "wall": WALL_FORMS,
-        "interface": INTERFACE_FORMS,
-        "slip": SLIP_FORMS,
-        "organ": ORGAN_FORMS,
-        "session": SESSION_FORMS,
-        "sensor": SENSOR_FORMS,
-        "drive": DRIVE_FORMS,
-    }
+_FORMS = _forms_by_name(gut, interface, instrument)
+CATALOGUE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(
+    {name: _FORMS[name] for names in GROUPS.values() for name in names}
 )
-"""Forms by what they act on; the order of groups and forms decides what a seed draws."""
-CATALOGUE = _by_name(*chain.from_iterable(GROUPS.values()))
 """Forms of every effect of the catalogue."""
-OUTSIDE = _by_name(*OUTSIDE_FORCE_FORMS, *OUTSIDE_POSITION_FORMS)
+OUTSIDE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(_forms_by_name(outside))
 """Forms of the effects that the catalogue does not have."""
 
 
 def effect_group(effect_id: str) -> str:
     """Return the group of an effect of the catalogue: two of one group are hard to tell apart."""
-    return next(group for group, forms in GROUPS.items() if effect_id in {form.name for form in forms})
+    return next(group for group, names in GROUPS.items() if effect_id in names)

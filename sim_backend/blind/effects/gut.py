@@ -183,12 +183,6 @@ class RelaxationLog(HiddenEffect):
         return np.asarray(share * np.maximum(1 - fall, 0.0))
 
 
-WALL_FORMS: tuple[type[HiddenEffect], ...] = (
-    LiftOffFade, LiftOffPeel, LiftOffHollow, InertiaPower, InertiaBending, HyperelasticLock, HyperelasticKink,
-    HyperelasticBent, RelaxationStretched, RelaxationPower, RelaxationLog,
-)  # fmt: skip
-
-
 class FoldsHarmonics(HiddenEffect):
     """Elastic resistance modulated in position with two harmonics."""
 
@@ -335,11 +329,6 @@ class PeristalsisUneven(HiddenEffect):
         return np.asarray(self.amplitude * strength * ((1 + np.cos(2 * np.pi * turn)) / 2) ** 3)
 
 
-ORGAN_FORMS: tuple[type[HiddenEffect], ...] = (
-    FoldsHarmonics, FoldsRidges, FoldsWandering, TetherPower, TetherSoft, TetherTwoStrands, PeristalsisPulses,
-    PeristalsisTwitch, PeristalsisUneven,     )  # fmt: skip
-
-
 class AgeingRoot(HiddenEffect):
     """Stiffness drifts with the root of the session's time, and is reset in part whenever the gut is wetted."""
 
@@ -403,12 +392,3 @@ class PreconditioningBell(HiddenEffect):
 
     def stiffness(self, plan: RunPlan) -> float:
         return float(1 + self.amplitude * np.exp(-((plan.order / self.runs) ** 2)))
-
-
-SESSION_FORMS: tuple[type[HiddenEffect], ...] = (
-    AgeingRoot,
-    AgeingLate,
-    AgeingTurn,
-    PreconditioningRational,
-    PreconditioningBell,
-)

@@ -191,12 +191,6 @@ class ComplianceTwoModes(HiddenEffect):
         return force + self.amplitude / 1000 * ((1 - self.second) * first + self.second * other)
 
 
-SENSOR_FORMS: tuple[type[HiddenEffect], ...] = (
-    DriftRoot, DriftBent, NonlinearCubic, NonlinearSoft, HysteresisDahl, HysteresisStack, HumHarmonics, HumBeating,
-    InertiaSoft, InertiaUneven, ComplianceMode, ComplianceTwoModes,
-)  # fmt: skip
-
-
 class LagSecondOrder(HiddenEffect):
     """A stage that follows as a damped second-order system; an integrator removes a share of its lag [s]."""
 
@@ -377,9 +371,3 @@ def _rippled(motion: SampledMotion, amplitude: float, terms: tuple[tuple[float, 
         v -= size * k * np.sin(turn) * motion.v
         a -= size * k * (np.sin(turn) * motion.a + k * np.cos(turn) * motion.v**2)
     return SampledMotion(motion.t, p, v, a)
-
-
-DRIVE_FORMS: tuple[type[HiddenEffect], ...] = (
-    LagSecondOrder, LagDeadTime, LagTwoTimes, RippleHarmonics, RippleSaw, RippleTwoPeriods, LatencySpread,
-    LatencyAveraged, LatencyGrows, ScaleBent, ScaleWarm,
-)  # fmt: skip

@@ -130,12 +130,6 @@ class FilmStep(HiddenEffect):
         return np.asarray(self.amplitude * (grown - lower))
 
 
-INTERFACE_FORMS: tuple[type[HiddenEffect], ...] = (
-    StribeckRational, StribeckLogNormal, StribeckRamp,     AdhesionRoot, AdhesionLog, AdhesionBend, FilmPower,
-    FilmStep,
-)  # fmt: skip
-
-
 class BreakawayBump(HiddenEffect):
     """Extra friction of an aged contact that fades as a Gaussian of the slip."""
 
@@ -216,13 +210,3 @@ class PreslidingRelease(HiddenEffect):
         held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
         left = self.stays + (1 - self.stays) * np.exp(-held / self.release_s)
         return (1 - self.amplitude) * direction + self.amplitude * built * left
-
-
-SLIP_FORMS: tuple[type[HiddenEffect], ...] = (
-    BreakawayBump,
-    BreakawayRamp,
-    BreakawayPlateau,
-    PreslidingHyperbola,
-    PreslidingCreep,
-    PreslidingRelease,
-)

@@ -202,12 +202,6 @@ class CableLoop(HiddenEffect):
         return np.asarray(force + self.amplitude * p * (1 - p))
 
 
-OUTSIDE_FORCE_FORMS: tuple[type[HiddenEffect], ...] = (
-    AmplifierSaturates, StickSlip, CurrentCrosstalk, LooseCoupling, GainSwitches, FixtureCreeps, FoamResonance,
-    WallSeam, ThermostatZero, TableVibration, MissingBits, Suction, BrakeClamps, CableLoop,
-)  # fmt: skip
-
-
 class EncoderMisses(HiddenEffect):
     """The encoder misses counts, or counts twice, at random places; the amplitude is the distance of one jump [mm]."""
 
@@ -241,6 +235,3 @@ class ClockOff(HiddenEffect):
     def clock(self, plan: RunPlan, t: Floats, seed: int) -> Floats:
         wrong = np.random.default_rng((seed, plan.order, 77)).random() < 0.5
         return t * (1 + self.amplitude) if wrong else t
-
-
-OUTSIDE_POSITION_FORMS: tuple[type[HiddenEffect], ...] = (EncoderMisses, StageYields, ClockOff)
