@@ -33,11 +33,11 @@ class Estimate:
     Attributes
     ----------
     value, standard_error
-        In the unit that the estimate's name says; None where the data do not support one.
+        In the unit of the estimate's name; None where the data do not support any.
     effective_samples
-        How many independent samples would give the same standard error.
+        Number of independent samples with the same standard error.
     reason
-        Why value or standard error is None; empty when both are there.
+        Why value or standard error is None; empty when neither is.
     """
 
     value: float | None = None
@@ -62,7 +62,7 @@ class Estimate:
 
 
 def missing(reason: str) -> Estimate:
-    """Return an estimate that is not there, and why."""
+    """Return a missing estimate with the reason."""
     return Estimate(reason=reason)
 
 
@@ -107,15 +107,15 @@ class Exclusion:
 
 
 def summarise_exclusions(left_out: Iterable[Exclusion]) -> str:
-    """Return each reason once, with the runs that it holds for, most of them counted only."""
+    """Name each reason once, with its first run and the number of further ones."""
     reasons: dict[str, list[str]] = {}
-    for one in left_out:
-        reasons.setdefault(one.reason, []).append(one.what)
-    told = [
+    for exclusion in left_out:
+        reasons.setdefault(exclusion.reason, []).append(exclusion.what)
+    clauses = [
         f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
         for reason, files in reasons.items()
     ]
-    return "; ".join(told if len(told) <= MAX_REASONS else [*told[:MAX_REASONS], "and other reasons"])
+    return "; ".join(clauses if len(clauses) <= MAX_REASONS else [*clauses[:MAX_REASONS], "and other reasons"])
 
 
 MIN_SAMPLES_FOR_MEAN = 8
@@ -125,14 +125,14 @@ MAX_SPECTRUM_SAMPLES = 100_000
 GRID_POINTS = 24
 GRID_REFINEMENTS = 3
 LOG_LIKELIHOOD_RANGE = 10.0
-"""Pairs whose log-likelihood lies this far below the best are left out when the grid closes in."""
+"""Pairs with a log-likelihood this far below the best are outside the refined grid."""
 MIN_CORRELATION_SAMPLES = 1.0
 MIN_VARIANCE_RATIO, MAX_VARIANCE_RATIO = 1e-3, 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spectrum:
-    """Power of `samples` samples in bins of frequency: how many, their power, their angular frequency."""
+    """Power of `samples` samples in bins: number of frequencies, total power, mean angular frequency."""
 
     samples: int
     count: FloatArray
@@ -148,8 +148,7 @@ def correlated_mean(values: npt.ArrayLike, longest_correlation: float = 0.0) -> 
     values
         Consecutive samples, shape `(n,)`.
     longest_correlation
-        Slowest noise that is thought possible, as a correlation time in samples; at least the length of
-        the record is taken.
+        Largest correlation time of slow noise that is allowed for, in samples, at least the length of the record.
 
     Returns
     -------
@@ -163,11 +162,11 @@ def correlated_mean(values: npt.ArrayLike, longest_correlation: float = 0.0) -> 
         return missing("samples are missing (NaN)")
     mean = float(record.mean())
     group = max(1, 2 * len(record) // MAX_SPECTRUM_SAMPLES)
-    kept = record[: len(record) // group * group].reshape(-1, group).mean(axis=1) - mean
+    deviations = record[: len(record) // group * group].reshape(-1, group).mean(axis=1) - mean
     rounding = np.finfo(np.float64).eps * max(abs(mean), float(np.abs(record).max()))
-    if float(np.abs(kept).max()) <= 4 * rounding:
+    if float(np.abs(deviations).max()) <= 4 * rounding:
         return Estimate(mean, 0.0, float(len(record)))
-    weights, errors = _mixture(_spectrum(kept), max(longest_correlation / group, float(len(kept))))
+    weights, errors = _mixture(_spectrum(deviations), max(longest_correlation / group, float(len(deviations))))
     error = _half_width(weights, errors) / NORMAL_95
     return Estimate(mean, error, float(min(len(record), record.var() / error**2)))
 

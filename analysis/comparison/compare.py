@@ -88,7 +88,12 @@ def compare_sides(a: ComparedSide, b: ComparedSide, progress: Progress = no_prog
         unused = (*pairing.alone_a, *a.left_out, *b.left_out)[:3]
         reasons = "; ".join(f"{exclusion.what}: {exclusion.reason}" for exclusion in unused) or "nothing was recorded"
         raise AnalysisError(f"{a.name} and {b.name}: no run of either has a partner in the other ({reasons}).")
-    zero_mN = zero_sd(_rest_offsets(runs_a if b.is_model else (*runs_a, *runs_b)))
+    force_free = [
+        run.measures.rest_offset.value
+        for run in (*runs_a, *(() if b.is_model else runs_b))
+        if run.condition.kind in ZERO_FORCE_AT_REST_KINDS
+    ]
+    zero_mN = zero_sd([rest for rest in force_free if rest is not None])
     pairs = []
     for done, (index_a, index_b) in enumerate(pairing.pairs):
         progress(len(a.runs) + len(b.runs) + done, total)
@@ -140,13 +145,6 @@ def _without_errors(measures: RunMeasures) -> RunMeasures:
         peak_force=exact(measures.peak_force),
         hold_force=exact(measures.hold_force),
     )
-
-
-def _rest_offsets(runs: Iterable[_MeasuredRun]) -> Iterator[float]:
-    for run in runs:
-        rest = run.measures.rest_offset.value
-        if run.condition.kind in ZERO_FORCE_AT_REST_KINDS and rest is not None:
-            yield rest
 
 
 # Pairing.
@@ -247,8 +245,7 @@ def _compare_pair(run_a: _MeasuredRun, run_b: _MeasuredRun, zero_mN: float, *, b
         shift_s=None if overlay is None else overlay.shift_s,
         differences=differences,
         phases=() if overlay is None else tuple(_phase_differences(overlay, zeros or (0.0, 0.0))),
-        # A model is driven by the recorded motion, so that there is no second one.
-        motion=MotionDifference(_following_error(a)) if b_is_model else _motion_difference(a, b, overlay),
+        motion=_motion_difference(a, None if b_is_model else b, overlay),
         remarks=tuple(remarks),
         b_is_model=b_is_model,
     )
@@ -344,7 +341,10 @@ def _phase_differences(overlay: AlignedRuns, zeros: tuple[float, float]) -> Iter
             yield PhaseDifference(name, value.size, mean, rms, float(value[largest]), float(time[largest]))
 
 
-def _motion_difference(a: Run, b: Run, overlay: AlignedRuns | None) -> MotionDifference:
+def _motion_difference(a: Run, b: Run | None, overlay: AlignedRuns | None) -> MotionDifference:
+    """Compare motions; a model, without one of its own, is driven by the recorded motion."""
+    if b is None:
+        return MotionDifference(_following_error(a))
     difference = np.zeros(0) if overlay is None else overlay.position_b - overlay.position_a
     difference = difference[np.isfinite(difference)]
     if not difference.size:

@@ -13,7 +13,7 @@ by 20 or 50 % of f_e in the end, is always found; the interval covers 15 mm/s in
 without a boundary, 4 to 6 % are reported to have one; fewer where the model was identified from the same runs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -265,24 +265,19 @@ def r2_by_band(
     points: Sequence[SpeedPoint], boundary: SpeedBoundary | None, prefix: str = ""
 ) -> tuple[SpeedBandR2, ...]:
     """Compare model and measurement over all speeds, and below and above the paper's and the estimated boundary."""
-    return tuple(_band_r2(prefix + name, band) for name, band in _speed_bands(points, boundary))
-
-
-def _speed_bands(
-    points: Sequence[SpeedPoint], boundary: SpeedBoundary | None
-) -> Iterator[tuple[str, list[SpeedPoint]]]:
-    yield "all speeds", list(points)
-    limits = [(PAPER_BOUNDARY_MM_S, "")]
+    bands = {"all speeds": list(points)}
+    limits = {"": PAPER_BOUNDARY_MM_S}
     if boundary is not None and boundary.speed_mm_s is not None:
-        limits.append((boundary.speed_mm_s, " (estimated boundary)"))
-    for limit, note in limits:
+        limits[" (estimated boundary)"] = boundary.speed_mm_s
+    for note, limit in limits.items():
         highest = limit * (1 + SPEED_TOLERANCE)
-        yield f"up to {limit:.3g} mm/s{note}", [point for point in points if abs(point.speed_mm_s) <= highest]
-        yield f"above {limit:.3g} mm/s{note}", [point for point in points if abs(point.speed_mm_s) > highest]
-
-
-def _band_r2(band: str, points: Sequence[SpeedPoint]) -> SpeedBandR2:
-    if len(points) < MIN_SPEEDS_FOR_R2:
-        return SpeedBandR2(band, len(points), None, None)
-    model, measured = np.array([point.model_mN for point in points]), SteadyForces.of(points).force_mN
-    return SpeedBandR2(band, len(points), r2_eq15(model, measured), squared_correlation(model, measured))
+        bands[f"up to {limit:.3g} mm/s{note}"] = [point for point in points if abs(point.speed_mm_s) <= highest]
+        bands[f"above {limit:.3g} mm/s{note}"] = [point for point in points if abs(point.speed_mm_s) > highest]
+    results = []
+    for name, band in bands.items():
+        r2 = correlation = None
+        if len(band) >= MIN_SPEEDS_FOR_R2:
+            model, measured = np.array([point.model_mN for point in band]), SteadyForces.of(band).force_mN
+            r2, correlation = r2_eq15(model, measured), squared_correlation(model, measured)
+        results.append(SpeedBandR2(prefix + name, len(band), r2, correlation))
+    return tuple(results)

@@ -134,7 +134,8 @@ def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:
             specimen=_attributes(metadata["specimen"]),
             settings_toml=str(metadata.get("settings_toml", "")),
         )
-        events = tuple(_event(entry) for entry in _sequence(metadata["events"]))
+        entries = (_sequence(entry) for entry in _sequence(metadata["events"]))
+        events = tuple(RunEvent(float(str(time_s)), str(kind), str(message)) for time_s, kind, message in entries)
         status, reason = RunStatus(str(metadata["status"])), str(metadata["reason"])
         end_time = datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None
         checks = _attributes(metadata["checks"])
@@ -167,11 +168,6 @@ def _exported_columns(
         if dataset not in NOT_CHANNELS:
             channels.append(RecordedChannel(dataset, units, "float32" if dtype == "float32" else "float64"))
     return columns, tuple(channels)
-
-
-def _event(entry: object) -> RunEvent:
-    time_s, kind, message = _sequence(entry)
-    return RunEvent(float(str(time_s)), str(kind), str(message))
 
 
 def _attributes(group: object) -> dict[str, Attribute]:

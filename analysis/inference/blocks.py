@@ -1,6 +1,5 @@
 """A trace as means over blocks of time: short where the prediction changes fast, long where it does not."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,9 +70,7 @@ def average_in_blocks(
     usable = np.flatnonzero(experiment.valid & np.isfinite(values))
     time, values = experiment.time_s[usable], values[usable]
     step = 1.0 / experiment.run.trace.sample_rate_hz
-    end_s = float(experiment.time_s[-1])
-    begins = _stretch_starts(events_s, end_s, step)
-    edges = _block_edges(experiment, begins, _max_block_lengths(experiment, begins, longest_mm), step) - 0.5 * step
+    edges = _block_edges(experiment, events_s, longest_mm, step) - 0.5 * step
     starts = np.unique(np.searchsorted(time, edges))
     starts = starts[starts < time.size]
     samples = np.diff(np.append(starts, time.size))
@@ -93,51 +90,33 @@ def average_in_blocks(
     )
 
 
-def _stretch_starts(events_s: FloatArray, end_s: float, step_s: float) -> list[float]:
-    """Start of each stretch without an event, and the end of the last one."""
+def _block_edges(experiment: Experiment, events_s: FloatArray, longest_mm: float, step_s: float) -> FloatArray:
+    """Edges of the blocks, coarser after mere bends of the motion if there would be too many."""
+    end_s = float(experiment.time_s[-1])
     inside = events_s[(events_s > 0) & (events_s < end_s)]
     # The motion is known to a sample or so; a block must not reach across its event.
-    starts: list[float] = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s]))).tolist()
-    return starts
-
-
-def _max_block_lengths(experiment: Experiment, begins_s: list[float], longest_mm: float) -> list[float]:
-    """Longest block of each stretch, by how fast the stage moves in it."""
-    if not np.isfinite(longest_mm):
-        return [np.inf] * (len(begins_s) - 1)
-    speed = np.abs(np.diff(experiment.position(np.array(begins_s)))) / np.diff(begins_s)
-    longest: list[float] = (longest_mm / np.maximum(speed, 1e-9)).tolist()
-    return longest
-
-
-def _block_edges(
-    experiment: Experiment, begins_s: Sequence[float], longest_s: Sequence[float], step_s: float
-) -> FloatArray:
-    """Edges of the blocks, coarser after mere bends if there would be too many."""
-    sharp = _starts_at_turn(experiment, begins_s, step_s)
+    starts = np.unique(np.concatenate(([0.0], np.maximum(inside - step_s, 0.0), [end_s])))
+    longest_s = np.full(len(starts) - 1, np.inf)
+    if np.isfinite(longest_mm):
+        speed = np.abs(np.diff(experiment.position(starts))) / np.diff(starts)
+        longest_s = longest_mm / np.maximum(speed, 1e-9)
+    motion = experiment.motion
+    turns = np.append(motion.breaks_s[1:-1][np.diff(motion.signs) != 0], starts[0])
+    is_turn = np.abs(starts[:-1, None] - turns).min(axis=1) <= 1.5 * step_s
     edges = np.zeros(0)
-    for coarser in COARSENING_FACTORS:
-        factors = [1.0 if is_turn else coarser for is_turn in sharp]
-        pieces = zip(begins_s[:-1], begins_s[1:], longest_s, factors, strict=True)
-        edges = np.unique(np.concatenate([_graded_edges(*piece, step_s) for piece in pieces]))
+    for factor in COARSENING_FACTORS:
+        coarsening = np.where(is_turn, 1.0, factor)
+        stretches = zip(starts[:-1].tolist(), starts[1:].tolist(), longest_s.tolist(), coarsening.tolist(), strict=True)
+        edges = np.unique(np.concatenate([_graded_edges(*stretch, step_s) for stretch in stretches]))
         if len(edges) <= MAX_BLOCKS:
             break
     return edges
 
 
-def _starts_at_turn(experiment: Experiment, begins_s: Sequence[float], step_s: float) -> list[bool]:
-    """Whether each stretch begins with the record, or where the stage starts, stops or turns."""
-    motion = experiment.motion
-    turns = np.append(motion.breaks_s[1:-1][np.diff(motion.signs) != 0], begins_s[0])
-    near = np.abs(np.asarray(begins_s[:-1])[:, None] - turns).min(axis=1) <= 1.5 * step_s
-    flags: list[bool] = near.tolist()
-    return flags
-
-
-def _graded_edges(begin_s: float, end_s: float, longest_s: float, coarser: float, step_s: float) -> FloatArray:
-    edges = [begin_s]
+def _graded_edges(start_s: float, end_s: float, longest_s: float, coarsening: float, step_s: float) -> FloatArray:
+    edges = [start_s]
     while edges[-1] < end_s:
-        since = edges[-1] - begin_s
-        width = min(coarser * max(BLOCK_GROWTH * since, step_s), max(MAX_BLOCK_S, MAX_BLOCK_SHARE * since))
+        since = edges[-1] - start_s
+        width = min(coarsening * max(BLOCK_GROWTH * since, step_s), max(MAX_BLOCK_S, MAX_BLOCK_SHARE * since))
         edges.append(edges[-1] + max(min(width, longest_s), step_s))
     return np.array(edges[:-1])

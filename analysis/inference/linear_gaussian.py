@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -387,41 +387,31 @@ class _ModelCache:
 
     def __init__(self, problem: JointProblem) -> None:
         self._problem = problem
-        self._predicted_at: FloatArray | None = None
-        self._predictions: list[Prediction] = []
-        self._derivatives_at: FloatArray | None = None
-        self._derivatives: list[FloatArray] = []
-        self._uncertain_at: FloatArray | None = None
-        self._uncertainties: list[FloatArray] = []
+        self._latest: dict[str, tuple[FloatArray, object]] = {}
         self.steps = 0
 
-    def predictions(self, z: FloatArray) -> list[Prediction]:
-        if self._predicted_at is None or not np.array_equal(z, self._predicted_at):
-            self._predictions, self._predicted_at = self._problem.predictions(z), z.copy()
-        return self._predictions
+    def _reuse(self, compute: Callable[[FloatArray], ItemT], z: FloatArray, reach: float) -> ItemT:
+        """Evaluate a method of the problem at `z`, unless no parameter moved by more than `reach` since it last was."""
+        name = compute.__name__
+        at, result = self._latest.get(name, (None, None))
+        scale = np.minimum(self._problem.scales.sd, 1.0)
+        if at is None or np.max(np.abs(z - at) * scale) > reach:
+            result = compute(z)
+            self._latest[name] = z.copy(), result
+            self.steps += int(name == "derivatives")
+        return cast("ItemT", result)
 
     def residuals(self, z: FloatArray) -> list[FloatArray]:
-        pairs = zip(self._problem.channels, self.predictions(z), strict=True)
+        predictions = self._reuse(self._problem.predictions, z, 0.0)
+        pairs = zip(self._problem.channels, predictions, strict=True)
         return [prediction.total - blocks.blocks.mean for blocks, prediction in pairs]
 
-    def derivatives(self, z: FloatArray) -> list[FloatArray]:
-        if self._derivatives_at is None or self._is_far(z, self._derivatives_at):
-            self._derivatives, self._derivatives_at = self._problem.derivatives(z), z.copy()
-            self.steps += 1
-        return self._derivatives
+    def derivatives(self, z: FloatArray, reach: float = DERIVATIVE_REUSE_RANGE) -> list[FloatArray]:
+        return self._reuse(self._problem.derivatives, z, reach)
 
     def whitenings(self, z: FloatArray) -> tuple[Whitening, ...]:
-        if self._uncertain_at is None or self._is_far(z, self._uncertain_at):
-            self._uncertainties, self._uncertain_at = self._problem.uncertainties(z), z.copy()
-        return self._problem.whitenings(self.predictions(z), self._uncertainties)
-
-    def renew_derivatives(self, z: FloatArray) -> None:
-        if self._derivatives_at is None or not np.array_equal(z, self._derivatives_at):
-            self._derivatives_at = None
-            self.derivatives(z)
-
-    def _is_far(self, z: FloatArray, from_z: FloatArray) -> bool:
-        return bool(np.max(np.abs(z - from_z) * np.minimum(self._problem.scales.sd, 1.0)) > DERIVATIVE_REUSE_RANGE)
+        uncertainties = self._reuse(self._problem.uncertainties, z, DERIVATIVE_REUSE_RANGE)
+        return self._problem.whitenings(self._reuse(self._problem.predictions, z, 0.0), uncertainties)
 
 
 def is_at_bound(z: FloatArray) -> BoolArray:
@@ -477,9 +467,11 @@ def solve_joint(problem: JointProblem) -> JointSolution:
         if number < COVARIANCE_UPDATES:
             whitenings = cache.whitenings(z)
             # Far from the truth the runs would outweigh the priors and mislead: they gain weight as the misfit falls.
-            misfit = _misfit(_whiten_all(whitenings, cache.residuals(z)))
+            whitened = _whiten_all(whitenings, cache.residuals(z))
+            share = float(whitened @ whitened) / max(len(whitened), 1)
+            misfit = share if share > MISFIT_THRESHOLD else 1.0
         else:
-            cache.renew_derivatives(z)
+            cache.derivatives(z, 0.0)
         present = _LeastSquaresPass(cache, whitenings, misfit)
         step, covariance = present.newton_step(z)
         move = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
@@ -514,9 +506,3 @@ def solve_joint(problem: JointProblem) -> JointSolution:
 def _whiten_all(whitenings: Sequence[Whitening], by_channel: Sequence[FloatArray]) -> FloatArray:
     pairs = zip(whitenings, by_channel, strict=True)
     return np.concatenate([whitening.whiten(values) for whitening, values in pairs])
-
-
-def _misfit(whitened: FloatArray) -> float:
-    """χ² per block where it exceeds what noise explains, else 1."""
-    share = float(whitened @ whitened) / max(len(whitened), 1)
-    return share if share > MISFIT_THRESHOLD else 1.0

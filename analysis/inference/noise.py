@@ -76,14 +76,12 @@ class NoiseModel:
         covariance = self.slow**2 * slow
         covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
         if self.hum > 0:
-            covariance += self._hum(0.5 * (start_s + end_s), end_s - start_s)
+            middle = 0.5 * (start_s + end_s)
+            lag = np.abs(middle[:, None] - middle[None, :])
+            attenuation = np.sinc(self.hum_hz * (end_s - start_s))
+            wave = np.cos(2 * np.pi * self.hum_hz * lag) * np.exp(-lag / LINE_COHERENCE_S)
+            covariance += 0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :]
         return np.asarray(covariance)
-
-    def _hum(self, middle_s: FloatArray, width_s: FloatArray) -> FloatArray:
-        apart = np.abs(middle_s[:, None] - middle_s[None, :])
-        attenuation = np.sinc(self.hum_hz * width_s)
-        wave = np.cos(2 * np.pi * self.hum_hz * apart) * np.exp(-apart / LINE_COHERENCE_S)
-        return np.asarray(0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :])
 
 
 DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DEFAULT_CORRELATION_S, 0)
@@ -131,8 +129,11 @@ def estimate_noise(
         squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
         count += len(stretch.values) - 1
         largest = max(largest, float(np.abs(stretch.values).max()))
-        layout, means = _block_means(stretch)
-        if layout.blocks >= MIN_BLOCKS:
+        size = max(1, round(NOISE_BLOCK_S * stretch.rate_hz))
+        blocks = min(len(stretch.values) // size, round(MAX_STRETCH_S * stretch.rate_hz / size))
+        if blocks >= MIN_BLOCKS:
+            layout = _BlockLayout(blocks, size / stretch.rate_hz, size, stretch.degree)
+            means = stretch.values[: blocks * size].reshape(blocks, size).mean(axis=1)
             groups.setdefault(layout, []).append(means)
     if count < MIN_DIFFERENCES:
         return replace(_estimate_in_motion(runs, channel), hum=hum, hum_hz=hum_hz if hum > 0 else 0.0)
@@ -182,28 +183,16 @@ def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterato
 
 
 def _remove_line(stretch: _QuietStretch, hertz: float) -> _QuietStretch:
-    """Subtract a line from a stretch, piece by piece, fitted with a straight line in each."""
+    """Subtract a sine from a stretch, piece by piece, fitted with a straight line in each."""
     size = max(round(LINE_FIT_S * stretch.rate_hz), MIN_DIFFERENCES)
-    pieces = np.array_split(stretch.values, max(stretch.values.size // size, 1))
-    return replace(
-        stretch, values=np.concatenate([piece - _fit_line(piece, hertz / stretch.rate_hz) for piece in pieces])
-    )
-
-
-def _fit_line(values: FloatArray, turns: float) -> FloatArray:
-    """Least-squares sine of so many turns per sample, fitted with a straight line, shape `(n,)`."""
-    sample = np.arange(values.size, dtype=np.float64)
-    angle = 2 * np.pi * turns * sample
-    columns = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(sample), sample))
-    coefficients = np.linalg.lstsq(columns, values, rcond=None)[0]
-    return np.asarray(columns[:, :2] @ coefficients[:2])
-
-
-def _block_means(stretch: _QuietStretch) -> tuple[_BlockLayout, FloatArray]:
-    size = max(1, round(NOISE_BLOCK_S * stretch.rate_hz))
-    blocks = min(len(stretch.values) // size, round(MAX_STRETCH_S * stretch.rate_hz / size))
-    means = stretch.values[: blocks * size].reshape(blocks, size).mean(axis=1)
-    return _BlockLayout(blocks, size / stretch.rate_hz, size, stretch.degree), means
+    remainders = []
+    for piece in np.array_split(stretch.values, max(stretch.values.size // size, 1)):
+        sample = np.arange(piece.size, dtype=np.float64)
+        angle = 2 * np.pi * hertz / stretch.rate_hz * sample
+        columns = np.column_stack((np.cos(angle), np.sin(angle), np.ones_like(sample), sample))
+        coefficients = np.linalg.lstsq(columns, piece, rcond=None)[0]
+        remainders.append(piece - columns[:, :2] @ coefficients[:2])
+    return replace(stretch, values=np.concatenate(remainders))
 
 
 def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) -> tuple[float, float]:

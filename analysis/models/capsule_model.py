@@ -265,16 +265,13 @@ class SlidingPredictor(Predictor):
             slowest = self._contact(named).side_pressure().slow_rate
             age_s = self.acquisition.insertion_dwell_s * named[DWELL_PARAMETER]
             if float(np.exp(-slowest * age_s)) > RELAXED_SHARE:
-                rows[DWELL_PARAMETER] = self._by_dwell(named, time_s)
+                dwell = named[DWELL_PARAMETER]
+                step = DERIVATIVE_STEP * dwell
+                longer, shorter = (
+                    self._parts({**named, DWELL_PARAMETER: dwell + side * step}, time_s).total for side in (1.0, -1.0)
+                )
+                rows[DWELL_PARAMETER] = (longer - shorter) / (2 * step)
         return _stack_sensitivities(self.names, rows, len(time_s))
-
-    def _by_dwell(self, named: Mapping[str, float], time_s: FloatArray) -> FloatArray:
-        dwell = named[DWELL_PARAMETER]
-        step = DERIVATIVE_STEP * dwell
-        longer, shorter = (
-            self._parts({**named, DWELL_PARAMETER: dwell + side * step}, time_s).total for side in (1.0, -1.0)
-        )
-        return (longer - shorter) / (2 * step)
 
     def _by_angle(self, named: Mapping[str, float], time_s: FloatArray) -> FloatArray:
         offsets = (named[ANGLE_PARAMETER] + ANGLE_STEP_DEG, named[ANGLE_PARAMETER] - ANGLE_STEP_DEG)

@@ -87,6 +87,9 @@ def position_wander_mm(
     -------
     At least the jitter of such an encoder, and at most `MAX_WANDER_MM` beyond it.
     """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+    from scipy.signal import savgol_filter
+
     grid, position = resample_uniformly(time_s, position_mm)
     window = max(SMOOTHING_ORDER + 3, 2 * round(0.5 * SMOOTHING_WINDOW_S / float(grid[1])) + 1)
     jitter_mm = count_jitter_mm(count_mm)
@@ -94,9 +97,13 @@ def position_wander_mm(
         return jitter_mm
     rests = None if command_mm is None else _rest_windows(grid, np.interp(grid, time_s, command_mm), window)
     if rests is None or np.count_nonzero(rests) * float(grid[1]) < MIN_REST_S:
-        sd = _white_noise_sd(position, window)
+        residual = position - savgol_filter(position, window, SMOOTHING_ORDER)
+        # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
+        residual_share = 1.0 - 9.0 / (4.0 * window)
+        sd = 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(residual_share))
     else:
-        sd = float(np.quantile(_window_spans(position, window)[rests], QUIETEST_SHARE)) / QUIETEST_SPAN_SDS
+        spans = maximum_filter1d(position, window) - minimum_filter1d(position, window)
+        sd = float(np.quantile(spans[rests], QUIETEST_SHARE)) / QUIETEST_SPAN_SDS
     return max(jitter_mm, min(TYPICAL_SPAN_SDS * sd, MAX_WANDER_MM))
 
 
@@ -120,22 +127,6 @@ def _rest_windows(grid_s: FloatArray, command_mm: FloatArray, window: int) -> Ma
     settled = grid_s - last_move_s > SETTLED_S + SMOOTHING_WINDOW_S
     settled[: window // 2] = settled[moving.size - window // 2 :] = False
     return np.asarray(still & settled)
-
-
-def _window_spans(position_mm: FloatArray, window: int) -> FloatArray:
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
-    return np.asarray(maximum_filter1d(position_mm, window) - minimum_filter1d(position_mm, window))
-
-
-def _white_noise_sd(position_mm: FloatArray, window: int) -> float:
-    """Return the standard deviation of white noise beside a motion, most of which is steady."""
-    from scipy.signal import savgol_filter
-
-    residual = position_mm - savgol_filter(position_mm, window, SMOOTHING_ORDER)
-    # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
-    residual_share = 1.0 - 9.0 / (4.0 * window)
-    return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(residual_share))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +182,8 @@ class Experiment:
         A position that wanders at rest may deviate by as much more, but not for long. A position that equals the
         command was derived from it, as in foreign records.
         """
+        from scipy.ndimage import uniform_filter1d
+
         command = np.asarray(self.run.trace.command, dtype=np.float64)
         if not np.isfinite(command).all():
             return False
@@ -204,7 +197,9 @@ class Experiment:
             return largest_mm > 0
         if largest_mm > allowed_mm + self.wander_mm - count_jitter_mm(self.count_mm):
             return False
-        return _largest_window_mean(time_s, deviation) <= max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
+        window = max(MIN_SAMPLES, round(SMOOTHING_WINDOW_S / float(np.median(np.diff(time_s)))))
+        largest_mean_mm = float(np.abs(uniform_filter1d(deviation, window)).max())
+        return largest_mean_mm <= max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
 
     @cached_property
     def motion(self) -> RecordedMotion:
@@ -303,11 +298,3 @@ class Experiment:
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
-
-
-def _largest_window_mean(time_s: FloatArray, values: FloatArray) -> float:
-    """Magnitude of the largest mean over a window."""
-    from scipy.ndimage import uniform_filter1d
-
-    window = max(MIN_SAMPLES, round(SMOOTHING_WINDOW_S / float(np.median(np.diff(time_s)))))
-    return float(np.abs(uniform_filter1d(values, window)).max())

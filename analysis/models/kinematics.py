@@ -100,11 +100,11 @@ def _first_guess(motion: RecordedMotion) -> _VelocityChain:
 
 def _far_apart(times: FloatArray, resting: Mask) -> Mask:
     """Mask of the joints to keep, none closer than `MIN_JOINT_DISTANCE_S`: ends of record and rests go first."""
-    kept = np.zeros(len(times), dtype=np.bool_)
-    kept[[0, -1]] = True
+    mask = np.zeros(len(times), dtype=np.bool_)
+    mask[[0, -1]] = True
     for index in np.argsort(~resting, kind="stable"):
-        kept[index] |= np.all(np.abs(times[kept] - times[index]) >= MIN_JOINT_DISTANCE_S)
-    return kept
+        mask[index] |= np.all(np.abs(times[mask] - times[index]) >= MIN_JOINT_DISTANCE_S)
+    return mask
 
 
 def _refine(
@@ -154,7 +154,10 @@ def _fit_chain(chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArra
 
     squares = np.inf
     for _ in range(MAX_FITS):
-        at = _sample_pieces(chain.joints_s, time_s)
+        edges = np.searchsorted(time_s, chain.joints_s)
+        edges[-1] = len(time_s) - 1
+        spread = [np.linspace(*ends, SAMPLES_PER_PIECE).astype(np.intp) for ends in pairwise(edges.tolist())]
+        at = np.unique(np.concatenate(spread))
         moving = np.flatnonzero(~chain.resting)
         inner = np.arange(1, len(chain.joints_s) - 1)
         gaps = JOINT_FREEDOM * np.diff(chain.joints_s)
@@ -177,13 +180,6 @@ def _fit_chain(chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArra
         if squares > 0.99 * before:
             break
     return chain, squares
-
-
-def _sample_pieces(joints_s: FloatArray, time_s: FloatArray) -> IndexArray:
-    edges = np.searchsorted(time_s, joints_s)
-    edges[-1] = len(time_s) - 1
-    picked = [np.linspace(a, b, SAMPLES_PER_PIECE).astype(np.intp) for a, b in pairwise(edges.tolist())]
-    return np.unique(np.concatenate(picked))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
