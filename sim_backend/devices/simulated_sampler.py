@@ -287,10 +287,7 @@ def steady_effect_forces(
 
     The mean over the last half of a drag of 40 mm that is the first run on its specimen.
 
-    Raises
-    ------
-    SettingsError
-        For impossible effects, or a contact angle beyond the range of the wall parameters.
+    Raises `SettingsError` for impossible effects, or a contact angle beyond the range of the wall parameters.
     """
     specimen = Specimen(name="steady", wall_thickness_mm=wall_thickness_mm)
     return np.array([_mean_added_force(speed, model, capsule, specimen) for speed in speeds_mm_s.tolist()])
@@ -448,10 +445,7 @@ class SimulatedSampler:
     def arm(self, acquisition: Acquisition) -> None:
         """Prepare an acquisition of the profile's length.
 
-        Raises
-        ------
-        DeviceError
-            When the previous acquisition was not ended with `stop`, or the stage is moving.
+        Raises `DeviceError` when the previous acquisition was not ended with `stop`, or the stage is moving.
         """
         if self._reader is not None:
             raise DeviceError("the sampler is still armed for the previous acquisition: stop it first.")
@@ -474,10 +468,7 @@ class SimulatedSampler:
     def start(self) -> None:
         """Take the first sample now.
 
-        Raises
-        ------
-        DeviceError
-            When the sampler is not armed, or was started already.
+        Raises `DeviceError` when the sampler is not armed, or was started already.
         """
         if self._reader is None or self._start_s is not None:
             raise DeviceError("the sampler cannot start: arm it once for each acquisition.")
@@ -487,12 +478,8 @@ class SimulatedSampler:
     def read(self, cancel: Signal) -> Block | None:
         """Return the next block once it is complete; None when there is none or `cancel` is set.
 
-        Raises
-        ------
-        DeviceError
-            When the sampler was not started.
-        StaleDataError
-            When it delivers nothing for as long as `guard.stale_data_s`.
+        Raises `DeviceError` when the sampler was not started, `StaleDataError` when it delivers nothing for as long as
+        `guard.stale_data_s`.
         """
         reader, start_s = self._reader, self._start_s
         if reader is None and self._was_armed:
@@ -524,10 +511,7 @@ class SimulatedSampler:
     def measure(self, duration_s: float) -> RawReading:
         """Sample the sensor's zero and noise for a while, in volts according to the wiring in the settings.
 
-        Raises
-        ------
-        DeviceError
-            When the sampler is armed.
+        Raises `DeviceError` when the sampler is armed.
         """
         if self._reader is not None:
             raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")

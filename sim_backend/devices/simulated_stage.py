@@ -225,10 +225,7 @@ class SimulatedAxis:
     def begin(self, track: Track) -> None:
         """Follow a track: now, or from the first sample when the sampler is armed.
 
-        Raises
-        ------
-        DeviceError
-            When a sample has been delivered already.
+        Raises `DeviceError` when a sample has been delivered already.
         """
         with self._lock:
             if self._sampling and self._delivered_s > 0:
@@ -361,10 +358,7 @@ class SimulatedStage:
     def enable(self) -> None:
         """Switch the drive on.
 
-        Raises
-        ------
-        DeviceError
-            When the drive has a fault; `disable` clears it.
+        Raises `DeviceError` when the drive has a fault; `disable` clears it.
         """
         with self._commands:
             self._refuse_fault()
@@ -373,10 +367,7 @@ class SimulatedStage:
     def home(self) -> None:
         """Go to the origin, or to the soft limit nearest to it, at once.
 
-        Raises
-        ------
-        DeviceError
-            When the drive is off, moving or has a fault.
+        Raises `DeviceError` when the drive is off, moving or has a fault.
         """
         with self._commands:
             self._refuse_unready()
@@ -386,11 +377,8 @@ class SimulatedStage:
     def move(self, profile: MotionProfile) -> None:
         """Begin to follow a profile: now, or with the first sample when the sampler is armed.
 
-        Raises
-        ------
-        DeviceError
-            When the drive is off, not homed, moving or has a fault, when the first sample is already past, or when
-            the profile leaves the stage's limits or does not end at a standstill.
+        Raises `DeviceError` when the drive is off, not homed, moving or has a fault, when the first sample is already
+        past, or when the profile leaves the stage's limits or does not end at a standstill.
         """
         with self._commands:
             self._refuse_unready()

@@ -370,10 +370,7 @@ class ActiveEffect:
 def active_effects(settings: FrictionModelSettings) -> tuple[ActiveEffect, ...]:
     """Return the effects that a model has, with default values of the parameters that it does not name.
 
-    Raises
-    ------
-    SettingsError
-        For an unknown effect or parameter, an impossible value, and an effect of another model.
+    Raises `SettingsError` for an unknown effect or parameter, an impossible value, and an effect of another model.
     """
     return tuple(_active_effect(entry) for entry in settings.effects)
 

@@ -51,7 +51,7 @@ class HemisphereWall:
     @cached_property
     def strain(self) -> FloatArray:
         """Hoop strain (Eq. 6), shape `(m,)`."""
-        return np.asarray(self._local_radius / (self.contact.radius_mm * np.cos(self.contact.angle_rad)) - 1)
+        return self.contact.strain(self.x_mm)
 
     @property
     def strain_at_equator(self) -> float:
@@ -92,17 +92,11 @@ class HemisphereWall:
     def resistance(self, stress_kPa: FloatArray) -> FloatArray:
         """Return |f_e| [mN] of a hoop stress at each point and time, shape `(n, m)` to `(n,)` (Eqs. 7 and 9)."""
         slope = 2 * np.pi * self.contact.wall_thickness_mm * (self.contact.length_mm - self.x_mm)
-        return np.asarray(stress_kPa @ (self._nodes[1] * slope / self._local_radius))
+        return np.asarray(stress_kPa @ (self._nodes[1] * slope / self.contact.local_radius(self.x_mm)))
 
     def side_force(self, stress_kPa: FloatArray) -> FloatArray:
         """Return P(L) S [mN] of a hoop stress at the equator, shape `(n,)` (Eqs. 7 and 13)."""
-        contact = self.contact
-        return np.asarray(stress_kPa * (contact.wall_thickness_mm / contact.radius_mm * contact.area_mm2))
-
-    @cached_property
-    def _local_radius(self) -> FloatArray:
-        contact = self.contact
-        return np.asarray(np.sqrt(contact.radius_mm**2 - (contact.length_mm - self.x_mm) ** 2))
+        return np.asarray(stress_kPa * self.contact.side_force_per_stress)
 
     @cached_property
     def _time(self) -> FloatArray:

@@ -249,10 +249,7 @@ def steady_forces(
 ) -> SteadyForces:
     """Friction of a capsule that has moved at constant speed for longer than its contact.
 
-    Raises
-    ------
-    SettingsError
-        For a speed that is not positive, or a contact that the wall parameters do not reach.
+    Raises `SettingsError` for a speed that is not positive, or wall parameters that are not positive on the contact.
     """
     speed = _positive_speeds(speeds_mm_s)
     contact = HemisphereContact.of(capsule, wall_thickness_mm, model)

@@ -295,6 +295,19 @@ class HemisphereContact:
         rates = self._parameters(np.linspace(0.0, self.strain_at_equator, 64)).rates
         return float(max(rates[0].max(), rates[1].max()))
 
+    @property
+    def side_force_per_stress(self) -> float:
+        """P(L) S over the hoop stress at the equator [mN/kPa] (Eqs. 7 and 13)."""
+        return self.wall_thickness_mm / self.radius_mm * self.area_mm2
+
+    def local_radius(self, x_mm: FloatArray) -> FloatArray:
+        """Return the radius of the hemisphere at contact coordinates."""
+        return np.asarray(np.sqrt(self.radius_mm**2 - (self.length_mm - x_mm) ** 2))
+
+    def strain(self, x_mm: FloatArray) -> FloatArray:
+        """Return the hoop strain at contact coordinates (Eq. 6)."""
+        return np.asarray(self.local_radius(x_mm) / (self.radius_mm * np.cos(self.angle_rad)) - 1)
+
     def pressure(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
         """Return the contact pressure P [kPa] for 0 ≤ x ≤ L at a contact age (Eqs. 3 and 7)."""
         return self._hoop_stress_per_radius(x_mm, age_s) * self.wall_thickness_mm
@@ -308,7 +321,7 @@ class HemisphereContact:
         """Return P(L) S as a function of contact age, the radial force of Eq. 13 at θ = 0."""
         strain = self.strain_at_equator
         wall = self._parameters(np.asarray(strain))
-        per_stress = strain * self.wall_thickness_mm / self.radius_mm * self.area_mm2
+        per_stress = strain * self.side_force_per_stress
         fast_rate, slow_rate = wall.rates
         return SidePressure(
             spring=float(wall.E3) * per_stress,
@@ -327,8 +340,8 @@ class HemisphereContact:
     def side_pressure_log_derivatives(self, age_s: FloatArray) -> FloatArray:
         """Return derivatives of P(L) S by the logarithms of the elements, shape `(5, n)`."""
         strain = self.strain_at_equator
-        per_stress = strain * self.wall_thickness_mm / self.radius_mm * self.area_mm2
-        return stress_log_derivatives(self._parameters(np.asarray(strain)), age_s) * per_stress
+        per_strain = stress_log_derivatives(self._parameters(np.asarray(strain)), age_s)
+        return per_strain * (strain * self.side_force_per_stress)
 
     def _hoop_stress_per_radius(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
         wall, per_stress = self._wall_at(x_mm)
@@ -338,7 +351,7 @@ class HemisphereContact:
 
     def _wall_at(self, x_mm: FloatArray) -> tuple[WallParameters, FloatArray]:
         """Return the wall's parameters, and strain over local radius."""
-        local_radius = np.sqrt(self.radius_mm**2 - (self.length_mm - x_mm) ** 2)
+        local_radius = self.local_radius(x_mm)
         strain = local_radius * (1 / (self.radius_mm * np.cos(self.angle_rad))) - 1
         return self._parameters(strain), np.asarray(strain / local_radius)
 
