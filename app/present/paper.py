@@ -15,13 +15,11 @@ from dragrig.analysis.identification.identification import (
     Identification,
     JointFit,
     ParameterEstimate,
-    RunResidual,
 )
 from dragrig.analysis.identification.identify import identified_settings
 from dragrig.analysis.identification.steady_drag import DragSetup, steady_force_parts
 from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARIATIONS, CapsuleModel
-from dragrig.analysis.models.nominal_model import Variation
-from dragrig.analysis.paper import findings as coulomb_test
+from dragrig.analysis.paper import findings as paper_findings
 from dragrig.analysis.paper import published
 from dragrig.analysis.paper.findings import ElementRow, determination_examples
 from dragrig.analysis.paper.published import PaperFinding
@@ -30,13 +28,13 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule
 from dragrig.present.document import (
+    FOUR_DIGITS,
     Block,
     Cell,
     Code,
     Column,
     Document,
     Facts,
-    Field,
     Figure,
     Items,
     Section,
@@ -44,8 +42,10 @@ from dragrig.present.document import (
     Text,
     TextKind,
 )
+from dragrig.present.files import PAPER_TABLES
 from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, WALL_TEXTS
 from dragrig.present.numbers import (
+    NumberFormat,
     decimals,
     percent,
     percent_difference,
@@ -54,6 +54,7 @@ from dragrig.present.numbers import (
     significant,
     value_with_error,
 )
+from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
@@ -97,8 +98,8 @@ class PaperReportData:
     @property
     def coulomb(self) -> CoulombRun | None:
         """What was identified from the Coulomb test."""
-        found = self.identification.coulomb
-        return found.runs[0] if found is not None and found.runs else None
+        coulomb = self.identification.coulomb
+        return coulomb.runs[0] if coulomb is not None and coulomb.runs else None
 
     @property
     def identified_model(self) -> FrictionModelSettings | None:
@@ -109,320 +110,268 @@ class PaperReportData:
         return identified_settings(CapsuleModel(self.model), joint)
 
 
-VALUE_COLUMN = Column("value", "identified")
-INTERVAL_COLUMNS = (Column("low", "95 % from"), Column("high", "to"))
-SIMULATED_COLUMN = Column("simulated", "simulated")
-COMBINATION_MEANINGS = {one.name: one.meaning for one in CAPSULE_COMBINATIONS}
-COMBINATION_POWERS: dict[str, Mapping[str, float]] = {one.name: one.powers for one in CAPSULE_COMBINATIONS}
+SKEW_POINTS = 120
+TWO_DECIMALS = decimals(2)
 
 
-def joint_tables(results: PaperReportData) -> tuple[Table, ...]:
-    """Return parameters, their combinations, and how each run is left; empty without a joint fit that converged."""
+def paper_tables(results: PaperReportData) -> dict[str, Table]:
+    """Return all tables by name, as `PAPER_TABLES`; those of the joint fit are empty where it did not converge."""
     joint = results.identification.joint
     fit = joint if joint is not None and joint.converged else None
-    return (
+    tables = (
+        _element_table(results),
+        *_model_tables(results),
+        _coulomb_table(results),
         _joint_parameter_table(fit, results.model),
         _combination_table(fit, results.model),
         _joint_run_table(fit, results),
+        _drag_table(results),
+        *_small_tables(results),
     )
+    by_name = {table.name: table for table in tables}
+    return {name: by_name[name] for name in PAPER_TABLES}
 
 
 def simulated_value(name: str, model: FrictionModelSettings) -> float:
     """Return what a parameter or a combination of the capsule model was simulated with."""
-    if name in COMBINATION_POWERS:
-        return prod(float(float(getattr(model, factor)) ** power) for factor, power in COMBINATION_POWERS[name].items())
-    return float(getattr(model, name))
+    powers = next((product.powers for product in CAPSULE_COMBINATIONS if product.name == name), {name: 1.0})
+    return prod(float(float(getattr(model, factor)) ** power) for factor, power in powers.items())
 
 
-def intervals_holding_truth(found: tuple[ParameterEstimate, ...], model: FrictionModelSettings) -> tuple[int, int]:
-    """Return how many of the intervals that the runs determine hold what was simulated, and how many there are."""
-    known = [one for one in found if one.determined]
-    return sum(one.interval[0] <= simulated_value(one.name, model) <= one.interval[1] for one in known), len(known)
+def intervals_holding_truth(parameters: tuple[ParameterEstimate, ...], model: FrictionModelSettings) -> tuple[int, int]:
+    """Return how many of the determined intervals contain the simulated value, and how many there are."""
+    inside = [
+        parameter.interval[0] <= simulated_value(parameter.name, model) <= parameter.interval[1]
+        for parameter in parameters
+        if parameter.determined
+    ]
+    return sum(inside), len(inside)
 
 
-def _value_cells(one: ParameterEstimate) -> tuple[float | None, float | None, float | None]:
+def _columns(number_format: NumberFormat = FOUR_DIGITS, /, **headings: str) -> tuple[Column, ...]:
+    """Return columns of one format, by their names in the CSV file."""
+    return tuple(Column(name, heading, number_format) for name, heading in headings.items())
+
+
+def _determined_cells(parameter: ParameterEstimate) -> tuple[float | None, float | None, float | None]:
     """Return value and interval; nothing of what the runs do not determine."""
-    return (one.value, *one.interval) if one.determined else (None, None, None)
+    return (parameter.value, *parameter.interval) if parameter.determined else (None, None, None)
 
 
 def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -> Table:
     columns = (
-        Column("parameter", "parameter"),
-        VALUE_COLUMN,
-        *INTERVAL_COLUMNS,
-        SIMULATED_COLUMN,
-        Column("prior_low", "before: from"),
-        Column("prior_high", "to"),
-        Column("learnt", "learnt", percent()),
-        Column("meaning", "what it is"),
-        Column("standard_error", "±", significant(2)),
-        Column("unit", "unit"),
+        *_columns(parameter="parameter", value="identified", low="95 % from", high="to", simulated="simulated"),
+        *_columns(prior_low="before: from", prior_high="to"),
+        *_columns(percent(), learnt="learnt"),
+        *_columns(significant(2), meaning="meaning", standard_error="±", unit="unit"),
     )
-    rows = () if fit is None else tuple(_joint_parameter_row(one, model) for one in fit.parameters)
+    rows = tuple(
+        (
+            *(parameter.name, *_determined_cells(parameter), simulated_value(parameter.name, model)),
+            *(*parameter.prior, parameter.learnt, parameter.meaning),
+            *(parameter.standard_error if parameter.determined else None, parameter.unit),
+        )
+        for parameter in (() if fit is None else fit.parameters)
+    )
     return Table("parameters", "All parameters from all runs at once", columns, rows)
-
-
-def _joint_parameter_row(one: ParameterEstimate, model: FrictionModelSettings) -> tuple[Cell, ...]:
-    error = one.standard_error if one.determined else None
-    numbers = (*_value_cells(one), simulated_value(one.name, model), *one.prior, one.learnt)
-    return one.name, *numbers, one.meaning, error, one.unit
 
 
 def _combination_table(fit: JointFit | None, model: FrictionModelSettings) -> Table:
     columns = (
-        Column("combination", "combination"),
-        VALUE_COLUMN,
-        *INTERVAL_COLUMNS,
-        SIMULATED_COLUMN,
-        Column("half_width", "±", _two_digit_percent),
-        Column("meaning", "what it is"),
+        *_columns(combination="combination", value="identified", low="95 % from", high="to", simulated="simulated"),
+        *_columns(_two_digit_percent, half_width="±", meaning="meaning"),
     )
+    meanings = {product.name: product.meaning for product in CAPSULE_COMBINATIONS}
     rows = tuple(
         (
-            *(one.name, *_value_cells(one), simulated_value(one.name, model)),
-            *(one.half_width if one.determined else None, COMBINATION_MEANINGS[one.name]),
+            *(product.name, *_determined_cells(product), simulated_value(product.name, model)),
+            *(product.half_width if product.determined else None, meanings[product.name]),
         )
-        for one in (() if fit is None else fit.combinations)
+        for product in (() if fit is None else fit.combinations)
     )
-    return Table("combinations", "What the parameters combine to", columns, rows)
+    return Table("combinations", "Combinations of the parameters", columns, rows)
 
 
 def _joint_run_table(fit: JointFit | None, results: PaperReportData) -> Table:
     columns = (
-        Column("file", "run"),
-        Column("kind", "kind"),
-        Column("chi2_per_degree", "χ² per degree", decimals(2)),
-        Column("rms_mN", "rms, mN", decimals(2)),
-        Column("zero_mN", "zero, mN", decimals(2)),
-        Column("zero_standard_error_mN", "±", decimals(2)),
-        Column("stiffness_factor", "stiffness ×", decimals(3)),
-        Column("simulated_stiffness_factor", "simulated", decimals(3)),
-        Column("friction_factor", "friction ×", decimals(3)),
-        Column("simulated_friction_factor", "simulated", decimals(3)),
+        *_columns(TWO_DECIMALS, file="run", kind="kind", chi2_per_degree="χ² per degree", rms_mN="rms, mN"),
+        *_columns(TWO_DECIMALS, zero_mN="zero, mN", zero_standard_error_mN="±"),
+        *_columns(decimals(3), stiffness_factor="stiffness ×", simulated_stiffness_factor="simulated"),
+        *_columns(decimals(3), friction_factor="friction ×", simulated_friction_factor="simulated"),
     )
-    rows = () if fit is None else tuple(_joint_run_row(one, results) for one in fit.runs)
-    return Table(
-        "joint-runs", "What the joint fit leaves of each run, and the run’s own zero and factors", columns, rows
-    )
-
-
-def _joint_run_row(one: RunResidual, results: PaperReportData) -> tuple[Cell, ...]:
-    own, model = results.of_run.get(one.file, results.model), results.model
-    put_in = {
-        "stiffness": own.stiffness_scale / model.stiffness_scale,
-        "friction": own.friction_coefficient / model.friction_coefficient,
-    }
-    factors = [cell for variation in RUN_VARIATIONS for cell in _factor_cells(one, variation, put_in[variation.name])]
-    return one.file, one.kind, one.chi2, one.rms_mN, one.zero.value, one.zero.standard_error, *factors
-
-
-def _factor_cells(one: RunResidual, variation: Variation, put_in: float) -> tuple[Cell, Cell]:
-    """Return a run's factor and what it was simulated with; nothing of a factor that the run does not show."""
-    found = one.factors.get(variation.name, Estimate())
-    shown = found.standard_error is not None and found.standard_error < variation.sd * (1 - MIN_LEARNT)
-    return (found.value, put_in) if shown else (None, None)
-
-
-SPEED_COLUMN = Column("speed_mm_s", "v, mm/s", shortest())
-SKEW_POINTS = 120
-
-
-def paper_tables(results: PaperReportData) -> dict[str, Table]:
-    """Return all tables by name."""
-    made = (
-        _element_table(results),
-        _skew_maximum_table(results),
-        _skew_table(results),
-        _coulomb_table(results),
-        _force_table(results),
-        *joint_tables(results),
-        _drag_table(results),
-        _determination_table(results),
-        _eq15_example_table(),
-        _findings_table(results),
-    )
-    return {table.name: table for table in made}
+    model = results.model
+    rows: list[tuple[Cell, ...]] = []
+    for run in () if fit is None else fit.runs:
+        own = results.of_run.get(run.file, model)
+        simulated = {
+            "stiffness": own.stiffness_scale / model.stiffness_scale,
+            "friction": own.friction_coefficient / model.friction_coefficient,
+        }
+        factors: list[Cell] = []
+        for variation in RUN_VARIATIONS:
+            factor = run.factors.get(variation.name, Estimate())
+            # A run that does not show a factor leaves it at its prior.
+            known = factor.standard_error is not None and factor.standard_error < variation.sd * (1 - MIN_LEARNT)
+            factors += [factor.value, simulated[variation.name]] if known else [None, None]
+        zero = run.zero
+        rows.append((run.file, run.kind, run.chi2, run.rms_mN, zero.value, zero.standard_error, *factors))
+    caption = "What the joint fit leaves of each run, and the run’s own zero and factors"
+    return Table("joint-runs", caption, columns, tuple(rows))
 
 
 def _element_table(results: PaperReportData) -> Table:
     columns = (
-        Column("element", "element"),
-        Column("strain", "strain", shortest_percent),
-        Column("unit", "unit"),
-        Column("table1", "Table 1"),
-        Column("eq14", "Eq. 14"),
-        Column("eq14_relative_difference", "from Table 1", percent_difference),
-        Column("quadratic", "quadratic"),
-        Column("quadratic_relative_difference", "from Table 1", percent_difference),
-        Column("simulated", "simulated"),
-        Column("identified", "identified"),
-        Column("identified_low", "95 % from"),
-        Column("identified_high", "to"),
-        Column("identified_relative_difference_from_simulated", "from simulated", percent_difference),
-        Column("identified_relative_difference_from_table1", "from Table 1", percent_difference),
+        *_columns(element="element"),
+        *_columns(shortest_percent, strain="strain"),
+        *_columns(unit="unit", table1="Table 1", eq14="Eq. 14"),
+        *_columns(percent_difference, eq14_relative_difference="from Table 1"),
+        *_columns(quadratic="quadratic"),
+        *_columns(percent_difference, quadratic_relative_difference="from Table 1"),
+        *_columns(simulated="simulated", identified="identified", identified_low="95 % from", identified_high="to"),
+        *_columns(
+            percent_difference,
+            identified_relative_difference_from_simulated="from simulated",
+            identified_relative_difference_from_table1="from Table 1",
+        ),
     )
     rows = []
     for row in results.elements:
-        one, found = row.published, row.identified
-        value, low, high = (None, None, None) if found is None else (found.value, *found.interval)
+        wall, identified = row.published, row.identified
+        value = (None, None, None) if identified is None else (identified.value, *identified.interval)
         rows.append(
             (
-                *(ELEMENT_SYMBOLS[one.parameter], one.strain, row.unit, one.table1, one.eq14, one.eq14_difference),
-                *(one.quadratic, one.quadratic_difference, row.simulated, value, low, high),
+                *(ELEMENT_SYMBOLS[wall.parameter], wall.strain, row.unit, wall.table1, wall.eq14, wall.eq14_difference),
+                *(wall.quadratic, wall.quadratic_difference, row.simulated, *value),
                 *(row.difference, row.difference_from_table1),
             )
         )
     return Table("elements", "The wall's five elements: published, simulated, identified", columns, tuple(rows))
 
 
-def _skew_maximum_table(results: PaperReportData) -> Table:
-    forces = steady_forces(published.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
-    columns = (
-        SPEED_COLUMN,
-        Column("largest_skew_mN", "largest P(x) S, mN"),
-        Column("x_of_largest_skew_mm", "at x, mm", significant(3)),
-        Column("skew_at_equator_mN", "P(L) S, mN"),
+def _model_tables(results: PaperReportData) -> tuple[Table, Table, Table]:
+    """Tabulate what the simulated model says: the largest skew resistance, its curves, the forces."""
+    settings = results.model, results.capsule, results.wall_thickness_mm
+    forces = steady_forces(published.SPEEDS_MM_S, *settings)
+    speed = _columns(shortest(), speed_mm_s="v, mm/s")
+    skew_columns = (
+        *speed,
+        *_columns(largest_skew_mN="largest P(x) S, mN"),
+        *_columns(significant(3), x_of_largest_skew_mm="at x, mm"),
+        *_columns(skew_at_equator_mN="P(L) S, mN"),
     )
-    values = (forces.speed_mm_s, forces.max_skew, forces.x_of_max_skew, forces.side_pressure_force)
-    return Table("skew-maximum", "Largest skew resistance, and where it lies", columns, _rows_of_columns(*values))
-
-
-def _skew_table(results: PaperReportData) -> Table:
+    maxima = (forces.speed_mm_s, forces.max_skew, forces.x_of_max_skew, forces.side_pressure_force)
     length = 0.5 * results.capsule.diameter_mm * np.sin(np.radians(results.capsule.contact_angle_deg))
     x = np.append(np.linspace(0.0, length, SKEW_POINTS), length + results.model.side_contact_mm)
-    curves = [
-        skew_resistance(x, speed, results.model, results.capsule, results.wall_thickness_mm)
-        for speed in SKEW_SPEEDS_MM_S
-    ]
-    columns = (
-        Column("x_mm", "x, mm"),
-        *(Column(f"skew_mN_at_{speed:g}_mm_s", f"{speed:g}") for speed in SKEW_SPEEDS_MM_S),
+    curves = [skew_resistance(x, speed_mm_s, *settings) for speed_mm_s in SKEW_SPEEDS_MM_S]
+    curve_columns = _columns(x_mm="x, mm", **{f"skew_mN_at_{v:g}_mm_s": f"{v:g}" for v in SKEW_SPEEDS_MM_S})
+    force_columns = (
+        *speed,
+        *_columns(TWO_DECIMALS, f_e_mN="f_e, mN", f_v_mN="f_v, mN", f_c_mN="f_c, mN", total_mN="total, mN"),
+        *_columns(percent(), f_e_share="share of f_e"),
     )
-    return Table("skew-resistance", "Skew resistance along the contact", columns, _rows_of_columns(x, *curves))
+    parts = (forces.speed_mm_s, forces.f_e, forces.f_v, forces.f_c, forces.total, forces.f_e / forces.total)
+
+    def rows(*values: FloatArray) -> tuple[tuple[Cell, ...], ...]:
+        return tuple(tuple(map(float, row)) for row in zip(*values, strict=True))
+
+    return (
+        Table("skew-maximum", "Largest skew resistance, and where it lies", skew_columns, rows(*maxima)),
+        Table("skew-resistance", "Skew resistance along the contact", curve_columns, rows(x, *curves)),
+        Table("forces", "The model's forces at steady speed", force_columns, rows(*parts)),
+    )
 
 
 def _coulomb_table(results: PaperReportData) -> Table:
     columns = (
-        Column("source", "source"),
-        Column("force_mN", "mean force, mN"),
-        Column("force_standard_error_mN", "±", significant(2)),
-        Column("viscous_mN", "of it viscous, mN", significant(2)),
-        Column("mu", "μ, all Coulomb", significant(3)),
-        Column("mu_standard_error", "±", significant(2)),
-        Column("mu_without_viscous", "μ without f_v", significant(3)),
-        Column("mu_without_viscous_standard_error", "±", significant(2)),
+        *_columns(source="source", force_mN="mean force, mN"),
+        *_columns(significant(2), force_standard_error_mN="±", viscous_mN="of it viscous, mN"),
+        *_columns(significant(3), mu="μ, all Coulomb"),
+        *_columns(significant(2), mu_standard_error="±"),
+        *_columns(significant(3), mu_without_viscous="μ without f_v"),
+        *_columns(significant(2), mu_without_viscous_standard_error="±"),
     )
-    viscous = coulomb_test.coulomb_viscous_mN(results.model.viscous)
-    weight = coulomb_test.coulomb_weight_mN()
-    whole, without = coulomb_test.coulomb_coefficient(), coulomb_test.coulomb_coefficient(viscous)
+    viscous = paper_findings.coulomb_viscous_mN(results.model.viscous)
+    weight = paper_findings.coulomb_weight_mN()
+
+    def simulated(source: str, mu: float) -> tuple[Cell, ...]:
+        force = mu * weight + viscous
+        return source, force, None, viscous, force / weight, None, mu, None
+
+    whole, without = paper_findings.coulomb_coefficient(), paper_findings.coulomb_coefficient(viscous)
     rows: list[tuple[Cell, ...]] = [
         ("the paper's force, as printed", published.COULOMB_FORCE_MN, None, viscous, whole, None, without, None),
-        _simulated_coulomb_row("the model that was simulated", results.model.friction_coefficient, viscous, weight),
+        simulated("the model that was simulated", results.model.friction_coefficient),
     ]
-    found = results.coulomb
-    if found is not None:
-        own = results.of_run.get(found.file, results.model).friction_coefficient
-        rows.append(_simulated_coulomb_row("the same with this run’s own μ", own, viscous, weight))
-        estimates = (found.force, found.mu, found.mu_without_viscous)
-        force, mu_all, mu_less = (_value_and_error(one) for one in estimates)
-        rows.append(("identified from the simulated run", *force, found.viscous_mN, *mu_all, *mu_less))
+    run = results.coulomb
+    if run is not None:
+        own = results.of_run.get(run.file, results.model).friction_coefficient
+        rows.append(simulated("the same with this run’s own μ", own))
+        force, mu, reduced = (
+            (estimate.value, estimate.standard_error) for estimate in (run.force, run.mu, run.mu_without_viscous)
+        )
+        rows.append(("identified from the simulated run", *force, run.viscous_mN, *mu, *reduced))
     return Table("coulomb", "The Coulomb test at 0.5 mm/s with 50.1 g", columns, tuple(rows))
-
-
-def _simulated_coulomb_row(source: str, mu: float, viscous_mN: float, weight_mN: float) -> tuple[Cell, ...]:
-    force = mu * weight_mN + viscous_mN
-    return source, force, None, viscous_mN, force / weight_mN, None, mu, None
-
-
-def _force_table(results: PaperReportData) -> Table:
-    forces = steady_forces(published.SPEEDS_MM_S, results.model, results.capsule, results.wall_thickness_mm)
-    columns = (
-        SPEED_COLUMN,
-        *(Column(f"{name}_mN", f"{name}, mN", decimals(2)) for name in ("f_e", "f_v", "f_c", "total")),
-        Column("f_e_share", "share of f_e", percent()),
-    )
-    values = (forces.speed_mm_s, forces.f_e, forces.f_v, forces.f_c, forces.total, forces.f_e / forces.total)
-    return Table("forces", "The model's forces at steady speed", columns, _rows_of_columns(*values))
 
 
 def _drag_table(results: PaperReportData) -> Table:
     columns = (
-        SPEED_COLUMN,
-        Column("runs", "runs", shortest()),
-        Column("measured_mN", "measured, mN", decimals(2)),
-        Column("measured_low_mN", "95 % from", decimals(2)),
-        Column("measured_high_mN", "to", decimals(2)),
-        *(Column(f"{name}_mN", f"{name}, mN", decimals(2)) for name in ("f_e", "f_v", "f_c", "model")),
-        Column("difference_mN", "measured − model", decimals(2)),
-        Column("ln_law_mN", "ln v law, mN", decimals(2)),
-        Column("simulated_model_mN", "as simulated, mN", decimals(2)),
+        *_columns(shortest(), speed_mm_s="v, mm/s", runs="runs"),
+        *_columns(TWO_DECIMALS, measured_mN="measured, mN", measured_low_mN="95 % from", measured_high_mN="to"),
+        *_columns(TWO_DECIMALS, f_e_mN="f_e, mN", f_v_mN="f_v, mN", f_c_mN="f_c, mN", model_mN="model, mN"),
+        *_columns(TWO_DECIMALS, difference_mN="measured − model", ln_law_mN="ln v law, mN"),
+        *_columns(TWO_DECIMALS, simulated_model_mN="as simulated, mN"),
     )
     drag = results.identification.drag
     points = () if drag is None else drag.points
+    law = None if drag is None else drag.log_law
     setup = DragSetup(results.capsule, results.wall_thickness_mm)
-    put_in = steady_force_parts(setup, results.model, np.array([one.speed_mm_s for one in points])).total.tolist()
+    speeds = np.array([point.speed_mm_s for point in points])
     rows = []
-    for one, simulated in zip(points, put_in, strict=True):
-        law = None if drag is None or drag.log_law is None else drag.log_law
-        fitted = None if law is None else law.intercept.value + law.slope.value * float(np.log(one.speed_mm_s))
-        measured = one.force.value
-        low, high = one.force.interval or (None, None)
-        less = None if measured is None else measured - one.model_mN
-        by_model = (one.f_e_mN, one.f_v_mN, one.f_c_mN, one.model_mN)
-        rows.append((one.speed_mm_s, one.runs, measured, low, high, *by_model, less, fitted, simulated))
+    for point, simulated in zip(points, steady_force_parts(setup, results.model, speeds).total.tolist(), strict=True):
+        measured = point.force.value
+        fitted = None if law is None else law.intercept.value + law.slope.value * float(np.log(point.speed_mm_s))
+        rows.append(
+            (
+                *(point.speed_mm_s, point.runs, measured, *(point.force.interval or (None, None))),
+                *(point.f_e_mN, point.f_v_mN, point.f_c_mN, point.model_mN),
+                *(None if measured is None else measured - point.model_mN, fitted, simulated),
+            )
+        )
     return Table("drag", "Steady drag of the simulated runs beside the identified model", columns, tuple(rows))
 
 
-def _determination_table(results: PaperReportData) -> Table:
-
+def _small_tables(results: PaperReportData) -> tuple[Table, Table, Table]:
+    r2_columns = _columns(decimals(4), eq15_ratio="ratio of Eq. 15", squared_correlation="squared correlation")
     drag = results.identification.drag
-
-    return Table.of(
-        "determination",
-        "How the identified model explains the simulated runs",
-        () if drag is None else drag.determination,
-        Field("band", "simulated runs, band", lambda one: one.band),
-        Field("speeds", "speeds", lambda one: one.speeds, shortest()),
-        Field("eq15_ratio", "ratio of Eq. 15", lambda one: one.eq15, decimals(4)),
-        Field("squared_correlation", "squared correlation", lambda one: one.correlation, decimals(4)),
+    bands = tuple(
+        (band.band, band.speeds, band.eq15, band.correlation) for band in (() if drag is None else drag.determination)
     )
-
-
-def _eq15_example_table() -> Table:
-
-    return Table.of(
-        "eq15-examples",
-        "Eq. 15 beside the squared correlation, above 20 mm/s",
-        determination_examples(),
-        Field("made_up_measurement", "made-up measurement", lambda one: one.name),
-        Field("eq15_ratio", "ratio of Eq. 15", lambda one: one.eq15, decimals(4)),
-        Field("squared_correlation", "squared correlation", lambda one: one.correlation, decimals(4)),
+    examples = tuple((example.name, example.eq15, example.correlation) for example in determination_examples())
+    numbers = tuple(
+        (finding.key, finding.title, finding.where, number.quantity, number.value, number.unit)
+        for finding in results.findings
+        for number in finding.numbers
     )
-
-
-def _findings_table(results: PaperReportData) -> Table:
-    columns = (
-        Column("finding", "finding"),
-        Column("title", "title"),
-        Column("where", "where"),
-        Column("quantity", "quantity"),
-        Column("value", "value"),
-        Column("unit", "unit"),
+    return (
+        Table(
+            "determination",
+            "How the identified model explains the simulated runs",
+            (*_columns(shortest(), band="simulated runs, band", speeds="speeds"), *r2_columns),
+            bands,
+        ),
+        Table(
+            "eq15-examples",
+            "Eq. 15 beside the squared correlation, above 20 mm/s",
+            (*_columns(made_up_measurement="made-up measurement"), *r2_columns),
+            examples,
+        ),
+        Table(
+            "findings",
+            "Inconsistencies of the paper, every number",
+            _columns(finding="finding", title="title", where="where", quantity="quantity", value="value", unit="unit"),
+            numbers,
+        ),
     )
-    rows = tuple(
-        (one.key, one.title, one.where, number.quantity, number.value, number.unit)
-        for one in results.findings
-        for number in one.numbers
-    )
-    return Table("findings", "What does not fit together, every number", columns, rows)
-
-
-def _rows_of_columns(*columns: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> tuple[tuple[Cell, ...], ...]:
-    return tuple(tuple(map(float, row)) for row in zip(*columns, strict=True))
-
-
-def _value_and_error(estimate: Estimate) -> tuple[float | None, float | None]:
-    return estimate.value, estimate.standard_error
 
 
 def paper_document(results: PaperReportData, tables: Mapping[str, Table], model: str | None = None) -> Document:
