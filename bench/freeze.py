@@ -403,6 +403,7 @@ def doubles(name: str, *words: str) -> Stage:
             if code == 0:
                 break
             print(f"  the double ended with exit code {code}; attempt {attempt + 1} of {ATTEMPTS}", file=sys.stderr)
+        shell.cleaner.learn_runs(shell.folder / out)
         files = sorted((shell.folder / out).glob("*.h5"))
         return {"code": code, **{shell.cleaner.text(path.name): double_run(path, shell.cleaner) for path in files}}
 
