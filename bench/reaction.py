@@ -66,7 +66,7 @@ def reaction_s(double: DoubleBackend, guard: Guard, condition: Mapping[str, floa
 
 def count_stops(double: DoubleBackend) -> int:
     """How many stop commands the drive has heard."""
-    return sum(request.command is Command.STOP for request in double.drive.heard)
+    return sum(request.command is Command.STOP for request in double.drive.requests)
 
 
 def main() -> None:

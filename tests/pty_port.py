@@ -29,7 +29,7 @@ class PtyPort(DrivePort):
         return self._address
 
     def _read(self) -> None:
-        self._hear(os.read(self._ours, _CHUNK_BYTES))
+        self._receive(os.read(self._ours, _CHUNK_BYTES))
 
     def _write(self, data: bytes) -> None:
         if self._open:

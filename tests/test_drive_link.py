@@ -84,16 +84,16 @@ def test_a_move_is_sent_once_and_a_stop_until_it_is_answered() -> None:
         drive.bench.faults.inject(drive_silent=True)
         with pytest.raises(NoReplyError, match="nothing came"):
             link.exchange(GO)
-        assert list(drive.heard) == [GO]
+        assert list(drive.requests) == [GO]
         link.stop()
-        until(lambda: drive.heard.count(STOP) == 2)
+        until(lambda: drive.requests.count(STOP) == 2)
         with pytest.raises(NoReplyError, match="'stop'"):
             link.exchange(POSITION)
         drive.bench.faults.clear()
-        before = drive.heard.count(STOP)
+        before = drive.requests.count(STOP)
         link.exchange(POSITION)
         link.exchange(POSITION)
-        assert drive.heard.count(STOP) == before + 1
+        assert drive.requests.count(STOP) == before + 1
 
 
 def test_a_stop_goes_before_everything_that_waits() -> None:
@@ -105,11 +105,11 @@ def test_a_stop_goes_before_everything_that_waits() -> None:
             for thread in waiting:
                 thread.start()
             link.stop()
-            assert not drive.heard
+            assert not drive.requests
         for thread in waiting:
             thread.join()
-        assert drive.heard[0] == STOP
-        assert drive.heard.count(STOP) == 1
+        assert drive.requests[0] == STOP
+        assert drive.requests.count(STOP) == 1
 
 
 def test_what_was_planned_before_a_stop_is_dropped() -> None:
@@ -119,7 +119,7 @@ def test_what_was_planned_before_a_stop_is_dropped() -> None:
         with pytest.raises(CancelledByStopError):
             link.exchange(GO, planned)
         link.exchange(STATUS, link.stop_count)
-        assert GO not in drive.heard
+        assert GO not in drive.requests
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no SIGUSR1 on Windows")
@@ -142,7 +142,7 @@ def test_a_signal_handler_may_stop_whatever_it_interrupts() -> None:
             ended.set()
             shooter.join()
             signal.signal(signal.SIGUSR1, before)
-        assert drive.heard.count(STOP) >= 100
+        assert drive.requests.count(STOP) >= 100
 
 
 def until_told(link: DriveLink) -> str:
@@ -190,4 +190,4 @@ def test_a_link_that_is_closed_says_so_and_stops_nothing() -> None:
         link.stop()
         with pytest.raises(DeviceError, match="closed"):
             link.exchange(STATUS)
-        assert not drive.heard
+        assert not drive.requests

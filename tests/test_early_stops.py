@@ -29,7 +29,7 @@ from dragrig.rig.runfile.model import RunStatus
 def test_a_stop_while_limits_are_written_drops_the_motion(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     with driven() as rig:
         rig.ready()
-        before = sum(request.command is command for request in rig.drive.heard)
+        before = sum(request.command is command for request in rig.drive.requests)
         write = rig.link.set_and_verify
 
         def stopped_meanwhile(parameter: Parameter, value: float, key: str) -> None:
@@ -44,7 +44,7 @@ def test_a_stop_while_limits_are_written_drops_the_motion(command: Command, monk
         else:
             rig.stage.move(stroke())
         until(lambda: not rig.sync.moving)
-        assert sum(request.command is command for request in rig.drive.heard) == before
+        assert sum(request.command is command for request in rig.drive.requests) == before
 
 
 def test_a_switch_pressed_while_limits_are_written_stops_what_follows(monkeypatch: pytest.MonkeyPatch) -> None:

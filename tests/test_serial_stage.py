@@ -87,7 +87,7 @@ def test_a_drive_that_keeps_another_limit_moves_nothing() -> None:
         rig.stage.enable()
         with pytest.raises(DeviceError, match=r"holds 100\.0 as its thrust limit.*thrust_limit_N"):
             rig.stage.home()
-        assert not {Command.HOME, Command.GO} & {request.command for request in rig.drive.heard}
+        assert not {Command.HOME, Command.GO} & {request.command for request in rig.drive.requests}
 
 
 @pytest.mark.parametrize("kind", PORTS)
@@ -118,7 +118,7 @@ def test_a_stop_before_the_first_sample_drops_the_motion() -> None:
         assert rig.stage.state().moving
         rig.stage.stop()
         until(lambda: stands(rig))
-        assert Command.GO not in {request.command for request in rig.drive.heard}
+        assert Command.GO not in {request.command for request in rig.drive.requests}
 
 
 def test_homing_goes_to_the_switch_and_back_to_the_index() -> None:
@@ -326,7 +326,7 @@ def test_the_enable_line_taken_away_brakes_and_is_told() -> None:
 def test_the_drive_refuses_what_a_drive_refuses() -> None:
     def go(rig: Driven, to_mm: float) -> Refusal | None:
         frame = rig.drive.dialect.encode(Request(Command.GO, value=to_mm), 1)
-        return rig.drive.dialect.decode(rig.drive.hear(frame), 1).refusal
+        return rig.drive.dialect.decode(rig.drive.answer(frame), 1).refusal
 
     with driven() as rig:
         assert go(rig, 1.0) is Refusal.DISABLED
@@ -339,7 +339,7 @@ def test_the_drive_refuses_what_a_drive_refuses() -> None:
         until(lambda: stands(rig))
         assert go(rig, 151.0) is Refusal.SOFT_LIMIT
         frame = rig.drive.dialect.encode(Request(Command.STATUS), 1)
-        assert rig.drive.hear(frame[:-1] + b"?") == b""
+        assert rig.drive.answer(frame[:-1] + b"?") == b""
 
 
 def test_the_heartbeat_goes_on_while_all_is_well() -> None:
@@ -418,4 +418,4 @@ def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch
         monkeypatch.setattr(type(rig.drive), "status", property(lambda drive: replace(told(drive), moving=True)))
         with pytest.raises(DeviceError, match=r"still moves.*by hand"):
             rig.stage.home()
-        assert Command.STOP in {request.command for request in rig.drive.heard}
+        assert Command.STOP in {request.command for request in rig.drive.requests}

@@ -29,49 +29,6 @@ from dragrig.sim_backend.doubles.simulated_bench import INDEX_POSITION_MM, SWITC
 SWITCH_OVERTRAVEL_MM = 1.0
 """How far beyond the limit switch it goes at most."""
 HOMING_ACCELERATION_MM_S2 = 500.0
-
-
-class DriveHoming:
-    """One search, leg by leg; owned by the drive's double.
-
-    Parameters
-    ----------
-    towards
-        −1 for the lower switch, +1 for the upper one.
-    """
-
-    def __init__(self, bench: SimulatedBench, towards: float, speed_mm_s: float) -> None:
-        self._bench = bench
-        self._speed_mm_s = speed_mm_s
-        self._to_switch = math.copysign(1.0, towards)
-        self.seeks_switch = True
-        """Whether it is on its first leg."""
-
-    @property
-    def towards(self) -> float:
-        """Which way it goes at present."""
-        return self._to_switch if self.seeks_switch else -self._to_switch
-
-    def begin(self) -> None:
-        """Set out for the switch."""
-        stage = self._bench.rig.stage
-        switch_mm = stage.lowest_mm - SWITCH_OFFSET_MM if self._to_switch < 0 else stage.highest_mm + SWITCH_OFFSET_MM
-        self._go(switch_mm + self._to_switch * SWITCH_OVERTRAVEL_MM)
-
-    def go_on(self) -> bool:
-        """Begin the next leg; False when there is none, for the carriage stands on the index."""
-        if not self.seeks_switch:
-            return False
-        self.seeks_switch = False
-        stage = self._bench.rig.stage
-        self._go(min(max(INDEX_POSITION_MM, stage.lowest_mm), stage.highest_mm))
-        return True
-
-    def _go(self, to_mm: float) -> None:
-        travel_mm = to_mm - self._bench.position_mm()
-        self._bench.follow(trapezoid(travel_mm, self._speed_mm_s, HOMING_ACCELERATION_MM_S2))
-
-
 FACTORY_PARAMETERS: Mapping[Parameter, float] = {
     Parameter.THRUST_LIMIT_N: 50.0,
     Parameter.LOWEST_MM: -1000.0,
@@ -82,16 +39,16 @@ FACTORY_PARAMETERS: Mapping[Parameter, float] = {
     Parameter.HOMING_SPEED_MM_S: 0.0,
     Parameter.SILENCE_S: 0.0,
 }
-"""What a drive holds before anybody sets it; a silence timeout of 0 is none."""
+"""What a drive holds before it is set up; a silence timeout of 0 is none."""
 RATED_THRUST_N = 100.0
-"""A drive keeps a thrust limit beyond its rating at its rating, and says nothing."""
+"""A drive limits a thrust limit beyond its rating to its rating, without an error."""
 _WATCH_INTERVAL_S = 0.002
 _DEFAULT_ALARM = 1
-_G_MM_S2_PER_N = 1e6  # g mm/s²
+_G_MM_S2_PER_N = 1e6
 
 
 class DriveDouble:
-    """A drive with its stage. Any thread may call anything; as a context manager it also watches by itself."""
+    """A drive with its stage. Any thread may call any method; as a context manager it polls its inputs by itself."""
 
     def __init__(self, bench: SimulatedBench, dialect: Dialect, station: int = 1) -> None:
         self.bench = bench
@@ -101,15 +58,15 @@ class DriveDouble:
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="drive double", daemon=True)
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         self._parameters = dict(FACTORY_PARAMETERS)
         self._zero_mm = bench.position_mm()
         self._enabled = self._homed = False
         self._alarm = 0
         self._halt = Halt.NONE
-        self._homing: DriveHoming | None = None
-        self._towards = 0.0
-        self._heard: deque[Request] = deque(maxlen=1000)
+        self._direction = 0.0
+        self._homing = self._seeks_switch = False
+        self._requests: deque[Request] = deque(maxlen=1000)
 
     def __enter__(self) -> Self:
         self._watcher.start()
@@ -121,36 +78,36 @@ class DriveDouble:
 
     @property
     def status(self) -> Status:
-        """What it says of itself."""
+        """What it reports."""
         with self._lock:
             moving = self._moving()
             halt = Halt.NONE if moving else self._halt
             return Status(self._enabled, self._homed, moving, self._alarm, halt)
 
     @property
-    def heard(self) -> tuple[Request, ...]:
+    def requests(self) -> tuple[Request, ...]:
         """The latest requests that change something, in the order in which they came."""
         with self._lock:
-            return tuple(self._heard)
+            return tuple(self._requests)
 
     def parameter(self, parameter: Parameter) -> float:
         """Return what is set."""
         return self._parameters[parameter]
 
-    def hear(self, frame: bytes) -> bytes:
-        """Do what a frame says and return the reply; nothing for a frame that is damaged or another station's."""
+    def answer(self, frame: bytes) -> bytes:
+        """Carry out a frame's request and return the reply; nothing for a damaged frame or another station's."""
         try:
             request = self.dialect.decode_request(frame, self._station)
         except FrameError:
             return b""
         with self._lock:
-            self._heard_s = time.monotonic()
-            self.look()
+            self._received_s = time.monotonic()
+            self.poll()
             reply = self._carry_out(request)
         return self.dialect.encode_reply(reply, self._station)
 
-    def look(self) -> None:
-        """Look at lines, alarm and silence once, and go on with homing."""
+    def poll(self) -> None:
+        """Read lines, alarm and silence once, and continue homing."""
         with self._lock:
             if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
@@ -158,17 +115,17 @@ class DriveDouble:
                 self._end(Halt.DISABLED)
                 self._enabled = False
             if not self.bench.moving:
-                self._go_on_homing()
+                self._continue_homing()
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
-            elif self._is_blocked(self._towards if self._homing is None else self._homing.towards):
-                self._meet_switch()
-            elif 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._heard_s:
+            elif self._is_blocked(self._direction):
+                self._stop_at_switch()
+            elif 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
                 self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
         while not self._ended.wait(_WATCH_INTERVAL_S):
-            self.look()
+            self.poll()
 
     def _carry_out(self, request: Request) -> Reply:
         command, parameter, value = request.command, request.parameter, request.value
@@ -178,7 +135,7 @@ class DriveDouble:
             return Reply(command, value=self.bench.position_mm() - self._zero_mm)
         if command is Command.READ and parameter is not None:
             return Reply(command, parameter, self._parameters[parameter])
-        self._heard.append(request)
+        self._requests.append(request)
         return Reply(command, parameter, refusal=self._change(command, parameter, value or 0.0))
 
     def _change(self, command: Command, parameter: Parameter | None, value: float) -> Refusal | None:
@@ -242,28 +199,40 @@ class DriveDouble:
         ):
             self._raise_alarm("overload of the motor")
             return None
-        self._halt, self._towards = Halt.TARGET, travel_mm
-        self.bench.follow(trapezoid(travel_mm, speed, accel))
+        self._follow(travel_mm, speed, accel)
         return None
 
-    def _home(self, towards: float) -> Refusal | None:
+    def _home(self, direction: float) -> Refusal | None:
         if refused := self._unready():
             return refused
-        speed = self._parameters[Parameter.HOMING_SPEED_MM_S]
-        if speed <= 0:
+        if self._parameters[Parameter.HOMING_SPEED_MM_S] <= 0:
             return Refusal.BAD_VALUE
-        self._homed, self._halt = False, Halt.TARGET
-        self._homing = DriveHoming(self.bench, towards, speed)
-        self._homing.begin()
+        self._homed, self._homing, self._seeks_switch = False, True, True
+        stage = self.bench.rig.stage
+        limit_mm = stage.lowest_mm if direction < 0 else stage.highest_mm
+        self._home_to(limit_mm + math.copysign(SWITCH_OFFSET_MM + SWITCH_OVERTRAVEL_MM, direction))
         return None
 
-    def _go_on_homing(self) -> None:
-        if self._homing is not None and not self._homing.go_on():
-            self._homing = None
+    def _continue_homing(self) -> None:
+        """Go from the switch to the index pulse, or end there."""
+        if self._seeks_switch:
+            self._seeks_switch = False
+            stage = self.bench.rig.stage
+            self._home_to(min(max(INDEX_POSITION_MM, stage.lowest_mm), stage.highest_mm))
+        elif self._homing:
+            self._homing = False
             self._zero_mm, self._homed = INDEX_POSITION_MM, True
 
-    def _meet_switch(self) -> None:
-        if self._homing is not None and self._homing.seeks_switch:
+    def _home_to(self, position_mm: float) -> None:
+        travel_mm = position_mm - self.bench.position_mm()
+        self._follow(travel_mm, self._parameters[Parameter.HOMING_SPEED_MM_S], HOMING_ACCELERATION_MM_S2)
+
+    def _follow(self, travel_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        self._halt, self._direction = Halt.TARGET, travel_mm
+        self.bench.follow(trapezoid(travel_mm, speed_mm_s, acceleration_mm_s2))
+
+    def _stop_at_switch(self) -> None:
+        if self._seeks_switch:
             self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
         else:
             self._end(Halt.LIMIT_SWITCH)
@@ -271,7 +240,7 @@ class DriveDouble:
     def _end(self, why: Halt) -> None:
         if self._moving() and self._halt is Halt.TARGET:
             self._halt = why
-            self._homing = None
+            self._homing = self._seeks_switch = False
             self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
 
     def _raise_alarm(self, text: str) -> None:
@@ -281,7 +250,7 @@ class DriveDouble:
         self._enabled = False
 
     def _moving(self) -> bool:
-        return self.bench.moving or self._homing is not None
+        return self.bench.moving or self._homing
 
     def _is_blocked(self, direction: float) -> bool:
         switch = self._lines.limit_low if direction < 0 else self._lines.limit_high
@@ -298,14 +267,14 @@ def make_drive_double(bench: SimulatedBench, dialect: Dialect, station: int = 1)
 
 
 class VelocityDriveDouble(DriveDouble):
-    """A drive whose speed is its voltage. Position commands are unknown to it, and so is a stop.
+    """A drive whose speed is its voltage; it knows neither position commands nor a stop.
 
     Without its enable line or its power, which the heartbeat relay takes, the motor has no current and friction stops
     the carriage; e-stop, alarm and silence brake it and switch the drive off.
     """
 
-    def look(self) -> None:
-        """Look at power, lines, alarm and silence once."""
+    def poll(self) -> None:
+        """Read power, lines, alarm and silence once."""
         with self._lock:
             if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
@@ -315,7 +284,7 @@ class VelocityDriveDouble(DriveDouble):
                 self._end(Halt.DISABLED)
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
-            elif self.bench.moving and 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._heard_s:
+            elif self.bench.moving and 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
                 self._end(Halt.SILENCE)
 
     def _enable(self) -> Refusal | None:
@@ -329,8 +298,8 @@ class VelocityDriveDouble(DriveDouble):
         del target_mm
         return Refusal.UNKNOWN
 
-    def _home(self, towards: float) -> Refusal | None:
-        del towards
+    def _home(self, direction: float) -> Refusal | None:
+        del direction
         return Refusal.UNKNOWN
 
     def _end(self, why: Halt) -> None:

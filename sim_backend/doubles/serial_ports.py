@@ -53,7 +53,7 @@ class DrivePort(ABC):
 
     @abstractmethod
     def _hang_up(self) -> None:
-        """Pull the cable; again changes nothing."""
+        """Unplug the cable; again changes nothing."""
 
     def _plug_in(self) -> None:
         """Plug the cable in again, where that brings back the same port; again changes nothing."""
@@ -61,24 +61,24 @@ class DrivePort(ABC):
 
     @abstractmethod
     def _write(self, data: bytes) -> None:
-        """Send to the program; nothing when nobody listens."""
+        """Send to the program; nothing when it is not connected."""
 
-    def _hear(self, received: bytes) -> None:
+    def _receive(self, received: bytes) -> None:
         self._received += received
         while length := self._drive.dialect.frame_length(self._received):
             frame, self._received = self._received[:length], self._received[length:]
-            if reply := self._drive.hear(frame):
+            if reply := self._drive.answer(frame):
                 self._answer(reply)
 
     def _answer(self, reply: bytes) -> None:
-        trouble = self._drive.bench.faults.active
-        if trouble.drive_silent:
+        faults = self._drive.bench.faults.active
+        if faults.drive_silent:
             return
-        if trouble.drive_garbled:
+        if faults.drive_garbled:
             middle = len(reply) // 2
             reply = reply[:middle] + bytes([reply[middle] ^ 0x15]) + reply[middle + 1 :]
-        due_s = time.monotonic() + trouble.drive_reply_late_s
-        # A line keeps the order of what is said on it.
+        due_s = time.monotonic() + faults.drive_reply_late_s
+        # A serial line keeps the order of replies.
         self._replies.append((max(due_s, self._replies[-1][0]) if self._replies else due_s, reply))
         self._send_due()
 
@@ -115,7 +115,7 @@ class SocketPort(DrivePort):
         super().__init__(drive)
         self._listener = socket.create_server(("127.0.0.1", number))
         self._number: int = self._listener.getsockname()[1]
-        self._partner: socket.socket | None = None
+        self._client: socket.socket | None = None
         self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     @property
@@ -125,38 +125,38 @@ class SocketPort(DrivePort):
 
     def _accept(self) -> None:
         self._drop()
-        partner, _ = self._listener.accept()
-        partner.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        partner.setblocking(False)
-        self._partner, self._received = partner, b""
-        self._replies.clear()  # what was due to the partner before
-        self._selector.register(partner, selectors.EVENT_READ, self._read)
+        client, _ = self._listener.accept()
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.setblocking(False)
+        self._client, self._received = client, b""
+        self._replies.clear()  # those for the previous client
+        self._selector.register(client, selectors.EVENT_READ, self._read)
 
     def _read(self) -> None:
-        if self._partner is None:
+        if self._client is None:
             return
         try:
-            data = self._partner.recv(_CHUNK_BYTES)
+            data = self._client.recv(_CHUNK_BYTES)
         except BlockingIOError:
             return
         except ConnectionError:
             data = b""
         if data:
-            self._hear(data)
+            self._receive(data)
         else:
             self._drop()
 
     def _write(self, data: bytes) -> None:
-        # A late reply finds the partner gone, which is no concern of the drive's.
+        # A late reply may find the client gone, which does not concern the drive.
         with suppress(OSError):
-            if self._partner is not None:
-                self._partner.sendall(data)
+            if self._client is not None:
+                self._client.sendall(data)
 
     def _drop(self) -> None:
-        partner, self._partner = self._partner, None
-        if partner is not None:
-            self._selector.unregister(partner)
-            partner.close()
+        client, self._client = self._client, None
+        if client is not None:
+            self._selector.unregister(client)
+            client.close()
 
     def _hang_up(self) -> None:
         self._drop()

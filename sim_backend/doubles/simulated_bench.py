@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from threading import Event as Signal
 
@@ -27,36 +27,41 @@ from dragrig.sim_backend.doubles.carriage import (
 )
 from dragrig.sim_backend.doubles.fault_injection import FaultInjector
 
+SWITCH_OFFSET_MM = 3.0
+"""How far beyond the soft limits the limit switches are."""
+INDEX_POSITION_MM = 0.0
+BODY_TEMPERATURE_DEGC = 37.0
 _MIN_SKIP_S = 0.5
-
-
-def never() -> bool:
-    """Return False: for a clock that never passes over anything."""
-    return False
+_MAX_HOLD_SPEED_MM_S = 0.2
+"""Below this a carriage counts as held by the velocity loop, not as moving."""
+_EXTRA_BUFFER_S = 2.0
+"""How much longer than in the card's buffer samples are held."""
+_LOOKAHEAD_S = 0.25
+_FOREVER_S = 36_000.0
 
 
 class DoubleClock:
-    """A clock `pace` times as fast as the wall's. Any thread may use it.
+    """A clock `pace` times as fast as the wall clock. Any thread may use it.
 
     Parameters
     ----------
     pace
-        Seconds of this clock in one of the wall's.
+        Seconds of this clock in a second of wall time.
     origin
-        Time of day at its start; now unless given.
+        Time of day at its start; default: now.
     """
 
     def __init__(self, pace: float = 1.0, origin: datetime | None = None) -> None:
         self.pace = pace
         self._origin = with_utc_offset(origin)
         self._begun_s = time.perf_counter()
-        self._passed_over_s = 0.0
-        self._idle: Callable[[], bool] = never
+        self._skipped_s = 0.0
+        self._is_idle: Callable[[], bool] = lambda: False
         self._lock = threading.Lock()
 
-    def pass_over_when(self, idle: Callable[[], bool]) -> None:
-        """Let long waits take no time while `idle` says that nothing happens: no sample is taken, nothing moves."""
-        self._idle = idle
+    def skip_when(self, is_idle: Callable[[], bool]) -> None:
+        """Let long waits take no time while `is_idle`: no sample is taken, nothing moves."""
+        self._is_idle = is_idle
 
     def now(self) -> datetime:
         """Time of day, with offset."""
@@ -64,89 +69,68 @@ class DoubleClock:
 
     def monotonic(self) -> float:
         """Seconds of this clock since it was made."""
-        return self._passed_over_s + self.pace * (time.perf_counter() - self._begun_s)
+        return self._skipped_s + self.pace * (time.perf_counter() - self._begun_s)
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
         if cancel.is_set():
             return False
-        if duration_s > _MIN_SKIP_S and self._idle():
+        if duration_s > _MIN_SKIP_S and self._is_idle():
             with self._lock:
-                self._passed_over_s += duration_s
+                self._skipped_s += duration_s
             return True
         return not (cancel.wait(duration_s / self.pace) if duration_s > 0 else cancel.is_set())
 
 
-SampleChunk = tuple[int, Mapping[str, FloatArray]]
-"""Index of its first sample, and the samples by quantity."""
-
-
-def concatenated(chunks: Sequence[SampleChunk], first: int, end: int) -> Mapping[str, FloatArray]:
-    """Return samples `first` to before `end`, shape `(end - first,)` each, of chunks that follow one another."""
-    pieces: dict[str, list[FloatArray]] = {name: [] for name in chunks[0][1]}
-    for begin, chunk in chunks:
-        for name, values in chunk.items():
-            here = values[max(first - begin, 0) : max(end - begin, 0)]
-            if len(here):
-                pieces[name].append(here)
-    return {name: np.concatenate(parts) if parts else np.zeros(0) for name, parts in pieces.items()}
-
-
-_LOOKAHEAD_S = 0.25
-_FOREVER_S = 36_000.0
-
-
 class SensorForce:
-    """The simulated rig's force sensor and motor, fed with what the carriage really does.
+    """The simulated rig's force sensor and motor, for a motion that becomes known only as it happens.
 
     Parameters
     ----------
     acquisition
-        What touches what; its profile says which way the first motion will go, and no more.
+        The contact; of its profile only the direction of the first motion is used.
     """
 
     def __init__(self, rig: RigSettings, model: FrictionModelSettings, acquisition: Acquisition) -> None:
         self._rate_hz = rig.sampling.rate_hz
         self.acquisition = acquisition
-        """What touches what."""
-        self._signals = SimulatedChannels(rig, model, acquisition, UNDISTURBED)
-        self._fresh = True
-        self._seen: Carriage | None = None
+        self._channels = SimulatedChannels(rig, model, acquisition, UNDISTURBED)
+        self._unused = True
+        self._followed: Carriage | None = None
         self._waits_until_s = 0.0
 
     def fits(self, rate_hz: float) -> bool:
         """Whether it is for this sample rate and no sample was computed yet."""
-        return rate_hz == self._rate_hz and self._fresh
+        return rate_hz == self._rate_hz and self._unused
 
     def compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
         """Return force and motor force [mN] of samples `first` to before `end`; `first` never goes back."""
-        self._fresh = False
+        self._unused = False
         until_s = end / self._rate_hz
         if carriage.has_moved:
-            if carriage is not self._seen:
-                self._seen = carriage
-                pieces = (*carriage.profile.pieces(), stationary_piece(_FOREVER_S, Phase.HOLD))
-                self._follow(MotionProfile.from_pieces(pieces))
+            if carriage is not self._followed:
+                self._followed = carriage
+                self._follow((*carriage.profile.pieces(), stationary_piece(_FOREVER_S, Phase.HOLD)))
         elif until_s > self._waits_until_s:
             self._expect_motion_after(until_s)
-        return self._signals.compute(first, end, carriage.origin_mm)
+        return self._channels.compute(first, end, carriage.origin_mm)
 
     def _expect_motion_after(self, time_s: float) -> None:
-        # A rest has the sign of the motion to come, so the plan's first motion is expected until it happens.
+        # The force at rest has the sign of the motion to come, so the plan's first motion is expected until it happens.
         planned = self.acquisition.profile.pieces()
-        moving = [place for place, piece in enumerate(planned) if piece.acceleration_mm_s2]
-        before = sum(piece.duration_s for piece in planned[: moving[0]]) if moving else 0.0
-        self._waits_until_s = max(before, time_s + _LOOKAHEAD_S)
+        moving = [index for index, piece in enumerate(planned) if piece.acceleration_mm_s2]
+        before_s = sum(piece.duration_s for piece in planned[: moving[0]]) if moving else 0.0
+        self._waits_until_s = max(before_s, time_s + _LOOKAHEAD_S)
         rest = stationary_piece(self._waits_until_s, Phase.REST)
         to_come = planned[moving[0] :] if moving else ()
-        self._follow(MotionProfile.from_pieces((rest, *to_come, stationary_piece(_FOREVER_S, Phase.HOLD))))
+        self._follow((rest, *to_come, stationary_piece(_FOREVER_S, Phase.HOLD)))
 
-    def _follow(self, profile: MotionProfile) -> None:
-        self._signals.follow(Track(profile, 0.0))
+    def _follow(self, pieces: Sequence[Piece]) -> None:
+        self._channels.follow(Track(MotionProfile.from_pieces(pieces), 0.0))
 
 
 def no_contact() -> Acquisition:
-    """Return what is sampled when nobody says what: a capsule that touches nothing."""
+    """Return the acquisition by default: a capsule that touches nothing."""
     return Acquisition(
         run_id="",
         order=0,
@@ -160,108 +144,104 @@ def no_contact() -> Acquisition:
     )
 
 
-SWITCH_OFFSET_MM = 3.0
-"""How far beyond the soft limits the limit switches are."""
-INDEX_POSITION_MM = 0.0
-"""Where the index pulse is."""
-BODY_TEMPERATURE_DEGC = 37.0
-_MAX_HOLD_SPEED_MM_S = 0.2
-"""Below this it is held by a loop and not on its way."""
-_EXTRA_BUFFER_S = 2.0
-"""How much longer than the card's buffer samples are kept."""
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Sampling:
+    """One sampling, and its samples as computed so far: pairs of first index and samples by quantity."""
+
     began_s: float
     rate_hz: float
     origin_counts: int
-    gut: SensorForce
+    force: SensorForce
+    computed: int = 0
+    chunks: list[tuple[int, dict[str, FloatArray]]] = field(default_factory=list)
 
 
 class SimulatedBench:
-    """One bench in model time. Any thread may call anything."""
+    """One bench in model time. Any thread may call any method.
+
+    Parameters
+    ----------
+    faults
+        Injected faults; default: none. Tests change them at any time.
+    """
 
     def __init__(
         self, rig: RigSettings, model: FrictionModelSettings, clock: DoubleClock, faults: FaultInjector | None = None
     ) -> None:
         self.clock = clock
         self.faults = faults or FaultInjector()
-        """What goes wrong; tests change it at any time."""
         self.rig = rig
         self._model = model
         self._lock = threading.RLock()
         self._since_s = clock.monotonic()
         self._carriage = self._felt = Carriage.standing(rig.stage.start_mm)
         lines = rig.hardware.card.lines
-        self._amplifier = VelocityInput(rig.hardware.drive.velocity, self._may_go)
+        self._velocity_input = VelocityInput(rig.hardware.drive.velocity, self._may_go)
         self._relay = HeartbeatRelay(lines.heartbeat, lines.heartbeat_s)
-        self._gut = self._prepared(no_contact(), rig.sampling.rate_hz)
+        self._next_force = self._sensor_force(no_contact(), rig.sampling.rate_hz)
         self._sampling: _Sampling | None = None
-        self._chunks: list[SampleChunk] = []
-        self._computed = 0
         self._push: tuple[Piece, ...] = ()
         self._written: dict[str, bool] = {}
-        clock.pass_over_when(lambda: self._sampling is None and not self.moving and not self._amplifier.busy)
+        clock.skip_when(lambda: self._sampling is None and not self.moving and not self._velocity_input.busy)
 
     def present(self, acquisition: Acquisition) -> None:
-        """Let the next sampling meet this acquisition's capsule and gut."""
+        """Let the next sampling measure this acquisition's capsule and specimen."""
         # Prepared beforehand, so that the first sample does not wait for it.
-        self._gut = self._prepared(acquisition, self.rig.sampling.rate_hz)
+        self._next_force = self._sensor_force(acquisition, self.rig.sampling.rate_hz)
 
     @property
     def moving(self) -> bool:
         """Whether the carriage moves."""
         with self._lock:
-            return self._carriage.moving(self._elapsed())
+            return self._carriage.moving(self._elapsed_s())
 
     def position_mm(self) -> float:
-        """Where the carriage is; 0 at the index pulse."""
+        """Return the carriage's position; 0 at the index pulse."""
         with self._lock:
-            return self._carriage.position(self._elapsed())
+            return self._carriage.position(self._elapsed_s())
 
     def speed_mm_s(self) -> float:
-        """Signed speed of the carriage."""
+        """Return the carriage's signed speed."""
         with self._lock:
-            return self._carriage.speed(self._elapsed())
+            return self._carriage.speed(self._elapsed_s())
 
     def follow(self, pieces: Sequence[Piece]) -> None:
-        """Go on with `pieces` from the present position and speed."""
+        """Continue with `pieces` from the present position and speed."""
         with self._lock:
-            self._carriage = self._felt = self._carriage.followed(self._elapsed(), pieces)
+            self._carriage = self._felt = self._carriage.followed(self._elapsed_s(), pieces)
 
     def brake(self, deceleration_mm_s2: float) -> None:
         """Come to a standstill."""
         with self._lock:
-            now_s = self._elapsed()
+            now_s = self._elapsed_s()
             self._carriage = self._carriage.braked(now_s, deceleration_mm_s2)
             self._felt = self._felt.braked(now_s, deceleration_mm_s2)
 
     def place(self, position_mm: float) -> None:
-        """Stand somewhere else at once."""
+        """Stand at another position at once."""
         with self._lock:
             self._stand(position_mm, self.clock.monotonic())
 
     def push(self, distance_mm: float, within_s: float) -> None:
-        """Let a hand push the carriage, from the next sample 0 on and for half of the time given."""
+        """Let a hand push the carriage, from the next sample 0 on and for half of the time."""
         with self._lock:
             self._push = push_pieces(distance_mm, 0.5 * within_s)
 
     @property
     def powered(self) -> bool:
-        """Whether the heartbeat relay, if there is one, lets the drive have its power."""
+        """Whether the heartbeat relay, if there is one, keeps the drive's power on."""
         return self._relay.closed
 
     def obey_voltage(self, on: bool) -> None:
-        """Let the voltage move the carriage from its next samples on, or not any more: the drive in velocity mode."""
+        """Let the voltage move the carriage from its next samples on, or no longer: the drive in velocity mode."""
         with self._lock:
-            self._amplifier.on = on
+            self._velocity_input.on = on
 
     def put_out(self, output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
-        """Put out voltages, the first at a reading of the clock; at rate 0 one that is held. The card's."""
+        """Put out voltages, the first at a reading of the clock; at rate 0 one that is held (called by the card)."""
         with self._lock:
             at_s -= self._since_s
-            carriage = self._amplifier.respond(self._carriage, at_s, output, volts, rate_hz)
+            carriage = self._velocity_input.respond(self._carriage, at_s, output, volts, rate_hz)
             if carriage is not None:
                 duration_s = len(volts) / rate_hz if rate_hz else SETTLING_S
                 self._felt = simplified(self._felt, carriage, at_s, at_s + duration_s)
@@ -270,13 +250,15 @@ class SimulatedBench:
     def begin_sampling(self, rate_hz: float) -> None:
         """Take sample 0 now."""
         with self._lock:
-            gut = self._gut if self._gut.fits(rate_hz) else self._prepared(self._gut.acquisition, rate_hz)
+            force = self._next_force
+            if not force.fits(rate_hz):
+                force = self._sensor_force(force.acquisition, rate_hz)
             now_s = self.clock.monotonic()
-            if not self.moving or (self._amplifier.on and abs(self.speed_mm_s()) < _MAX_HOLD_SPEED_MM_S):
+            held = self._velocity_input.on and abs(self.speed_mm_s()) < _MAX_HOLD_SPEED_MM_S
+            if not self.moving or held:
                 self._stand(self.position_mm(), now_s)
             counts = self._counts(np.array([self.position_mm()]))
-            self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), gut)
-            self._chunks, self._computed = [], 0
+            self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), force)
             if self._push:
                 self.follow(self._push)
                 self._push = ()
@@ -303,32 +285,40 @@ class SimulatedBench:
             For samples that were not taken yet, or that the card's buffer lost long ago.
         """
         with self._lock:
-            if self._sampling is None or not 0 <= first <= end <= self.available():
-                raise ValueError(f"samples {first} to {end} are not there")
-            self._compute(self._sampling, end)
-            if not self._chunks or first < self._chunks[0][0]:
+            sampling = self._sampling
+            if sampling is None or not 0 <= first <= end <= self.available():
+                raise ValueError(f"samples {first} to {end} were not taken")
+            self._compute(sampling, end)
+            if not sampling.chunks or first < sampling.chunks[0][0]:
                 raise ValueError(f"sample {first} is lost")
-            return concatenated(self._chunks, first, end)
+            chunks = [
+                (begin, chunk)
+                for begin, chunk in sampling.chunks
+                if begin < end and begin + len(chunk["force_V"]) > first
+            ] or sampling.chunks[-1:]
+            parts = [
+                {name: values[max(first - begin, 0) : max(end - begin, 0)] for name, values in chunk.items()}
+                for begin, chunk in chunks
+            ]
+            return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def end_sampling(self) -> None:
-        """Take no further sample; the next one meets nothing unless told."""
+        """Take no further sample; the next sampling has no contact by default."""
         with self._lock:
             self._sampling = None
-            self._chunks = []
-            self._gut = self._prepared(no_contact(), self.rig.sampling.rate_hz)
+            self._next_force = self._sensor_force(no_contact(), self.rig.sampling.rate_hz)
 
     def read_line(self, line: str) -> bool:
         """Return the level of a digital line, as PORT/LINE without the device."""
         with self._lock:
-            lines = self.rig.hardware.card.lines
+            lines, stage, faults = self.rig.hardware.card.lines, self.rig.stage, self.faults.active
             position_mm = self.position_mm()
-            trouble = self.faults.active
+            above_low = position_mm > stage.lowest_mm - SWITCH_OFFSET_MM
+            below_high = position_mm < stage.highest_mm + SWITCH_OFFSET_MM
             levels = {
-                lines.e_stop: not trouble.e_stop_pressed,
-                lines.limit_low: position_mm > self.rig.stage.lowest_mm - SWITCH_OFFSET_MM
-                and not trouble.limit_low_pressed,
-                lines.limit_high: position_mm < self.rig.stage.highest_mm + SWITCH_OFFSET_MM
-                and not trouble.limit_high_pressed,
+                lines.e_stop: not faults.e_stop_pressed,
+                lines.limit_low: above_low and not faults.limit_low_pressed,
+                lines.limit_high: below_high and not faults.limit_high_pressed,
             }
             return levels.get(line, self._written.get(line, False))
 
@@ -336,13 +326,13 @@ class SimulatedBench:
         """Set a digital line."""
         with self._lock:
             self._written[line] = high
-            self._relay.hear(line, high)
+            self._relay.notice(line, high)
 
-    def _prepared(self, acquisition: Acquisition, rate_hz: float) -> SensorForce:
+    def _sensor_force(self, acquisition: Acquisition, rate_hz: float) -> SensorForce:
         sampling = self.rig.sampling.model_copy(update={"rate_hz": rate_hz, "motor_force": True})
         return SensorForce(self.rig.model_copy(update={"sampling": sampling}), self._model, acquisition)
 
-    def _elapsed(self) -> float:
+    def _elapsed_s(self) -> float:
         return self.clock.monotonic() - self._since_s
 
     def _stand(self, position_mm: float, since_s: float) -> None:
@@ -355,38 +345,32 @@ class SimulatedBench:
         return not switch or self.read_line(switch)
 
     def _compute(self, sampling: _Sampling, end: int) -> None:
-        first = self._computed
+        first = sampling.computed
         if end <= first:
             return
-        since_begin_s = np.arange(first, end) / sampling.rate_hz
-        shown = sampling.gut.compute(first, end, self._as_sampled(sampling))
-        trouble = self.faults.active
-        card, force = self.rig.hardware.card, shown["force"].astype(np.float64)
-        volts = (force + trouble.force_added_mN) / card.force.per_V + card.force.zero_V
-        if trouble.sensor_open:
+        began_s = sampling.began_s - self._since_s
+        # The friction knows motions from a standstill at the first sample; one that began before it is left out.
+        felt = self._felt if began_s <= 1.0 / sampling.rate_hz else Carriage.standing(self._carriage.origin_mm)
+        simulated = sampling.force.compute(first, end, felt)
+        faults, card = self.faults.active, self.rig.hardware.card
+        volts = (simulated["force"].astype(np.float64) + faults.force_added_mN) / card.force.per_V + card.force.zero_V
+        if faults.sensor_open:
             volts[:] = 10.0 * np.sign(card.force.per_V)
-        positions = self._carriage.positions(since_begin_s + (sampling.began_s - self._since_s))
+        positions = self._carriage.positions(np.arange(first, end) / sampling.rate_hz + began_s)
         counts = self._counts(positions) - sampling.origin_counts
-        if trouble.encoder_stuck:
-            counts[:] = self._chunks[-1][1]["encoder_counts"][-1] if self._chunks else 0.0
+        if faults.encoder_stuck:
+            counts[:] = sampling.chunks[-1][1]["encoder_counts"][-1] if sampling.chunks else 0.0
         chunk = {"force_V": volts, "encoder_counts": counts}
-        for one in card.inputs:
-            quantity = {"motor_force": shown["motor_force"], "temperature": BODY_TEMPERATURE_DEGC}.get(one.name, 0.0)
-            chunk[one.name] = np.broadcast_to(np.asarray(quantity, np.float64), counts.shape) / one.per_V + one.zero_V
-        self._chunks.append((first, chunk))
-        self._computed = end
-        self._forget_before(end - round((card.buffer_s + _EXTRA_BUFFER_S) * sampling.rate_hz))
-
-    def _as_sampled(self, sampling: _Sampling) -> Carriage:
-        # A gut knows motions from a standstill at its first sample; one that began before it is not for it.
-        if sampling.began_s - self._since_s > 1.0 / sampling.rate_hz:
-            return Carriage.standing(self._carriage.origin_mm)
-        return self._felt
+        quantities = {"motor_force": simulated["motor_force"], "temperature": BODY_TEMPERATURE_DEGC}
+        for channel in card.inputs:
+            values = np.asarray(quantities.get(channel.name, 0.0), np.float64)
+            chunk[channel.name] = np.broadcast_to(values, counts.shape) / channel.per_V + channel.zero_V
+        sampling.chunks.append((first, chunk))
+        sampling.computed = end
+        oldest = end - round((card.buffer_s + _EXTRA_BUFFER_S) * sampling.rate_hz)
+        while len(sampling.chunks) > 1 and sampling.chunks[1][0] <= oldest:
+            del sampling.chunks[0]
 
     def _counts(self, position_mm: FloatArray) -> FloatArray:
         counts = np.rint(position_mm * (1000.0 / self.rig.encoder.resolution_um))
         return -counts if self.rig.hardware.card.encoder.reversed else counts
-
-    def _forget_before(self, index: int) -> None:
-        while len(self._chunks) > 1 and self._chunks[1][0] <= index:
-            del self._chunks[0]
