@@ -90,17 +90,17 @@ def run_page(camera: Photographer) -> None:
     camera.until(lambda: window.run.devices.devices.rowCount() > 0)
     for key, text in {"speed_mm_s": "5, 10, 20", "wait_s": "0", "repeats": "2"}.items():
         new.editor.put(key, text)
-    new.look()
+    new.update_preview()
     camera.take("plan")
     new.queue.click()
     new.start.click()
-    camera.until(window.notices.question.isVisible)
+    camera.until(window.notices.prompt.isVisible)
     camera.take("question")
     window.notices.answers[Answer.DONE].click()
     camera.until(lambda: window.run.live.run is not None and window.run.live.run.latest.time_s > 6)
     camera.take("run")
     window.stop_button.click()
-    camera.until(lambda: not window.run.under_way)
+    camera.until(lambda: not window.run.session_running)
 
 
 def look_page(camera: Photographer, campaign: Path) -> None:

@@ -18,7 +18,7 @@ from dragrig.present.json_values import to_json_value
 
 ALONE = "Without a plan the rig itself is checked, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
-COMMANDS = [(name, line) for section in SECTIONS.values() for name, line in section.items()]
+COMMANDS = [(name, command.summary) for section in SECTIONS.values() for name, command in section.items()]
 
 
 def dragrig(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:

@@ -114,8 +114,8 @@ def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, 
     for queued, wanted in zip(entry.job.plan.steps, plan.steps, strict=True):
         # The form adds what is usual to what is recommended.
         assert wanted.parameters.items() <= queued.parameters.items()
-    assert window.run.preview.runs.rowCount() == entry.count > 0
-    assert not window.run.under_way
+    assert window.run.preview.runs.rowCount() == entry.run_count > 0
+    assert not window.run.session_running
 
 
 def test_what_is_no_campaign_is_told_and_the_page_stays_usable(

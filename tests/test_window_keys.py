@@ -132,15 +132,15 @@ def test_plots_are_zoomed_and_cursors_moved_by_keys(window: MainWindow, qtbot: Q
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
     overlay = window.look.overlay
-    overlay.below.show_times(0.0, 10.0)
+    overlay.speed_plot.show_times(0.0, 10.0)
     control, alt = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.AltModifier
-    before = overlay.below.shown()
+    before = overlay.speed_plot.shown()
     overlay.cursors.setFocus()
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Plus, control)
-    low, high = overlay.below.shown()
+    low, high = overlay.speed_plot.shown()
     assert high - low == pytest.approx(0.5 * (before[1] - before[0]))
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Right, control)
-    assert overlay.below.shown()[0] > low
+    assert overlay.speed_plot.shown()[0] > low
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_C, alt)
     qtbot.waitUntil(overlay.cursors.isChecked, timeout=WAIT_MS)
     first, second = (one.time_s for one in overlay._cursors)

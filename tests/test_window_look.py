@@ -68,8 +68,8 @@ def choose(page: LookPage, until: Until, *places: int) -> None:
 def test_runs_lie_over_each_other_with_their_settings(page: LookPage, until: Until) -> None:
     choose(page, until, 0, 2)
     first, second = page.overlay.traces
-    assert first.words.endswith("drag 5 mm/s")
-    assert second.words.endswith("drag 20 mm/s")
+    assert first.label.endswith("drag 5 mm/s")
+    assert second.label.endswith("drag 20 mm/s")
     table = page.browser.settings
     said = {table.item(at, 0).text(): table.item(at, 1).text() for at in range(table.rowCount())}
     assert said["travel mm"] == "10"
@@ -117,19 +117,19 @@ def test_cursors_tell_values_and_their_difference(page: LookPage, until: Until) 
 
 def test_zoom_goes_in_and_out_again(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
-    whole = page.overlay.below.shown()
-    page.overlay.below.show_times(1.0, 1.2)
-    assert page.overlay.top.shown()[1] < 1.3
+    whole = page.overlay.speed_plot.shown()
+    page.overlay.speed_plot.show_times(1.0, 1.2)
+    assert page.overlay.channel_plot.shown()[1] < 1.3
     press(page.overlay.fit)
-    assert page.overlay.below.shown() == pytest.approx(whole, abs=0.05)
+    assert page.overlay.speed_plot.shown() == pytest.approx(whole, abs=0.05)
 
 
 def test_another_channel_and_the_raw_trace_can_be_left_out(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     page.overlay.channel.setCurrentText("position")
-    assert len(page.overlay.top._lines) == 2
+    assert len(page.overlay.channel_plot._lines) == 2
     page.overlay.raw.click()
-    assert len(page.overlay.top._lines) == 1
+    assert len(page.overlay.channel_plot._lines) == 1
 
 
 def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, folder: Path) -> None:

@@ -62,7 +62,7 @@ def shared(
 @pytest.fixture
 def window(shared: MainWindow, until: Until) -> MainWindow:
     """A window with nothing in its queue, whose guard is reset."""
-    assert not shared.run.under_way
+    assert not shared.run.session_running
     shared.run.queue.entries.clear()
     shared.notices.complaint.hide()
     shared.go_to(shared.run)
@@ -79,7 +79,7 @@ def fill(window: MainWindow, plan: str = "drag", **values: str) -> None:
     for key, text in {**usual, **values}.items():
         new.editor.put(key, text)
     new.pace.setCurrentText("as fast as it can")
-    new.look()
+    new.update_preview()
 
 
 def slow(window: MainWindow) -> None:
@@ -90,7 +90,7 @@ def slow(window: MainWindow) -> None:
 
 def moving(window: MainWindow) -> bool:
     entry = window.run.queue.current
-    return entry is not None and entry.under_way is not None and entry.elapsed_s > 0.2
+    return entry is not None and entry.current_run is not None and entry.elapsed_s > 0.2
 
 
 def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
@@ -111,10 +111,10 @@ def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until
     assert "Plan OK, within limits" in window.run.preview.findings.text()
     window.run.new.operator.setText("A. Person")
     press(window.run.new.start)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     entry = window.run.queue.entries[-1]
     assert entry.stage is QueueState.COMPLETE
-    assert "A session is under way" not in window.run.devices.told.text()
+    assert "A session is running" not in window.run.devices.status.text()
     made = read_campaign(Path(entry.folder))
     assert [run.status for run in made.runs] == [RunStatus.COMPLETE, RunStatus.COMPLETE]
     assert {run.header.entry["operator"] for run in made.runs} == {"A. Person"}
@@ -130,7 +130,7 @@ def test_what_the_rig_cannot_do_cannot_be_started(window: MainWindow) -> None:
     assert not window.run.new.start.isEnabled()
     assert not window.run.new.queue.isEnabled()
     fill(window, speed_mm_s="fast")
-    assert "is no number" in window.run.preview.findings.text()
+    assert "is not a number" in window.run.preview.findings.text()
     assert not window.run.new.start.isEnabled()
 
 
@@ -148,10 +148,10 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
             qtbot.keyClick(window.pages.currentWidget(), Qt.Key.Key_Escape)
         case _:
             press(window.run.abort)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     first, second = window.run.queue.entries
     assert first.stage is QueueState.ABORTED
-    assert "window" in first.reason
+    assert "stopped by operator" in first.reason
     assert second.stage is QueueState.WAITING
     assert read_campaign(Path(first.folder)).runs[0].reason == first.reason
 
@@ -180,7 +180,7 @@ def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until
                 cover.hide()
         window.move(40 + 7 * moves % 300, 30 + 11 * moves % 200)
         window.resize(1200 + 13 * moves % 400, 900 + 17 * moves % 200)
-        return not window.run.under_way
+        return not window.run.session_running
 
     until(pushed_about)
     cover.close()
@@ -201,23 +201,23 @@ def test_a_window_is_not_closed_by_mistake_while_the_stage_moves(window: MainWin
     press(window.run.new.start)
     until(lambda: moving(window))
     assert not window.close()
-    assert "under way" in window.notices.complaint_text.text()
+    assert "A session is running" in window.notices.complaint_text.text()
     press(window.stop_button)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
 
 
 def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in", prompt_each="yes", repeats="2", way_back="driven")
     press(window.run.new.start)
-    until(window.notices.question.isVisible)
-    assert window.notices.question_text.text() == "Put the capsule in."
+    until(window.notices.prompt.isVisible)
+    assert window.notices.prompt_text.text() == "Put the capsule in."
     assert not window.notices.answers[Answer.REDO].isVisible()
     press(window.notices.answers[Answer.DONE])
     until(window.notices.answers[Answer.REDO].isVisible)
     for answer in (Answer.REDO, Answer.DONE, Answer.SKIP):
-        until(window.notices.question.isVisible)
+        until(window.notices.prompt.isVisible)
         press(window.notices.answers[answer])
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     entry = window.run.queue.entries[-1]
     assert entry.stage is QueueState.COMPLETE
     made = read_campaign(Path(entry.folder))
@@ -227,11 +227,11 @@ def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) 
 def test_abort_at_a_question_ends_the_session(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in")
     press(window.run.new.start)
-    until(window.notices.question.isVisible)
+    until(window.notices.prompt.isVisible)
     press(window.notices.answers[Answer.ABORT])
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     assert window.run.queue.entries[-1].stage is QueueState.ABORTED
-    assert not window.notices.question.isVisible()
+    assert not window.notices.prompt.isVisible()
     press(window.notices.dismiss)
     assert not window.notices.complaint.isVisible()
 
@@ -269,7 +269,7 @@ def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainW
     press(view.out)
     assert window.run.queue.entries == entries[:2]
     press(window.run.start_queue)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     assert [(one.stage, one.reason) for one in window.run.queue.entries] == [(QueueState.COMPLETE, "")] * 2
     assert window.run.queue.left_s == 0
     looked: list[str] = []
@@ -310,7 +310,7 @@ def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
     devices.devices.setRowCount(0)
     press(devices.again)
     until(lambda: devices.devices.rowCount() > 0)
-    assert devices.verdict == "all fine"
+    assert devices.verdict == "all ok"
 
 
 def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: Until) -> None:
@@ -321,7 +321,7 @@ def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: U
     fill(window)
     press(window.run.new.start)
     assert "the engine has ended" in window.notices.complaint_text.text()
-    assert not window.run.under_way
+    assert not window.run.session_running
     assert [one.stage for one in window.run.queue.entries] == [QueueState.WAITING]
     press(window.notices.restart)
     press(window.run.start_queue)  # before the new one is there
@@ -334,7 +334,7 @@ def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: U
 def test_only_the_last_seconds_are_shown_when_asked_for(window: MainWindow, until: Until) -> None:
     fill(window, speed_mm_s="0.5")
     press(window.run.new.start)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     whole = window.run.live.speed.shown()
     window.run.live.only_last.click()
     last = window.run.live.speed.shown()
@@ -363,7 +363,7 @@ def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> Non
 
 def test_a_rig_is_named_in_words(window: MainWindow) -> None:
     assert "SIMULATED" in window.windowTitle()
-    assert window.words.title == "SIMULATED"
+    assert window.description.title == "SIMULATED"
 
 
 def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> None:
@@ -377,7 +377,7 @@ def test_a_mirror_is_chosen_and_gets_every_file(window: MainWindow, until: Until
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path))
     press(window.run.new.start)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     window.run.new.mirror.clear()
     entry = window.run.queue.entries[-1]
     made = sorted(file.name for file in Path(entry.folder).iterdir() if file.suffix in {".h5", ".toml"})
@@ -391,7 +391,7 @@ def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tm
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path / "unplugged"))
     press(window.run.new.start)
-    until(lambda: not window.run.under_way)
+    until(lambda: not window.run.session_running)
     window.run.new.mirror.clear()
     entry = window.run.queue.entries[-1]
     assert entry.stage is QueueState.COMPLETE
@@ -420,11 +420,11 @@ def test_a_question_of_a_reset_is_put_also_after_a_stop(qtbot: QtBot, lab: Path,
         assert window.run.new.chosen_pace == 7.0
         press(window.stop_button)
         press(window.notices.reset)
-        until(window.notices.question.isVisible)
+        until(window.notices.prompt.isVisible)
         press(window.notices.answers[Answer.ABORT])
         until(lambda: window.notices.complaint.isVisible() and window.notices.reset.isEnabled())
         press(window.notices.reset)
-        until(window.notices.question.isVisible)
+        until(window.notices.prompt.isVisible)
         press(window.notices.answers[Answer.DONE])
         until(lambda: window.guard.text() == "guard: armed")
     finally:

@@ -1,7 +1,7 @@
 """A plan as a form with units, ranges and help, and a preview of its runs: motion, duration, findings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -19,16 +19,16 @@ from dragrig.setup import resolve_pace, resolve_rig
 
 _UNIT_SUFFIXES = (("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_mm", "mm"), ("_s", "s"), ("_mN", "mN"), ("_hz", "Hz"))
 _FIELD_LABELS = {
-    "wait": "rest before the run",
-    "rest": "standing before",
-    "hold": "standing after",
-    "tare": "take the zero for",
+    "wait": "wait before the run",
+    "rest": "rest before the motion",
+    "hold": "hold after the motion",
+    "tare": "tare duration",
 }
 _HIDDEN_KEYS = frozenset({"kind", "parameters"})
 
 
 class FieldKind(StrEnum):
-    """How a field is filled in."""
+    """Kind of a form field's value."""
 
     NUMBER = "number"
     WHOLE = "whole number"
@@ -40,18 +40,18 @@ class FieldKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FormField:
-    """One thing that can be set.
+    """A field of a form.
 
     Attributes
     ----------
     name
-        What a person calls it, without its unit.
+        Label without the unit.
     limits
-        The range that is allowed, in words; empty where there is none.
+        Allowed range as text; empty without one.
     sweeps
         Whether several values, separated by commas, make one run of each.
     default
-        The usual value as text; empty where there is none.
+        Default value as text; empty without one.
     """
 
     key: str
@@ -68,7 +68,7 @@ class FormField:
 
 @dataclass(frozen=True, slots=True)
 class StepForm:
-    """One step: its kind with what that is, its fields, and their values as text."""
+    """A step: its kind with a description, its fields, and their values as text."""
 
     kind: str
     about: str
@@ -78,19 +78,19 @@ class StepForm:
 
 @dataclass(frozen=True, slots=True)
 class PlanForm:
-    """A plan, filled in."""
+    """A plan as a form."""
 
     plan: Plan
     source: str
-    steps: tuple[StepForm, ...] = field(default=())
+    steps: tuple[StepForm, ...] = ()
 
     def filled(self, values: Sequence[Mapping[str, str]]) -> Plan:
-        """Return the plan with other values in its steps.
+        """Return the plan with these values in its steps.
 
         Raises
         ------
         PlanError, SettingsError
-            For a value that cannot be read, or that a step does not allow.
+            For an invalid value.
         """
         steps = [
             {"kind": form.kind, **_parse_values(form, given)} for form, given in zip(self.steps, values, strict=True)
@@ -100,7 +100,7 @@ class PlanForm:
 
 
 def known_plans(lab: Path | None = None) -> tuple[str, ...]:
-    """Return the plans there are to choose from: files of the lab folder and its folder `plans`, then shipped ones."""
+    """Return the available plans: those in the lab folder and in its folder `plans`, then the shipped ones."""
     folders = () if lab is None else (lab, lab / "plans")
     files = sorted(path for folder in folders for path in folder.glob("*.toml") if _is_plan(path))
     return (*map(str, files), *shipped_files("plan"))
@@ -112,7 +112,7 @@ def plan_form(name_or_path: str) -> PlanForm:
     Raises
     ------
     SettingsError, PlanError
-        When there is no such plan, or it cannot be used.
+        When there is no such plan, or it is invalid.
     """
     data, source = find_table("plan", name_or_path)
     return form_from_plan(parse(Plan, data, source), source)
@@ -121,7 +121,7 @@ def plan_form(name_or_path: str) -> PlanForm:
 def form_from_plan(plan: Plan, source: str) -> PlanForm:
     """Return the form of a plan in memory; raises `PlanError`."""
     beside = Path(source).absolute().parent if Path(source).is_file() else None
-    steps = tuple(_step_form(step, f"{source}: steps[{at}]", beside) for at, step in enumerate(plan.steps))
+    steps = tuple(_step_form(step, f"{source}: steps[{index}]", beside) for index, step in enumerate(plan.steps))
     return PlanForm(plan, source, steps)
 
 
@@ -130,7 +130,7 @@ def _step_form(step: PlanStep, where: str, beside: Path | None) -> StepForm:
     if protocol is None:
         raise PlanError(f"{where}: kind = {step.kind!r} is not a kind of run.")
     fields = (*_form_fields(protocol, sweeps=True), *_form_fields(PlanStep, sweeps=False))
-    values = {one.key: _value_text(step.parameters[one.key]) for one in fields if one.key in step.parameters}
+    values = {field.key: _value_text(step.parameters[field.key]) for field in fields if field.key in step.parameters}
     own = step.model_dump(mode="json", exclude_unset=True)
     values |= {key: _value_text(value) for key, value in own.items() if key not in _HIDDEN_KEYS and value is not None}
     if beside is not None and (beside / step.capsule).is_file():
@@ -149,14 +149,14 @@ def _form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...
 
 
 def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) -> dict[str, object]:
-    """Look references up, and take what a value that may be absent is when it is there."""
-    found = dict(entry)
-    options = found.get("anyOf")
+    """Resolve a reference, and the type other than null of an optional value."""
+    resolved = dict(entry)
+    options = resolved.get("anyOf")
     if isinstance(options, list):
-        found |= next(one for one in options if one.get("type") != "null")
-    reference = found.get("$ref")
+        resolved |= next(option for option in options if option.get("type") != "null")
+    reference = resolved.get("$ref")
     target = shared.get(reference.rsplit("/", 1)[-1]) if isinstance(reference, str) else None
-    return {**target, **found} if isinstance(target, Mapping) else found
+    return {**target, **resolved} if isinstance(target, Mapping) else resolved
 
 
 def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: bool) -> FormField:
@@ -181,12 +181,12 @@ def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: b
 
 
 def _range_text(entry: Mapping[str, object], unit: str) -> str:
-    low, above, high = (entry.get(one) for one in ("minimum", "exclusiveMinimum", "maximum"))
-    words = [f"above {above:g}" if isinstance(above, int | float) else "",
+    low, above, high = (entry.get(bound) for bound in ("minimum", "exclusiveMinimum", "maximum"))
+    bounds = [f"above {above:g}" if isinstance(above, int | float) else "",
              f"from {low:g}" if isinstance(low, int | float) else "",
              f"to {high:g}" if isinstance(high, int | float) else ""]  # fmt: skip
-    said = " ".join(word for word in words if word)
-    return f"{said} {unit}".strip() if said else ""
+    text = " ".join(bound for bound in bounds if bound)
+    return f"{text} {unit}".strip() if text else ""
 
 
 def _value_text(value: object) -> str:
@@ -194,24 +194,24 @@ def _value_text(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float | int):
         return f"{value:.12g}"
-    if isinstance(value, list | tuple) and all(isinstance(one, float | int) for one in value):
+    if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
         return ", ".join(map(_value_text, value))
     if isinstance(value, list | tuple):
         return ",\n".join(
-            "{" + ", ".join(f"{key} = {_value_text(one)}" for key, one in row.items()) + "}" for row in value
+            "{" + ", ".join(f"{key} = {_value_text(item)}" for key, item in row.items()) + "}" for row in value
         )
     return str(value)
 
 
 def _parse_values(form: StepForm, given: Mapping[str, str]) -> dict[str, object]:
-    found = {one.key: _parse_field(one, given.get(one.key, "").strip(), form.kind) for one in form.fields}
-    return {key: value for key, value in found.items() if value is not None}
+    values = {field.key: _parse_field(field, given.get(field.key, "").strip(), form.kind) for field in form.fields}
+    return {key: value for key, value in values.items() if value is not None}
 
 
-def _parse_field(one: FormField, text: str, kind: str) -> object:
+def _parse_field(field: FormField, text: str, kind: str) -> object:
     if not text:
         return None
-    match one.kind:
+    match field.kind:
         case FieldKind.SWITCH:
             return text == "yes"
         case FieldKind.LIST:
@@ -219,9 +219,9 @@ def _parse_field(one: FormField, text: str, kind: str) -> object:
         case FieldKind.NUMBER | FieldKind.WHOLE:
             parts = [parse_value(part.strip()) for part in text.split(",") if part.strip()]
             if any(isinstance(part, bool | str) or not isinstance(part, int | float) for part in parts):
-                raise SettingsError(f"{kind}, {one.name}: {text!r} is no number; write it as 12.5.")
-            if len(parts) > 1 and not one.sweeps:
-                raise SettingsError(f"{kind}, {one.name}: {text!r} are several numbers, where one is allowed.")
+                raise SettingsError(f"{kind}, {field.name}: {text!r} is not a number; write it as 12.5.")
+            if len(parts) > 1 and not field.sweeps:
+                raise SettingsError(f"{kind}, {field.name}: {text!r} is several numbers; one is allowed.")
             return parts if len(parts) > 1 else parts[0]
         case _:
             return text
@@ -244,7 +244,7 @@ _POINTS_PER_SEGMENT = 24
 
 @dataclass(frozen=True, slots=True)
 class SessionPreview:
-    """What a plan would do, and the stage's limits."""
+    """A checked plan and the stage's limits."""
 
     preflight: Preflight
     lowest_mm: float
@@ -263,7 +263,7 @@ def motion_curves(preview: RunPreview) -> tuple[FloatArray, FloatArray, FloatArr
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """The rig in use: `title` in capital letters, and what that means."""
+    """The rig in use, with a title in capital letters and its meaning."""
 
     name: str
     backend: str
@@ -280,21 +280,21 @@ def preview_session(plan: Plan | str, rig: RigSelection) -> SessionPreview:
     Raises
     ------
     SettingsError, PlanError, OutputError
-        For settings that cannot be used at all.
+        For invalid settings.
     """
     stage = resolve_rig(**rig.choices()).rig.stage
     return SessionPreview(check(plan, **rig.choices()), stage.lowest_mm, stage.highest_mm)
 
 
 def describe_rig(rig: RigSelection) -> RigDescription:
-    """Describe the rig in use; raises `SettingsError`, also for a pace that it does not have."""
+    """Describe the rig in use; raises `SettingsError`, also for a pace it does not support."""
     setup = resolve_rig(**rig.choices())
     resolve_pace(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
     if simulated:
-        title, meaning = "SIMULATED", "nothing moves; the friction model stands in for rig and gut"
+        title, meaning = "SIMULATED", "nothing moves; rig and gut are simulated with the friction model"
     elif setup.double:
-        title, meaning = "DOUBLE", "nothing moves; doubles stand in for card and drive"
+        title, meaning = "DOUBLE", "nothing moves; card and drive are doubles"
     else:
         title, meaning = "HARDWARE", "the real stage moves"
     return RigDescription(

@@ -18,17 +18,17 @@ from dragrig.rig.runfile import read_campaign, read_info, read_mark, read_run
 from dragrig.rig.runfile.model import Run, RunInfo
 
 FORMATS: Mapping[str, ExportFormatName] = {"CSV": "csv", "Parquet": "parquet", "MATLAB": "mat", "NumPy": "npz"}
-"""Formats of an export by the name a person knows."""
+"""Export formats by name."""
 _MAX_DEPTH = 3
 
 
 @dataclass(frozen=True, slots=True)
 class ShownRun:
-    """A run file in a list; `settings` is all that it says of itself."""
+    """A run file in the browser, with all its settings."""
 
     path: Path
     order: int
-    words: str
+    label: str
     status: str
     bad: str
     start: str
@@ -37,7 +37,7 @@ class ShownRun:
 
 @dataclass(frozen=True, slots=True)
 class ShownCampaign:
-    """A folder of run files; `problems` tells of the files that cannot be read."""
+    """A folder of run files; `problems` lists the files that cannot be read."""
 
     folder: Path
     runs: tuple[ShownRun, ...]
@@ -46,10 +46,10 @@ class ShownCampaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownTrace:
-    """A run's trace, even in time: lost samples are NaN; arrays of shape `(N,)`."""
+    """A run's trace at even times, NaN for lost samples; arrays of shape `(N,)`."""
 
     path: Path
-    words: str
+    label: str
     rate_hz: float
     start_s: float
     channels: Mapping[str, npt.NDArray[np.float32]]
@@ -58,50 +58,52 @@ class ShownTrace:
 
 
 def campaigns_below(folder: Path) -> tuple[Path, ...]:
-    """Return the folders that hold run files, this one and those some levels below, the newest names first."""
+    """Return this folder and those below that hold run files, in descending order of name."""
     found = {path.parent for depth in range(_MAX_DEPTH) for path in folder.glob("*/" * depth + "*.h5")}
     return tuple(sorted(found, reverse=True))
 
 
 def shown_campaign(folder: Path) -> ShownCampaign:
-    """Read what a campaign's runs say of themselves; raises `RunFileError`."""
-    found = read_campaign(folder)
-    runs = tuple(_shown_run(info, mark.reason if (mark := found.marks.get(info.path)) else "") for info in found.runs)
-    problems = (*(str(error) for _, error in found.unreadable),
+    """Read the runs' settings of a campaign; raises `RunFileError`."""
+    campaign = read_campaign(folder)
+    runs = tuple(
+        _shown_run(info, mark.reason if (mark := campaign.marks.get(info.path)) else "") for info in campaign.runs
+    )
+    problems = (*(str(error) for _, error in campaign.unreadable),
                 *(f"{path}: is being recorded, or was left by a crash; dragrig recover finishes it"
-                  for path in found.recordings))  # fmt: skip
+                  for path in campaign.recordings))  # fmt: skip
     return ShownCampaign(folder, runs, problems)
 
 
 def shown_trace(path: Path, window_s: float | None = None, order: int | None = None) -> ShownTrace:
-    """Read a run's trace and filter it; raises `RunFileError`, and `AnalysisError` for a filter that cannot be."""
+    """Read a run's trace and filter it; raises `RunFileError`, and `AnalysisError` for an impossible filter."""
     info = read_info(path)
     run = read_run(path, info)
     rate = run.trace.sample_rate_hz
-    usual = default_filter_settings(rate)
-    window = usual.window_s if window_s is None else window_s
-    samples = usual.window_samples if window is None else None
-    settings = SavgolSettings(window, samples, usual.order if order is None else order)
+    default = default_filter_settings(rate)
+    window = default.window_s if window_s is None else window_s
+    samples = default.window_samples if window is None else None
+    settings = SavgolSettings(window, samples, default.order if order is None else order)
     smooth = filter_run(run, settings).trace
-    place, length = _even_grid(run)
+    indices, length = _even_grid(run)
     return ShownTrace(
         path=path,
-        words=_run_label(info),
+        label=_run_label(info),
         rate_hz=rate,
         start_s=float(run.trace.time[0]) if len(run.trace.time) else 0.0,
-        channels={name: _on_even_grid(values, place, length) for name, values in run.trace.channels.items()},
-        filtered={name: _on_even_grid(values, place, length) for name, values in smooth.channels.items()},
+        channels={name: _on_even_grid(values, indices, length) for name, values in run.trace.channels.items()},
+        filtered={name: _on_even_grid(values, indices, length) for name, values in smooth.channels.items()},
         units={**run.trace.units, **smooth.units},
     )
 
 
 def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:
-    """Measure runs; a file that cannot be read has a row that says so."""
+    """Measure runs; an unreadable file has a row with the error."""
     return tuple(map(_steady_row, paths))
 
 
 def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatName) -> tuple[Path, ...]:
-    """Write runs for other programs into a folder; raises `OutputError`, `RunFileError`."""
+    """Export runs to a folder; raises `OutputError`, `RunFileError`."""
     written: list[Path] = []
     for path in paths:
         written.extend(export_runs(path, folder, format=kind))
@@ -129,23 +131,23 @@ def _shown_run(info: RunInfo, bad: str) -> ShownRun:
 def _run_label(info: RunInfo) -> str:
     protocol = info.header.protocol
     speed, strain = protocol.get("speed_mm_s"), protocol.get("shear_strain")
-    told = f" {speed:g} mm/s" if isinstance(speed, int | float) else ""
-    told = f" {100 * strain:g} %" if isinstance(strain, int | float) else told
-    return f"{info.header.order}  {info.kind}{told}"
+    value = f" {speed:g} mm/s" if isinstance(speed, int | float) else ""
+    value = f" {100 * strain:g} %" if isinstance(strain, int | float) else value
+    return f"{info.header.order}  {info.kind}{value}"
 
 
 def _even_grid(run: Run) -> tuple[npt.NDArray[np.intp], int]:
-    """Return where each sample lies on an even time axis, and how long that is."""
+    """Return each sample's index on an even time axis, and the length of that axis."""
     time, rate = run.trace.time, run.trace.sample_rate_hz
     if len(time) == 0 or len(gap_starts(time, rate)) == 0:
         return np.arange(len(time)), len(time)
-    place = np.maximum.accumulate(np.rint((time - time[0]) * rate).astype(np.intp))
-    return place, int(place[-1]) + 1
+    indices = np.maximum.accumulate(np.rint((time - time[0]) * rate).astype(np.intp))
+    return indices, int(indices[-1]) + 1
 
 
-def _on_even_grid(values: AnyFloatArray, place: npt.NDArray[np.intp], length: int) -> npt.NDArray[np.float32]:
-    if len(place) == length:
+def _on_even_grid(values: AnyFloatArray, indices: npt.NDArray[np.intp], length: int) -> npt.NDArray[np.float32]:
+    if len(indices) == length:
         return np.asarray(values, dtype=np.float32)
-    laid = np.full(length, np.nan, np.float32)
-    laid[place] = values
-    return laid
+    even = np.full(length, np.nan, np.float32)
+    even[indices] = values
+    return even

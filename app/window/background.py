@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
@@ -19,69 +19,69 @@ class _WorkSignals(QObject):
 
 
 class _WorkItem(QRunnable):
-    def __init__(self, number: int, work: Callable[[], object], told: _WorkSignals) -> None:
+    def __init__(self, number: int, work: Callable[[], object], signals: _WorkSignals) -> None:
         super().__init__()
-        self._number, self._work, self._told = number, work, told
+        self._number, self._work, self._signals = number, work, signals
 
     def run(self) -> None:
         try:
             result = self._work()
         except DragrigError as error:
-            self._told.failed.emit(self._number, str(error))
-        except Exception as error:  # noqa: BLE001  # a thread's error has to be told on the screen's
-            self._told.failed.emit(self._number, f"a bug ({type(error).__name__}: {error}); please report it")
+            self._signals.failed.emit(self._number, str(error))
+        except Exception as error:  # noqa: BLE001  # shown by the GUI thread
+            self._signals.failed.emit(self._number, f"a bug ({type(error).__name__}: {error}); please report it")
         else:
-            self._told.done.emit(self._number, result)
+            self._signals.done.emit(self._number, result)
 
 
 class FileWorker(QObject):
-    """Does one kind of work, one piece at a time, and hands results over on the screen's thread."""
+    """Runs functions one after another in a worker thread; results arrive on the GUI thread."""
 
     def __init__(self, failed: Callable[[str], None], parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._pool = QThreadPool(self)
-        # h5py works for one thread of a process at a time.
+        # h5py runs one thread of a process at a time.
         self._pool.setMaxThreadCount(1)
         self._failed = failed
         self._number = 0
-        self._wanted: dict[int, Callable[[object], None]] = {}
-        self._told = _WorkSignals(self)
-        self._told.done.connect(self._done)
-        self._told.failed.connect(self._broke)
+        self._receivers: dict[int, Callable[[Any], None]] = {}
+        self._signals = _WorkSignals(self)
+        self._signals.done.connect(self._done)
+        self._signals.failed.connect(self._report_failure)
 
     @property
     def busy(self) -> bool:
-        """Whether a result is still to come."""
-        return bool(self._wanted)
+        """Whether a result is pending."""
+        return bool(self._receivers)
 
-    def do(self, work: Callable[[], object], taken: Callable[[object], None]) -> None:
-        """Do some work in place of all that was asked for before, whose results are not wanted any more."""
+    def do(self, work: Callable[[], ResultT], receive: Callable[[ResultT], None]) -> None:
+        """Run a function in place of those submitted before, whose results are dropped."""
         self._pool.clear()
-        self._wanted.clear()
-        self.do_too(work, taken)
+        self._receivers.clear()
+        self.do_too(work, receive)
 
-    def do_too(self, work: Callable[[], object], taken: Callable[[object], None]) -> None:
-        """Do some work after what was asked for before; `taken` gets its result."""
+    def do_too(self, work: Callable[[], ResultT], receive: Callable[[ResultT], None]) -> None:
+        """Run a function after those submitted before; `receive` is called with its result."""
         self._number += 1
-        self._wanted[self._number] = taken
-        self._pool.start(_WorkItem(self._number, work, self._told))
+        self._receivers[self._number] = receive
+        self._pool.start(_WorkItem(self._number, work, self._signals))
 
     def drop(self) -> None:
-        """Leave what has not begun, and wait for what has."""
+        """Cancel what has not started, and wait for what has."""
         self._pool.clear()
         self._pool.waitForDone()
 
     def finish(self) -> None:
-        """Wait until all is done."""
+        """Wait until everything is done."""
         self._pool.waitForDone()
 
     def _done(self, number: int, result: object) -> None:
-        taken = self._wanted.pop(number, None)
-        if taken is not None:
-            taken(result)
+        receive = self._receivers.pop(number, None)
+        if receive is not None:
+            receive(result)
 
-    def _broke(self, number: int, sentence: str) -> None:
-        if self._wanted.pop(number, None) is not None:
+    def _report_failure(self, number: int, sentence: str) -> None:
+        if self._receivers.pop(number, None) is not None:
             self._failed(sentence)
 
 
@@ -89,10 +89,10 @@ _ENGINE_POLL_MS = 33
 
 
 class EngineLink(QObject):
-    """Starts a host, asks it, and tells what it said; `restart` after it was lost."""
+    """An engine host, with its events and samples as signals; `restart` replaces one that is lost."""
 
     said = Signal(object)
-    """An event of the host's."""
+    """An event of the host."""
     sampled = Signal(object)
     """Live samples."""
 
@@ -100,9 +100,9 @@ class EngineLink(QObject):
         super().__init__(parent)
         self._rig, self._silence_s = rig, silence_s
         self._client = EngineClient(rig, silence_s)
-        self._beat_at = 0.0
+        self._heartbeat_at = 0.0
         self._timer = QTimer(self)
-        self._timer.timeout.connect(self._look)
+        self._timer.timeout.connect(self._poll)
         self._timer.start(_ENGINE_POLL_MS)
 
     @property
@@ -120,21 +120,21 @@ class EngineLink(QObject):
         self._client.ask(request)
 
     def restart(self) -> None:
-        """Start another host in place of one that is gone."""
+        """Start another host in place of a lost one."""
         self._client.close(0.0)
         self._client = EngineClient(self._rig, self._silence_s)
 
     def close(self) -> None:
-        """End the host; a session under way is stopped and its run finished first."""
+        """End the host, after stopping a running session."""
         self._timer.stop()
         self._client.close()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         now = time.monotonic()
-        if now - self._beat_at >= HEARTBEAT_S:
-            self._beat_at = now
+        if now - self._heartbeat_at >= HEARTBEAT_S:
+            self._heartbeat_at = now
             self._client.beat()
-        # Events first: a run's beginning has to be known before its samples.
+        # Events first: a run's start comes before its samples.
         for event in self._client.events():
             self.said.emit(event)
             if isinstance(event, HostLost):

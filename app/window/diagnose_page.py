@@ -60,10 +60,10 @@ class DiagnosisResults(QWidget):
             return
         view: RunTraces = diagnosis.traces[index]
         for plot in (self.above, self.below):
-            plot.forget_lines()
-            plot.forget_levels()
-        self.above.rename(view.channel.replace("_", " ").capitalize(), view.unit)
-        self.below.rename("Residual", view.unit)
+            plot.remove_lines()
+            plot.remove_levels()
+        self.above.set_quantity(view.channel.replace("_", " ").capitalize(), view.unit)
+        self.below.set_quantity("Residual", view.unit)
         legend = [("measured", PALE), ("model before", VERMILLION)]
         self.above.line("", PALE, 5.0).points(view.time_s, view.measured)
         self.above.line("", VERMILLION, 2.0, dashed=True).points(view.time_s, view.before)
@@ -90,12 +90,12 @@ class DiagnosePage(QWidget):
     complained = Signal(str)
     next_experiment = Signal(str, PlanForm)
 
-    def __init__(self, remembered: StoredSettings) -> None:
+    def __init__(self, stored: StoredSettings) -> None:
         super().__init__()
         self.setObjectName("page")
-        self._remembered = remembered
+        self._stored = stored
         self._process: DiagnosisProcess | None = None
-        self.campaign = named(QLineEdit(remembered.text("campaign")), "Campaign to diagnose")
+        self.campaign = named(QLineEdit(stored.text("campaign")), "Campaign to diagnose")
         self.campaign.setPlaceholderText("folder of run files")
         self.campaign.textChanged.connect(lambda _: self._show_state())
         self.choose = button("&Campaign …", self._choose, help_="The folder of a campaign")
@@ -157,7 +157,7 @@ class DiagnosePage(QWidget):
 
     def keep(self) -> None:
         """Store the choice, and end a running diagnosis."""
-        self._remembered.keep("campaign", self.campaign.text())
+        self._stored.keep("campaign", self.campaign.text())
         self.stop()
 
     def _poll(self) -> None:
@@ -199,5 +199,5 @@ class DiagnosePage(QWidget):
             self.complained.emit(str(error))
 
     def _choose(self) -> None:
-        start = self.campaign.text() or self._remembered.text("look folder")
+        start = self.campaign.text() or self._stored.text("look folder")
         choose_path(self, "Campaign to diagnose", start, self.campaign.setText)

@@ -16,12 +16,12 @@ from dragrig.window.trace_pyramid import TracePyramid
 from dragrig.window.widgets import card, column, label, row
 
 MIN_BLOCK_S = 0.0005
-"""Faster samples are kept as the least and the greatest of so long; the run file has every one."""
+"""Samples closer than this are stored as the min and max of blocks this long; the run file has them all."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveValues:
-    """The latest values; force and speed as filtered, half a filter's window ago."""
+    """The latest values; filtered force and speed lag by half the filter's window."""
 
     time_s: float = 0.0
     force_mN: float = float("nan")
@@ -31,7 +31,7 @@ class LiveValues:
 
 
 class LiveRun:
-    """One run as far as it has come."""
+    """The traces of a run in progress."""
 
     def __init__(self, serial: int, rate_hz: float) -> None:
         self.serial, self.rate_hz = serial, rate_hz
@@ -43,7 +43,7 @@ class LiveRun:
         self.latest = LiveValues()
 
     def take(self, fresh: LiveSamples) -> None:
-        """Take samples in."""
+        """Append samples."""
         if fresh.missed:
             self._skip(fresh.missed)
         self.force.append(fresh.force)
@@ -52,24 +52,26 @@ class LiveRun:
         speed = self._position.push(fresh.position, fresh.first_index)
         self.filtered.append(force)
         self.speed.append(speed)
-        self._note(fresh, force, speed)
+        self._update_latest(fresh, force, speed)
 
     def _skip(self, missed: int) -> None:
-        nothing = np.full(missed, np.nan, np.float32)
+        lost = np.full(missed, np.nan, np.float32)
         for pyramid in (self.force, self.position):
-            pyramid.append(nothing)
+            pyramid.append(lost)
         for pyramid, stream in ((self.filtered, self._force), (self.speed, self._position)):
             pyramid.append(stream.flush())
-            pyramid.append(nothing)
+            pyramid.append(lost)
 
-    def _note(self, fresh: LiveSamples, force: npt.NDArray[np.float64], speed: npt.NDArray[np.float64]) -> None:
-        place = int(fresh.phase[-1])
+    def _update_latest(
+        self, fresh: LiveSamples, force: npt.NDArray[np.float64], speed: npt.NDArray[np.float64]
+    ) -> None:
+        phase = int(fresh.phase[-1])
         self.latest = LiveValues(
             time_s=(fresh.first_index + len(fresh.force)) / self.rate_hz,
             force_mN=_last_finite(force, self.latest.force_mN),
             position_mm=_last_finite(fresh.position, self.latest.position_mm),
             speed_mm_s=_last_finite(speed, self.latest.speed_mm_s),
-            phase=PHASE_NAMES[place] if place < len(PHASE_NAMES) else "",
+            phase=PHASE_NAMES[phase] if phase < len(PHASE_NAMES) else "",
         )
 
 
@@ -82,23 +84,23 @@ def _last_finite(values: npt.NDArray[np.floating], before: float) -> float:
 
 
 def preload_filter() -> None:
-    """Load what the filter needs, which takes a second, before the first samples come."""
+    """Import the filter's libraries, which takes a second, before the first samples arrive."""
     stream = SavgolStream(1000.0, default_filter_settings(1000.0))
     stream.push(np.zeros(200))
 
 
 RECENT_SPAN_S = 10.0
 _READOUT_WIDTHS_PX = {"force": 175, "position": 200, "speed": 205, "phase": 185}
-"""Of readings [px], so that the longest is seen whole."""
+"""Minimum widths of the readings [px], for the longest values."""
 
 
 class LiveView(QWidget):
-    """Draws what comes from the engine; keeps the run that was shown last until the next one begins."""
+    """Live traces and readings; the last run stays until the next one starts."""
 
     def __init__(self) -> None:
         super().__init__()
         self.run: LiveRun | None = None
-        self.title = label("No run yet: choose a plan, look at what it will do, and start.", "title")
+        self.title = label("No run yet: choose a plan, check the preview, and start.", "title")
         self.readings = {name: label("–", "reading") for name in ("force", "position", "speed", "phase", "time")}
         self.only_last = QCheckBox(f"Onl&y the last {RECENT_SPAN_S:g} s")
         self.only_last.toggled.connect(lambda _: self._draw())
@@ -113,7 +115,7 @@ class LiveView(QWidget):
         self._filtered = self.force.line("filtered", BLUE, 2.5)
         self._position = self.position.line("", GREEN, 2.0)
         self._speed = self.speed.line("", PURPLE, 2.0)
-        numbers = row(*(self._number(name, value) for name, value in self.readings.items()), 1)
+        numbers = row(*(self._reading(name, value) for name, value in self.readings.items()), 1)
         layout = column(
             row(self.title, 1, self.only_last),
             numbers,
@@ -126,9 +128,9 @@ class LiveView(QWidget):
         self.setLayout(layout)
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
 
-    def begin(self, words: str) -> None:
-        """Say which run it is."""
-        self.title.setText(words)
+    def begin(self, title: str) -> None:
+        """Show the title of the run."""
+        self.title.setText(title)
 
     def take(self, fresh: LiveSamples) -> None:
         """Show samples."""
@@ -142,7 +144,7 @@ class LiveView(QWidget):
             ):
                 line.trace(values, fresh.rate_hz)
         self.run.take(fresh)
-        self._tell(self.run.latest)
+        self._show_readings(self.run.latest)
         if self.isVisible():
             self._draw()
 
@@ -151,12 +153,12 @@ class LiveView(QWidget):
             return
         before = self.speed.shown()
         self.speed.show_times(*_time_range(self.run.latest.time_s, only_last=self.only_last.isChecked()))
-        # A new range of times redraws all three, which are tied to each other.
+        # A new time range redraws all three plots, which share it.
         if self.speed.shown() == before:
             for panel in (self.force, self.position, self.speed):
                 panel.redraw()
 
-    def _tell(self, latest: LiveValues) -> None:
+    def _show_readings(self, latest: LiveValues) -> None:
         for name, value, digits, unit in (
             ("force", latest.force_mN, 0, "mN"),
             ("position", latest.position_mm, 2, "mm"),
@@ -166,14 +168,14 @@ class LiveView(QWidget):
             self.readings[name].setText(f"{value:.{digits}f} {unit}".replace("-", "−") if isfinite(value) else "–")
         self.readings["phase"].setText(latest.phase or "–")
 
-    def _number(self, name: str, value: QLabel) -> QWidget:
+    def _reading(self, name: str, value: QLabel) -> QWidget:
         value.setMinimumWidth(_READOUT_WIDTHS_PX.get(name, 120))
         value.setAccessibleName(name)
         return card(label(name.capitalize(), "faint"), value)
 
 
-def _time_range(now_s: float, *, only_last: bool) -> tuple[float, float]:
-    """Return what is to be shown; it goes on in steps, so that axes stand still to be read, and cost nothing."""
-    step = 1.0 if only_last else 10.0 ** floor(log10(max(now_s, 1.0))) / 2
-    end = step * ceil(max(now_s, step) / step)
+def _time_range(time_s: float, *, only_last: bool) -> tuple[float, float]:
+    """Return the time range to show; it grows in steps, so that the axis is mostly still and cheap to draw."""
+    step = 1.0 if only_last else 10.0 ** floor(log10(max(time_s, 1.0))) / 2
+    end = step * ceil(max(time_s, step) / step)
     return (max(0.0, end - RECENT_SPAN_S) if only_last else 0.0), end

@@ -83,30 +83,30 @@ class NoticeBar(QWidget):
     ) -> None:
         super().__init__()
         self._answer = answer
-        self._question: PromptShown | None = None
+        self._prompt: PromptShown | None = None
         self.trip_text = label("", wrap=True)
         self.reset = button("&Reset the guard", reset, "main", "Once the cause is removed", "Ctrl+R")
         self.trip = card(row(self.trip_text, self.reset, stretch={0: 1}), role="trip")
-        self.question_text = label("", "title", wrap=True)
+        self.prompt_text = label("", "title", wrap=True)
         self.answers = {
-            Answer.DONE: button("&Done", lambda: self._say(Answer.DONE), "main", "Done: continue"),
-            Answer.REDO: button("R&edo the last run", lambda: self._say(Answer.REDO), help_="Its file is marked bad"),
-            Answer.SKIP: button("Ski&p", lambda: self._say(Answer.SKIP), help_="Skip the run that this prepares"),
-            Answer.ABORT: button("A&bort", lambda: self._say(Answer.ABORT), help_="End the session here"),
+            Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Done: continue"),
+            Answer.REDO: button("R&edo the last run", lambda: self._reply(Answer.REDO), help_="Its file is marked bad"),
+            Answer.SKIP: button("Ski&p", lambda: self._reply(Answer.SKIP), help_="Skip the run that this prepares"),
+            Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session here"),
         }
         self.hands = label("", "faint")
-        self.question = card(self.question_text, row(self.hands, 1, *self.answers.values()), role="notice")
+        self.prompt = card(self.prompt_text, row(self.hands, 1, *self.answers.values()), role="notice")
         self.lost_text = label("", wrap=True)
         self.restart = button("Start the en&gine again", restart, "main")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip")
         self.complaint_text = label("", wrap=True)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice")
-        self.setLayout(column(self.lost, self.trip, self.question, self.complaint))
-        for frame in (self.lost, self.trip, self.question, self.complaint):
+        self.setLayout(column(self.lost, self.trip, self.prompt, self.complaint))
+        for frame in (self.lost, self.trip, self.prompt, self.complaint):
             frame.hide()
 
-    def latched(self, reason: str) -> None:
+    def show_trip(self, reason: str) -> None:
         """Show why the guard is tripped; hide when it is armed."""
         self.trip_text.setText(f"INTERLOCK ON: {reason.rstrip('.')}. Nothing moves until it is reset.")
         self.reset.setEnabled(True)
@@ -114,17 +114,17 @@ class NoticeBar(QWidget):
 
     def ask(self, prompt: PromptShown) -> None:
         """Show a prompt."""
-        self._question = prompt
-        self.question_text.setText(f"{prompt.text}.")
+        self._prompt = prompt
+        self.prompt_text.setText(f"{prompt.text}.")
         self.hands.setText("This needs hands at the rig." if prompt.hands else "")
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
-        self.question.show()
+        self.prompt.show()
 
-    def nothing_asked(self) -> None:
+    def hide_prompt(self) -> None:
         """Hide the prompt."""
-        self._question = None
-        self.question.hide()
+        self._prompt = None
+        self.prompt.hide()
 
     def complain(self, sentence: str) -> None:
         """Show an error below those already shown, the last four at most."""
@@ -135,7 +135,7 @@ class NoticeBar(QWidget):
 
     def engine_lost(self, exit_code: int | None) -> None:
         """Show that the engine is gone."""
-        self.nothing_asked()
+        self.hide_prompt()
         self.trip.hide()
         self.lost_text.setText(
             "ENGINE STOPPED: it received no sign of life from this window for too long; the stage was stopped and the "
@@ -149,10 +149,10 @@ class NoticeBar(QWidget):
     def _dismiss(self) -> None:
         self.complaint.hide()
 
-    def _say(self, answer: Answer) -> None:
-        if self._question is not None:
-            self._answer(self._question.question, answer)
-            self.nothing_asked()
+    def _reply(self, answer: Answer) -> None:
+        if self._prompt is not None:
+            self._answer(self._prompt.question, answer)
+            self.hide_prompt()
 
 
 class MainWindow(QMainWindow):
@@ -172,26 +172,26 @@ class MainWindow(QMainWindow):
         self,
         rig: RigSelection,
         lab: Path | None = None,
-        remembered: StoredSettings | None = None,
+        stored: StoredSettings | None = None,
         silence_s: float = SILENCE_TIMEOUT_S,
     ) -> None:
         super().__init__()
-        self._tidying = GuiThreadCollector(self)
-        self._tidying.begin()
-        self._remembered = remembered or StoredSettings()
-        self.words = describe_rig(rig)
-        self.setWindowTitle(f"dragrig: {self.words.name}, {self.words.title}")
+        self._collector = GuiThreadCollector(self)
+        self._collector.begin()
+        self._stored = stored or StoredSettings()
+        self.description = describe_rig(rig)
+        self.setWindowTitle(f"dragrig: {self.description.name}, {self.description.title}")
         self.engine = EngineLink(rig, self, silence_s)
         self.notices = NoticeBar(self._reset, self._reply, self._restart)
-        self.run = RunPage(self.engine, rig, self.words, lab, self._remembered)
-        self.look = LookPage(Path(self.words.data_root), self._remembered)
-        self.diagnose = DiagnosePage(self._remembered)
+        self.run = RunPage(self.engine, rig, self.description, lab, self._stored)
+        self.look = LookPage(Path(self.description.data_root), self._stored)
+        self.diagnose = DiagnosePage(self._stored)
         self.pages = QStackedWidget()
         self.stop_button = button("STOP  (Esc)", self._stop_pressed, "stop", "Stop the stage at once")
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.guard = label("guard: starting", "faint")
         self._page_buttons = QButtonGroup(self)
-        self._closes = False
+        self._closing = False
         self._lay_out({"Run": self.run, "Look": self.look, "Diagnose": self.diagnose})
         self.engine.said.connect(self.take)
         for page in (self.run, self.look, self.diagnose):
@@ -202,7 +202,7 @@ class MainWindow(QMainWindow):
         application = QApplication.instance()
         if application is not None:
             application.installEventFilter(self)
-        self._recall()
+        self._restore()
 
     def go_to(self, page: QWidget) -> None:
         """Show a page."""
@@ -216,20 +216,20 @@ class MainWindow(QMainWindow):
         match event:
             case HostReady():
                 self.notices.lost.hide()
-                self.run.devices.look()
+                self.run.devices.check()
             case GuardState(reason):
-                self.notices.nothing_asked()
-                self.notices.latched(reason)
+                self.notices.hide_prompt()
+                self.notices.show_trip(reason)
                 self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
             case SessionFinished():
-                self.notices.nothing_asked()
+                self.notices.hide_prompt()
             case OperatorWarning(sentence):
                 self.notices.complain(sentence)
             case RequestRefused(sentence):
-                self.notices.nothing_asked()
+                self.notices.hide_prompt()
                 self.notices.complain(sentence)
                 self.notices.reset.setEnabled(True)
             case HostLost(exit_code):
@@ -241,7 +241,7 @@ class MainWindow(QMainWindow):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Stop the stage on Escape wherever the focus is, also in a dialog."""
         pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
-        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.under_way:
+        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.session_running:
             if event.type() is QEvent.Type.KeyPress:
                 self.run.stop("stopped by operator (Esc)")
             event.accept()
@@ -250,19 +250,19 @@ class MainWindow(QMainWindow):
 
     def close_in_order(self, reason: str) -> None:
         """Close the window whatever is running: the stage is stopped first, and the run finished."""
-        self._closes = True
-        if self.run.under_way:
+        self._closing = True
+        if self.run.session_running:
             self.run.stop(reason)
         self.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the engine in good order; a running session must be stopped first."""
-        if self.run.under_way and not self._closes:
+        if self.run.session_running and not self._closing:
             self.notices.complain("A session is running: stop it (Esc), then close the window.")
             event.ignore()
             return
-        self._remembered.keep("geometry", self.saveGeometry())
-        self._remembered.keep("page", str(self.pages.currentIndex()))
+        self._stored.keep("geometry", self.saveGeometry())
+        self._stored.keep("page", str(self.pages.currentIndex()))
         self.run.new.keep()
         self.look.keep()
         self.diagnose.keep()
@@ -271,7 +271,7 @@ class MainWindow(QMainWindow):
         application = QApplication.instance()
         if application is not None:
             application.removeEventFilter(self)
-        self._tidying.end()
+        self._collector.end()
         super().closeEvent(event)
 
     def _look_at(self, folder: str) -> None:
@@ -305,11 +305,14 @@ class MainWindow(QMainWindow):
             opener.setCheckable(True)
             self._page_buttons.addButton(opener, index)
             top.addWidget(opener)
+        rig = self.description
         banner = card(
-            label(f"{self.words.title}", "title"), label(f"{self.words.name}: {self.words.meaning}", "faint"),
-            role="hardware" if self.words.real else "simulated", across=True,
-        )  # fmt: skip
-        banner.setAccessibleName(f"{self.words.title}: {self.words.meaning}")
+            label(rig.title, "title"),
+            label(f"{rig.name}: {rig.meaning}", "faint"),
+            role="hardware" if rig.real else "simulated",
+            across=True,
+        )
+        banner.setAccessibleName(f"{rig.title}: {rig.meaning}")
         top.addStretch(1)
         top.addWidget(banner)
         top.addWidget(self.guard)
@@ -319,12 +322,12 @@ class MainWindow(QMainWindow):
         body.setSpacing(0)
         self.setCentralWidget(bare_widget(body))
 
-    def _recall(self) -> None:
-        shape = self._remembered.shape("geometry")
+    def _restore(self) -> None:
+        shape = self._stored.shape("geometry")
         if shape is None or not self.restoreGeometry(shape):
             self.resize(1440, 960)
-        place = round(self._remembered.number("page", 0))
-        self.go_to(self.pages.widget(place) if 0 <= place < self.pages.count() else self.run)
+        index = round(self._stored.number("page", 0))
+        self.go_to(self.pages.widget(index) if 0 <= index < self.pages.count() else self.run)
 
 
 def qt_application() -> QApplication:

@@ -180,21 +180,21 @@ _PREVIEW_HEADER = (
     "Min (mm)",
     "Max (mm)",
     "Speed (mm/s)",
-    "Rest",
+    "Wait",
     "Duration",
     "Prompt before",
 )
 
 
 class PlanPreview(QWidget):
-    """Shows a planned session; the run selected in the list is drawn."""
+    """Preview of a planned session, with the motion of the selected run."""
 
     def __init__(self) -> None:
         super().__init__()
         self.summary = label("", "title", wrap=True)
         self.findings = label("", wrap=True)
         self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
-        self.runs.currentCellChanged.connect(lambda at, *_: self._draw(at))
+        self.runs.currentCellChanged.connect(lambda index, *_: self._draw(index))
         self.position = TimePlot("Position", "mm")
         self.speed = TimePlot("Speed", "mm/s")
         self.position.hide_times()
@@ -214,7 +214,7 @@ class PlanPreview(QWidget):
         self.setLayout(layout)
 
     def show_session(self, session: SessionPreview) -> None:
-        """Show what a plan would do."""
+        """Show the preview of a session."""
         preflight = session.preflight
         self._session = session
         count = len(preflight.previews)
@@ -243,7 +243,7 @@ class PlanPreview(QWidget):
             for preview in preflight.previews
         ]
         fill_table(self.runs, rows)
-        self.position.forget_levels()
+        self.position.remove_levels()
         for level, name in ((session.lowest_mm, "lower limit"), (session.highest_mm, "upper limit")):
             self.position.level(level, name)
         if count:
@@ -251,7 +251,7 @@ class PlanPreview(QWidget):
             self._draw(0)
 
     def refuse(self, sentence: str) -> None:
-        """Say why there is nothing to show."""
+        """Show why the plan cannot be used."""
         self.summary.setText("This plan cannot be used yet")
         self.findings.setText(sentence)
         set_role(self.findings, "wrong")
@@ -272,16 +272,18 @@ _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times fa
 
 
 class NewSession(QWidget):
-    """Edits the next session; after every change, `planned` sends what it would do, or `refused` why it cannot run."""
+    """Form of the next session; every change emits `planned` with its preview, or `refused` with the reason."""
 
     planned = Signal(object)
     refused = Signal(str)
-    wanted = Signal(bool)
-    """The session goes into the queue; True when it starts too."""
+    submitted = Signal(bool)
+    """Append the session to the queue; True to start it."""
 
-    def __init__(self, rig: RigSelection, words: RigDescription, lab: Path | None, remembered: StoredSettings) -> None:
+    def __init__(
+        self, rig: RigSelection, description: RigDescription, lab: Path | None, stored: StoredSettings
+    ) -> None:
         super().__init__()
-        self._rig, self._words, self._remembered = rig, words, remembered
+        self._rig, self._description, self._stored = rig, description, stored
         self._form: PlanForm | None = None
         self._offered: dict[str, PlanForm] = {}
         self.session: SessionPreview | None = None
@@ -290,27 +292,27 @@ class NewSession(QWidget):
             self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
         self.open = button("&Open …", self._choose_file, help_="Open a plan file")
         self.editor = PlanEditor()
-        self.operator = QLineEdit(remembered.text("operator"))
+        self.operator = QLineEdit(stored.text("operator"))
         self.note = QLineEdit()
-        self.mirror = QLineEdit(remembered.text("mirror"))
+        self.mirror = QLineEdit(stored.text("mirror"))
         self.mirror.setPlaceholderText("no second copy")
         self.mirror.setToolTip("A folder on another disk: each finished file is copied to it and verified")
         self.choose_mirror = button(
             "&Folder …", self._choose_mirror, help_="A folder on another disk for second copies"
         )
         self.pace = QComboBox()
-        self._paces = _allowed_paces(rig, words)
+        self._paces = _allowed_paces(rig, description)
         self.pace.addItems(list(self._paces))
         self._choose_pace(rig.pace)
-        self.queue = button("Add to &queue", lambda: self.wanted.emit(False), help_="Put it at the end of the queue")
+        self.queue = button("Add to &queue", lambda: self.submitted.emit(False), help_="Append to the queue")
         self.start = button(
-            "&Start", lambda: self.wanted.emit(True), "main", "Put it into the queue and start", "Ctrl+Return"
+            "&Start", lambda: self.submitted.emit(True), "main", "Append to the queue and start", "Ctrl+Return"
         )
         self._lay_out()
-        self._settle = QTimer(self)
-        self._settle.setSingleShot(True)
-        self._settle.timeout.connect(self.look)
-        self.editor.changed.connect(lambda: self._settle.start(_EDIT_DELAY_MS))
+        self._edit_timer = QTimer(self)
+        self._edit_timer.setSingleShot(True)
+        self._edit_timer.timeout.connect(self.update_preview)
+        self.editor.changed.connect(lambda: self._edit_timer.start(_EDIT_DELAY_MS))
         self.plans.currentIndexChanged.connect(lambda _: self._load(str(self.plans.currentData())))
 
     @property
@@ -326,7 +328,7 @@ class NewSession(QWidget):
 
     def begin(self) -> None:
         """Show the plan used last, or the first."""
-        last = self._remembered.text("plan", "drag")
+        last = self._stored.text("plan", "drag")
         with QSignalBlocker(self.plans):
             if self.plans.findData(last) < 0 and Path(last).is_file():
                 self.plans.addItem(Path(last).stem, last)
@@ -343,14 +345,14 @@ class NewSession(QWidget):
         self._edit(plan)
 
     def plan(self) -> Plan:
-        """Return the plan as it is filled in; raises `DragrigError`."""
+        """Return the plan in the form; raises `DragrigError`."""
         if self._form is None:
             return plan_form(str(self.plans.currentData())).plan
         return self._form.filled(self.editor.values())
 
-    def look(self) -> None:
+    def update_preview(self) -> None:
         """Preview the session."""
-        self._settle.stop()
+        self._edit_timer.stop()
         self.session = None
         try:
             self.session = preview_session(self.plan(), self._rig)
@@ -365,11 +367,11 @@ class NewSession(QWidget):
     def keep(self) -> None:
         """Store the choices for the next start."""
         if (plan := str(self.plans.currentData())) not in self._offered:
-            self._remembered.keep("plan", plan)
-        self._remembered.keep("operator", self.operator.text())
-        self._remembered.keep("mirror", self.mirror.text().strip())
+            self._stored.keep("plan", plan)
+        self._stored.keep("operator", self.operator.text())
+        self._stored.keep("mirror", self.mirror.text().strip())
         if self._paces:
-            self._remembered.keep(f"pace, {self._words.title}", self.pace.currentText())
+            self._stored.keep(f"pace, {self._description.title}", self.pace.currentText())
 
     def _lay_out(self) -> None:
         form = QFormLayout()
@@ -380,20 +382,20 @@ class NewSession(QWidget):
         mirror = named(self.mirror, "Folder for second copies")
         form.addRow("Second copy", row(mirror, self.choose_mirror, stretch={0: 1}))
         self.plans.setMinimumWidth(180)
-        head = row(self.plans, self.open, stretch={0: 1})
+        header = row(self.plans, self.open, stretch={0: 1})
         buttons = row(1, self.queue, self.start)
         self.setLayout(
-            column(card(column(label("New session", "title"), head, self.editor, form, buttons, stretch={2: 1})))
+            column(card(column(label("New session", "title"), header, self.editor, form, buttons, stretch={2: 1})))
         )
 
     def _choose_pace(self, pace: Pace | None) -> None:
         """Select the pace of the command line, else that used last."""
         name = next((text for text, known in self._paces.items() if known == pace), "")
-        place = self.pace.findText(name or self._remembered.text(f"pace, {self._words.title}"))
-        self.pace.setCurrentIndex(max(place, 0))
+        index = self.pace.findText(name or self._stored.text(f"pace, {self._description.title}"))
+        self.pace.setCurrentIndex(max(index, 0))
 
     def _choose_file(self) -> None:
-        start = self._remembered.text("plan folder")
+        start = self._stored.text("plan folder")
         choose_path(self, "Open a plan", start, self.open_file, filter_="Plans (*.toml)", folder=False)
 
     def _choose_mirror(self) -> None:
@@ -401,7 +403,7 @@ class NewSession(QWidget):
 
     def open_file(self, path: str) -> None:
         """Choose a plan by its file."""
-        self._remembered.keep("plan folder", str(Path(path).parent))
+        self._stored.keep("plan folder", str(Path(path).parent))
         if self.plans.findData(path) < 0:
             with QSignalBlocker(self.plans):
                 self.plans.addItem(Path(path).stem, path)
@@ -421,13 +423,13 @@ class NewSession(QWidget):
     def _edit(self, form: PlanForm) -> None:
         self._form = form
         self.editor.edit(form)
-        self.look()
+        self.update_preview()
 
 
-def _allowed_paces(rig: RigSelection, words: RigDescription) -> dict[str, Pace]:
-    """Return the paces that this rig can have, by name, that of the command line among them."""
-    if words.real:
+def _allowed_paces(rig: RigSelection, description: RigDescription) -> dict[str, Pace]:
+    """Return the paces of this rig by name, including that of the command line."""
+    if description.real:
         return {}
-    known = _DOUBLE_PACES if words.title == "DOUBLE" else _SIMULATED_PACES
+    known = _DOUBLE_PACES if description.title == "DOUBLE" else _SIMULATED_PACES
     pace = rig.pace
     return {**known, f"{pace:g} times faster": pace} if isinstance(pace, int | float) else known

@@ -20,14 +20,14 @@ _AXIS_Z = -1000.0
 
 
 class TimePlot:
-    """A plot of one quantity against time, with its name written out and lines told apart by width and dashes too."""
+    """A plot of one quantity against time; lines differ in width and dashes as well as colour."""
 
-    def __init__(self, quantity: str, unit: str, across: str = "Time (s)") -> None:
+    def __init__(self, quantity: str, unit: str, x_label: str = "Time (s)") -> None:
         self._plot = pyqtgraph.PlotWidget()
         item = self._plot.getPlotItem()
         style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
         item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
-        item.setLabel("bottom", across, **style)
+        item.setLabel("bottom", x_label, **style)
         item.showGrid(x=True, y=True)
         item.hideButtons()
         for side in ("left", "bottom"):
@@ -35,7 +35,7 @@ class TimePlot:
             axis.enableAutoSIPrefix(False)
             axis.setPen(GREY)
             axis.setTextPen(BLACK)
-            # Opaque: Qt draws a translucent line ten times slower than one that is not.
+            # Opaque: Qt draws translucent lines ten times slower.
             axis.setTickPen(GRID)
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_AXIS_Z)
@@ -59,33 +59,33 @@ class TimePlot:
         self._lines.append(made)
         return made
 
-    def title(self, *words: tuple[str, str]) -> None:
-        """Write above the plot what its lines are, each word with its colour."""
-        each = [f'<span style="color:{colour}">▬</span> {html.escape(word)}' for word, colour in words]
-        lines = [" &nbsp; ".join(each[at : at + _LEGEND_PER_LINE]) for at in range(0, len(each), _LEGEND_PER_LINE)]
+    def title(self, *entries: tuple[str, str]) -> None:
+        """Write a legend above the plot: text and colour of each line."""
+        legend = [f'<span style="color:{colour}">▬</span> {html.escape(text)}' for text, colour in entries]
+        lines = [" &nbsp; ".join(legend[i : i + _LEGEND_PER_LINE]) for i in range(0, len(legend), _LEGEND_PER_LINE)]
         self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=BLACK)
         height = 6 + 1.6 * SMALL_PX * max(len(lines), 1)
         self._item.titleLabel.setMaximumHeight(height)
         self._item.layout.setRowFixedHeight(0, height)
 
-    def rename(self, quantity: str, unit: str) -> None:
-        """Show another quantity."""
+    def set_quantity(self, quantity: str, unit: str) -> None:
+        """Change the label of the vertical axis."""
         style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
         self._item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
 
-    def forget_lines(self) -> None:
-        """Take all lines away."""
+    def remove_lines(self) -> None:
+        """Remove all lines."""
         for line in self._lines:
             self._item.removeItem(line.drawn)
         self._lines = []
 
-    def level(self, value: float, words: str, *, aside: bool = False) -> None:
-        """Draw a limit across the plot; its words stand in the middle, or above it and aside."""
+    def level(self, value: float, text: str, *, aside: bool = False) -> None:
+        """Draw a horizontal limit with a label in the middle, or above it near the right end."""
         line = pyqtgraph.InfiniteLine(
             pos=value,
             angle=0,
             pen=pyqtgraph.mkPen(GREY, width=1.5, style=Qt.PenStyle.DotLine),
-            label=words,
+            label=text,
             labelOpts={
                 "color": GREY,
                 "position": 0.85 if aside else 0.5,
@@ -94,14 +94,14 @@ class TimePlot:
         )
         self._item.addItem(line)
 
-    def forget_levels(self) -> None:
-        """Take limits away."""
-        for one in list(self._item.items):
-            if isinstance(one, pyqtgraph.InfiniteLine) and not one.movable:
-                self._item.removeItem(one)
+    def remove_levels(self) -> None:
+        """Remove all limits."""
+        for item in list(self._item.items):
+            if isinstance(item, pyqtgraph.InfiniteLine) and not item.movable:
+                self._item.removeItem(item)
 
     def cursor(self, name: str, colour: str, moved: Callable[[float], None]) -> "PlotCursor":
-        """Add an upright line that can be dragged; `moved` is told its time."""
+        """Add a vertical line that can be dragged; `moved` is called with its time."""
         line = pyqtgraph.InfiniteLine(
             angle=90, movable=True, pen=pyqtgraph.mkPen(colour, width=2), hoverPen=pyqtgraph.mkPen(colour, width=4),
             label=name, labelOpts={"color": colour, "position": 0.94, "fill": PAPER},
@@ -113,21 +113,21 @@ class TimePlot:
 
     def follow(self, other: "TimePlot") -> None:
         """Show the same times as another plot."""
-        self._item.setXLink(other._item)  # noqa: SLF001  # two of one kind
+        self._item.setXLink(other._item)  # noqa: SLF001  # another object of this class
 
     def hide_times(self) -> None:
-        """Leave the times to the plot below."""
+        """Hide the time axis; a plot below shows it."""
         self._item.getAxis("bottom").setStyle(showValues=False)
         self._item.setLabel("bottom", "")
         self._plot.setMinimumHeight(80)
 
     def show_times(self, start: float, stop: float) -> None:
-        """Show from when to when [s]."""
+        """Set the time range [s]."""
         if stop > start:
             self._item.setXRange(start, stop, padding=0.01)
 
     def fit(self) -> None:
-        """Show everything."""
+        """Show all samples."""
         ends = [line.ends for line in self._lines if line.ends is not None]
         if ends:
             self.show_times(min(end[0] for end in ends), max(end[1] for end in ends))
@@ -135,34 +135,34 @@ class TimePlot:
         self.redraw()
 
     def zoom(self, factor: float) -> None:
-        """Show a span of times so many times as long, about the same middle."""
+        """Scale the time range about its middle; below 1 zooms in."""
         low, high = self.shown()
         half = 0.5 * factor * (high - low)
         self._item.setXRange(0.5 * (low + high) - half, 0.5 * (low + high) + half, padding=0)
 
     def pan(self, share: float) -> None:
-        """Show later times, by a share of what is shown; earlier ones where it is negative."""
+        """Shift the time range by a share of its length."""
         low, high = self.shown()
-        by = share * (high - low)
-        self._item.setXRange(low + by, high + by, padding=0)
+        shift = share * (high - low)
+        self._item.setXRange(low + shift, high + shift, padding=0)
 
     def shown(self) -> tuple[float, float]:
-        """Return from when to when [s] the plot shows."""
+        """Return the time range [s]."""
         low, high = self._item.getViewBox().viewRange()[0]
         return float(low), float(high)
 
     def redraw(self) -> None:
-        """Bring every line to what is shown now; costs the same however long they are."""
+        """Redraw every line for the present time range, in a time independent of its length."""
         low, high = self.shown()
         columns = max(_MIN_COLUMNS, int(self._item.getViewBox().width()))
         for line in self._lines:
             line.redraw(low, high, columns)
-        # Now: while it is painted, a new range would have it painted once more.
+        # Now, not while painting: a new range would paint it twice.
         self._item.getViewBox().updateAutoRange()
 
 
 class PlotLine:
-    """A line of a panel: points given as they are, or a trace of any length."""
+    """A line of a plot: points, or a trace of any length."""
 
     def __init__(self, drawn: "pyqtgraph.PlotDataItem") -> None:
         self.drawn = drawn
@@ -178,13 +178,13 @@ class PlotLine:
         return self._ends
 
     def points(self, x: PlotValues, y: PlotValues) -> None:
-        """Show points as they are."""
+        """Show points."""
         self._trace = None
         self._ends = (float(x[0]), float(x[-1])) if len(x) else None
         self.drawn.setData(x, y)
 
     def trace(self, values: TracePyramid, rate_hz: float, start_s: float = 0.0) -> None:
-        """Show a trace, which may grow; `Panel.redraw` draws it."""
+        """Show a trace, which may grow; `TimePlot.redraw` draws it."""
         self._trace, self._rate_hz, self._start_s = values, rate_hz, start_s
 
     def show(self, *, visible: bool) -> None:
@@ -197,28 +197,28 @@ class PlotLine:
         return bool(self.drawn.isVisible())
 
     def redraw(self, low_s: float, high_s: float, columns: int) -> None:
-        """Draw what lies between two times."""
+        """Draw the trace between two times."""
         if self._trace is None:
             return
-        begin, end = ((one - self._start_s) * self._rate_hz for one in (low_s, high_s))
-        # A sample beyond either side, so that lines reach the edges.
-        place, values = self._trace.view(begin - 1, end + 1, columns)
-        self.drawn.setData(self._start_s + place / self._rate_hz, values)
+        begin, end = ((time_s - self._start_s) * self._rate_hz for time_s in (low_s, high_s))
+        # A sample more on either side, so that the line reaches the edges.
+        indices, values = self._trace.view(begin - 1, end + 1, columns)
+        self.drawn.setData(self._start_s + indices / self._rate_hz, values)
 
 
 class PlotCursor:
-    """An upright line that can be dragged."""
+    """A vertical line that can be dragged."""
 
     def __init__(self, line: "pyqtgraph.InfiniteLine") -> None:
         self._line = line
 
     @property
     def time_s(self) -> float:
-        """Where it stands."""
+        """Position [s]."""
         return float(self._line.value())
 
     def place(self, time_s: float, *, visible: bool = True) -> None:
-        """Put it somewhere."""
+        """Move it."""
         self._line.setVisible(visible)
         self._line.setValue(time_s)
 

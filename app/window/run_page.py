@@ -49,61 +49,63 @@ from dragrig.window.widgets import (
 
 
 class DevicesView(QWidget):
-    """Shows what the last look at the rig found; nothing moves for a look."""
+    """Results of the last check of the devices; checking moves nothing."""
 
-    def __init__(self, look: Callable[[], None]) -> None:
+    def __init__(self, check: Callable[[], None]) -> None:
         super().__init__()
-        self._ask = look
-        self._words = "Not looked at yet."
-        self._looks = self._busy = False
+        self._request_check = check
+        self._result_text = "Not checked yet."
+        self._checking = self._session_running = False
         self.verdict = ""
-        self.told = label(self._words, "faint", wrap=True)
-        self.devices = named(table(("", "Device", "What was found")), "State of every device")
-        self.again = button("Look agai&n", self.look, help_="Look at every device; nothing moves")
-        self.setLayout(column(row(self.told, 1, self.again), self.devices, margin=8))
+        self.status = label(self._result_text, "faint", wrap=True)
+        self.devices = named(table(("", "Device", "Result")), "State of every device")
+        self.again = button("Check agai&n", self.check, help_="Check every device; nothing moves")
+        self.setLayout(column(row(self.status, 1, self.again), self.devices, margin=8))
 
-    def look(self) -> None:
-        """Have the rig looked at."""
-        self._looks = True
-        self._ask()
+    def check(self) -> None:
+        """Request a check of every device."""
+        self._checking = True
+        self._request_check()
         self._show_state()
 
-    def show_found(self, found: RigExamined) -> None:
-        """Show what was found."""
-        self._looks = False
-        fill_table(self.devices, [("ok" if one.fine else "NOT", one.what, one.detail) for one in found.devices])
-        wrong = sum(not one.fine for one in found.devices)
-        self.verdict = "NOT FOUND" if found.error else f"{wrong} NOT FINE" if wrong else "all fine"
-        self._words = found.error or f"{len(found.devices)} things looked at, {self.verdict}."
+    def show_result(self, result: RigExamined) -> None:
+        """Show the result of a check."""
+        self._checking = False
+        fill_table(
+            self.devices, [("ok" if check.fine else "FAULT", check.what, check.detail) for check in result.devices]
+        )
+        faults = sum(not check.fine for check in result.devices)
+        self.verdict = "NOT FOUND" if result.error else f"{faults} FAULTS" if faults else "all ok"
+        self._result_text = result.error or f"{len(result.devices)} checks, {self.verdict}."
         self._show_state()
 
-    def give_up(self) -> None:
-        """Nobody is there who could look."""
-        self._looks = False
+    def engine_lost(self) -> None:
+        """Expect no result of a check."""
+        self._checking = False
         self._show_state()
 
-    def busy(self, *, busy: bool) -> None:
-        """While a session is under way its devices are not looked at."""
-        self._busy = busy
+    def set_session_running(self, *, running: bool) -> None:
+        """Allow no check while a session is running."""
+        self._session_running = running
         self._show_state()
 
     def _show_state(self) -> None:
-        self.again.setEnabled(not (self._busy or self._looks))
-        if self._busy:
-            self.told.setText("A session is under way: the guard looks at every block. This was found before.")
+        self.again.setEnabled(not (self._session_running or self._checking))
+        if self._session_running:
+            self.status.setText("A session is running; these results are from before it.")
         else:
-            self.told.setText("Looking at every device …" if self._looks else self._words)
+            self.status.setText("Checking every device …" if self._checking else self._result_text)
 
 
-_QUEUE_HEADER = ("Session", "Runs", "Takes", "State")
+_QUEUE_HEADER = ("Session", "Runs", "Duration", "State")
 _JOB_ROLE = int(Qt.ItemDataRole.UserRole)
 
 
 class QueueView(QWidget):
-    """Shows a queue and lets its waiting sessions be moved and taken out."""
+    """The queue; waiting sessions can be moved and removed."""
 
     chosen_folder = Signal(str)
-    """The folder of a finished session that a person wants to look at."""
+    """Folder of a finished session to open on the look page."""
 
     def __init__(self, queue: SessionQueue) -> None:
         super().__init__()
@@ -114,53 +116,57 @@ class QueueView(QWidget):
         self.tree.setAccessibleName("Queue of sessions")
         self.tree.setAlternatingRowColors(True)
         self.tree.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        self.tree.itemDoubleClicked.connect(lambda item, _: self._look(item))
+        self.tree.itemDoubleClicked.connect(lambda item, _: self._open(item))
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
-        self.progress.setAccessibleName("Progress of the session under way")
-        self.up = button("&Up", lambda: self._move(-1), help_="Make the chosen session earlier")
-        self.down = button("Do&wn", lambda: self._move(1), help_="Make the chosen session later")
-        self.out = button("Re&move", self._remove, help_="Take the chosen session out of the queue")
-        self.clear = button("C&lear finished", self._clear, help_="Forget sessions that are over; their files stay")
-        self.look = button("Loo&k at it", self._look_at_chosen, help_="Show the chosen session's runs")
+        self.progress.setAccessibleName("Progress of the running session")
+        self.up = button("&Up", lambda: self._move(-1), help_="Move the selected session up")
+        self.down = button("Do&wn", lambda: self._move(1), help_="Move the selected session down")
+        self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
+        self.clear = button(
+            "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
+        )
+        self.look = button(
+            "Loo&k at runs", self._open_selected, help_="Open the selected session's runs on the look page"
+        )
         buttons = row(self.up, self.down, self.out, self.clear, 1, self.look)
         self.setLayout(column(label("Queue", "title"), self.progress, self.tree, buttons))
         self.show_queue()
 
     def show_queue(self) -> None:
-        """Bring the screen to what the queue is now."""
-        state = [self._state(one) for one in self._queue.entries]
+        """Show the present state of the queue."""
+        state = [self._state(entry) for entry in self._queue.entries]
         if state != self._shown:
             self._shown = state
             self._rebuild()
-        self._tell_progress()
+        self._show_progress()
 
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
-        moving = entry.under_way.index if entry.under_way is not None else -1
-        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), moving, entry.reason
+        current = entry.current_run.index if entry.current_run is not None else -1
+        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason
 
-    def _tell_progress(self) -> None:
+    def _show_progress(self) -> None:
         entry = self._queue.current
-        waiting = sum(one.stage is QueueState.WAITING for one in self._queue.entries)
+        waiting = sum(queued.stage is QueueState.WAITING for queued in self._queue.entries)
         if entry is None:
             self.progress.setValue(0)
-            told = f"{waiting} waiting, {duration_text(self._queue.left_s)}" if waiting else "nothing waits"
-            self.progress.setFormat(f"not running; {told}")
+            text = f"{waiting} waiting, {duration_text(self._queue.left_s)}" if waiting else "queue empty"
+            self.progress.setFormat(f"not running; {text}")
             return
-        self.progress.setValue(round(1000 * entry.share))
+        self.progress.setValue(round(1000 * entry.progress))
         more = f"; {waiting} more waiting, {duration_text(self._queue.left_s)} in all" if waiting else ""
-        # A dry run's rests take no time, and nobody knows how fast it is.
+        # Simulated time may pass faster than real time.
         left = f", {duration_text(entry.left_s)} left" if entry.real_time else ""
-        self.progress.setFormat(f"{entry.title}: run {entry.place} of {entry.count}{left}{more}")
+        self.progress.setFormat(f"{entry.title}: run {entry.run_number} of {entry.run_count}{left}{more}")
 
     def _rebuild(self) -> None:
-        chosen = self._chosen()
+        selected = self._selected()
         self.tree.clear()
         for entry in self._queue.entries:
-            told = f"{entry.stage.value}{f': {entry.reason}' if entry.reason else ''}{_mirror_text(entry)}"
-            item = QTreeWidgetItem([entry.title, str(entry.count), duration_text(entry.seconds), told])
+            state = f"{entry.stage.value}{f': {entry.reason}' if entry.reason else ''}{_mirror_text(entry)}"
+            item = QTreeWidgetItem([entry.title, str(entry.run_count), duration_text(entry.planned_s), state])
             item.setData(0, _JOB_ROLE, entry.job.number)
-            item.setToolTip(3, told)
+            item.setToolTip(3, state)
             self.tree.addTopLevelItem(item)
             for run in entry.runs:
                 item.addChild(QTreeWidgetItem([f"{run.index}  {run.summary}", "", duration_text(run.duration_s),
@@ -169,23 +175,23 @@ class QueueView(QWidget):
             for name, why in missing:
                 item.addChild(QTreeWidgetItem([name, "", "", f"NOT IN THE MIRROR: {why}"]))
             item.setExpanded(entry.stage is QueueState.RUNNING or bool(missing))
-            if entry is chosen:
+            if entry is selected:
                 self.tree.setCurrentItem(item)
 
-    def _chosen(self) -> QueuedSession | None:
+    def _selected(self) -> QueuedSession | None:
         item = current_item(self.tree)
-        while item is not None and (above := parent_of(item)) is not None:
-            item = above
+        while item is not None and (parent := parent_of(item)) is not None:
+            item = parent
         number = item.data(0, _JOB_ROLE) if item is not None else None
-        return next((one for one in self._queue.entries if one.job.number == number), None)
+        return next((entry for entry in self._queue.entries if entry.job.number == number), None)
 
     def _move(self, by: int) -> None:
-        if (entry := self._chosen()) is not None:
+        if (entry := self._selected()) is not None:
             self._queue.move(entry, by)
             self.show_queue()
 
     def _remove(self) -> None:
-        if (entry := self._chosen()) is not None:
+        if (entry := self._selected()) is not None:
             self._queue.remove(entry)
             self.show_queue()
 
@@ -193,12 +199,12 @@ class QueueView(QWidget):
         self._queue.clear_finished()
         self.show_queue()
 
-    def _look(self, item: QTreeWidgetItem) -> None:
+    def _open(self, item: QTreeWidgetItem) -> None:
         self.tree.setCurrentItem(item)
-        self._look_at_chosen()
+        self._open_selected()
 
-    def _look_at_chosen(self) -> None:
-        entry = self._chosen() or next((one for one in reversed(self._queue.entries) if one.folder), None)
+    def _open_selected(self) -> None:
+        entry = self._selected() or next((queued for queued in reversed(self._queue.entries) if queued.folder), None)
         if entry is not None and entry.folder:
             self.chosen_folder.emit(entry.folder)
 
@@ -206,77 +212,87 @@ class QueueView(QWidget):
 def _run_state_text(entry: QueuedSession, run: QueuedRun) -> str:
     ended = entry.ended.get(run.index)
     if ended is None:
-        return "moving" if entry.under_way is not None and entry.under_way.index == run.index else ""
-    told = [ended.status.value, *([ended.reason] if ended.status is not RunStatus.COMPLETE else [])]
-    return "; ".join((*told, *(f"NOTE {one}" for one in ended.warnings)))
+        return "running" if entry.current_run is not None and entry.current_run.index == run.index else ""
+    reason = [ended.reason] if ended.status is not RunStatus.COMPLETE else []
+    return "; ".join([ended.status.value, *reason, *(f"NOTE {warning}" for warning in ended.warnings)])
 
 
 def _mirror_text(entry: QueuedSession) -> str:
-    found = entry.mirror
-    if found is None:
+    mirror = entry.mirror
+    if mirror is None:
         return ""
-    if found.missing:
-        return f"; {len(found.missing)} of {found.copied + len(found.missing)} files NOT IN THE MIRROR {found.folder}"
-    return f"; all {found.copied} files in the mirror {found.folder}"
+    if mirror.missing:
+        total = mirror.copied + len(mirror.missing)
+        return f"; {len(mirror.missing)} of {total} files NOT IN THE MIRROR {mirror.folder}"
+    return f"; all {mirror.copied} files in the mirror {mirror.folder}"
 
 
 _PROGRESS_INTERVAL_S = 0.2
 
 
 class RunPage(QWidget):
-    """Plans in, run files out: form, preview, queue, live traces, devices."""
+    """Form, preview, live view, devices and queue."""
 
-    moves = Signal(bool)
-    """Whether a session is under way."""
+    running_changed = Signal(bool)
     complained = Signal(str)
     look_at = Signal(str)
+    """Folder of a campaign to open on the look page."""
 
     def __init__(
-        self, engine: EngineLink, rig: RigSelection, words: RigDescription, lab: Path | None, remembered: StoredSettings
+        self,
+        engine: EngineLink,
+        rig: RigSelection,
+        description: RigDescription,
+        lab: Path | None,
+        stored: StoredSettings,
     ) -> None:
         super().__init__()
         self.setObjectName("page")
         self._engine = engine
-        self._goes_on = False
-        self._told_at = 0.0
-        self._latched = "the engine is not there yet"
+        self._queue_started = False
+        self._progress_at = 0.0
+        self._trip_reason = "the engine is starting"
         self.queue = SessionQueue()
-        self.new = NewSession(rig, words, lab, remembered)
+        self.new = NewSession(rig, description, lab, stored)
         self.preview, self.live = PlanPreview(), LiveView()
         self.queue_view = QueueView(self.queue)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
-        self.state = label("Nothing is under way.", "faint")
-        self.start_queue = button("Start &the queue", self.go_on, "main", "Carry the waiting sessions out, one by one")
-        self.abort = button("&Abort the session", self._abort, help_="Stop the stage and end the session in good order")
+        self.state = label("No session is running.", "faint")
+        self.start_queue = button(
+            "Start &the queue", self.run_queue, "main", "Run the waiting sessions one after another"
+        )
+        self.abort = button(
+            "&Abort the session", self._abort, help_="Stop the stage and finish the run and the session"
+        )
         self.tabs = QTabWidget()
         self.tabs.addTab(self.preview, "W&hat it will do")
         self.tabs.addTab(self.live, "Li&ve")
         self.tabs.addTab(self.devices, "Devi&ces")
         self._lay_out()
-        self._wire(engine)
+        self._connect(engine)
         self.new.begin()
         self._show_state()
 
     @property
-    def under_way(self) -> bool:
-        """Whether a session is under way."""
+    def session_running(self) -> bool:
+        """Whether a session is running."""
         return self.queue.current is not None
 
     def offer_and_queue(self, name: str, plan: PlanForm) -> None:
-        """Put a plan that comes from another page into the queue, and show what it will do; nothing begins."""
+        """Append a plan from another page to the queue and preview it; nothing starts."""
         self.new.offer(name, plan)
         self.tabs.setCurrentWidget(self.preview)
-        self._want(start=False)
+        self._add_to_queue(start=False)
 
     def enqueue(self, session: SessionPreview) -> QueuedSession | None:
-        """Put what is filled in into the queue."""
+        """Append the plan in the form to the queue."""
         try:
             plan = self.new.plan()
         except DragrigError as error:
             self.complained.emit(str(error))
             return None
         job = SessionJob(
-            self.queue.number(),
+            self.queue.next_number(),
             plan,
             self.new.operator.text(),
             self.new.note.text(),
@@ -289,114 +305,114 @@ class RunPage(QWidget):
         self._show_state()
         return entry
 
-    def go_on(self) -> None:
-        """Carry out what waits."""
-        self._goes_on = True
+    def run_queue(self) -> None:
+        """Run the waiting sessions."""
+        self._queue_started = True
         entry = self.queue.next
-        if self.under_way or entry is None:
+        if self.session_running or entry is None:
             return
-        if self._engine.lost or self._latched:
-            self._goes_on = False
-            why = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
-            self.complained.emit(f"{entry.title} waits in the queue: {why}, then start the queue.")
+        if self._engine.lost or self._trip_reason:
+            self._queue_started = False
+            cause = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
+            self.complained.emit(f"{entry.title} is waiting: {cause}, then start the queue.")
             return
         entry.stage = QueueState.RUNNING
         self._engine.ask(StartSession(entry.job))
         self.tabs.setCurrentWidget(self.live)
-        self.live.begin(f"{entry.title}: getting ready …")
+        self.live.begin(f"{entry.title}: preparing …")
         self._show_state()
 
     def stop(self, reason: str) -> None:
-        """Stop the stage at once; nothing of the queue is begun until somebody says so."""
-        self._goes_on = False
+        """Stop the stage at once, and the queue."""
+        self._queue_started = False
         self._engine.ask(AbortSession(reason))
 
     def take(self, event: Event) -> None:
-        """Hear what the engine says."""
+        """Handle an event of the engine."""
         match event:
             case SessionStarted():
-                self.queue.begins(event)
-            case SessionWaiting(duration_s, why):
-                self.live.begin(f"{why}: {duration_text(duration_s)}")
+                self.queue.session_started(event)
+            case SessionWaiting(duration_s, reason):
+                self.live.begin(f"{reason}: {duration_text(duration_s)}")
             case RunStarted(run, order):
-                self.queue.run_begins(event)
+                self.queue.run_started(event)
                 self.live.begin(f"Run {order}: {run.summary}")
             case RunFinished():
-                self.queue.run_ends(event)
-                self._tell_warnings(event)
+                self.queue.run_finished(event)
+                self._show_warnings(event)
             case SessionFinished():
                 self._ended(event)
             case GuardState(reason):
-                self._latched = reason
+                self._trip_reason = reason
             case RigExamined():
-                self.devices.show_found(event)
+                self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
             case HostLost():
-                self._goes_on, self._latched = False, "the engine is gone"
-                self.queue.is_lost(self._latched)
-                self.devices.give_up()
+                self._queue_started, self._trip_reason = False, "the engine is gone"
+                self.queue.engine_lost(self._trip_reason)
+                self.devices.engine_lost()
             case _:
                 return
         self._show_state()
 
     def sample(self, fresh: LiveSamples) -> None:
-        """Take live samples."""
+        """Show live samples."""
         self.live.take(fresh)
         entry, now = self.queue.current, time.monotonic()
-        if entry is not None and self.live.run is not None and now - self._told_at > _PROGRESS_INTERVAL_S:
-            self._told_at = now
+        if entry is not None and self.live.run is not None and now - self._progress_at > _PROGRESS_INTERVAL_S:
+            self._progress_at = now
             entry.elapsed_s = self.live.run.latest.time_s
             self.queue_view.show_queue()
 
     def _ended(self, event: SessionFinished) -> None:
-        self.queue.ends(event)
+        self.queue.session_finished(event)
         if event.mirror is not None and event.mirror.missing:
-            names = ", ".join(name for name, _ in event.mirror.missing)
+            names, mirror = ", ".join(name for name, _ in event.mirror.missing), event.mirror.folder
             self.complained.emit(
-                f"NOT IN THE MIRROR {event.mirror.folder}: {names}; the queue says why. They are in {event.folder}."
+                f"NOT IN THE MIRROR {mirror}: {names}; the queue has the reasons. They are in {event.folder}."
             )
         if event.status is RunStatus.COMPLETE:
             self.live.begin(f"Complete: {event.folder}")
         else:
-            self._goes_on = False
-            self.live.begin(f"Ended early: {event.reason}")
+            self._queue_started = False
+            self.live.begin(f"Session ended: {event.reason}")
             if event.status is RunStatus.TRIPPED:
-                self._latched = event.reason
+                self._trip_reason = event.reason
             else:
-                self.complained.emit(f"The session ended early: {event.reason}")
-        if self._goes_on:
-            self.go_on()
+                self.complained.emit(f"Session ended: {event.reason}")
+        if self._queue_started:
+            self.run_queue()
 
-    def _tell_warnings(self, event: RunFinished) -> None:
+    def _show_warnings(self, event: RunFinished) -> None:
         for warning in event.warnings:
             self.complained.emit(f"Run {event.order}, {event.run.summary}: {warning}.")
 
-    def _want(self, *, start: bool) -> None:
-        self.new.look()
+    def _add_to_queue(self, *, start: bool) -> None:
+        self.new.update_preview()
         session = self.new.session
         if session is None or session.preflight.findings or self.enqueue(session) is None:
             return
         if start:
-            self.go_on()
+            self.run_queue()
 
     def _abort(self) -> None:
-        self.stop("aborted at the window")
+        self.stop("aborted by operator")
 
     def _show_state(self) -> None:
-        moving = self.under_way
+        running = self.session_running
         self.queue_view.show_queue()
-        self.start_queue.setEnabled(not moving and self.queue.next is not None)
-        self.abort.setEnabled(moving)
-        self.state.setText("A session is under way." if moving else "Nothing is under way.")
-        self.devices.busy(busy=moving)
-        self.moves.emit(moving)
+        self.start_queue.setEnabled(not running and self.queue.next is not None)
+        self.abort.setEnabled(running)
+        self.state.setText("A session is running." if running else "No session is running.")
+        self.devices.set_session_running(running=running)
+        self.running_changed.emit(running)
 
-    def _wire(self, engine: EngineLink) -> None:
+    def _connect(self, engine: EngineLink) -> None:
         engine.said.connect(self.take)
         engine.sampled.connect(self.sample)
         self.new.planned.connect(self.preview.show_session)
         self.new.refused.connect(self.preview.refuse)
-        self.new.wanted.connect(lambda start: self._want(start=start))
+        self.new.submitted.connect(lambda start: self._add_to_queue(start=start))
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
@@ -406,10 +422,10 @@ class RunPage(QWidget):
         right.addWidget(bare_widget(column(buttons, self.queue_view)))
         right.setSizes([640, 290])
         right.setStretchFactor(0, 1)
-        whole = QSplitter(Qt.Orientation.Horizontal)
+        splitter = QSplitter(Qt.Orientation.Horizontal)
         self.new.setMinimumWidth(430)
-        whole.addWidget(self.new)
-        whole.addWidget(right)
-        whole.setSizes([450, 1000])
-        whole.setStretchFactor(1, 1)
-        self.setLayout(column(whole, margin=8))
+        splitter.addWidget(self.new)
+        splitter.addWidget(right)
+        splitter.setSizes([450, 1000])
+        splitter.setStretchFactor(1, 1)
+        self.setLayout(column(splitter, margin=8))

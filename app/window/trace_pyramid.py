@@ -8,17 +8,17 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float32]
 
 BLOCKS_PER_LEVEL = 8
-"""So many blocks of one level are one block of the next."""
+"""Blocks of one level in a block of the next."""
 
 
 class TracePyramid:
-    """Values at even times, appended as they come, with the least and the greatest of blocks of growing length.
+    """Samples, with the minimum and maximum of blocks of growing length.
 
     Parameters
     ----------
     base
-        Samples of the shortest block that is kept; 1 keeps every sample. A live trace of 250 kS/s keeps blocks of half
-        a millisecond, so that a day of it fits into memory.
+        Samples of the shortest block; 1 keeps every sample. A live trace of 250 kS/s has blocks of half a millisecond,
+        so that a day of it fits into memory.
     """
 
     def __init__(self, base: int = 1) -> None:
@@ -27,7 +27,7 @@ class TracePyramid:
         self._levels = [_PyramidLevel(single=base == 1)]
 
     def append(self, values: npt.NDArray[np.floating]) -> None:
-        """Take values in; the cost is that of the new ones."""
+        """Append samples, in a time that depends on their number alone."""
         if len(values) == 0:
             return
         new = np.asarray(values, dtype=np.float32)
@@ -46,12 +46,12 @@ class TracePyramid:
         self._carry(changed)
 
     def view(self, start: float, stop: float, columns: int) -> tuple[npt.NDArray[np.float64], Floats]:
-        """Return a line through what lies from sample `start` to `stop`, at most some `4 * columns` points.
+        """Return a line through samples `start` to `stop`, of at most about `4 * columns` points.
 
         Returns
         -------
-        Positions in samples and values, shape `(n,)` each: single samples where there is room for them, else the least
-        and the greatest of each column.
+        Indices of samples and values, shape `(n,)` each: every sample if there are few, else the minimum and maximum
+        of each column.
         """
         first = max(0, int(start) // self.base)
         last = min(self._levels[0].count, int(-(-stop // self.base)) + 1)
@@ -69,13 +69,13 @@ class TracePyramid:
         starts = np.arange(0, len(low), step)
         line = np.empty((len(starts), 2), np.float32)
         line[:, 0], line[:, 1] = np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
-        # Up, down, up: from a column to the next it is never far, and long strokes are what drawing costs.
+        # Alternate up and down: short strokes from column to column are fast to draw.
         line[1::2] = line[1::2, ::-1]
-        place = (begin + starts * width) * float(self.base)
-        return np.repeat(place, 2), line.ravel()
+        indices = (begin + starts * width) * float(self.base)
+        return np.repeat(indices, 2), line.ravel()
 
     def _carry(self, changed: int) -> None:
-        """Work out the blocks of the higher levels that the new ones are part of."""
+        """Update the blocks of the higher levels."""
         for below, above in pairwise([*self._levels, _PyramidLevel(single=False)]):
             if below.count <= BLOCKS_PER_LEVEL:
                 return
@@ -90,7 +90,7 @@ class TracePyramid:
 
 
 class _PyramidLevel:
-    """Least and greatest values of blocks, in arrays that grow by doubling; one array where a block is one sample."""
+    """Minima and maxima of blocks, in arrays that grow by doubling; one array if a block is one sample."""
 
     def __init__(self, *, single: bool) -> None:
         self.count = 0

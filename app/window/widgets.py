@@ -31,7 +31,7 @@ WidgetT = TypeVar("WidgetT", bound=QWidget)
 TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32
 SURFACE_COLOUR = "#F3F5F7"
 STOP_COLOUR = "#B00020"
-"""Of the stop button alone; white on it stands out for every kind of colour vision, and it says STOP."""
+"""For the stop button alone; with white text, legible with any colour vision."""
 
 _STYLE_SHEET = f"""
 * {{ font-size: {TEXT_PX}px; color: {BLACK}; }}
@@ -91,15 +91,15 @@ FINE_COLOUR = GREEN
 
 
 def apply_style(application: QApplication) -> None:
-    """Give the application its fonts, colours and sizes, alike on every machine and in dark and light desktops."""
+    """Set fonts, colours and sizes, the same on every machine and in dark and light desktops."""
     from importlib.resources import files
 
     import pyqtgraph
 
     font = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"
     bold = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans-Bold.ttf"
-    for one in (font, bold):
-        QFontDatabase.addApplicationFontFromData(one.read_bytes())
+    for file in (font, bold):
+        QFontDatabase.addApplicationFontFromData(file.read_bytes())
     application.setStyle("Fusion")
     application.setFont(QFont("DejaVu Sans"))
     application.setPalette(_palette())
@@ -128,7 +128,7 @@ _NUMBER_TEXT = re.compile(r"[-−+]?[\d.]+( \S+){0,3}")
 
 
 def label(text: str = "", role: str = "", *, wrap: bool = False) -> QLabel:
-    """Return a label that can be read out and copied; `role` is one of the theme's."""
+    """Return a label with selectable text; `role` is one of the style sheet."""
     made = QLabel(text)
     made.setProperty("role", role)
     made.setWordWrap(wrap)
@@ -140,28 +140,27 @@ def label(text: str = "", role: str = "", *, wrap: bool = False) -> QLabel:
 
 
 def button(text: str, pressed: Callable[[], None], role: str = "", help_: str = "", keys: str = "") -> QPushButton:
-    """Return a button; `keys` is its shortcut, which its help tells."""
+    """Return a button; its tooltip is `help_` with the shortcut `keys`."""
     made = QPushButton(text)
     made.setProperty("role", role)
     made.setAutoDefault(False)
     made.clicked.connect(lambda _checked=False: pressed())
     if keys:
-        # Not the button's own shortcut, which would take the place of its letter.
+        # Not the button's own shortcut, which would replace its Alt letter.
         QShortcut(QKeySequence(keys), made).activated.connect(made.click)
-    told = f"{help_} ({keys})" if keys and help_ else help_ or keys
-    made.setToolTip(told)
+    made.setToolTip(f"{help_} ({keys})" if keys and help_ else help_ or keys)
     made.setAccessibleName(text.replace("&", ""))
     return made
 
 
 def named(widget: WidgetT, name: str) -> WidgetT:
-    """Give a widget the name that screen readers say, and return it."""
+    """Set a widget's accessible name, and return the widget."""
     widget.setAccessibleName(name)
     return widget
 
 
 def row(*widgets: QWidget | QLayout | int, margin: int = 0, stretch: Mapping[int, int] | None = None) -> QHBoxLayout:
-    """Return widgets side by side; a number is empty space, and `stretch` the share of each place in free space."""
+    """Return widgets side by side; a number is a spacer, and `stretch` maps positions to stretch factors."""
     made = QHBoxLayout()
     _fill_layout(made, widgets, margin, stretch or {})
     return made
@@ -183,21 +182,21 @@ def card(*widgets: QWidget | QLayout | int, role: str = "card", across: bool = F
 
 
 def bare_widget(layout: QLayout) -> QWidget:
-    """Return a bare widget with this layout."""
+    """Return an unstyled widget with this layout."""
     made = QWidget()
     made.setLayout(layout)
     return made
 
 
 def set_role(widget: QWidget, role: str) -> None:
-    """Change a widget's role, and its looks with it."""
+    """Change a widget's role and style."""
     widget.setProperty("role", role)
     widget.style().unpolish(widget)
     widget.style().polish(widget)
 
 
 def table(header: Sequence[str]) -> QTableWidget:
-    """Return a table to read and to select rows of."""
+    """Return a read-only table with selectable rows."""
     made = QTableWidget(0, len(header))
     made.setHorizontalHeaderLabels(list(header))
     made.verticalHeader().hide()
@@ -214,31 +213,31 @@ def table(header: Sequence[str]) -> QTableWidget:
 
 
 def fill_table(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool = True) -> None:
-    """Put rows of text into a table; what reads as a number stands to the right, where there are columns of numbers."""
+    """Fill a table with text; numbers are aligned right, except in the last column or without `numbers`."""
     target.setRowCount(len(rows))
-    for at, cells in enumerate(rows):
-        for place, text in enumerate(cells):
+    for row_index, cells in enumerate(rows):
+        for index, text in enumerate(cells):
             item = QTableWidgetItem(text)
             item.setToolTip(text)
-            # The last column is as wide as is left.
-            if numbers and place < len(cells) - 1 and _NUMBER_TEXT.fullmatch(text):
+            # The last column takes the remaining width.
+            if numbers and index < len(cells) - 1 and _NUMBER_TEXT.fullmatch(text):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-            target.setItem(at, place, item)
+            target.setItem(row_index, index, item)
 
 
 def current_item(tree: QTreeWidget) -> QTreeWidgetItem | None:
-    """Return the item that the keyboard is at; Qt's own types forget that there may be none."""
+    """Return the current item; the types of Qt say there always is one."""
     return tree.currentItem()
 
 
 def top_items(tree: QTreeWidget) -> list[QTreeWidgetItem]:
-    """Return the items that lie under no other."""
-    found = (tree.topLevelItem(at) for at in range(tree.topLevelItemCount()))
-    return [item for item in found if item is not None]
+    """Return the top-level items."""
+    items = (tree.topLevelItem(index) for index in range(tree.topLevelItemCount()))
+    return [item for item in items if item is not None]
 
 
 def parent_of(item: QTreeWidgetItem) -> QTreeWidgetItem | None:
-    """Return the item that this one lies under."""
+    """Return the parent item, if any."""
     return item.parent()
 
 
@@ -250,13 +249,13 @@ def _fill_layout(
 ) -> None:
     layout.setContentsMargins(margin, margin, margin, margin)
     layout.setSpacing(8)
-    for place, widget in enumerate(widgets):
+    for index, widget in enumerate(widgets):
         if isinstance(widget, int):
             layout.addStretch(widget)
         elif isinstance(widget, QWidget):
-            layout.addWidget(widget, stretch.get(place, 0))
+            layout.addWidget(widget, stretch.get(index, 0))
         else:
-            layout.addLayout(widget, stretch.get(place, 0))
+            layout.addLayout(widget, stretch.get(index, 0))
 
 
 def choose_path(
@@ -264,7 +263,7 @@ def choose_path(
 ) -> None:
     """Ask for a folder, or for an existing file of the types in `filter_`."""
     dialog = QFileDialog(parent, title, start, filter_)
-    # Not the system's own, which would keep Escape from the stop.
+    # The system's own dialog would keep Escape from the stop.
     dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
     dialog.setFileMode(QFileDialog.FileMode.Directory if folder else QFileDialog.FileMode.ExistingFile)
     dialog.fileSelected.connect(chosen)
@@ -272,28 +271,28 @@ def choose_path(
 
 
 class StoredSettings:
-    """Settings by name; what was never kept, or is of another kind, is the usual."""
+    """Settings stored between sessions; a missing or invalid one has its default."""
 
     def __init__(self, settings: QSettings | None = None) -> None:
         self._settings = settings or QSettings("dragrig", "window")
 
-    def text(self, name: str, usual: str = "") -> str:
+    def text(self, name: str, default: str = "") -> str:
         """Return a text."""
         value = self._settings.value(name)
-        return value if isinstance(value, str) else usual
+        return value if isinstance(value, str) else default
 
-    def number(self, name: str, usual: float) -> float:
+    def number(self, name: str, default: float) -> float:
         """Return a number."""
         try:
             return float(self.text(name))
         except ValueError:
-            return usual
+            return default
 
     def shape(self, name: str) -> QByteArray | None:
-        """Return a window's or a splitter's shape."""
+        """Return a window's geometry."""
         value = self._settings.value(name)
         return value if isinstance(value, QByteArray) else None
 
     def keep(self, name: str, value: str | float | QByteArray) -> None:
-        """Keep a value."""
+        """Store a value."""
         self._settings.setValue(name, value if isinstance(value, QByteArray) else str(value))
