@@ -53,23 +53,23 @@ def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
 
     queue = SessionQueue()
     runs = (QueuedRun(0, "drag", 10.0, 5.0), QueuedRun(1, "drag", 10.0, 5.0))
-    queue.add(QueuedSession(SessionJob(queue.number(), "drag"), "drag", 30.0, 2))
-    queue.add(QueuedSession(SessionJob(queue.number(), "blank"), "blank", 8.0, 1))
+    queue.add(QueuedSession(SessionJob(queue.next_number(), "drag"), "drag", 30.0, 2))
+    queue.add(QueuedSession(SessionJob(queue.next_number(), "blank"), "blank", 8.0, 1))
     assert queue.left_s == 38.0
     first = queue.entries[0]
     first.stage = QueueState.RUNNING
-    queue.begins(SessionStarted(1, runs, real_time=True))
-    assert (first.left_s, first.share) == (30.0, 0.0)
-    queue.run_begins(RunStarted(runs[0], 0))
+    queue.session_started(SessionStarted(1, runs, real_time=True))
+    assert (first.left_s, first.progress) == (30.0, 0.0)
+    queue.run_started(RunStarted(runs[0], 0))
     first.elapsed_s = 2.0
     assert first.left_s == 18.0
-    queue.run_ends(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
-    assert (first.left_s, first.share, first.place) == (15.0, 0.5, 2)
-    queue.run_begins(RunStarted(runs[0], 1))
-    assert (first.left_s, first.place) == (20.0, 1)  # made again
-    queue.run_begins(RunStarted(runs[1], 2))
-    assert (first.left_s, first.place) == (5.0, 2)  # whatever became of the one before
+    queue.run_finished(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
+    assert (first.left_s, first.progress, first.run_number) == (15.0, 0.5, 2)
+    queue.run_started(RunStarted(runs[0], 1))
+    assert (first.left_s, first.run_number) == (20.0, 1)  # made again
+    queue.run_started(RunStarted(runs[1], 2))
+    assert (first.left_s, first.run_number) == (5.0, 2)  # whatever became of the one before
     first.elapsed_s = 5.0
-    queue.ends(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
+    queue.session_finished(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
     assert (first.stage, first.reason, queue.left_s) == (QueueState.TRIPPED, "force: too much", 8.0)
     assert queue.next is queue.entries[1]

@@ -151,7 +151,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
     until(lambda: not window.run.session_running)
     first, second = window.run.queue.entries
     assert first.stage is QueueState.ABORTED
-    assert "stopped by operator" in first.reason
+    assert "by operator" in first.reason
     assert second.stage is QueueState.WAITING
     assert read_campaign(Path(first.folder)).runs[0].reason == first.reason
 

@@ -9,83 +9,89 @@ import click
 from dragrig import __version__
 
 
-class Command(NamedTuple):
+class CommandEntry(NamedTuple):
     """A command: its `module:attribute` within `dragrig.cli`, and its line in the overview."""
 
     location: str
     summary: str
 
 
-Sections = Mapping[str, Mapping[str, Command]]
+Sections = Mapping[str, Mapping[str, CommandEntry]]
 SECTIONS: Sections = {
     "Measure": {
-        "demo": Command(
+        "demo": CommandEntry(
             "measure_commands:demo_command", "Run a short programme on the simulated rig: run files, CSV, figures."
         ),
-        "init": Command(
+        "init": CommandEntry(
             "measure_commands:init_command", "Make a lab folder: rig settings, data root, calibration history."
         ),
-        "check": Command("measure_commands:check_command", "Check a plan, or the rig's devices; nothing moves."),
-        "home": Command("stage_commands:home_command", "Find the stage's origin."),
-        "jog": Command("stage_commands:jog_command", "Move the stage by a distance."),
-        "touch-off": Command(
+        "check": CommandEntry("measure_commands:check_command", "Check a plan, or the rig's devices; nothing moves."),
+        "home": CommandEntry("stage_commands:home_command", "Find the stage's origin."),
+        "jog": CommandEntry("stage_commands:jog_command", "Move the stage by a distance."),
+        "touch-off": CommandEntry(
             "stage_commands:touch_off_command", "Approach until the force changes; plans may count from there."
         ),
-        "calibrate": Command(
+        "calibrate": CommandEntry(
             "stage_commands:calibrate_group", "Calibrate force sensor or encoder; kept in the lab's history."
         ),
-        "run": Command("measure_commands:run_command", "Carry out a plan and write one run file per run."),
-        "watch": Command("watch:watch_command", "Follow a running campaign from another process."),
-        "recover": Command("measure_commands:recover_command", "Finish the runs that a crash left behind."),
-        "gui": Command("measure_commands:gui_command", "Show the window: run, look, diagnose."),
+        "run": CommandEntry("measure_commands:run_command", "Carry out a plan and write one run file per run."),
+        "watch": CommandEntry("watch:watch_command", "Follow a running campaign from another process."),
+        "recover": CommandEntry("measure_commands:recover_command", "Finish the runs that a crash left behind."),
+        "gui": CommandEntry("measure_commands:gui_command", "Show the window: run, look, diagnose."),
     },
     "Look": {
-        "info": Command("run_file_commands:info_command", "Show the contents of run files."),
-        "table": Command("look_commands:table_command", "Tabulate a campaign: a line per run, and means per speed."),
-        "compare": Command(
+        "info": CommandEntry("run_file_commands:info_command", "Show the contents of run files."),
+        "table": CommandEntry(
+            "look_commands:table_command", "Tabulate a campaign: a line per run, and means per speed."
+        ),
+        "compare": CommandEntry(
             "look_commands:compare_command", "Compare two campaigns, two runs, or either with the friction model."
         ),
-        "gap": Command("commands:gap_group", "Diagnose where and why measurements differ from the friction model."),
-        "report": Command("look_commands:report_command", "Write a report on a run or a campaign, one HTML file."),
-        "show": Command(
+        "gap": CommandEntry(
+            "commands:gap_group", "Diagnose where and why measurements differ from the friction model."
+        ),
+        "report": CommandEntry("look_commands:report_command", "Write a report on a run or a campaign, one HTML file."),
+        "show": CommandEntry(
             "look_commands:show_command", "Plot runs: force, raw and filtered, position and speed, with the phases."
         ),
-        "model": Command("model_commands:model_command", "Print and plot steady sliding by the friction model."),
-        "paper": Command(
+        "model": CommandEntry("model_commands:model_command", "Print and plot steady sliding by the friction model."),
+        "paper": CommandEntry(
             "model_commands:paper_command", "Simulate the paper's programme, identify it, and write a report."
         ),
     },
     "Work": {
-        "identify": Command(
+        "identify": CommandEntry(
             "identify:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
         ),
-        "mark": Command("run_file_commands:mark_command", "Mark runs as bad, or remove the mark."),
-        "filter": Command(
+        "mark": CommandEntry("run_file_commands:mark_command", "Mark runs as bad, or remove the mark."),
+        "filter": CommandEntry(
             "run_file_commands:filter_command",
             "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",
         ),
-        "import": Command("run_file_commands:import_command", "Convert other measurements to run files."),
-        "export": Command("run_file_commands:export_command", "Write runs as CSV, Parquet, MAT or NPZ."),
+        "import": CommandEntry("run_file_commands:import_command", "Convert other measurements to run files."),
+        "export": CommandEntry("run_file_commands:export_command", "Write runs as CSV, Parquet, MAT or NPZ."),
     },
 }
 """Commands by section; the overview must not load them."""
 
 GAP_SECTIONS: Sections = {
     "Commands": {
-        "diagnose": Command(
+        "diagnose": CommandEntry(
             "gap_commands:diagnose_command",
             "Diagnose where a campaign differs from the model, which effect causes it, and its size.",
         ),
-        "evaluate": Command(
+        "evaluate": CommandEntry(
             "gap_commands:evaluate_command", "Evaluate how far an amended model closes the gap on fresh runs."
         ),
-        "next": Command("gap_commands:next_command", "Recommend the runs that best separate the remaining hypotheses."),
-        "isolability": Command(
+        "next": CommandEntry(
+            "gap_commands:next_command", "Recommend the runs that best separate the remaining hypotheses."
+        ),
+        "isolability": CommandEntry(
             "gap_commands:isolability_command", "Show which effects a plan or a campaign can tell apart."
         ),
-        "blind": Command("exam_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
-        "calibrate": Command("exam_commands:gap_calibrate_command", "Calibrate the verdict on such campaigns."),
-        "effects": Command(
+        "blind": CommandEntry("exam_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
+        "calibrate": CommandEntry("exam_commands:gap_calibrate_command", "Calibrate the verdict on such campaigns."),
+        "effects": CommandEntry(
             "gap_commands:effects_command", "List the effects: where each acts, its parameters, and what shows it."
         ),
     },

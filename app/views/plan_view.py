@@ -135,7 +135,7 @@ def _step_form(step: PlanStep, where: str, beside: Path | None) -> StepForm:
     values |= {key: _value_text(value) for key, value in own.items() if key not in _HIDDEN_KEYS and value is not None}
     if beside is not None and (beside / step.capsule).is_file():
         values["capsule"] = str(beside / step.capsule)
-    return StepForm(step.kind, _first_doc_line(protocol), fields, values)
+    return StepForm(step.kind, (protocol.__doc__ or "").strip().splitlines()[0], fields, values)
 
 
 def _form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]:
@@ -225,10 +225,6 @@ def _parse_field(field: FormField, text: str, kind: str) -> object:
             return parts if len(parts) > 1 else parts[0]
         case _:
             return text
-
-
-def _first_doc_line(protocol: type[RunProtocol]) -> str:
-    return (protocol.__doc__ or "").strip().splitlines()[0]
 
 
 def _is_plan(path: Path) -> bool:

@@ -39,7 +39,8 @@ class LiveRun:
         self.force, self.filtered, self.position, self.speed = (TracePyramid(base) for _ in range(4))
         settings = default_filter_settings(rate_hz)
         self._force = SavgolStream(rate_hz, settings)
-        self._position = SavgolStream(rate_hz, _derivative_settings(settings.window_s, settings.window_samples))
+        speed = SavgolSettings(settings.window_s, settings.window_samples, order=2, derivative=1)
+        self._position = SavgolStream(rate_hz, speed)
         self.latest = LiveValues()
 
     def take(self, fresh: LiveSamples) -> None:
@@ -73,10 +74,6 @@ class LiveRun:
             speed_mm_s=_last_finite(speed, self.latest.speed_mm_s),
             phase=PHASE_NAMES[phase] if phase < len(PHASE_NAMES) else "",
         )
-
-
-def _derivative_settings(window_s: float | None, window_samples: int | None) -> SavgolSettings:
-    return SavgolSettings(window_s, window_samples, order=2, derivative=1)
 
 
 def _last_finite(values: npt.NDArray[np.floating], before: float) -> float:

@@ -24,7 +24,6 @@ from dragrig.views.plan_view import (
     PlanForm,
     RigDescription,
     SessionPreview,
-    StepForm,
     known_plans,
     motion_curves,
     plan_form,
@@ -71,7 +70,9 @@ class PlanEditor(QWidget):
     def edit(self, form: PlanForm) -> None:
         """Show a plan."""
         self._form, self._shown = form, -1
-        self._values = [_step_values(step) for step in form.steps]
+        self._values = [
+            {field.key: step.values.get(field.key, field.default) for field in step.fields} for step in form.steps
+        ]
         with QSignalBlocker(self.steps):
             self.steps.clear()
             self.steps.addItems(
@@ -148,10 +149,6 @@ class PlanEditor(QWidget):
         editor.setAccessibleName(field.name)
         editor.setAccessibleDescription(_field_help(field))
         return editor
-
-
-def _step_values(step: StepForm) -> dict[str, str]:
-    return {field.key: step.values.get(field.key, field.default) for field in step.fields}
 
 
 def _editor_text(editor: FieldEditor) -> str:
