@@ -15,9 +15,9 @@ from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.blind import BlindCampaign, draw_campaign, without_effects
 from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, RunVariation
-from dragrig.sim_backend.blind.effects.base import HiddenEffect as Hidden
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect as Hidden
 from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run
-from dragrig.sim_backend.blind.programme import RunPlan
+from dragrig.sim_backend.blind.run_plans import RunPlan
 from dragrig.sim_backend.effects.base import Channel, Effect, find_effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion

@@ -25,7 +25,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.runfile.model import Run
 from dragrig.setup import resolve
 from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
-from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, SteadyForces, steady_forces
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, SteadyFriction, steady_forces
 from dragrig.sim_backend.friction.wall import model_wall
 
 SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -208,7 +208,7 @@ def _of_drag(known: Known, selection: RunSelection, found: DragResult) -> Iterat
         yield _of_estimate("drag", f"{point.speed_mm_s:4.1f} mm/s", point.force, true)
 
 
-def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyForces:
+def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyFriction:
     return steady_forces([speed_mm_s], known.specimen, experiment.capsule, experiment.wall_thickness_mm)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.sim_backend.blind.effects.base import dahl_operator, play_operator
+from dragrig.sim_backend.blind.effects.hidden_effect import dahl_operator, play_operator
 
 LOADS = st.lists(st.floats(-100, 100, allow_subnormal=False).map(lambda one: round(one, 3)), min_size=2, max_size=40)
 

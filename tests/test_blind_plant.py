@@ -24,9 +24,9 @@ from dragrig.sim_backend.blind import (
     write_campaign,
 )
 from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, NoiseLevels, NominalErrors, RunVariation
-from dragrig.sim_backend.blind.effects.base import HiddenEffect
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
 from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run, recorded_run
-from dragrig.sim_backend.blind.programme import RunPlan
+from dragrig.sim_backend.blind.run_plans import RunPlan
 
 REFERENCE = Path(__file__).parent / "data" / "reference"
 PUBLISHED = HiddenSpecimen(1.0, (1.0,) * 5, 0.082, 1.0, 60.0, 1.0, 60.0)

@@ -30,7 +30,12 @@ from dragrig.analysis.paper.published import (
 from dragrig.analysis.paper.wall_findings import HIGH_SPEED_FINDINGS, WALL_FINDINGS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction import ParameterSetDifference, SteadyForces, parameter_set_differences, steady_forces
+from dragrig.sim_backend.friction import (
+    ParameterSetDifference,
+    SteadyFriction,
+    parameter_set_differences,
+    steady_forces,
+)
 from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
 from dragrig.sim_backend.friction.wall import HemisphereContact, model_wall
 
@@ -38,7 +43,7 @@ ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)
 SPEED_MM_S = 20.0
 
 
-def _steady_forces(*speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous) -> SteadyForces:
+def _steady_forces(*speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous) -> SteadyFriction:
     model = PAPER_MODEL.model_copy(update={"viscous": viscous})
     return steady_forces(speeds_mm_s, model, PAPER_CAPSULE, WALL_THICKNESS_MM)
 

@@ -12,7 +12,7 @@ from dragrig.sim_backend.blind.blind_campaign import (
 )
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE, effect_group
 from dragrig.sim_backend.blind.plant import EffectSignature, effect_signatures, write_campaign
-from dragrig.sim_backend.blind.programme import RunList
+from dragrig.sim_backend.blind.run_plans import RunList
 
 __all__ = [
     "CATALOGUE",

@@ -7,8 +7,8 @@ from zlib import crc32
 import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, OUTSIDE
-from dragrig.sim_backend.blind.effects.base import HiddenEffect
-from dragrig.sim_backend.blind.programme import RunList, RunPlan, draw_programme
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
+from dragrig.sim_backend.blind.run_plans import RunList, RunPlan, draw_programme
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dragrig.sim_backend.blind.blind_campaign import BlindCampaign, HiddenSpecimen, NoiseLevels, without_effects
 from dragrig.sim_backend.blind.plant import ENCODER_COUNT_MM, effect_signatures, noise_free_run
-from dragrig.sim_backend.blind.programme import RATE_HZ, Floats
+from dragrig.sim_backend.blind.run_plans import RATE_HZ, Floats
 
 COUNT_SD_MM = ENCODER_COUNT_MM / 12**0.5
 """Standard deviation of rounding to counts."""

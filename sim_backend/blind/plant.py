@@ -25,8 +25,8 @@ from dragrig.sim_backend.blind.blind_campaign import (
     parallel_session,
     without_effects,
 )
-from dragrig.sim_backend.blind.effects.base import CapsuleForces, HiddenEffect, RunConditions
-from dragrig.sim_backend.blind.programme import (
+from dragrig.sim_backend.blind.effects.hidden_effect import CapsuleForces, HiddenEffect, RunConditions
+from dragrig.sim_backend.blind.run_plans import (
     NOTED_DWELL_S,
     PLANT_WALL_MM,
     RATE_HZ,

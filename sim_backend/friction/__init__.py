@@ -8,7 +8,7 @@ model.
 from dragrig.sim_backend.friction.friction_force import (
     Components,
     PreparedForce,
-    SteadyForces,
+    SteadyFriction,
     prepare,
     skew_resistance,
     steady_forces,
@@ -30,7 +30,7 @@ __all__ = [
     "PreparedForce",
     "ProfileMotion",
     "RecordedMotion",
-    "SteadyForces",
+    "SteadyFriction",
     "WallKind",
     "WallParameters",
     "model_wall",

@@ -221,7 +221,7 @@ SKEW_SEARCH_POINTS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SteadyForces:
+class SteadyFriction:
     """Friction at steady speeds, arrays of shape `(n,)`.
 
     Attributes
@@ -246,7 +246,7 @@ class SteadyForces:
 
 def steady_forces(
     speeds_mm_s: npt.ArrayLike, model: FrictionModelSettings, capsule: Capsule, wall_thickness_mm: float
-) -> SteadyForces:
+) -> SteadyFriction:
     """Friction of a capsule that has moved at constant speed for longer than its contact.
 
     Raises `SettingsError` for a speed that is not positive, or wall parameters that are not positive on the contact.
@@ -259,7 +259,7 @@ def steady_forces(
     normal = capsule.mass_g * GRAVITY_M_S2 + side
     f_c = model.friction_coefficient * normal * np.tanh(speed / model.regularisation_mm_s)
     max_skew, x_of_max_skew = _largest_skew(contact, speed)
-    return SteadyForces(speed, f_e, f_v, f_c, f_e + f_v + f_c, side, max_skew, x_of_max_skew)
+    return SteadyFriction(speed, f_e, f_v, f_c, f_e + f_v + f_c, side, max_skew, x_of_max_skew)
 
 
 def skew_resistance(

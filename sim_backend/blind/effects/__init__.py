@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType, ModuleType
 
 from dragrig.sim_backend.blind.effects import gut, instrument, interface, outside
-from dragrig.sim_backend.blind.effects.base import HiddenEffect
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
 
 GROUPS = {
     "wall": ("wall_lift_off", "wall_inertia", "hyperelastic_wall", "extra_relaxation"),

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import (
+from dragrig.sim_backend.blind.effects.hidden_effect import (
     DRAG_RUNS,
     TISSUE_RUNS,
     CapsuleForces,
@@ -14,7 +14,7 @@ from dragrig.sim_backend.blind.effects.base import (
     RunConditions,
     first_order,
 )
-from dragrig.sim_backend.blind.programme import Floats, RunPlan
+from dragrig.sim_backend.blind.run_plans import Floats, RunPlan
 
 
 class LiftOffFade(HiddenEffect):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import (
+from dragrig.sim_backend.blind.effects.hidden_effect import (
     DrawnFrom,
     DrawnPhase,
     HiddenEffect,
@@ -13,7 +13,7 @@ from dragrig.sim_backend.blind.effects.base import (
     first_order,
     low_pass,
 )
-from dragrig.sim_backend.blind.programme import Floats, SampledMotion
+from dragrig.sim_backend.blind.run_plans import Floats, SampledMotion
 
 
 class DriftRoot(HiddenEffect):
@@ -73,7 +73,7 @@ class HysteresisDahl(HiddenEffect):
     time_s: Annotated[float, DrawnFrom(2.0, 6.0)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import dahl_operator, first_order
+        from dragrig.sim_backend.blind.effects.hidden_effect import dahl_operator, first_order
 
         state = dahl_operator(force, self.width_mN)
         return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, run.motion.t))
@@ -88,7 +88,7 @@ class HysteresisStack(HiddenEffect):
     load_mN: Annotated[float, DrawnFrom(250.0, 500.0)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import play_operator
+        from dragrig.sim_backend.blind.effects.hidden_effect import play_operator
 
         load = np.arcsinh(force / self.load_mN)
         halves = self.amplitude / self.load_mN * (1 + self.spread * np.array([-1.0, -0.4, 0.4, 1.0]))
@@ -135,7 +135,7 @@ class InertiaSoft(HiddenEffect):
     time_s: Annotated[float, DrawnFrom(0.003, 0.006)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import low_pass
+        from dragrig.sim_backend.blind.effects.hidden_effect import low_pass
 
         a, t = run.motion.a, run.motion.t
         slow = low_pass(np.minimum(a, 0.0), self.time_s, 1.0, t)
@@ -164,7 +164,7 @@ class ComplianceMode(HiddenEffect):
     ratio: Annotated[float, DrawnFrom(1.6, 2.4)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import resonance
+        from dragrig.sim_backend.blind.effects.hidden_effect import resonance
 
         a, t = run.motion.a, run.motion.t
         faster = resonance(np.maximum(a, 0.0), self.hertz, self.damping, t)
@@ -183,7 +183,7 @@ class ComplianceTwoModes(HiddenEffect):
     second: Annotated[float, DrawnFrom(0.15, 0.3)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import resonance
+        from dragrig.sim_backend.blind.effects.hidden_effect import resonance
 
         a, t = run.motion.a, run.motion.t
         first = resonance(a, self.hertz, self.damping, t)

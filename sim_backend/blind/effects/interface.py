@@ -4,7 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import (
+from dragrig.sim_backend.blind.effects.hidden_effect import (
     DRAG_RUNS,
     SLIDING_RUNS,
     CapsuleForces,
@@ -12,7 +12,7 @@ from dragrig.sim_backend.blind.effects.base import (
     HiddenEffect,
     RunConditions,
 )
-from dragrig.sim_backend.blind.programme import Floats
+from dragrig.sim_backend.blind.run_plans import Floats
 
 REFERENCE_MN = 1000.0
 """Normal force that speeds refer to."""

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects.base import (
+from dragrig.sim_backend.blind.effects.hidden_effect import (
     ALL_RUNS,
     DRAG_RUNS,
     SLIDING_RUNS,
@@ -14,7 +14,7 @@ from dragrig.sim_backend.blind.effects.base import (
     HiddenEffect,
     RunConditions,
 )
-from dragrig.sim_backend.blind.programme import Floats, RunPlan
+from dragrig.sim_backend.blind.run_plans import Floats, RunPlan
 
 
 class AmplifierSaturates(HiddenEffect):
@@ -146,7 +146,7 @@ class TableVibration(HiddenEffect):
     damping: Annotated[float, DrawnFrom(0.01, 0.04)]
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.base import resonance
+        from dragrig.sim_backend.blind.effects.hidden_effect import resonance
 
         t = run.motion.t
         before = 2000
