@@ -83,7 +83,7 @@ def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: P
     assert shaken.verdict is Verdict.UNKNOWN
     assert shaken.unknown is not None
     assert "oscillation at about 3.5 Hz" in shaken.unknown.dependence
-    assert "stands still" in shaken.unknown.location
+    assert "at rest" in shaken.unknown.location
     assert shaken.where.location("channel").shares["force"] > 0.9
 
 

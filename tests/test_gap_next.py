@@ -58,7 +58,7 @@ def test_a_run_that_is_not_needed_is_told_as_such(next_experiment: NextExperimen
     settled = dragrig.next_experiment("paper", between=("folds", "hyperelastic_wall"), minutes=5.0)
     assert settled is not None
     assert all(run.optional for run in settled.runs)
-    assert settled.reason.startswith("What is likely is told apart well enough already.")
+    assert settled.reason.startswith("The leading hypotheses are already separated well enough.")
     assert "already" not in next_experiment.reason
 
 

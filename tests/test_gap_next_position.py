@@ -74,14 +74,14 @@ def test_what_is_told_apart_already_is_said_to_be() -> None:
     assert settled.effects == ("velocity_ripple",)
     assert settled.next_experiment is not None
     assert all(run.optional for run in settled.next_experiment.runs)
-    assert settled.next_experiment.reason.startswith("What is likely is told apart well enough already.")
+    assert settled.next_experiment.reason.startswith("The leading hypotheses are already separated well enough.")
 
 
 def test_what_no_run_tells_apart_is_said() -> None:
     lag = told(dragrig.simulate(plan({**FULL, "travel_mm": 10.0}), effects=["servo_lag:lag_s=0.01,frequency_hz=60"]))
     assert {*lag.effects, *lag.confusable_with} >= {"servo_lag", "channel_latency"}
     assert lag.next_experiment is None
-    assert any(name.startswith("No run that was compared would tell") for name in lag.limitations)
+    assert any(name.startswith("No candidate run would distinguish") for name in lag.limitations)
 
 
 def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> None:

@@ -24,7 +24,7 @@ from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, 
 START_MM = 0.0
 STROKE_MM, SHORT_STROKE_MM = 40.0, 20.0
 SLOW_MM_S = 2.0
-"""Up to this speed a shorter stroke is tried too, which takes half the time."""
+"""Up to this speed a shorter stroke is also a candidate, which takes half the time."""
 DRAG_SPEEDS_MM_S = (0.5, 1.0, 2.0, 3.5, 7.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0)
 COULOMB_SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 15.0, 40.0)
 STRAINS = (0.5, 1.0, 1.5, 2.0)
@@ -44,52 +44,52 @@ MOTION_SPEEDS_MM_S, MOTION_ACCELERATIONS_MM_S2, MOTION_TRAVELS_MM = (
 
 @dataclass(frozen=True, eq=False)
 class CandidateRun:
-    """One run with its way back, or some like it, as a step of a plan."""
+    """A step of a plan: one run with its return, or repeats of it."""
 
     step: PlanStep
     specimen: Specimen
 
     @cached_property
     def programme(self) -> Programme:
-        """What is done."""
+        """Programme of the step."""
         plan = Plan(name="next", steps=(self.step,))
         return build_programme(plan, self.specimen, START_MM, "the run that is tried")
 
     @property
     def run(self) -> PlannedRun:
-        """The run itself, the first of some that are alike."""
+        """The run, the first of its repeats."""
         return self.programme.runs[0]
 
     @property
     def minutes(self) -> float:
-        """Rig time with the rest before it and the way back."""
+        """Rig time with the rest before it and the return."""
         return self.programme.duration_s / 60
 
 
 @dataclass(frozen=True, slots=True)
 class RigLimits:
-    """What the rig can do; strokes go up from where they begin."""
+    """Limits of the rig; strokes go up from their start."""
 
     travel_mm: float = STROKE_MM
     speed_mm_s: float = 60.0
     accel_mm_s2: float = 2000.0
     kinds: tuple[str, ...] = ()
-    """Kinds of run that can be made; all unless some are named."""
+    """Kinds of run that can be made; empty for all."""
 
-    def allow(self, trial: CandidateRun) -> bool:
-        """Whether a trial keeps within them."""
-        extremes = trial.run.profile.extremes()
+    def allow(self, candidate: CandidateRun) -> bool:
+        """Whether a candidate is within the limits."""
+        extremes = candidate.run.profile.extremes()
         return (
             extremes.highest_mm <= self.travel_mm + 1e-6
             and extremes.lowest_mm >= -1e-6
             and extremes.speed_mm_s <= self.speed_mm_s * (1 + 1e-9)
             and extremes.acceleration_mm_s2 <= self.accel_mm_s2 * (1 + 1e-9)
-            and (not self.kinds or trial.step.kind in self.kinds)
+            and (not self.kinds or candidate.step.kind in self.kinds)
         )
 
 
 def short_grid(specimen: Specimen) -> tuple[CandidateRun, ...]:
-    """Return a dozen runs that differ much from each other."""
+    """Return about ten runs that differ strongly from each other."""
     steps = [
         _stroke("drag", 1.0, SHORT_STROKE_MM),
         *(_stroke("drag", speed, STROKE_MM) for speed in (5.0, 20.0, 60.0)),
@@ -103,7 +103,7 @@ def short_grid(specimen: Specimen) -> tuple[CandidateRun, ...]:
 
 
 def full_grid(specimen: Specimen) -> tuple[CandidateRun, ...]:
-    """Return the whole grid: speed, travel, strain, hold, rest before the run, acceleration and reversal."""
+    """Return the full grid: speed, travel, strain, hold, rest before the run, acceleration and reversal."""
     steps = [
         *(_stroke("drag", speed, STROKE_MM) for speed in DRAG_SPEEDS_MM_S),
         *(_stroke("drag", speed, SHORT_STROKE_MM) for speed in DRAG_SPEEDS_MM_S if speed <= SLOW_MM_S),
@@ -120,16 +120,16 @@ def full_grid(specimen: Specimen) -> tuple[CandidateRun, ...]:
 
 
 def motion_grid(specimen: Specimen, *, whole: bool = False) -> tuple[CandidateRun, ...]:
-    """Return runs that differ in how the stage moves: blanks, which need no rest and no specimen, and a reversal.
+    """Return runs that differ in the motion of the stage: blanks, without rest or specimen, and a reversal.
 
-    Eight of them, or the whole grid of speed, acceleration and travel. Each is made twice: what one motion alone shows
-    cannot be judged on runs that took no part.
+    Eight runs, or the full grid of speed, acceleration and travel. Each is made twice, for a held-out score needs
+    repeats.
     """
     if whole:
-        tried = product(MOTION_SPEEDS_MM_S, MOTION_ACCELERATIONS_MM_S2, MOTION_TRAVELS_MM)
-        grid = [pair for pair in tried if pair[0] ** 2 / pair[1] < pair[2]]
+        combinations = product(MOTION_SPEEDS_MM_S, MOTION_ACCELERATIONS_MM_S2, MOTION_TRAVELS_MM)
+        grid = [motion for motion in combinations if motion[0] ** 2 / motion[1] < motion[2]]
     else:
-        grid = [*((*pair, STROKE_MM) for pair in SHORT_MOTION_GRID), (20.0, 400.0, SHORT_STROKE_MM)]
+        grid = [*((*motion, STROKE_MM) for motion in SHORT_MOTION_GRID), (20.0, 400.0, SHORT_STROKE_MM)]
     steps = [_stroke("blank", speed, travel, accel_mm_s2=accel) for speed, accel, travel in grid]
     return _candidate_runs(
         [step.model_copy(update={"repeats": MOTION_REPEATS}) for step in (*steps, _reversal(20.0))], specimen
@@ -143,9 +143,9 @@ def _candidate_runs(steps: Iterable[PlanStep], specimen: Specimen) -> tuple[Cand
 def _stroke(
     kind: str, speed_mm_s: float, travel_mm: float, *, wait_s: float | None = None, accel_mm_s2: float = 400.0
 ) -> PlanStep:
-    usual = {"drag": 60.0, "coulomb": 30.0, "blank": 5.0}[kind]
+    default_wait_s = {"drag": 60.0, "coulomb": 30.0, "blank": 5.0}[kind]
     settings = {"speed_mm_s": speed_mm_s, "travel_mm": travel_mm, "accel_mm_s2": accel_mm_s2}
-    return PlanStep(kind=kind, wait_s=usual if wait_s is None else wait_s, parameters=settings)
+    return PlanStep(kind=kind, wait_s=default_wait_s if wait_s is None else wait_s, parameters=settings)
 
 
 def _relaxation(strain: float, hold_s: float) -> PlanStep:
@@ -153,60 +153,60 @@ def _relaxation(strain: float, hold_s: float) -> PlanStep:
 
 
 def _reversal(speed_mm_s: float) -> PlanStep:
-    """There and back at one speed, as one record with a pause at the turn."""
+    """Return a stroke there and back in one record, with a pause at the turn."""
     there: Mapping[str, float] = {"travel_mm": STROKE_MM, "speed_mm_s": speed_mm_s, "pause_s": 1.0}
     back: Mapping[str, float] = {"travel_mm": -STROKE_MM, "speed_mm_s": speed_mm_s}
     return PlanStep(kind="motion", way_back=ReturnMode.STAY, wait_s=60.0, parameters={"strokes": [there, back]})
 
 
 DECIDED_LOG_ODDS = 12.0
-"""Log odds beyond which nothing more is wanted."""
+"""Log odds above which a pair counts as decided."""
 MIN_LOG_ODDS_GAIN = 1e-3
-"""Less than this, in log odds, is nothing."""
+"""Smaller gains in log odds count as none."""
 UNBOUNDED = float("inf")
 FIXTURE_CHANGE_MIN = 2.0
-"""What changing to another fixture counts beside the rig time."""
+"""Additional cost of a change of fixture, in minutes of rig time."""
 
 SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
 
 
 @dataclass(frozen=True, slots=True)
 class PairSeparation:
-    """How far a contest is decided: how sure a diagnosis can be of its truth, and how much that matters."""
+    """Expected log odds of a diagnosis between an assumed effect and its rival, with a weight."""
 
     pair: ModelPair
     log_odds: float
     weight: float
 
     def value(self, decided: float) -> float:
-        """Return what it counts; what is certain enough counts no further."""
+        """Return the weighted log odds, limited to the decided ones."""
         return self.weight * min(self.log_odds, decided)
 
 
 class SeparationModel(Protocol[SeenT_contra]):
-    """Runs with the questions that are asked of them; `SeenT_contra` is what is seen of a run."""
+    """What a set of runs says about pairs of hypotheses; `SeenT_contra` is what it needs of a run."""
 
     def with_run(self, observation: SeenT_contra) -> Self:
         """Add a run."""
         ...
 
     def separations(self) -> Sequence[PairSeparation]:
-        """Return how far each question is answered, in their order."""
+        """Return the separation of each pair, in order."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentBudget:
-    """How much rig time, how many runs, and when nothing more is wanted.
+    """Limits of an experiment: rig time, number of runs, and when a pair counts as decided.
 
     Attributes
     ----------
     decided_log_odds
-        Log odds beyond which a contest is decided.
+        Log odds above which a pair counts as decided.
     use_all_time
-        Whether time that is left once all is decided is spent on making it surer.
+        Whether to use remaining time for higher log odds once all pairs are decided.
     limits
-        Of the rig; what the campaign's own runs say unless given.
+        Limits of the rig; default: the range of the campaign's runs.
     """
 
     minutes: float = float("inf")
@@ -217,122 +217,128 @@ class ExperimentBudget:
 
 
 def greedy_search(
-    field: SeparationModel[SeenT_contra], tried: Sequence[tuple[CandidateRun, SeenT_contra]], budget: ExperimentBudget
+    model: SeparationModel[SeenT_contra],
+    candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
+    budget: ExperimentBudget,
 ) -> tuple[NextRun, ...]:
-    """Return the runs that answer most, each the best after those before.
+    """Return the runs with the largest gain per minute, each given those before.
 
     Parameters
     ----------
     field
-        The campaign, with at least one question.
+        Separation by the campaign so far, with at least one pair.
     tried
-        Runs that may be made, each with what would be seen of it.
+        Candidate runs, each with what the model needs of it.
     """
-    pairs = _greedy_selection(field, tried, budget)
-    if not pairs and all(separation.log_odds >= budget.decided_log_odds for separation in field.separations()):
-        # All is answered well enough already; what would make it surer still is told all the same.
-        more = _merged_repeats(_greedy_selection(field, tried, replace(budget, decided_log_odds=UNBOUNDED)))
-        return tuple(replace(run, optional=True) for run in more)
-    return _merged_repeats(pairs)
+    selected = _greedy_selection(model, candidates, budget)
+    if not selected and all(separation.log_odds >= budget.decided_log_odds for separation in model.separations()):
+        # All pairs are decided already; the best further runs are optional.
+        optional_runs = _merged_repeats(
+            _greedy_selection(model, candidates, replace(budget, decided_log_odds=UNBOUNDED))
+        )
+        return tuple(replace(run, optional=True) for run in optional_runs)
+    return _merged_repeats(selected)
 
 
 def _greedy_selection(
-    field: SeparationModel[SeenT_contra], tried: Sequence[tuple[CandidateRun, SeenT_contra]], budget: ExperimentBudget
+    model: SeparationModel[SeenT_contra],
+    candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
+    budget: ExperimentBudget,
 ) -> list[tuple[CandidateRun, ModelPair, ModelPair]]:
-    chosen: list[tuple[CandidateRun, ModelPair, ModelPair]] = []
-    spent, fitted, enough = 0.0, set[Fixture](), budget.decided_log_odds
-    now = field.separations()
-    while len(chosen) < budget.runs:
-        best, most = None, 0.0
-        for trial, seen in tried:
-            if spent + trial.minutes > budget.minutes:
+    selected: list[tuple[CandidateRun, ModelPair, ModelPair]] = []
+    spent, fixtures, decided = 0.0, set[Fixture](), budget.decided_log_odds
+    current = model.separations()
+    while len(selected) < budget.runs:
+        best, best_rate = None, 0.0
+        for candidate, observation in candidates:
+            if spent + candidate.minutes > budget.minutes:
                 continue
-            after = field.with_run(seen)
-            then = after.separations()
-            gain = sum(_log_odds_gains(now, then, enough))
-            by_hand = 0.0 if trial.run.fixture in fitted else FIXTURE_CHANGE_MIN
-            if gain > MIN_LOG_ODDS_GAIN and gain / (trial.minutes + by_hand) > most:
-                best, most = (trial, after, then), gain / (trial.minutes + by_hand)
-        if best is None and budget.use_all_time and enough < UNBOUNDED:
-            enough = UNBOUNDED
+            with_run = model.with_run(observation)
+            updated = with_run.separations()
+            gain = sum(_log_odds_gains(current, updated, decided))
+            fixture_change = 0.0 if candidate.run.fixture in fixtures else FIXTURE_CHANGE_MIN
+            if gain > MIN_LOG_ODDS_GAIN and gain / (candidate.minutes + fixture_change) > best_rate:
+                best, best_rate = (candidate, with_run, updated), gain / (candidate.minutes + fixture_change)
+        if best is None and budget.use_all_time and decided < UNBOUNDED:
+            decided = UNBOUNDED
             continue
         if best is None:
             break
-        trial, field, then = best
-        chosen.append((trial, *_most_improved_pair(now, then, enough)))
-        now, spent = then, spent + trial.minutes
-        fitted.add(trial.run.fixture)
-    return chosen
+        candidate, model, updated = best
+        selected.append((candidate, *_most_improved_pair(current, updated, decided)))
+        current, spent = updated, spent + candidate.minutes
+        fixtures.add(candidate.run.fixture)
+    return selected
 
 
-def _log_odds_gains(before: Sequence[PairSeparation], after: Sequence[PairSeparation], enough: float) -> list[float]:
-    return [then.value(enough) - now.value(enough) for now, then in zip(before, after, strict=True)]
+def _log_odds_gains(before: Sequence[PairSeparation], after: Sequence[PairSeparation], decided: float) -> list[float]:
+    return [updated.value(decided) - current.value(decided) for current, updated in zip(before, after, strict=True)]
 
 
 def _most_improved_pair(
-    before: Sequence[PairSeparation], after: Sequence[PairSeparation], enough: float
+    before: Sequence[PairSeparation], after: Sequence[PairSeparation], decided: float
 ) -> tuple[ModelPair, ModelPair]:
-    """Return the contest that a run decides most, before and after."""
-    gains = _log_odds_gains(before, after, enough)
-    place = gains.index(max(gains))
-    return before[place].pair, after[place].pair
+    """Return the pair with the largest gain, before and after."""
+    gains = _log_odds_gains(before, after, decided)
+    index = gains.index(max(gains))
+    return before[index].pair, after[index].pair
 
 
-def _merged_repeats(chosen: Sequence[tuple[CandidateRun, ModelPair, ModelPair]]) -> tuple[NextRun, ...]:
-    """Make repeats of what was chosen several times."""
+def _merged_repeats(selected: Sequence[tuple[CandidateRun, ModelPair, ModelPair]]) -> tuple[NextRun, ...]:
+    """Merge runs that were selected several times into repeats."""
     merged: dict[int, NextRun] = {}
-    for trial, before, after in chosen:
-        known = merged.get(id(trial))
+    for candidate, before, after in selected:
+        known = merged.get(id(candidate))
         if known is None:
-            merged[id(trial)] = NextRun(trial.step, trial.minutes, before, after)
+            merged[id(candidate)] = NextRun(candidate.step, candidate.minutes, before, after)
             continue
-        step = known.step.model_copy(update={"repeats": known.step.repeats + trial.step.repeats})
-        merged[id(trial)] = replace(known, step=step, minutes=known.minutes + trial.minutes, after=after)
+        step = known.step.model_copy(update={"repeats": known.step.repeats + candidate.step.repeats})
+        merged[id(candidate)] = replace(known, step=step, minutes=known.minutes + candidate.minutes, after=after)
     return tuple(merged.values())
 
 
 TIME_TO_NEXT_RUN_S = 120.0
-"""From the campaign's last sample to the next run."""
+"""Time from the campaign's last sample to the next run."""
 ENCODER_COUNT_MM = 0.001
 MAX_SAMPLE_RATE_HZ = 1000.0
-"""Faster sampling costs time and tells nothing more here."""
+"""Faster sampling costs time and adds no information here."""
 
 
-def study_of_candidates(study: Study, trials: Sequence[CandidateRun]) -> Study:
-    """Return the study of runs that are yet to be made, each as the first one after the campaign.
+def study_of_candidates(study: Study, candidates: Sequence[CandidateRun]) -> Study:
+    """Return the study of candidate runs, each as the first run after the campaign.
 
     Raises `AnalysisError` where the nominal model cannot be prepared for them.
     """
     last = max(study.runs, key=lambda run: run.session_start_s)
-    experiments = candidate_experiments(last.experiment, trials)
-    evidence = tuple(prepare_channels(experiments, study.problem.nominal, MAX_BLOCK_MM))
-    count = len(evidence)
+    experiments = candidate_experiments(last.experiment, candidates)
+    channels = tuple(prepare_channels(experiments, study.problem.nominal, MAX_BLOCK_MM))
+    count = len(channels)
     first = last.session_start_s + float(last.experiment.time_s[-1]) + TIME_TO_NEXT_RUN_S
-    starts = [first + trial.step.wait_s for trial in trials]
+    starts = [first + candidate.step.wait_s for candidate in candidates]
     problem = replace(
         study.problem,
-        channels=evidence,
+        channels=channels,
         noises=(study.problem.noises[0],) * count,
         zero_sds=(max(study.problem.zero_sds),) * count,
     )
-    return replace(study, problem=problem, runs=tuple(map(RunData, evidence, starts)))
+    return replace(study, problem=problem, runs=tuple(map(RunData, channels, starts)))
 
 
-def candidate_experiments(last: Experiment, trials: Sequence[CandidateRun]) -> list[Experiment]:
-    """Return runs that are yet to be made, each as the next one after the last of a campaign, at rest in force."""
-    return [_candidate_experiment(trial, last, number) for number, trial in enumerate(trials)]
+def candidate_experiments(last: Experiment, candidates: Sequence[CandidateRun]) -> list[Experiment]:
+    """Return candidate runs as experiments after the last run of a campaign, with zero force."""
+    return [_candidate_experiment(candidate, last, number) for number, candidate in enumerate(candidates)]
 
 
 def campaign_specimen(study: Study) -> Specimen:
-    """Return the specimen as the campaign's runs note it."""
+    """Return the specimen from the header of a campaign's runs."""
     experiment = study.runs[0].experiment
     name = str(experiment.run.info.header.specimen.get("name") or "specimen")
     return Specimen(name=name, wall_thickness_mm=experiment.wall_thickness_mm)
 
 
-def _candidate_experiment(trial: CandidateRun, after: Experiment, number: int) -> Experiment:
-    run, before = trial.run, after.run.info.header
-    rate = min(before.sample_rate_hz, MAX_SAMPLE_RATE_HZ)
+def _candidate_experiment(candidate: CandidateRun, last_experiment: Experiment, number: int) -> Experiment:
+    run, last_header = candidate.run, last_experiment.run.info.header
+    rate = min(last_header.sample_rate_hz, MAX_SAMPLE_RATE_HZ)
     time = np.arange(max(run.profile.samples(rate), 2)) / rate
     command = run.profile.position(time)
     channels: dict[str, AnyFloatArray] = {
@@ -341,9 +347,9 @@ def _candidate_experiment(trial: CandidateRun, after: Experiment, number: int) -
     }
     header = RunHeader(
         run_id=f"next-{number}",
-        start_time=before.start_time + timedelta(seconds=float(after.time_s[-1]) + TIME_TO_NEXT_RUN_S),
-        order=before.order + 1,
-        backend=before.backend,
+        start_time=last_header.start_time + timedelta(seconds=float(last_experiment.time_s[-1]) + TIME_TO_NEXT_RUN_S),
+        order=last_header.order + 1,
+        backend=last_header.backend,
         kind=run.protocol.kind,
         sample_rate_hz=rate,
         channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
@@ -370,9 +376,9 @@ SWEPT_SETTING = "speed_mm_s"
 
 
 def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next") -> Plan:
-    """Return a plan of the runs, those of one fixture together so that hands are needed as seldom as can be.
+    """Return a plan of the runs, grouped by fixture to minimise manual work.
 
-    Strokes that differ in their speed alone become one step with its speeds in random order.
+    Strokes that differ only in speed become one step with its speeds in random order.
     """
     steps = sorted((run.step for run in next_experiment.runs), key=lambda step: KIND_ORDER.index(step.kind))
     return Plan(
@@ -383,23 +389,25 @@ def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next") -> Pl
 def _merged_sweeps(steps: Sequence[PlanStep]) -> Iterator[PlanStep]:
     groups: dict[tuple[object, ...], list[PlanStep]] = {}
     for step in steps:
-        rest = tuple(sorted((key, str(value)) for key, value in step.parameters.items() if key != SWEPT_SETTING))
-        groups.setdefault((step.kind, step.repeats, step.wait_s, SWEPT_SETTING in step.parameters, rest), []).append(
-            step
+        other_settings = tuple(
+            sorted((key, str(value)) for key, value in step.parameters.items() if key != SWEPT_SETTING)
         )
-    for alike in groups.values():
-        first = alike[0]
-        if len(alike) == 1 or SWEPT_SETTING not in first.parameters:
-            yield from alike
+        groups.setdefault(
+            (step.kind, step.repeats, step.wait_s, SWEPT_SETTING in step.parameters, other_settings), []
+        ).append(step)
+    for group in groups.values():
+        first = group[0]
+        if len(group) == 1 or SWEPT_SETTING not in first.parameters:
+            yield from group
             continue
-        speeds = [step.parameters[SWEPT_SETTING] for step in alike]
+        speeds = [step.parameters[SWEPT_SETTING] for step in group]
         update = {"parameters": {**first.parameters, SWEPT_SETTING: speeds}, "order": RunOrder.RANDOM_WITHIN_REPEAT}
         yield first.model_copy(update=update)
 
 
 def _with_prompts(steps: Iterator[PlanStep]) -> Iterator[PlanStep]:
-    before = ""
+    previous_fixture = ""
     for step in steps:
         fixture = "drag" if step.kind == "motion" else step.kind
-        yield step if fixture == before else step.model_copy(update={"prompt": PROMPTS[fixture]})
-        before = fixture
+        yield step if fixture == previous_fixture else step.model_copy(update={"prompt": PROMPTS[fixture]})
+        previous_fixture = fixture

@@ -21,8 +21,14 @@ from dragrig.analysis.gap.classifier import (
 )
 from dragrig.analysis.gap.design import ColumnKind, Study
 from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, RankedHypothesis, RunTraces, Verdict
-from dragrig.analysis.gap.features import Calibration, DecisionInputs, HypothesisSummary, shipped_calibration
-from dragrig.analysis.gap.forward_selection import ForceSearchResult, SelectionStep, search_effects
+from dragrig.analysis.gap.features import (
+    Calibration,
+    DecisionInputs,
+    HypothesisSummary,
+    NonparametricLaw,
+    shipped_calibration,
+)
+from dragrig.analysis.gap.forward_selection import ForceSearchResult, search_effects
 from dragrig.analysis.gap.gap_reduction import (
     RunGap,
     force_residual_blocks,
@@ -60,9 +66,9 @@ from dragrig.sim_backend.effects.base import catalogue
 
 
 def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: SpectralLines) -> Study:
-    """Return a study whose noise has the hum of the mains where it was found: a line of a known frequency.
+    """Return a study whose noise includes the mains hum that was found, at its frequency.
 
-    Hum that is taken for white noise makes short blocks noisier than noise, and long ones less noisy.
+    Hum treated as white noise would make short blocks too noisy and long ones too quiet.
     """
     if not mains_hum_present(lines.mains.llr, lines.other.llr):
         return study
@@ -72,23 +78,27 @@ def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: Spe
 
 
 MAX_FURTHER_LAWS = 3
-"""Laws without a name that are kept of those tried in the place of a further effect."""
+"""Number of nonparametric laws that are stored in place of a further effect."""
 
 
 def decision_inputs(
     search: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, excluded: tuple[str, ...]
 ) -> DecisionInputs:
-    """Return what a verdict is made of; `excluded` are the effects that were not to be considered."""
-    untold = search.study.untried_lookalikes
-    tried = [
-        replace(_single_summary(fit, search.chi2), untried_lookalikes=untold(fit.design)) for fit in search.singles
-    ]
-    joint = [(step, step.fit) for step in search.steps if step.fit is not None]
-    tried += [replace(_joint_summary(*pair), untried_lookalikes=untold(pair[1].design)) for pair in joint]
+    """Return the inputs of the verdict; `excluded` are effects left out of the search."""
+    lookalikes = search.study.untried_lookalikes
+    hypotheses = []
+    for fit in search.singles:
+        chi2 = fit.chi2_with_form_error if fit.periodic else fit.chi2
+        hypotheses.append(_summary(fit, lookalikes(fit.design), 0.5 * (search.chi2 - chi2), search.chi2))
+    for step in search.steps:
+        if step.fit is not None:
+            laws = step.laws[:MAX_FURTHER_LAWS]
+            numbers = step.llr, step.chi2_without, step.rival_llr, laws
+            hypotheses.append(_summary(step.fit, lookalikes(step.fit.design), *numbers))
     return DecisionInputs(
         block_count=search.block_count,
         chi2=search.chi2,
-        hypotheses=tuple(tried),
+        hypotheses=tuple(hypotheses),
         mains_llr=lines.mains.llr,
         line_llr=lines.other.llr,
         position=tuple((model_class.effect, model_class.held_out_share) for model_class in position.model_classes)
@@ -101,65 +111,61 @@ def decision_inputs(
 
 
 def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
-    """Return the period of what swings on the session's clock; 0 where nothing does."""
-    swinging = (
+    """Return the period of an effect that is periodic in session time; 0 for none."""
+    periodic = (
         candidate
         for fit in singles
         for candidate in fit.parameters.candidates
         if is_periodic_in_session(candidate.effect)
     )
-    return next((candidate.values[candidate.effect.period_parameter] for candidate in swinging), 0.0)
+    return next((candidate.values[candidate.effect.period_parameter] for candidate in periodic), 0.0)
 
 
-def _single_summary(fit: HypothesisFit, squares: float) -> HypothesisSummary:
-    gain = 0.5 * (squares - (fit.chi2_with_form_error if _has_periodic_effect(fit) else fit.chi2))
-    return replace(_summary_of_fit(fit), llr=gain, chi2_without=squares)
-
-
-def _joint_summary(step: SelectionStep, fit: HypothesisFit) -> HypothesisSummary:
-    return replace(
-        _summary_of_fit(fit),
-        llr=step.llr,
-        chi2_without=step.chi2_without,
-        rival_llr=step.rival_llr,
-        laws=step.laws[:MAX_FURTHER_LAWS],
-    )
-
-
-def _summary_of_fit(fit: HypothesisFit) -> HypothesisSummary:
+def _summary(
+    fit: HypothesisFit,
+    lookalikes: int,
+    llr: float,
+    chi2_without: float,
+    rival_llr: float = 0.0,
+    laws: tuple[NonparametricLaw, ...] = (),
+) -> HypothesisSummary:
     return HypothesisSummary(
         effects=fit.effects,
         chi2=fit.chi2,
         chi2_with_form_error=fit.chi2_with_form_error,
         change_mN=fit.change_mN,
-        periodic=_has_periodic_effect(fit),
+        periodic=fit.periodic,
+        llr=llr,
+        chi2_without=chi2_without,
+        rival_llr=rival_llr,
+        laws=laws,
         excess_elsewhere=fit.excess_elsewhere,
         at_limit=any(candidate.at_limit for candidate in fit.parameters.candidates),
+        untried_lookalikes=lookalikes,
     )
-
-
-def _has_periodic_effect(fit: HypothesisFit) -> bool:
-    return any(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
 
 
 def hypothesis_parameters(
     name: str, fit: HypothesisFit | None, position: PositionAnalysis, lines: SpectralLines
 ) -> tuple[EstimatedQuantity, ...]:
-    """Return the parameters of a hypothesis with their errors; none for what has none."""
+    """Return the fitted parameters of a hypothesis with their errors."""
     quantities: list[EstimatedQuantity] = []
     if fit is not None:
         solution = fit_columns(
             fit.design, fit.design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT
         )
         errors = np.sqrt(np.maximum(np.diag(solution.covariance), 0.0))
-        own = errors[np.searchsorted(solution.columns, fit.design.columns_of(ColumnKind.EFFECT))].tolist()
+        effect_errors = errors[np.searchsorted(solution.columns, fit.design.columns_of(ColumnKind.EFFECT))].tolist()
         several = len(fit.parameters.candidates) > 1
         for candidate in fit.parameters.candidates:
-            mine, own = own[: len(candidate.fitted_parameters)], own[len(candidate.fitted_parameters) :]
-            quantities += _quantities(candidate, mine, several)
-    moved = position.candidate
-    if moved is not None and moved.effect.id in name.split("+"):
-        quantities += _quantities(moved, position.standard_errors, "+" in name)
+            errors_of_candidate, effect_errors = (
+                effect_errors[: len(candidate.fitted_parameters)],
+                effect_errors[len(candidate.fitted_parameters) :],
+            )
+            quantities += _quantities(candidate, errors_of_candidate, several)
+    position_effect = position.candidate
+    if position_effect is not None and position_effect.effect.id in name.split("+"):
+        quantities += _quantities(position_effect, position.standard_errors, "+" in name)
     if name == hum_effect().id:
         errors = np.array([0.5 * lines.mains.amplitude**0.5, 0.5])
         units = {parameter.name: parameter.unit for parameter in hum_effect().parameters}
@@ -187,11 +193,6 @@ def _quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuan
     return EstimatedQuantity(name, unit, value, error, (value - half, value + half))
 
 
-def traces_of_runs(gaps: Sequence[RunGap]) -> tuple[RunTraces, ...]:
-    """Return each run as it was measured and as both models have it."""
-    return tuple(_traces_of_run(gap) for gap in gaps)
-
-
 def _traces_of_run(gap: RunGap) -> RunTraces:
     run, at = gap.run, gap.run.coordinates
     kind, value = run.condition
@@ -216,24 +217,24 @@ PARAMETER_DIGITS = 6
 
 def amended_model(
     study: Study,
-    chosen: HypothesisFit | None,
+    fit: HypothesisFit | None,
     position: PositionAnalysis,
     lines: SpectralLines,
     classification: Classification,
     search: ForceSearchResult,
-    shrink: GapReduction | None,
+    reduction: GapReduction | None,
     specimen: str,
 ) -> FrictionModelSettings | None:
-    """Return this specimen's friction model with the effects that were named; None where none was or can be."""
+    """Return this specimen's friction model with the named effects; None without any, or where it cannot have them."""
     if not classification.effects:
         return None
-    z = search.nominal.z if chosen is None else chosen.parameters.z
+    z = search.nominal.z if fit is None else fit.parameters.z
     settings = study.amended_settings(z)
     if settings is None:
         return None
     effects = list(settings.effects)
-    if chosen is not None:
-        effects += [candidate.settings for candidate in chosen.parameters.candidates]
+    if fit is not None:
+        effects += [candidate.settings for candidate in fit.parameters.candidates]
     if position.candidate is not None and position.candidate.effect.id in classification.effects:
         effects.append(position.candidate.settings)
     if hum_effect().id in classification.effects:
@@ -250,7 +251,7 @@ def amended_model(
         effects=classification.effects,
         probability=_rounded_value(classification.probabilities.get("+".join(classification.effects), 0.0)),
         runs=len(study.runs),
-        promised=None if shrink is None or shrink.closed is None else _rounded_value(shrink.closed),
+        promised=None if reduction is None or reduction.closed is None else _rounded_value(reduction.closed),
         nominal=_rounded_values(study, search.nominal.z),
     )
     return settings.model_copy(
@@ -273,28 +274,29 @@ def _rounded_value(value: float) -> float:
 
 
 SLOW_LINE_HZ, MIN_SLOW_LINE_LLR = 4.9, 300.0
-"""Slow noise passes for lines below this frequency, with gains below that: 38 at most in 500 simulated campaigns."""
+"""Slow noise resembles lines below this frequency with smaller log likelihood ratios: at most 38 in 500 simulated
+campaigns."""
 CALIBRATION_NOTE = "calibrated on simulated campaigns"
 DIAGNOSIS_STEPS = 6
 MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
-"""Where the stage strays, what its motion leaves uncertain is no effect unless one takes away so many half squares
-beforehand, and this share of it."""
+"""Where the stage has position errors, motion errors mimic small force effects: thresholds of Δχ²/2 and of the share of
+the excess for an effect to be fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """What a diagnosis is asked for.
+    """Options of a diagnosis.
 
     Attributes
     ----------
     excluded
-        Effects that are not to be considered.
+        Effects to leave out.
     tolerance_mN
-        What an effect must add, root mean square where it acts, to matter.
+        Smallest relevant rms force of an effect where it acts.
     next_runs
-        What the next runs that are recommended may take; one run of a dozen unless given.
+        Limits of the next experiment; default: one run of the short grid.
     calibration
-        Thresholds and weights of the verdict; the shipped ones unless given.
+        Gate and weights of the verdict; default: the shipped ones.
     """
 
     excluded: tuple[str, ...] = ()
@@ -315,12 +317,12 @@ def diagnose(
     Raises
     ------
     AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
+        Where the model predicts none of these runs, or a run lacks data that it needs.
     """
-    asked = options or DiagnosisOptions()
-    began = perf_counter()
+    settings = options or DiagnosisOptions()
+    start = perf_counter()
     progress(0, DIAGNOSIS_STEPS)
-    effects = [effect for effect in catalogue().values() if effect.id not in asked.excluded]
+    effects = [effect for effect in catalogue().values() if effect.id not in settings.excluded]
     known = known_effects(nominal)
     selection = correct_known_motion(selection, known)
     position = analyse_position(selection.experiments, effects)
@@ -329,37 +331,37 @@ def diagnose(
         _with_trusted_motion(selection, position), nominal, [effect for effect in effects if effect.has_force_signature]
     )
     lines = lines_beyond_known(_without_slow_lines(find_spectral_lines(selection.experiments, study.channel)), known)
-    prepared = perf_counter()
-    heard = add_hum_to_noise(study, selection.experiments, lines)
+    studied = perf_counter()
+    with_hum = add_hum_to_noise(study, selection.experiments, lines)
     search = (
-        search_effects(heard, *MIN_LLR_AND_SHARE_WITH_MOTION_ERROR)
+        search_effects(with_hum, *MIN_LLR_AND_SHARE_WITH_MOTION_ERROR)
         if position.has_position_error
-        else search_effects(heard)
+        else search_effects(with_hum)
     )
     progress(4, DIAGNOSIS_STEPS)
-    evidence = decision_inputs(search, position, lines, asked.excluded)
-    classification = classify(evidence, asked.tolerance_mN, _calibration_for(study, asked))
-    explained = perf_counter()
+    inputs = decision_inputs(search, position, lines, settings.excluded)
+    classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
+    classified = perf_counter()
     diagnosis = _assembled_diagnosis(
-        selection, nominal, asked, study, search, position, lines, classification, evidence
+        selection, nominal, settings, study, search, position, lines, classification, inputs
     )
     progress(DIAGNOSIS_STEPS, DIAGNOSIS_STEPS)
     timings = {
-        "reading and position": prepared - began,
-        "explaining": explained - prepared,
-        "telling": perf_counter() - explained,
+        "reading and position": studied - start,
+        "explaining": classified - studied,
+        "telling": perf_counter() - classified,
     }
     return replace(diagnosis, timings_s=timings)
 
 
 def _without_slow_lines(lines: SpectralLines) -> SpectralLines:
-    """Leave out what may be slow noise."""
+    """Drop lines that may be slow noise."""
     slow = lines.other.frequency_hz <= SLOW_LINE_HZ and lines.other.llr < MIN_SLOW_LINE_LLR
     return SpectralLines(lines.mains, replace(lines.other, llr=0.0) if slow else lines.other)
 
 
 def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) -> RunSelection:
-    """Let the motion be the command's where only the record of the position is wrong."""
+    """Take the command as the true motion where only the record of the position is wrong."""
     if not position.is_recording_error:
         return selection
     return replace(
@@ -368,16 +370,15 @@ def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) ->
 
 
 def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
-    weights = options.calibration or shipped_calibration()
-    return weights if isinstance(study, CapsuleStudy) else weights.with_hand_set_weights
+    calibration = options.calibration or shipped_calibration()
+    return calibration if isinstance(study, CapsuleStudy) else calibration.with_hand_set_weights
 
 
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
-    """Return the explanation that has the effects of the force that were named."""
+    """Return the fit with the named effects on the force."""
     named = {name for name in classification.effects if name != hum_effect().id}
-    tried = [*search.singles, *(step.fit for step in search.steps if step.fit is not None)]
-    fitting = [fit for fit in tried if set(fit.effects) <= named]
-    return max(fitting, key=lambda fit: len(fit.effects), default=None)
+    subsets = [fit for fit in search.fits if set(fit.effects) <= named]
+    return max(subsets, key=lambda fit: len(fit.effects), default=None)
 
 
 def _assembled_diagnosis(
@@ -389,19 +390,19 @@ def _assembled_diagnosis(
     position: PositionAnalysis,
     lines: SpectralLines,
     classification: Classification,
-    evidence: DecisionInputs,
+    inputs: DecisionInputs,
 ) -> Diagnosis:
-    chosen = _named_fit(search, classification)
+    fit = _named_fit(search, classification)
     hum = lines.mains if hum_effect().id in classification.effects else replace(lines.mains, amplitude=0.0)
-    swing = lines.other if unknown_because_of_line(evidence, classification) else None
-    blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, swing or hum)]
+    line = lines.other if unknown_because_of_line(inputs, classification) else None
+    blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, line or hum)]
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
-    where = attribute_to_effects(where, blocks, _named_force(study, chosen, hum))
-    shrink, views = _held_out_reduction(study, search, chosen, position, classification)
+    where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
+    reduction, traces = _held_out_reduction(study, search, fit, position, classification)
     files = tuple(run.file for run in study.runs)
     of_force = classify(
-        replace(evidence, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
+        replace(inputs, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
     )
     next_run = recommend_next_run(study, search, position, classification, of_force, options.next_runs)
     return Diagnosis(
@@ -419,36 +420,36 @@ def _assembled_diagnosis(
         detection_limit_mN=detection_limit(study, search.nominal),
         tolerance_mN=options.tolerance_mN,
         where=where,
-        shrink=shrink,
-        unknown=describe_unexplained_gap(where, blocks, classification, swing, evidence),
-        model=amended_model(study, chosen, position, lines, classification, search, shrink, selection.specimen),
-        traces=views,
+        shrink=reduction,
+        unknown=describe_unexplained_gap(where, blocks, classification, line, inputs),
+        model=amended_model(study, fit, position, lines, classification, search, reduction, selection.specimen),
+        traces=traces,
         limitations=(*study.limitations(), *reasons_for_no_run(study, position, classification, next_run)),
         remarks=selection.remarks,
         calibration=CALIBRATION_NOTE,
-        decision_inputs=evidence,
+        decision_inputs=inputs,
         next_experiment=next_run,
     )
 
 
-def _named_force(study: Study, chosen: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:
-    """Return what the named effects add to the force, block by block, of hum its root mean square."""
-    if chosen is not None:
-        return [run.effect_force for run in chosen.design.runs]
+def _named_force(study: Study, fit: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:
+    """Return the force of the named effects by block; of hum its rms."""
+    if fit is not None:
+        return [run.effect_force for run in fit.design.runs]
     return [np.full(run_data.coordinates.width_s.size, hum.amplitude / np.sqrt(2.0)) for run_data in study.runs]
 
 
 def _held_out_reduction(
     study: Study,
     search: ForceSearchResult,
-    chosen: HypothesisFit | None,
+    fit: HypothesisFit | None,
     position: PositionAnalysis,
     classification: Classification,
 ) -> tuple[GapReduction | None, tuple[RunTraces, ...]]:
-    left = predict_held_out(search, chosen)
-    if left is None:
+    held_out = predict_held_out(search, fit)
+    if held_out is None:
         return None, ()
-    design = search.nominal if chosen is None else chosen.design
+    design = search.nominal if fit is None else fit.design
     gaps: list[RunGap] = []
     for number, run in enumerate(study.runs):
         gaps.append(
@@ -456,35 +457,34 @@ def _held_out_reduction(
                 run,
                 study.problem.noises[number],
                 search.nominal.runs[number].motion_sd,
-                (left.before[number], search.nominal.runs[number].whitening),
-                (left.after[number], design.runs[number].whitening),
+                (held_out.before[number], search.nominal.runs[number].whitening),
+                (held_out.after[number], design.runs[number].whitening),
                 study.problem.zero_sds[number],
                 study.informative_blocks(number, search.nominal.runs[number].motion_sd),
             )
         )
-    shrink = reduction_over_runs(gaps)
-    if position.candidate is not None and position.candidate.effect.id in classification.effects and chosen is None:
-        shrink = position_gap_reduction(position, shrink)
-    return shrink, traces_of_runs(gaps)
+    reduction = reduction_over_runs(gaps)
+    if position.candidate is not None and position.candidate.effect.id in classification.effects and fit is None:
+        reduction = position_gap_reduction(position, reduction)
+    return reduction, tuple(map(_traces_of_run, gaps))
 
 
 def _ranked_hypotheses(
     search: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, classification: Classification
 ) -> Iterator[RankedHypothesis]:
-    explained = {"+".join(fit.effects): fit for fit in search.singles}
-    explained |= {"+".join(step.fit.effects): step.fit for step in search.steps if step.fit is not None}
-    known = (
+    fits = {"+".join(fit.effects): fit for fit in search.fits}
+    names = (
         [ranked.effect for ranked in search.ranked]
         + [model_class.effect for model_class in position.model_classes]
         + [hum_effect().id, NO_GAP, UNKNOWN]
     )
-    whole = {**dict.fromkeys(known, 0.0), **classification.probabilities}
-    sums = sum(whole.values())
-    for name, probability in sorted(whole.items(), key=lambda pair: -pair[1]):
-        fit = explained.get(name)
+    probabilities = {**dict.fromkeys(names, 0.0), **classification.probabilities}
+    total = sum(probabilities.values())
+    for name, probability in sorted(probabilities.items(), key=lambda pair: -pair[1]):
+        fit = fits.get(name)
         yield RankedHypothesis(
             name,
-            probability / sums,
+            probability / total,
             hypothesis_parameters(name, fit, position, lines),
             None if fit is None else held_out_improvement(search, fit),
         )

@@ -18,15 +18,15 @@ class AxisBin:
     Attributes
     ----------
     name
-        Its name, empty where the ends say it.
+        Its name; empty for numeric bins.
     low, high
-        Its ends in the axis' unit; None where it has a name.
+        Its ends in the axis' unit; None for named bins.
     share
-        Its part of the excess on this axis; all are 0 where there is no gap.
+        Share of the excess on this axis; 0 without a gap.
     rms
-        Root of the mean excess in it, in standard deviations of what is expected.
+        Root mean excess, in expected standard deviations.
     p
-        Chance that it stands out so without a gap, familywise over the axis.
+        Familywise p-value.
     """
 
     name: str
@@ -39,24 +39,24 @@ class AxisBin:
 
 @dataclass(frozen=True, slots=True)
 class AxisLocation:
-    """One axis.
+    """Location of the excess on one axis.
 
     Attributes
     ----------
     name
-        As in the report.
+        Name in the report.
     bins
-        All of them, whose shares sum to 1 or are all 0.
+        All bins, whose shares sum to 1 or are all 0.
     covered_share
-        Part of the whole excess that lies on this axis; where it is small there are no shares.
+        Share of the whole excess on this axis; if small, bins have no shares.
     low, high
-        The narrowest neighbouring bins that have most of the excess; None without a gap and where bins have no order.
+        Narrowest range of adjacent bins with most of the excess; None without a gap and for named bins.
     share
-        Their part.
+        Share of this range.
     p
-        Chance that they stand out so without a gap.
+        p-value of this range.
     min_p
-        The smallest p-value on the axis.
+        Smallest p-value on the axis.
     """
 
     name: str
@@ -70,11 +70,11 @@ class AxisLocation:
 
     @property
     def shares(self) -> Mapping[str, float]:
-        """Shares of the bins that have a name."""
+        """Shares of the named bins."""
         return {axis_bin.name: axis_bin.share for axis_bin in self.bins if axis_bin.name}
 
     def document(self) -> Mapping[str, object]:
-        """Return it as the report has it."""
+        """Return it as in the report."""
         if self.shares:
             return {name: round(share, 4) for name, share in self.shares.items()}
         bins = [
@@ -93,7 +93,7 @@ class AxisLocation:
 
 @dataclass(frozen=True, slots=True)
 class PhaseCell:
-    """One channel in one phase of one protocol: root of the mean excess, in standard deviations; None if never seen."""
+    """Root mean excess of a channel in a phase of a protocol, in expected standard deviations; None if never seen."""
 
     channel: str
     protocol: str
@@ -103,28 +103,28 @@ class PhaseCell:
 
 @dataclass(frozen=True, slots=True)
 class GapLocation:
-    """Where a gap is.
+    """Location of a gap.
 
     Attributes
     ----------
     present
-        Whether there is one.
+        Whether there is a gap.
     p
-        Chance of so much excess, or of so much of it in one place, without a gap.
+        p-value of the excess, or of its concentration in one place.
     rms
-        Root of the mean excess of all runs, in standard deviations of what is expected.
+        Root mean excess of all runs, in expected standard deviations.
     locations
-        All axes.
+        Location on each axis.
     cells
-        Channel, protocol and phase at once.
+        Excess by channel, protocol and phase.
     domain
-        What the residual is above all a function of; empty without a gap.
+        What the residual is mainly a function of; empty without a gap.
     domain_scores
-        How much of the residual each domain accounts for in runs that took no part, 0 to 1.
+        Share of the residual that each domain explains in held-out runs, 0 to 1.
     permutations, seed
         Of the p-values.
     runs
-        How many runs it was looked for in: with one, nothing was permuted and no other run predicts it.
+        Number of runs; with one, there is no permutation and no prediction from others.
     """
 
     present: bool
@@ -139,12 +139,12 @@ class GapLocation:
     runs: int = 0
 
     def location(self, name: str) -> AxisLocation:
-        """Return an axis by name; raises `KeyError` for one that there is not."""
+        """Return an axis by name; raises `KeyError` for an unknown one."""
         locations = {location.name: location for location in self.locations}
         return locations[name]
 
     def document(self) -> Mapping[str, object]:
-        """Return it as the report's `where`."""
+        """Return it as `where` of the report."""
         named = {
             location.name: {axis_bin.name: round(axis_bin.p, 4) for axis_bin in location.bins}
             for location in self.locations
@@ -164,16 +164,16 @@ class GapLocation:
 
 @dataclass(frozen=True, slots=True)
 class ModelPair:
-    """Two hypotheses and how far runs set them apart.
+    """Two hypotheses and how far runs separate them.
 
     Attributes
     ----------
     truth, rival
-        Effects; an empty rival stands for no effect at all.
+        Effects; an empty rival stands for no effect.
     d_prime
-        d′ between them with the first one there and the second one taking as much of it as it can.
+        d′ between them, the first assumed present and the second fitted to it.
     remaining_share
-        Share of the first one's squares that the second one leaves.
+        Share of the first one's squares that the second leaves.
     """
 
     truth: str
@@ -184,18 +184,18 @@ class ModelPair:
 
 @dataclass(frozen=True, slots=True)
 class NextRun:
-    """A run that is recommended.
+    """A recommended run.
 
     Attributes
     ----------
     step
-        As a plan has it: kind, settings, repeats and the rest before it.
+        Step of a plan: kind, settings, repeats and the rest before it.
     minutes
-        Rig time with rests and ways back, of all repeats.
+        Rig time of all repeats, with rests and returns.
     before, after
-        The contest that it decides most, without it and with it.
+        Most improved pair, without and with the run.
     optional
-        Whether all is answered well enough without it.
+        Whether all pairs are decided without it.
     """
 
     step: PlanStep
@@ -212,16 +212,16 @@ class NextRun:
 
 @dataclass(frozen=True, slots=True)
 class NextExperiment:
-    """The run to make next, or several.
+    """Recommended runs.
 
     Attributes
     ----------
     runs
-        The best first.
+        Recommended runs, the best first.
     compared
-        How many settings were compared.
+        Number of candidate runs.
     reason
-        Why, in plain words.
+        Reason in plain words.
     """
 
     runs: tuple[NextRun, ...]
@@ -230,12 +230,12 @@ class NextExperiment:
 
     @property
     def minutes(self) -> float:
-        """Rig time of all of them."""
+        """Rig time of all runs."""
         return sum(run.minutes for run in self.runs)
 
 
 class Verdict(StrEnum):
-    """The answer in a word."""
+    """Verdict of a diagnosis."""
 
     EFFECT = "effect"
     SEVERAL = "several"
@@ -245,19 +245,18 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RankedHypothesis:
-    """A hypothesis with how probable it is.
+    """A hypothesis with its probability.
 
     Attributes
     ----------
     hypothesis
         Id of an effect, several joined with `+`, `no_gap` or `unknown`.
     probability
-        Calibrated on simulated campaigns; all of a ranking sum to 1.
+        Probability, calibrated on simulated campaigns; a ranking sums to 1.
     parameters
-        Of its effects, refitted with all nuisances; none for `no_gap` and `unknown`.
+        Fitted parameters of its effects; empty for `no_gap` and `unknown`.
     held_out_improvement
-        Share of the excess squares that it takes away on runs that took no part in its fit; None where it was not
-        tried so.
+        Share of the excess that it explains in held-out runs; None where not evaluated.
     """
 
     hypothesis: str
@@ -268,7 +267,7 @@ class RankedHypothesis:
 
 @dataclass(frozen=True, slots=True)
 class R2BeforeAfter:
-    """A coefficient of determination below and above the speed boundary; None where no drag run lies there."""
+    """Coefficients of determination below and above the speed boundary; None without drag runs there."""
 
     before_below: float | None
     before_above: float | None
@@ -278,22 +277,22 @@ class R2BeforeAfter:
 
 @dataclass(frozen=True, slots=True)
 class GapReduction:
-    """How far the gap shrinks once the effect is in the simulator, on runs that took no part.
+    """How far the gap closes with the effects in the simulator, on held-out runs.
 
     Attributes
     ----------
     gap_before_mN, gap_after_mN
-        Root mean square of the residual without and with the effects.
+        Rms residual without and with the effects.
     noise_floor_mN
         Noise at rest and scatter of repeats, fixed before any fit.
     closed
-        `1 − (after² − floor²) / (before² − floor²)`; None where there was no gap to close.
+        `1 − (after² − floor²) / (before² − floor²)`; None without a gap to close.
     closed_95ci
-        Interval by bootstrap over runs.
+        Bootstrap interval over runs.
     boundary_mm_s
-        Speed boundary that the coefficients of determination are split at; None without drag runs on both sides.
+        Speed boundary of the coefficients of determination; None without drag runs on both sides.
     r2_eq15, r2_corr
-        Of steady drag, by Eq. 15 of the paper and as squared correlation.
+        Of steady drag forces, by Eq. 15 of the paper and as squared correlation.
     """
 
     gap_before_mN: float
@@ -309,7 +308,7 @@ class GapReduction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTraces:
-    """One run before and after, for pictures: means over `B` blocks."""
+    """Measured and modelled force of one run for figures: means over `B` blocks."""
 
     file: str
     kind: str
@@ -325,16 +324,16 @@ class RunTraces:
 
 @dataclass(frozen=True, slots=True)
 class UnexplainedGap:
-    """What is known of a gap, or of the rest of one, that no effect of the catalogue explains.
+    """Description of a gap, or its remainder, that no effect of the catalogue explains.
 
     Attributes
     ----------
     location
-        A sentence: where it is.
+        Where it is, in sentences.
     dependence
-        A sentence: what it depends on.
+        What it depends on, in sentences.
     expression
-        A sparse expression that holds up on runs that took no part; empty where none does.
+        Sparse expression that predicts held-out runs; empty for none.
     held_out_share
         Share of the excess that the expression explains there.
     """
@@ -347,28 +346,28 @@ class UnexplainedGap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """All that a diagnosis found.
+    """Result of a diagnosis.
 
     Attributes
     ----------
     used_for_fit, held_out
-        Files of the runs that gave the final fit, and those that the choice was judged on in turn.
+        Files of the runs in the final fit, and of those held out in turn.
     effects
-        The most probable effects; empty for `no_gap` and `unknown`.
+        Most likely effects; empty for `no_gap` and `unknown`.
     confusable_with
-        Effects that these runs cannot tell from them, near-aliases that were left out of the search among them.
+        Effects that these runs cannot distinguish from them, excluded ones included.
     residual_unknown
-        Whether something is left beside effects that clearly earn their place.
+        Whether part of the gap remains beside clearly present effects.
     detection_limit_mN
-        Smallest effect that these runs would have shown.
+        Smallest detectable effect, rms force where it acts.
     limitations
-        Questions that these runs say nothing about, a sentence each.
+        What these runs cannot answer, a sentence each.
     next_experiment
-        The run that would separate the leading hypotheses best per minute; None where none is recommended.
+        Runs that separate the leading hypotheses best per minute; None for no recommendation.
     model
-        The amended model; None where nothing was named or the nominal model is not the friction model.
+        Amended model; None without named effects or for other models than the friction model.
     decision_inputs
-        What the verdict was made of, to learn from.
+        Numbers that the verdict is based on, for training.
     """
 
     specimen: str

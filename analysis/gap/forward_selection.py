@@ -10,9 +10,7 @@ from dragrig.analysis.gap.design import ColumnKind, Design, RunDesign, Study, li
 from dragrig.analysis.gap.features import NonparametricLaw
 from dragrig.analysis.gap.hypothesis_fit import (
     HypothesisFit,
-    all_periodic_in_session,
     fit_hypothesis,
-    is_periodic_in_session,
     rank_with_free_phases,
     refit_with_effect,
 )
@@ -59,6 +57,11 @@ class ForceSearchResult:
         """Number of blocks: the expected chi-square of noise."""
         return sum(self.nominal.block_counts)
 
+    @property
+    def fits(self) -> tuple[HypothesisFit, ...]:
+        """Fits of all hypotheses, those of single effects first."""
+        return (*self.singles, *(step.fit for step in self.steps if step.fit is not None))
+
     @cached_property
     def excess(self) -> float:
         """Chi-square of the nominal model above its expectation."""
@@ -75,11 +78,7 @@ class ForceSearchResult:
         alone.
         """
         exact, with_form_error = self.explained_share(fit.chi2), self.explained_share(fit.chi2_with_form_error)
-        return (
-            with_form_error
-            if any(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
-            else 0.5 * (exact + with_form_error)
-        )
+        return with_form_error if fit.periodic else 0.5 * (exact + with_form_error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,6 +239,6 @@ def _relinearised(study: Study, fit: HypothesisFit, nominal: Design) -> Hypothes
     best = min(fits, key=lambda hypothesis: hypothesis.chi2)
     return (
         replace(best, chi2_with_form_error=min(best.chi2_with_form_error, fit.chi2_with_form_error))
-        if all_periodic_in_session(fit)
+        if fit.periodic
         else best
     )

@@ -242,6 +242,11 @@ class HypothesisFit:
         """Ids of the effects."""
         return tuple(candidate.effect.id for candidate in self.parameters.candidates)
 
+    @property
+    def periodic(self) -> bool:
+        """Whether one of the effects is periodic in session time, so that its phase may be lost between runs."""
+        return any(is_periodic_in_session(candidate.effect) for candidate in self.parameters.candidates)
+
 
 def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nominal: Design) -> HypothesisFit:
     """Fit an effect together with those of a design, starting from its best variant."""
@@ -346,11 +351,6 @@ def _add_own_variants(design: Design, total: FloatArray, ids: set[str]) -> tuple
         chi2 -= 2 * ranked[0].llr
         projected = projected.without(ranked[0].variants)
     return chi2, added
-
-
-def all_periodic_in_session(fit: HypothesisFit) -> bool:
-    """Whether all effects are periodic in session time."""
-    return all(is_periodic_in_session(candidate.effect) for candidate in fit.parameters.candidates)
 
 
 def is_periodic_in_session(effect: Effect) -> bool:

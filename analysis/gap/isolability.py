@@ -44,48 +44,48 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Channel, Effect, catalogue
 
 DETECTABLE_D_PRIME = 5.9
-"""d′ that is found nearly always where all that an effect takes away counts for a gap."""
+"""d′ that is nearly always detected, for effects with full weight in the gate."""
 DEFAULT_TOLERANCE_MN = 0.5
-"""What an effect must add [mN], root mean square where it acts, to matter, unless a person says otherwise."""
+"""Default tolerance: smallest relevant rms force of an effect where it acts [mN]."""
 DETECTED_SHARE = 0.8
-"""Share of the effects that would be seen at the size that is told."""
+"""Share of the effects that are detectable at the detection limit."""
 
 
 def required_d_prime(effect: str) -> float:
-    """Return the d′ of an effect on the force that is found nearly always."""
+    """Return the d′ at which an effect on the force is nearly always detected."""
     return DETECTABLE_D_PRIME / sqrt(gap_weight(effect))
 
 
 def detection_limit(study: Study, design: Design) -> float:
-    """Return the force [mN], root mean square where an effect acts, from which on most effects would be seen."""
-    sizes = []
+    """Return the rms force [mN], where an effect acts, above which most effects are detectable."""
+    limits_mN = []
     ranked = rank_effects(project_dictionary(design, design.total_gram(), *NUISANCES), design.variants)
-    for best in ranked:
-        rms = variant_rms(study, design, best.variants[0])
-        if best.d_prime_per_unit > 0 and rms > 0:
-            sizes.append(required_d_prime(best.effect) / best.d_prime_per_unit * rms)
+    for ranked_effect in ranked:
+        rms = variant_rms(study, design, ranked_effect.variants[0])
+        if ranked_effect.d_prime_per_unit > 0 and rms > 0:
+            limits_mN.append(required_d_prime(ranked_effect.effect) / ranked_effect.d_prime_per_unit * rms)
     return (
-        float(np.quantile(sizes, DETECTED_SHARE))
-        if sizes
+        float(np.quantile(limits_mN, DETECTED_SHARE))
+        if limits_mN
         else float(np.median([noise.white for noise in study.problem.noises]))
     )
 
 
-def variant_rms(study: Study, design: Design, shape: int) -> float:
-    """Return the root mean square [mN] of a shape of the dictionary where it acts; 0 where it does nowhere."""
-    column = design.columns_of(ColumnKind.VARIANT)[shape]
+def variant_rms(study: Study, design: Design, variant: int) -> float:
+    """Return the rms force [mN] of a variant of the dictionary where it acts; 0 where it never does."""
+    column = design.columns_of(ColumnKind.VARIANT)[variant]
     weights = np.concatenate([run.coordinates.width_s for run in study.runs])
-    more = np.concatenate([run_design.columns[:, column] for run_design in design.runs])
-    return rms_where_active(more, weights)
+    force = np.concatenate([run_design.columns[:, column] for run_design in design.runs])
+    return rms_where_active(force, weights)
 
 
 MIN_SIGNATURE_CHI2 = 1e-6
-"""Whitened squares below this are nothing."""
+"""Signatures with a smaller chi-square are 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class VariantColumns:
-    """One shape of an effect; what is periodic has two columns a quarter of a period apart."""
+    """Columns of one variant in the dictionary; two in quadrature for a periodic effect."""
 
     effect: str
     variants: tuple[int, ...]
@@ -95,14 +95,14 @@ class VariantColumns:
 
 @dataclass(frozen=True, eq=False)
 class SignatureAngles:
-    """All forms that runs show, and the angles between them.
+    """All visible variants of the effects, and the angles between them.
 
     Attributes
     ----------
     variants
-        Those that leave anything beside nuisances.
+        Variants with a signature beside the nuisances.
     cos2
-        Share of each form's squares that each other form takes away, phases averaged over, shape `(F, F)`.
+        Share of each variant's squares that each other variant explains, averaged over phases, shape `(F, F)`.
     """
 
     variants: tuple[VariantColumns, ...]
@@ -110,110 +110,109 @@ class SignatureAngles:
 
     @classmethod
     def of(cls, design: Design) -> "SignatureAngles":
-        """Compute them from a design with its dictionary."""
+        """Compute the angles from a design with its dictionary."""
         gram = project_dictionary(design, design.total_gram(), *NUISANCES).gram
-        forms = tuple(_variant_columns(design.variants, gram))
-        basis = _orthonormal_basis(forms, gram)
+        variants = tuple(_variant_columns(design.variants, gram))
+        basis = _orthonormal_basis(variants, gram)
         products = basis @ gram @ basis.T
-        starts = np.concatenate(([0], np.cumsum([len(variant.variants) for variant in forms])[:-1])).astype(np.intp)
-        if not forms:
+        starts = np.concatenate(([0], np.cumsum([len(variant.variants) for variant in variants])[:-1])).astype(np.intp)
+        if not variants:
             return cls((), np.zeros((0, 0)))
-        counts = np.array([len(variant.variants) for variant in forms], dtype=np.float64)
+        counts = np.array([len(variant.variants) for variant in variants], dtype=np.float64)
         squares = np.add.reduceat(np.add.reduceat(products**2, starts, axis=0), starts, axis=1) / counts[:, None]
-        one_sided = np.array([variant.one_signed for variant in forms])
+        one_signed = np.array([variant.one_signed for variant in variants])
         opposed = products[np.ix_(starts, starts)] < 0
-        squares[opposed & one_sided[:, None] & one_sided[None, :]] = 0.0
-        for number, form in enumerate(forms):
-            if is_periodic_in_session(design.variants[form.variants[0]].effect):
-                free = _free_phase_shares(design, form.variants, basis)
-                squares[:, number] = np.maximum(squares[:, number], np.add.reduceat(free, starts) / counts)
-        return cls(forms, np.clip(squares, 0.0, 1.0))
+        squares[opposed & one_signed[:, None] & one_signed[None, :]] = 0.0
+        for number, variant_columns in enumerate(variants):
+            if is_periodic_in_session(design.variants[variant_columns.variants[0]].effect):
+                free_phase = _free_phase_shares(design, variant_columns.variants, basis)
+                squares[:, number] = np.maximum(squares[:, number], np.add.reduceat(free_phase, starts) / counts)
+        return cls(variants, np.clip(squares, 0.0, 1.0))
 
     @cached_property
     def effects(self) -> tuple[str, ...]:
-        """Effects that are seen, in the catalogue's order."""
+        """Visible effects, in the catalogue's order."""
         return tuple(dict.fromkeys(variant.effect for variant in self.variants))
 
     def variants_of_effect(self, name: str) -> list[int]:
-        """Return the numbers of an effect's forms."""
+        """Return the indices of an effect's variants."""
         return [number for number, variant in enumerate(self.variants) if variant.effect == name]
 
     def sin2(self, effect: str, rival: str) -> FloatArray:
-        """Return what the best of a rival's forms leaves of each form of an effect, shape `(forms,)`."""
+        """Return the share of each variant of an effect that the best variant of a rival leaves."""
         return np.asarray(
             1.0 - self.cos2[np.ix_(self.variants_of_effect(effect), self.variants_of_effect(rival))].max(axis=1)
         )
 
     def d_primes(self, name: str) -> FloatArray:
-        """Return d′ of an effect's forms at the usual size, shape `(forms,)`."""
+        """Return d′ of an effect's variants at the default size, shape `(variants,)`."""
         return np.array([self.variants[index].d_prime for index in self.variants_of_effect(name)])
 
 
-def _variant_columns(shapes: Sequence[EffectVariant], gram: FloatArray) -> list[VariantColumns]:
-    variants = []
-    for _, group in groupby(enumerate(shapes), key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):
+def _variant_columns(variants: Sequence[EffectVariant], gram: FloatArray) -> list[VariantColumns]:
+    visible = []
+    for _, group in groupby(enumerate(variants), key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):
         index = tuple(number for number, _ in group)
         strength = float(np.mean(np.diag(gram)[list(index)]))
         if strength > MIN_SIGNATURE_CHI2:
-            first = shapes[index[0]]
-            variants.append(VariantColumns(first.effect.id, index, first.one_signed, float(np.sqrt(strength))))
-    return variants
+            first = variants[index[0]]
+            visible.append(VariantColumns(first.effect.id, index, first.one_signed, float(np.sqrt(strength))))
+    return visible
 
 
-def _orthonormal_basis(forms: Sequence[VariantColumns], gram: FloatArray) -> FloatArray:
-    """Return what makes the columns of each form orthonormal, shape `(columns of all forms, S)`."""
+def _orthonormal_basis(variants: Sequence[VariantColumns], gram: FloatArray) -> FloatArray:
+    """Return the transformation that makes each variant's columns orthonormal, shape `(all columns, S)`."""
     rows = []
-    for variant in forms:
+    for variant in variants:
         index = list(variant.variants)
-        own = gram[np.ix_(index, index)]
-        root = np.linalg.cholesky(own + 1e-9 * np.trace(own) * np.eye(len(index)))
-        made = np.zeros((len(index), len(gram)))
-        made[:, index] = np.linalg.inv(root)
-        rows.append(made)
+        gram_of_variant = gram[np.ix_(index, index)]
+        root = np.linalg.cholesky(gram_of_variant + 1e-9 * np.trace(gram_of_variant) * np.eye(len(index)))
+        row = np.zeros((len(index), len(gram)))
+        row[:, index] = np.linalg.inv(root)
+        rows.append(row)
     return np.concatenate(rows) if rows else np.zeros((0, len(gram)))
 
 
 def _free_phase_shares(design: Design, pair: Sequence[int], basis: FloatArray) -> FloatArray:
-    """Return the share of each orthonormal column that a pair takes away with an amplitude and phase in every run.
+    """Return the share of each orthonormal column that a pair explains with amplitude and phase in every run.
 
-    What is periodic in time may lose its phase from run to run; a diagnosis allows for it, and so may be misled by it.
+    Effects periodic in time may lose their phase between runs; a diagnosis allows for it and may be misled by it.
     """
-    nuisances, shapes = 1 + design.columns_of(*NUISANCES), 1 + design.columns_of(ColumnKind.VARIANT)
-    own = shapes[list(pair)]
+    nuisances, variants = 1 + design.columns_of(*NUISANCES), 1 + design.columns_of(ColumnKind.VARIANT)
+    pair_rows = variants[list(pair)]
     total = design.total_gram()
     gram = total[np.ix_(nuisances, nuisances)]
-    whole = gram + np.diag(design.prior_precision[nuisances - 1] + RELATIVE_RIDGE * np.diag(gram))
-    grams = [values for values in design.grams if np.trace(values[np.ix_(own, own)]) > MIN_SIGNATURE_CHI2]
-    by_nuisance = np.concatenate([values[np.ix_(nuisances, own)] for values in grams], axis=1)
-    taken = np.linalg.solve(whole, by_nuisance)
-    array = np.zeros((by_nuisance.shape[1],) * 2)
-    for place, values in enumerate(grams):
-        at = slice(2 * place, 2 * place + 2)
-        array[at, at] = values[np.ix_(own, own)]
-    array -= by_nuisance.T @ taken
-    across = np.concatenate([values[np.ix_(shapes, own)] for values in grams], axis=1)
-    along = basis @ (across - total[np.ix_(shapes, nuisances)] @ taken)
-    array += 1e-9 * np.trace(array) / len(array) * np.eye(len(array))
-    return np.asarray(np.sum(along * np.linalg.solve(array, along.T).T, axis=1))
+    precision_matrix = gram + np.diag(design.prior_precision[nuisances - 1] + RELATIVE_RIDGE * np.diag(gram))
+    grams = [
+        run_gram for run_gram in design.grams if np.trace(run_gram[np.ix_(pair_rows, pair_rows)]) > MIN_SIGNATURE_CHI2
+    ]
+    by_nuisance = np.concatenate([run_gram[np.ix_(nuisances, pair_rows)] for run_gram in grams], axis=1)
+    coefficients = np.linalg.solve(precision_matrix, by_nuisance)
+    pair_gram = np.zeros((by_nuisance.shape[1],) * 2)
+    for place, run_gram in enumerate(grams):
+        block = slice(2 * place, 2 * place + 2)
+        pair_gram[block, block] = run_gram[np.ix_(pair_rows, pair_rows)]
+    pair_gram -= by_nuisance.T @ coefficients
+    cross = np.concatenate([run_gram[np.ix_(variants, pair_rows)] for run_gram in grams], axis=1)
+    moment = basis @ (cross - total[np.ix_(variants, nuisances)] @ coefficients)
+    pair_gram += 1e-9 * np.trace(pair_gram) / len(pair_gram) * np.eye(len(pair_gram))
+    return np.asarray(np.sum(moment * np.linalg.solve(pair_gram, moment.T).T, axis=1))
 
 
 def order_by_similarity(names: Sequence[str], sin2: Mapping[frozenset[str], float]) -> tuple[str, ...]:
-    """Order names by average linkage of their angles, the leaves turned so that near ones are neighbours."""
+    """Order names by average linkage of their angles, similar ones adjacent."""
     from scipy.cluster.hierarchy import leaves_list, linkage
 
     if len(names) < 3:
         return tuple(names)
-    apart = np.array([np.sqrt(sin2[frozenset(pair)]) for pair in combinations(names, 2)])
-    order: list[int] = leaves_list(linkage(apart, "average", optimal_ordering=True)).tolist()
+    distances = np.array([np.sqrt(sin2[frozenset(pair)]) for pair in combinations(names, 2)])
+    order: list[int] = leaves_list(linkage(distances, "average", optimal_ordering=True)).tolist()
     return tuple(names[index] for index in order)
 
 
 CONFUSED_SIN2 = 0.17
-"""A rival that leaves no more of an effect's squares than this is hardly told from it.
-
-The best fit of the catalogue's forms leaves up to 0.41 of the norm of what a foreign form of the same effect does
-(`bench/forms.py`), hence 0.17 of its squares.
-"""
+"""A rival that leaves a smaller share of an effect's squares is hardly distinguishable: a real effect of the same kind
+deviates by up to 0.41 of the norm from the catalogue's best fit (`bench/forms.py`), hence by 0.17 of its squares."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,13 +222,13 @@ class Visibility:
     Attributes
     ----------
     channel
-        Where it is seen: `force`, `position`, or `spectrum` for a line that block means take out.
+        Where it is visible: `force`, `position`, or `spectrum` for a line that block means average out.
     d_prime
-        At its usual size, median over its shapes: the norm of its whitened signature once nuisances are taken out.
+        At the default size, median over its variants: norm of the whitened signature with nuisances projected out.
     usual, smallest, unit
-        The usual size, and the smallest that would be seen, median over its shapes; None where no run shows it.
+        Default size, and smallest detectable size, median over its variants; None where no run shows it.
     smallest_mN
-        Root mean square of the smallest where it acts; None in the position.
+        Rms force of the smallest where it acts; None for effects on the position.
     """
 
     effect: str
@@ -243,18 +242,18 @@ class Visibility:
 
 @dataclass(frozen=True, slots=True)
 class EffectPair:
-    """Two effects and how far apart they are.
+    """Two effects and the angle between them.
 
     Attributes
     ----------
     sin2
-        sin² of the angle between what the two can do: the least over the shapes of both, signs kept where there is one.
+        sin² of the angle: minimum over the variants of both, with signs where amplitudes have one.
     typical_sin2
-        What the second leaves of the first in the median over the first's shapes, and the other way round.
+        Share of the first that the second leaves, median over the first's variants, and vice versa.
     d_prime
-        d′ between the two with each at its usual size in turn, median over its shapes, the other at its best.
+        d′ between the two, each at its default size in turn and the other at its best, median over variants.
     confused
-        Whether these runs hardly tell them apart.
+        Whether these runs can hardly distinguish them.
     """
 
     effects: tuple[str, str]
@@ -272,24 +271,24 @@ class EffectPair:
 
 @dataclass(frozen=True, slots=True)
 class Isolability:
-    """What some runs can tell apart.
+    """Which effects a set of runs can tell apart.
 
     Attributes
     ----------
     source
-        Plan or campaign.
+        Name of the plan or campaign.
     planned
-        Whether the runs are yet to be made.
+        Whether the runs are still to be made.
     runs
-        Number of runs by kind, of those that a diagnosis uses.
+        Number of runs by kind that a diagnosis uses.
     duration_s
-        Rig time with rests and ways back; None where it is not known.
+        Rig time with rests and returns; None if unknown.
     effects
-        How clearly each is seen; those of the force stand so that near ones are neighbours.
+        Visibility of each effect; on the force, similar effects are adjacent.
     pairs
-        All pairs within a channel, the closest first.
+        All pairs within a channel, the most similar first.
     remarks
-        What was not looked at, a sentence each.
+        What was not analysed, a sentence each.
     """
 
     source: str
@@ -301,7 +300,7 @@ class Isolability:
     remarks: tuple[str, ...] = ()
 
     def of_channel(self, channel: str) -> tuple[Visibility, ...]:
-        """Return the effects of a channel that runs show, in their order."""
+        """Return the visible effects of a channel, in order."""
         return tuple(
             visibility
             for visibility in self.effects
@@ -310,7 +309,7 @@ class Isolability:
 
     @property
     def invisible(self) -> tuple[str, ...]:
-        """Effects that no run shows at their usual size."""
+        """Effects that no run shows at their default size."""
         return tuple(
             visibility.effect
             for visibility in self.effects
@@ -319,15 +318,15 @@ class Isolability:
 
     @property
     def confused(self) -> tuple[EffectPair, ...]:
-        """Pairs that these runs hardly tell apart, the closest first."""
+        """Pairs that these runs can hardly distinguish, the most similar first."""
         return tuple(pair for pair in self.pairs if pair.confused)
 
-    def pair(self, name: str, label: str) -> EffectPair | None:
-        """Return two effects' pair; None where they are not of one channel."""
-        return next((pair for pair in self.pairs if set(pair.effects) == {name, label}), None)
+    def pair(self, name: str, other_name: str) -> EffectPair | None:
+        """Return the pair of two effects; None if they are not of one channel."""
+        return next((pair for pair in self.pairs if set(pair.effects) == {name, other_name}), None)
 
     def summary(self) -> Mapping[str, float]:
-        """Return what two plans are compared by, of the force's effects."""
+        """Return the figures by which plans are compared, of effects on the force."""
         pairs = [pair for pair in self.pairs if pair.channel == "force"]
         seen = self.of_channel("force")
         ratios = [visibility.smallest / abs(visibility.usual) for visibility in seen if visibility.smallest is not None]
@@ -345,18 +344,18 @@ class Isolability:
 
 
 def effect_pairs(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Yield every pair once."""
+    """Yield every pair of names once."""
     return combinations(names, 2)
 
 
 MAX_VARIANTS = 3
-"""So many shapes of an effect are tried, evenly chosen from its grid."""
+"""Number of variants of a position effect that are tried, evenly spaced in its grid."""
 TRIAL_PHASE_RAD = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class _PositionTrial:
-    """One shape of an effect: the largest error over what is noticed, and the share that each free form leaves."""
+    """One variant of a position effect: error over the detectable one, and the share left by each model class."""
 
     error_ratio: float
     remaining_shares: Mapping[str, float]
@@ -365,39 +364,42 @@ class _PositionTrial:
 def position_isolability(
     experiments: Sequence[Experiment], effects: Sequence[Effect]
 ) -> tuple[tuple[Visibility, ...], tuple[EffectPair, ...]]:
-    """Return how clearly runs show each effect of the position, and how far apart these are."""
+    """Return visibility and pairs of the effects on the position."""
     runs = position_errors(experiments)
-    acting = [effect for effect in effects if effect.channel is Channel.POSITION]
-    tried = {
+    position_effects = [effect for effect in effects if effect.channel is Channel.POSITION]
+    trials = {
         one.id: [_position_trial(candidate, runs) for candidate in _trial_candidates(one)] if runs else []
-        for one in acting
+        for one in position_effects
     }
-    visible = tuple(_position_visibility(one, tried[one.id]) for one in acting)
-    shown = tuple(visibility.effect for visibility in visible if visibility.smallest is not None)
-    return visible, tuple(_position_pair(pair, tried) for pair in effect_pairs(shown))
+    visibilities = tuple(_position_visibility(one, trials[one.id]) for one in position_effects)
+    shown = tuple(visibility.effect for visibility in visibilities if visibility.smallest is not None)
+    return visibilities, tuple(_position_pair(pair, trials) for pair in effect_pairs(shown))
 
 
 def _trial_candidates(effect: Effect) -> Iterator[Candidate]:
     grid = list(product(*(parameter.start_values for parameter in effect.shapes)))
-    chosen = np.unique(np.linspace(0, len(grid) - 1, min(MAX_VARIANTS, len(grid))).round().astype(int)).tolist()
+    indices = np.unique(np.linspace(0, len(grid) - 1, min(MAX_VARIANTS, len(grid))).round().astype(int)).tolist()
     phase = {} if effect.phase is None else {effect.phase.name: TRIAL_PHASE_RAD}
-    for place in chosen:
-        shapes = {parameter.name: value for parameter, value in zip(effect.shapes, grid[place], strict=True)}
+    for index in indices:
+        shapes = {parameter.name: value for parameter, value in zip(effect.shapes, grid[index], strict=True)}
         yield Candidate(effect, {**effect.defaults, **shapes, **phase})
 
 
 def _position_trial(candidate: Candidate, runs: Sequence[PositionErrors]) -> _PositionTrial:
     errors = [predicted_position_error(candidate, run) for run in runs]
-    clearest = max(float(np.sqrt(np.mean(more**2))) / run.detectable_mm for run, more in zip(runs, errors, strict=True))
-    strays = [replace(run, error_mm=run.error_mm + more) for run, more in zip(runs, errors, strict=True)]
+    error_ratio = max(
+        float(np.sqrt(np.mean(error**2))) / run.detectable_mm for run, error in zip(runs, errors, strict=True)
+    )
+    shifted = [replace(run, error_mm=run.error_mm + error) for run, error in zip(runs, errors, strict=True)]
     return _PositionTrial(
-        clearest, {model_class.effect: 1.0 - model_class.held_out_share for model_class in score_model_classes(strays)}
+        error_ratio,
+        {model_class.effect: 1.0 - model_class.held_out_share for model_class in score_model_classes(shifted)},
     )
 
 
-def _position_visibility(effect: Effect, tried: Sequence[_PositionTrial]) -> Visibility:
+def _position_visibility(effect: Effect, trials: Sequence[_PositionTrial]) -> Visibility:
     size, unit = effect.size.default, effect.size.unit
-    ratios = [trial.error_ratio for trial in tried if trial.error_ratio > 0]
+    ratios = [trial.error_ratio for trial in trials if trial.error_ratio > 0]
     if not ratios:
         return Visibility(effect.id, "position", 0.0, size, None, unit)
     return Visibility(
@@ -405,22 +407,24 @@ def _position_visibility(effect: Effect, tried: Sequence[_PositionTrial]) -> Vis
     )
 
 
-def _position_pair(pair: tuple[str, str], tried: Mapping[str, Sequence[_PositionTrial]]) -> EffectPair:
-    name, label = pair
-    left = [
-        [min(max(trial.remaining_shares[rival], 0.0), 1.0) for trial in tried[truth]]
-        for truth, rival in (pair, (label, name))
+def _position_pair(pair: tuple[str, str], trials: Mapping[str, Sequence[_PositionTrial]]) -> EffectPair:
+    first, second = pair
+    remaining = [
+        [min(max(trial.remaining_shares[rival], 0.0), 1.0) for trial in trials[truth]]
+        for truth, rival in (pair, (second, first))
     ]
-    shifts = [
+    d_primes = [
         median(
             DETECTABLE_D_PRIME * trial.error_ratio * float(np.sqrt(share))
-            for trial, share in zip(tried[truth], shares, strict=True)
+            for trial, share in zip(trials[truth], shares, strict=True)
         )
-        for truth, shares in zip(pair, left, strict=True)
+        for truth, shares in zip(pair, remaining, strict=True)
     ]
-    sin2 = min(*left[0], *left[1])
-    confused = sin2 < 1.0 - MIN_POSITION_SHARE or min(shifts) < DETECTABLE_D_PRIME
-    return EffectPair(pair, "position", sin2, (median(left[0]), median(left[1])), (shifts[0], shifts[1]), confused)
+    sin2 = min(*remaining[0], *remaining[1])
+    confused = sin2 < 1.0 - MIN_POSITION_SHARE or min(d_primes) < DETECTABLE_D_PRIME
+    return EffectPair(
+        pair, "position", sin2, (median(remaining[0]), median(remaining[1])), (d_primes[0], d_primes[1]), confused
+    )
 
 
 ISOLABILITY_STEPS = 4
@@ -437,12 +441,12 @@ def isolate(
     duration_s: float | None = None,
     progress: Progress = no_progress,
 ) -> Isolability:
-    """Say which effects the runs of a specimen can tell apart, and how small a one they would show.
+    """Return which effects runs of a specimen can tell apart, and the smallest detectable sizes.
 
     Parameters
     ----------
     excluded
-        Effects that are not to be considered.
+        Effects to leave out.
 
     Raises
     ------
@@ -461,47 +465,54 @@ def isolate(
     order = order_by_similarity(
         angles.effects, {frozenset(effect_pair.effects): effect_pair.sin2 for effect_pair in pairs}
     )
-    seen = {name: _force_visibility(study, design, angles, name) for name in order}
-    hidden = [_invisible(effect) for effect in study.effects if effect.id not in seen]
+    visible = {name: _force_visibility(study, design, angles, name) for name in order}
+    invisible = [_invisible(effect) for effect in study.effects if effect.id not in visible]
     progress(3, ISOLABILITY_STEPS)
     lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.spectral_line]
-    in_position, more = position_isolability(selection.experiments, effects)
+    in_position, position_pairs = position_isolability(selection.experiments, effects)
     progress(ISOLABILITY_STEPS, ISOLABILITY_STEPS)
     return Isolability(
         source=source,
         planned=planned,
         runs=dict(Counter(experiment.kind for experiment in selection.experiments)),
         duration_s=duration_s,
-        effects=(*seen.values(), *hidden, *lines, *in_position),
-        pairs=tuple(sorted((*pairs, *more), key=lambda effect_pair: effect_pair.sin2)),
+        effects=(*visible.values(), *invisible, *lines, *in_position),
+        pairs=tuple(sorted((*pairs, *position_pairs), key=lambda effect_pair: effect_pair.sin2)),
         remarks=tuple(_isolability_remarks(selection, planned=planned)),
     )
 
 
 def _force_pair(angles: SignatureAngles, pair: tuple[str, str]) -> EffectPair:
-    label, other = pair
-    left = angles.sin2(label, other), angles.sin2(other, label)
-    apart = [float(np.median(angles.d_primes(name) * np.sqrt(share))) for name, share in zip(pair, left, strict=True)]
-    sin2 = float(min(left[0].min(), left[1].min()))
-    typical = float(np.median(left[0])), float(np.median(left[1]))
+    first, second = pair
+    sin2s = angles.sin2(first, second), angles.sin2(second, first)
+    d_primes = [
+        float(np.median(angles.d_primes(name) * np.sqrt(share))) for name, share in zip(pair, sin2s, strict=True)
+    ]
+    sin2 = float(min(sin2s[0].min(), sin2s[1].min()))
+    typical = float(np.median(sin2s[0])), float(np.median(sin2s[1]))
     return EffectPair(
-        pair, "force", sin2, typical, (apart[0], apart[1]), sin2 < CONFUSED_SIN2 or min(apart) < DETECTABLE_D_PRIME
+        pair,
+        "force",
+        sin2,
+        typical,
+        (d_primes[0], d_primes[1]),
+        sin2 < CONFUSED_SIN2 or min(d_primes) < DETECTABLE_D_PRIME,
     )
 
 
 def _force_visibility(study: Study, design: Design, angles: SignatureAngles, name: str) -> Visibility:
     size = next(effect for effect in study.effects if effect.id == name).size
-    forms = [angles.variants[index] for index in angles.variants_of_effect(name)]
-    pairs = [_smallest_visible(study, design, variant, required_d_prime(name)) for variant in forms]
-    share, least_mN = median(pair[0] for pair in pairs), median(pair[1] for pair in pairs)
-    d_prime = median(variant.d_prime for variant in forms)
-    return Visibility(name, "force", d_prime, size.default, share * abs(size.default), size.unit, least_mN)
+    variants = [angles.variants[index] for index in angles.variants_of_effect(name)]
+    limits = [_smallest_visible(study, design, variant, required_d_prime(name)) for variant in variants]
+    share, smallest_mN = median(limit[0] for limit in limits), median(limit[1] for limit in limits)
+    d_prime = median(variant.d_prime for variant in variants)
+    return Visibility(name, "force", d_prime, size.default, share * abs(size.default), size.unit, smallest_mN)
 
 
-def _smallest_visible(study: Study, design: Design, form: VariantColumns, d_prime: float) -> tuple[float, float]:
-    """Return the smallest size, with such a d′, over the usual one, and its root mean square [mN]."""
-    rms = variant_rms(study, design, form.variants[0])
-    share = max(d_prime / form.d_prime, DEFAULT_TOLERANCE_MN / rms if rms > 0 else 0.0)
+def _smallest_visible(study: Study, design: Design, variant: VariantColumns, d_prime: float) -> tuple[float, float]:
+    """Return the smallest size with this d′ in default sizes, and its rms force [mN]."""
+    rms = variant_rms(study, design, variant.variants[0])
+    share = max(d_prime / variant.d_prime, DEFAULT_TOLERANCE_MN / rms if rms > 0 else 0.0)
     return share, share * rms
 
 
@@ -510,31 +521,31 @@ def _invisible(effect: Effect) -> Visibility:
 
 
 def _line_visibility(effect: Effect, selection: RunSelection, channel: str) -> Visibility:
-    size, least = effect.size, detectable_line_amplitude(selection.experiments, channel, MIN_MAINS_LLR)
-    if least is None:
+    size, amplitude = effect.size, detectable_line_amplitude(selection.experiments, channel, MIN_MAINS_LLR)
+    if amplitude is None:
         return Visibility(effect.id, "spectrum", 0.0, size.default, None, size.unit)
     return Visibility(
         effect.id,
         "spectrum",
-        DETECTABLE_D_PRIME * size.default / least,
+        DETECTABLE_D_PRIME * size.default / amplitude,
         size.default,
-        least,
+        amplitude,
         size.unit,
-        least / float(np.sqrt(2)),
+        amplitude / float(np.sqrt(2)),
     )
 
 
 def _isolability_remarks(selection: RunSelection, *, planned: bool) -> Iterator[str]:
     yield (
-        "an effect of the position and one of the force are told apart by the channel: the force is predicted from the "
-        "measured motion, so that a stage that strays leaves no gap there, and no angle between the two is given"
+        "effects on the position and on the force are separated by the channel: the force is predicted from the "
+        "measured motion, so position errors leave no gap there, and no angle between the two is given"
     )
-    yield "mains hum is told by its frequency where the stage stands still, and has no near one among the others"
-    yield "more than two effects at once, and what the catalogue does not have, are not looked at"
+    yield "mains hum is recognised by its frequency at rest, and no other effect resembles it"
+    yield "more than two effects at once, and effects outside the catalogue, are not analysed"
     if planned:
         yield (
-            "the runs are predicted by the nominal model with the simulated rig's noise; another specimen, a louder "
-            "sensor or prompts that take long change the figures"
+            "the runs are predicted by the nominal model with the simulated rig's noise; another specimen, a noisier "
+            "sensor or slow prompts change the figures"
         )
     yield from selection.remarks
 
@@ -542,28 +553,27 @@ def _isolability_remarks(selection: RunSelection, *, planned: bool) -> Iterator[
 KIND_NAMES = {"coulomb": "Coulomb"}
 
 
-def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
-    """Return what matters most, the first sentence first."""
-    return tuple(_sentences(isolability))
-
-
 def smallest_visible_text(visibility: Visibility) -> str:
-    """Spell the smallest size that would be seen, with its unit."""
+    """Return the smallest detectable size with its unit."""
     if visibility.smallest is None:
-        return "not at all"
+        return "not detectable"
     unit = "" if visibility.unit == "1" else f" {visibility.unit}"
     return f"{visibility.smallest:.2g}{unit}"
 
 
 def pair_text(pair: EffectPair) -> str:
-    """Name two effects and say how far apart they are."""
+    """Return the names of two effects and their angle."""
     return (
         f"{join_names([display_name(name) for name in pair.effects])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
     )
 
 
+def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
+    """Return the main results, the most important sentence first."""
+    return tuple(_sentences(isolability))
+
+
 def _sentences(isolability: Isolability) -> Iterator[str]:
-    made = "would make" if isolability.planned else "are"
     counts = join_names(
         [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in isolability.runs.items()]
     )
@@ -571,19 +581,19 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
     confused = isolability.confused
     if confused:
         yield (
-            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly told apart "
-            f"by these runs: {join_names([pair_text(pair) for pair in confused])}."
+            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly "
+            f"distinguishable with these runs: {join_names([pair_text(pair) for pair in confused])}."
         )
     else:
-        yield "These runs tell every two effects of the catalogue apart."
-    yield f"These {made} {counts}{time}." if not isolability.planned else f"The plan {made} {counts}{time}."
+        yield "These runs can distinguish every pair of effects of the catalogue."
+    yield f"{'The plan makes' if isolability.planned else 'These are'} {counts}{time}."
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
-        yield f"{capitalise(names)} would not be seen at the usual size."
-    force = [visibility for visibility in isolability.of_channel("force") if visibility.smallest is not None]
-    if force:
-        weakest = max(force, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
+        yield f"{capitalise(names)} would not be detected at the usual size."
+    visible = [visibility for visibility in isolability.of_channel("force") if visibility.smallest is not None]
+    if visible:
+        weakest = max(visible, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
         yield (
-            f"The least visible is {display_name(weakest.effect)}: from {smallest_visible_text(weakest)} on, "
-            f"where it usually is {weakest.usual:g}."
+            f"Hardest to detect: {display_name(weakest.effect)}, from {smallest_visible_text(weakest)} on "
+            f"(usual size {weakest.usual:g})."
         )

@@ -25,6 +25,7 @@ from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN
 from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
 from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
 from dragrig.analysis.gap.diagnosis_text import recommendation_reason
+from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.linear_fit import NUISANCES, RELATIVE_RIDGE, RankedEffect, gauss_newton_step
 from dragrig.analysis.gap.studies import CapsuleStudy
@@ -34,15 +35,13 @@ from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import catalogue
 
-FORM_LOSS_OF_RIVAL = 0.12
-"""Part of an effect's squares that its real form may cost it against a wrong one."""
 LOG_ODDS_PER_SHARE = 14.0
-"""Log odds for each share of an effect's squares that a rival leaves."""
+"""Log odds per share of an effect's squares that a rival leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssumedEffect:
-    """An effect as it may be there: columns of the ground's shapes with amplitudes, in usual sizes."""
+    """An effect assumed to be present: columns of the dictionary with amplitudes, in default sizes."""
 
     effect: str
     columns: tuple[int, ...]
@@ -51,7 +50,7 @@ class AssumedEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairQuestion:
-    """A contest to be decided: an effect that may be there against a rival, with how much it matters."""
+    """A pair to separate: an assumed effect and a rival, with a weight."""
 
     assumed: AssumedEffect
     rival: str
@@ -60,16 +59,16 @@ class PairQuestion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """What runs say of the shapes of some effects.
+    """Information of runs on the variants of some effects.
 
     Attributes
     ----------
     gram
-        Gram matrix of nuisances and shapes, whitened and summed over runs.
+        Gram matrix of nuisances and variants, whitened and summed over runs.
     prior_precision
-        Of the nuisances' priors.
+        Prior precision of the nuisances.
     variants
-        The shapes, in the order of the last columns.
+        Variants in the order of the last columns.
     """
 
     gram: FloatArray
@@ -78,25 +77,31 @@ class Information:
 
     @classmethod
     def of(cls, design: Design, effects: Sequence[str]) -> "Information":
-        """Take what belongs to some effects out of a design with its dictionary."""
+        """Extract the information on some effects from a design with its dictionary."""
         rows = information_rows(design, effects)
         nuisances = design.columns_of(*NUISANCES)
         variants = tuple(variant for variant in design.variants if variant.effect.id in effects)
         return cls(design.total_gram()[np.ix_(rows, rows)], design.prior_precision[nuisances], variants)
 
     def with_run(self, gram: FloatArray) -> "Information":
-        """Add a run, whose Gram matrix has the same columns."""
+        """Add a run by its Gram matrix with the same columns."""
         return replace(self, gram=self.gram + gram)
 
     def projected_gram(self) -> FloatArray:
-        """Return the products of the shapes once nuisances have taken what they can."""
+        """Return the products of the variants with nuisances projected out."""
         count = len(self.prior_precision)
-        own, across = self.gram[:count, :count], self.gram[:count, count:]
-        whole = own + np.diag(self.prior_precision + RELATIVE_RIDGE * np.diag(own))
-        return np.asarray(self.gram[count:, count:] - across.T @ np.linalg.solve(whole, across))
+        nuisances, cross = self.gram[:count, :count], self.gram[:count, count:]
+        precision_matrix = nuisances + np.diag(self.prior_precision + RELATIVE_RIDGE * np.diag(nuisances))
+        return np.asarray(self.gram[count:, count:] - cross.T @ np.linalg.solve(precision_matrix, cross))
+
+    def columns_of(self, design: Design, effect: str, variants: Sequence[int]) -> tuple[int, ...]:
+        """Return the columns here of an effect's variants, given by their indices in a design's dictionary."""
+        in_design = [index for index, variant in enumerate(design.variants) if variant.effect.id == effect]
+        columns = [index for index, variant in enumerate(self.variants) if variant.effect.id == effect]
+        return tuple(columns[in_design.index(index)] for index in variants)
 
     def variants_of(self, effect: str) -> list[tuple[int, ...]]:
-        """Return the columns of each form of an effect; two for what is periodic."""
+        """Return the columns of each variant of an effect; two for a periodic one."""
         numbered = [(number, variant) for number, variant in enumerate(self.variants) if variant.effect.id == effect]
         return [
             tuple(number for number, _ in group)
@@ -105,50 +110,50 @@ class Information:
 
 
 def information_rows(design: Design, effects: Sequence[str]) -> FloatArray:
-    """Return the rows of a design's Gram matrices that hold nuisances and the shapes of some effects."""
-    wanted = [place for place, variant in enumerate(design.variants) if variant.effect.id in effects]
+    """Return the rows of a design's Gram matrices for nuisances and the variants of some effects."""
+    indices = [index for index, variant in enumerate(design.variants) if variant.effect.id in effects]
     return np.asarray(
-        1 + np.concatenate((design.columns_of(*NUISANCES), design.columns_of(ColumnKind.VARIANT)[wanted]))
+        1 + np.concatenate((design.columns_of(*NUISANCES), design.columns_of(ColumnKind.VARIANT)[indices]))
     )
 
 
 def separate_pair(information: Information, gram: FloatArray, question: PairQuestion) -> ModelPair:
-    """Say how far a truth is from a rival, by the ground's projected products."""
-    truth = question.assumed
-    index = list(truth.columns)
-    squares = float(truth.amplitude @ gram[np.ix_(index, index)] @ truth.amplitude)
-    along = gram[:, index] @ truth.amplitude
-    taken = max(
-        (_absorbed_chi2(information, gram, along, form) for form in information.variants_of(question.rival)),
+    """Return how far an assumed effect is from a rival, from the projected Gram matrix."""
+    assumed = question.assumed
+    index = list(assumed.columns)
+    squares = float(assumed.amplitude @ gram[np.ix_(index, index)] @ assumed.amplitude)
+    moment = gram[:, index] @ assumed.amplitude
+    absorbed = max(
+        (_absorbed_chi2(information, gram, moment, variant) for variant in information.variants_of(question.rival)),
         default=0.0,
     )
-    left = max(squares - taken, 0.0)
-    return ModelPair(truth.effect, question.rival, float(np.sqrt(left)), left / max(squares, 1e-12))
+    remaining = max(squares - absorbed, 0.0)
+    return ModelPair(assumed.effect, question.rival, float(np.sqrt(remaining)), remaining / max(squares, 1e-12))
 
 
 def expected_log_odds(pair: ModelPair) -> float:
-    """Return about how sure a diagnosis can be of the truth, forms being foreign and noise being there."""
-    left = pair.d_prime**2
+    """Return the approximate log odds of a diagnosis, with form error and noise."""
+    remaining = pair.d_prime**2
     if not pair.rival:
-        return 0.5 * left
-    squares = left / max(pair.remaining_share, 1e-12)
-    return LOG_ODDS_PER_SHARE * pair.remaining_share + 0.5 * left / (1.0 + 0.5 * FORM_LOSS_OF_RIVAL * squares)
+        return 0.5 * remaining
+    squares = remaining / max(pair.remaining_share, 1e-12)
+    return LOG_ODDS_PER_SHARE * pair.remaining_share + 0.5 * remaining / (1.0 + 0.5 * FORM_LOSS * squares)
 
 
-def _absorbed_chi2(ground: Information, gram: FloatArray, along: FloatArray, form: tuple[int, ...]) -> float:
-    index = list(form)
-    own = gram[np.ix_(index, index)]
-    strength = float(np.trace(own))
+def _absorbed_chi2(information: Information, gram: FloatArray, moment: FloatArray, variant: tuple[int, ...]) -> float:
+    index = list(variant)
+    gram_of_variant = gram[np.ix_(index, index)]
+    strength = float(np.trace(gram_of_variant))
     if strength <= 1e-9:
         return 0.0
-    if ground.variants[index[0]].one_signed and along[index[0]] < 0:
+    if information.variants[index[0]].one_signed and moment[index[0]] < 0:
         return 0.0
-    return float(along[index] @ np.linalg.solve(own + 1e-9 * strength * np.eye(len(index)), along[index]))
+    return float(moment[index] @ np.linalg.solve(gram_of_variant + 1e-9 * strength * np.eye(len(index)), moment[index]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceSeparation:
-    """What runs say of the shapes of effects, and what is asked."""
+    """Separation of pairs of effects on the force by the information of runs."""
 
     information: Information
     questions: tuple[PairQuestion, ...]
@@ -158,12 +163,12 @@ class ForceSeparation:
         return replace(self, information=self.information.with_run(observation))
 
     def separations(self) -> tuple[PairSeparation, ...]:
-        """Return how far each question is answered."""
+        """Return the separation of each pair."""
         gram = self.information.projected_gram()
-        decided = [separate_pair(self.information, gram, question) for question in self.questions]
+        pairs = [separate_pair(self.information, gram, question) for question in self.questions]
         return tuple(
             PairSeparation(pair, expected_log_odds(pair), asked.weight)
-            for pair, asked in zip(decided, self.questions, strict=True)
+            for pair, asked in zip(pairs, self.questions, strict=True)
         )
 
 
@@ -171,43 +176,43 @@ def search_force_runs(
     study: Study,
     design: Design,
     questions: Sequence[PairQuestion],
-    trials: Sequence[CandidateRun],
+    candidates: Sequence[CandidateRun],
     budget: ExperimentBudget,
 ) -> tuple[NextRun, ...]:
-    """Return the runs that answer most of what is asked of the force, each the best after those before.
+    """Return the runs that separate the pairs best, each given those before.
 
     Parameters
     ----------
     study, design
-        The campaign, and its design with the dictionary around the point that nominal parameters came to.
+        Campaign, and its design with the dictionary around the fitted nominal parameters.
     questions
-        Contests with their weights; at least one.
+        Pairs with their weights; at least one.
     """
     effects = _asked_effects(study, questions)
     grams = _candidate_grams(
-        replace(study, effects=tuple(effect for effect in study.effects if effect.id in effects)), design, trials
+        replace(study, effects=tuple(effect for effect in study.effects if effect.id in effects)), design, candidates
     )
-    field = ForceSeparation(Information.of(design, effects), tuple(questions))
-    return greedy_search(field, list(zip(trials, grams, strict=True)), budget)
+    model = ForceSeparation(Information.of(design, effects), tuple(questions))
+    return greedy_search(model, list(zip(candidates, grams, strict=True)), budget)
 
 
 def _asked_effects(study: Study, questions: Sequence[PairQuestion]) -> list[str]:
-    named = {question.assumed.effect for question in questions} | {question.rival for question in questions}
-    return [effect.id for effect in study.effects if effect.id in named]
+    names = {question.assumed.effect for question in questions} | {question.rival for question in questions}
+    return [effect.id for effect in study.effects if effect.id in names]
 
 
-def _candidate_grams(study: Study, design: Design, trials: Sequence[CandidateRun]) -> list[FloatArray]:
-    laid_out = linearise(study_of_candidates(study, trials), design.z, dictionary=True)
-    rows = information_rows(laid_out, [effect.id for effect in study.effects]).tolist()
-    return [values[rows][:, rows] for values in laid_out.grams]
+def _candidate_grams(study: Study, design: Design, candidates: Sequence[CandidateRun]) -> list[FloatArray]:
+    candidate_design = linearise(study_of_candidates(study, candidates), design.z, dictionary=True)
+    rows = information_rows(candidate_design, [effect.id for effect in study.effects]).tolist()
+    return [gram[rows][:, rows] for gram in candidate_design.grams]
 
 
 LEADING_HYPOTHESES = 3
 SURE_PROBABILITY = 0.9
-"""Below this probability of what is named, runs go on where the contests alone seem decided: these know the catalogue's
-forms only."""
+"""Below this probability of the best hypothesis, remaining time is used even if all pairs seem decided: the expected
+log odds only know the catalogue's forms."""
 MIN_PAIR_WEIGHT = 0.05
-"""A leading effect counts for so much however improbable it is."""
+"""Smallest weight of a leading effect, however improbable."""
 
 
 def recommend_force_run(
@@ -219,24 +224,24 @@ def recommend_force_run(
     *,
     gap: bool,
 ) -> NextExperiment | None:
-    """Recommend one run, from a dozen, or several from the whole grid.
+    """Recommend one run from the short grid, or several from the full grid.
 
     Parameters
     ----------
     design
-        The campaign's around the nominal model, with the dictionary.
+        Design of the campaign around the nominal model, with the dictionary.
     ranked
-        The best shape of each effect.
+        Best variant of each effect.
     probabilities
-        Of hypotheses; several effects joined with `+`.
+        Probabilities of hypotheses; several effects joined with `+`.
     budget
-        How many runs, and how much rig time they may take.
+        Number of runs and rig time.
     gap
-        Whether there is a gap; if not, the run is one that would show smaller effects.
+        Whether there is a gap; if not, the run is to lower the detection limit.
 
     Returns
     -------
-    None where the nominal model is not the friction model, or no run would help.
+    None if the nominal model is not the friction model, or no run would help.
     """
     if not isinstance(study, CapsuleStudy):
         return None
@@ -244,72 +249,74 @@ def recommend_force_run(
     specimen = campaign_specimen(study)
     grid = short_grid(specimen) if budget.runs == 1 else full_grid(specimen)
     limits = budget.limits or limits_of_campaign(study)
-    trials = [candidate for candidate in grid if limits.allow(candidate)]
-    if not questions or not trials:
+    candidates = [candidate for candidate in grid if limits.allow(candidate)]
+    if not questions or not candidates:
         return None
     sure = (
         max((value for name, value in probabilities.items() if name not in (NO_GAP, UNKNOWN)), default=0.0)
         > SURE_PROBABILITY
     )
-    wanted = replace(budget, use_all_time=not sure) if gap else replace(budget, decided_log_odds=UNBOUNDED)
-    return next_experiment_of(search_force_runs(study, design, questions, trials, wanted), len(trials))
+    budget_for_search = replace(budget, use_all_time=not sure) if gap else replace(budget, decided_log_odds=UNBOUNDED)
+    return next_experiment_of(
+        search_force_runs(study, design, questions, candidates, budget_for_search), len(candidates)
+    )
 
 
 def next_experiment_of(runs: Sequence[NextRun], tried: int) -> NextExperiment | None:
-    """Return what was found with its reason; None where nothing was."""
+    """Return recommended runs with the reason; None for no runs."""
     return NextExperiment(tuple(runs), tried, recommendation_reason(runs[0], tried)) if runs else None
 
 
 def open_questions(
     study: Study, design: Design, ranked: Sequence[RankedEffect], probabilities: Mapping[str, float], *, gap: bool
 ) -> tuple[PairQuestion, ...]:
-    """Return what a campaign leaves open between its leading hypotheses."""
-    chances = {
-        best.effect: marginal_probability(best.effect, probabilities) for best in ranked if best.llr > 0 or not gap
+    """Return the pairs of leading hypotheses that a campaign leaves open."""
+    probability_of = {
+        entry.effect: marginal_probability(entry.effect, probabilities) for entry in ranked if entry.llr > 0 or not gap
     }
     if gap:
-        order = sorted(chances, key=lambda name: -chances[name])[:LEADING_HYPOTHESES]
+        order = sorted(probability_of, key=lambda name: -probability_of[name])[:LEADING_HYPOTHESES]
     else:
         periodic = {effect.id for effect in study.effects if effect.phase is not None}
-        order = [name for name in chances if name not in periodic]
-    known = {best.effect: best for best in ranked}
-    ground = Information.of(design, [effect.id for effect in study.effects if effect.id in order])
-    truths = {name: _assumed_effect(ground, design, known[name], gap=gap) for name in order}
-    return tuple(_pair_questions(truths, {name: max(chances[name], MIN_PAIR_WEIGHT) for name in order}, gap=gap))
+        order = [name for name in probability_of if name not in periodic]
+    ranked_by_effect = {entry.effect: entry for entry in ranked}
+    information = Information.of(design, [effect.id for effect in study.effects if effect.id in order])
+    assumed_effects = {name: _assumed_effect(information, design, ranked_by_effect[name], gap=gap) for name in order}
+    return tuple(
+        _pair_questions(assumed_effects, {name: max(probability_of[name], MIN_PAIR_WEIGHT) for name in order}, gap=gap)
+    )
 
 
 def limits_of_campaign(study: Study) -> RigLimits:
-    """Return what a campaign's own runs say that the rig can do, the shipped plans' at least."""
-    usual = RigLimits()
+    """Return limits that cover a campaign's own runs, and at least the default ones."""
+    default = RigLimits()
     travel = max(float(np.max(run.coordinates.position_mm)) for run in study.runs)
     speed = max(float(np.max(run.coordinates.top_speed_mm_s)) for run in study.runs)
-    return RigLimits(max(usual.travel_mm, travel), max(usual.speed_mm_s, speed), usual.accel_mm_s2)
+    return RigLimits(max(default.travel_mm, travel), max(default.speed_mm_s, speed), default.accel_mm_s2)
 
 
 def _pair_questions(
-    truths: Mapping[str, AssumedEffect], weights: Mapping[str, float], *, gap: bool
+    assumed_effects: Mapping[str, AssumedEffect], weights: Mapping[str, float], *, gap: bool
 ) -> Iterator[PairQuestion]:
     if not gap:
-        for name, truth in truths.items():
-            yield PairQuestion(truth, "", weights[name])
+        for name, assumed in assumed_effects.items():
+            yield PairQuestion(assumed, "", weights[name])
         return
-    for label, other in permutations(truths, 2):
-        yield PairQuestion(truths[label], other, weights[label] * weights[other])
-    if len(truths) == 1:
-        for name, truth in truths.items():
-            yield PairQuestion(truth, "", weights[name])
+    for name_assumed, rival in permutations(assumed_effects, 2):
+        yield PairQuestion(assumed_effects[name_assumed], rival, weights[name_assumed] * weights[rival])
+    if len(assumed_effects) == 1:
+        for name, assumed in assumed_effects.items():
+            yield PairQuestion(assumed, "", weights[name])
 
 
 def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> float:
-    """Return how probable an effect is, alone or with others."""
+    """Return the probability of an effect, alone or with others."""
     return sum(value for name, value in probabilities.items() if effect in name.split("+"))
 
 
-def _assumed_effect(ground: Information, design: Design, ranked: RankedEffect, *, gap: bool) -> AssumedEffect:
-    """Return an effect as it was fitted; without a gap, as large as it would just be seen."""
-    own = [place for place, shape in enumerate(design.variants) if shape.effect.id == ranked.effect]
-    before = [place for place, shape in enumerate(ground.variants) if shape.effect.id == ranked.effect]
-    columns = tuple(before[own.index(place)] for place in ranked.variants)
+def _assumed_effect(information: Information, design: Design, ranked: RankedEffect, *, gap: bool) -> AssumedEffect:
+    """Return an effect as fitted, or without a gap at its detection limit."""
+    columns = information.columns_of(design, ranked.effect, ranked.variants)
     if gap:
         return AssumedEffect(ranked.effect, columns, ranked.amplitude)
     amplitude = np.zeros(len(columns))
@@ -318,71 +325,71 @@ def _assumed_effect(ground: Information, design: Design, ranked: RankedEffect, *
 
 
 MAX_PAIRS = 3
-"""So many of the closest pairs are looked at where none is named."""
+"""Number of most similar pairs to separate where none is given."""
 
 
 @single_blas_thread()
 def recommend_for_pair(
     selection: RunSelection, nominal: CapsuleModel, pair: tuple[str, str] | None, budget: ExperimentBudget
 ) -> NextExperiment | None:
-    """Recommend runs that set effects apart.
+    """Recommend runs that separate effects at their default sizes.
 
     Parameters
     ----------
     pair
-        Two effects of the force; those that the runs hardly tell apart unless given, the closest if there are none.
+        Two effects on the force; default: the confused pairs, or the most similar one.
 
     Raises
     ------
     AnalysisError
-        Where the runs show one of the two not at all and no run could be compared with.
+        Where the runs do not show one of the two at all.
     """
     effects = [effect for effect in catalogue().values() if effect.has_force_signature]
     study = CapsuleStudy.of(selection, nominal, effects)
     point = gauss_newton_step(linearise(study, study.initial_z))
-    wanted = (
+    study_of_pair = (
         study
         if pair is None
         else replace(study, effects=tuple(effect for effect in study.effects if effect.id in pair))
     )
-    design = linearise(wanted, point.z, dictionary=True)
+    design = linearise(study_of_pair, point.z, dictionary=True)
     angles = SignatureAngles.of(design)
     pairs = [pair] if pair is not None else list(_closest_pairs(angles))
-    lacking = sorted({name for item in pairs for name in item} - set(angles.effects))
-    if lacking:
-        raise AnalysisError(f"{lacking[0]}: these runs do not show it at all; begin with a plan that does, as paper.")
+    missing = sorted({name for item in pairs for name in item} - set(angles.effects))
+    if missing:
+        raise AnalysisError(
+            f"{missing[0]}: these runs do not show it at all; begin with a plan that does, such as paper."
+        )
     limits = budget.limits or limits_of_campaign(study)
-    trials = [candidate for candidate in full_grid(campaign_specimen(study)) if limits.allow(candidate)]
-    questions = _questions_of_pairs(wanted, design, angles, pairs)
-    return next_experiment_of(search_force_runs(wanted, design, questions, trials, budget), len(trials))
+    candidates = [candidate for candidate in full_grid(campaign_specimen(study)) if limits.allow(candidate)]
+    questions = _questions_of_pairs(study_of_pair, design, angles, pairs)
+    return next_experiment_of(search_force_runs(study_of_pair, design, questions, candidates, budget), len(candidates))
 
 
 def _closest_pairs(angles: SignatureAngles) -> Iterator[tuple[str, str]]:
     names = angles.effects
-    apart = {
-        (name, label): float(min(angles.sin2(name, label).min(), angles.sin2(label, name).min()))
-        for place, name in enumerate(names)
-        for label in names[place + 1 :]
+    sin2 = {
+        (name, other_name): float(min(angles.sin2(name, other_name).min(), angles.sin2(other_name, name).min()))
+        for index, name in enumerate(names)
+        for other_name in names[index + 1 :]
     }
-    ordered = sorted(apart, key=lambda pair: apart[pair])
-    close = [pair for pair in ordered if apart[pair] < CONFUSED_SIN2]
-    yield from (close or ordered[:1])[:MAX_PAIRS]
+    ordered = sorted(sin2, key=lambda pair: sin2[pair])
+    confused = [pair for pair in ordered if sin2[pair] < CONFUSED_SIN2]
+    yield from (confused or ordered[:1])[:MAX_PAIRS]
 
 
 def _questions_of_pairs(
     study: Study, design: Design, angles: SignatureAngles, pairs: Sequence[tuple[str, str]]
 ) -> tuple[PairQuestion, ...]:
-    """Ask of each pair both ways, with the form of the first that the second comes nearest to."""
-    named = {name for pair in pairs for name in pair}
-    ground = Information.of(design, [effect.id for effect in study.effects if effect.id in named])
+    """Return both questions for each pair, with the variant of the assumed effect nearest to the rival."""
+    names = {name for pair in pairs for name in pair}
+    information = Information.of(design, [effect.id for effect in study.effects if effect.id in names])
     questions = []
     for pair in pairs:
-        for truth, rival in (pair, pair[::-1]):
-            nearest = angles.variants_of_effect(truth)[int(np.argmin(angles.sin2(truth, rival)))]
-            own = [place for place, shape in enumerate(design.variants) if shape.effect.id == truth]
-            before = [place for place, shape in enumerate(ground.variants) if shape.effect.id == truth]
-            columns = tuple(before[own.index(place)] for place in angles.variants[nearest].variants)
+        for assumed, rival in (pair, pair[::-1]):
+            nearest = angles.variants_of_effect(assumed)[int(np.argmin(angles.sin2(assumed, rival)))]
+            columns = information.columns_of(design, assumed, angles.variants[nearest].variants)
             amplitude = np.zeros(len(columns))
             amplitude[0] = 1.0
-            questions.append(PairQuestion(AssumedEffect(truth, columns, amplitude), rival, 1.0))
+            questions.append(PairQuestion(AssumedEffect(assumed, columns, amplitude), rival, 1.0))
     return tuple(questions)

@@ -52,47 +52,49 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Channel, catalogue
 
 MIN_LOG_DISTANCE = log(1.5)
-"""A run whose speed, acceleration and travel differ by less from those of another shows nothing else."""
+"""Smallest log ratio of speed, acceleration or travel for a motion to count as new."""
 ACCELERATION_FROM, ACCELERATION_TO = 0.1, 0.9
-"""Parts of the highest speed between which an acceleration is taken."""
+"""Fractions of the highest speed between which the acceleration is evaluated."""
 MOTION_ASPECTS = ("speed", "acceleration", "travel", "direction")
 NO_NEW_MOTION = (
-    "No further run would show more of how the position strays: those made already have speeds, accelerations and "
-    "travels like all that were compared."
+    "No further run would show more of the position error: the runs so far cover the speeds, accelerations and "
+    "travels of all candidates."
 )
 
 
 def search_new_motions(
-    position: PositionAnalysis, tried: Sequence[tuple[CandidateRun, PositionErrors]], budget: ExperimentBudget
+    position: PositionAnalysis, observed: Sequence[tuple[CandidateRun, PositionErrors]], budget: ExperimentBudget
 ) -> NextExperiment | None:
-    """Return the runs furthest beyond those so far per minute of rig time, each after those before.
-
-    None where the runs so far move the stage in all ways that are tried.
-    """
+    """Return the runs furthest from all motions so far per minute of rig time; None for no new motion."""
     covered = [motion_features(run) for run in position.runs]
-    contest = _current_pair(position)
-    chosen: list[NextRun] = []
-    first = ""
-    spent = 0.0
-    while len(chosen) < budget.runs:
-        beyond = [(_distance_to_nearest(motion_features(seen), covered), trial, seen) for trial, seen in tried]
-        fitting = [
-            pair
-            for pair in beyond
-            if float(pair[0].max()) >= MIN_LOG_DISTANCE and spent + pair[1].minutes <= budget.minutes
+    pair = _current_pair(position)
+    selected: list[NextRun] = []
+    reason = ""
+    minutes = 0.0
+    while len(selected) < budget.runs:
+        distances = [
+            (_distance_to_nearest(motion_features(observation), covered), candidate, observation)
+            for candidate, observation in observed
         ]
-        if not fitting:
+        candidates = [
+            item
+            for item in distances
+            if float(item[0].max()) >= MIN_LOG_DISTANCE and minutes + item[1].minutes <= budget.minutes
+        ]
+        if not candidates:
             break
-        by, trial, seen = max(fitting, key=lambda pair: float(pair[0].max()) / (pair[1].minutes + FIXTURE_CHANGE_MIN))
-        first = first or _coverage_reason(trial, by, len(tried))
-        chosen.append(NextRun(trial.step, trial.minutes, contest, contest))
-        covered.append(motion_features(seen))
-        spent += trial.minutes
-    return NextExperiment(tuple(chosen), len(tried), first) if chosen else None
+        distance, candidate, observation = max(
+            candidates, key=lambda item: float(item[0].max()) / (item[1].minutes + FIXTURE_CHANGE_MIN)
+        )
+        reason = reason or _coverage_reason(candidate, distance, len(observed))
+        selected.append(NextRun(candidate.step, candidate.minutes, pair, pair))
+        covered.append(motion_features(observation))
+        minutes += candidate.minutes
+    return NextExperiment(tuple(selected), len(observed), reason) if selected else None
 
 
 def motion_features(run: PositionErrors) -> FloatArray:
-    """Return the logarithms of a run's speed, acceleration and travel, and of how many ways it goes, shape `(4,)`."""
+    """Return log speed, acceleration, travel and number of directions of a run, shape `(4,)`."""
     time = run.experiment.time_s
     command = np.asarray(run.experiment.run.trace.command, dtype=np.float64)
     speed = np.abs(np.gradient(command, time))
@@ -101,53 +103,55 @@ def motion_features(run: PositionErrors) -> FloatArray:
     acceleration = (
         (ACCELERATION_TO - ACCELERATION_FROM) * top / max(float(time[end] - time[begin]), float(time[1] - time[0]))
     )
-    ways = 2.0 if run.velocity_mm_s.min() < 0 < run.velocity_mm_s.max() else 1.0
-    return np.log(np.maximum((top, acceleration, np.ptp(command), ways), 1e-6))
+    directions = 2.0 if run.velocity_mm_s.min() < 0 < run.velocity_mm_s.max() else 1.0
+    return np.log(np.maximum((top, acceleration, np.ptp(command), directions), 1e-6))
 
 
 def _distance_to_nearest(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
-    """Return by how much a run differs from the one that is most like it, in each aspect."""
-    return min((np.abs(motion - values) for values in covered), key=lambda values: float(values.max()))
+    """Return the difference to the most similar motion, in each aspect."""
+    return min((np.abs(motion - distance) for distance in covered), key=lambda distance: float(distance.max()))
 
 
 def _current_pair(position: PositionAnalysis) -> ModelPair:
-    """Return what the best form leaves of what strays."""
-    left = 1.0 - max((model_class.held_out_share for model_class in position.model_classes), default=0.0)
-    seen = max(run.rms_mm / run.detectable_mm for run in position.runs)
-    return ModelPair(UNKNOWN, "", DETECTABLE_D_PRIME * seen * float(np.sqrt(min(left, 1.0))), min(left, 1.0))
+    """Return the share of the errors that the best model class leaves."""
+    remaining = 1.0 - max((model_class.held_out_share for model_class in position.model_classes), default=0.0)
+    error_ratio = max(run.rms_mm / run.detectable_mm for run in position.runs)
+    return ModelPair(
+        UNKNOWN, "", DETECTABLE_D_PRIME * error_ratio * float(np.sqrt(min(remaining, 1.0))), min(remaining, 1.0)
+    )
 
 
-def _coverage_reason(trial: CandidateRun, by: FloatArray, tried: int) -> str:
-    differs = [name for name, value in zip(MOTION_ASPECTS, by.tolist(), strict=True) if value >= MIN_LOG_DISTANCE]
+def _coverage_reason(candidate: CandidateRun, distance: FloatArray, tried: int) -> str:
+    aspects = [name for name, value in zip(MOTION_ASPECTS, distance.tolist(), strict=True) if value >= MIN_LOG_DISTANCE]
     return (
-        f"{run_subject(trial.step)} goes furthest per minute of rig time beyond how the stage has moved: no "
-        f"run so far comes near its {join_names(differs)}. How the position strays has no name yet, and where it has "
-        f"not been looked at most of it can show. {trial.minutes:.1f} min of rig time; {tried} runs were compared."
+        f"{run_subject(candidate.step)} is the most novel motion per minute of rig time: no "
+        f"run so far comes near its {join_names(aspects)}. The position error has no known cause yet, and unexplored "
+        f"motions can show most of it. {candidate.minutes:.1f} min of rig time; {tried} candidate runs."
     )
 
 
 CHANCE_SHARE = 0.0025
-"""A rival that leaves less of the errors than this is told from the truth by chance alone."""
+"""Differences in held-out share below this are chance."""
 MIN_FITTED_SHARE = 0.5
-"""An effect of which the catalogue's form takes less of the errors than this is not what strays."""
+"""An effect whose catalogue form explains less of the errors than this is not assumed."""
 MAX_MOTIONS, MAX_NEXT_RUNS = 6, 3
-"""So many motions of a campaign are taken for all of it, and so many further ones recommended at most."""
+"""Number of a campaign's motions that represent all of it, and of runs that are recommended."""
 BLOCK_STRIDE = 3
-"""One block of so many is looked at: more cost time and tell nothing more here."""
+"""Only every third block is evaluated, which suffices here."""
 CLEAR_SHARE = 0.9
-"""An effect that explains so much of the errors is named without doubt."""
+"""Held-out share above which an effect is named with certainty."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssumedPositionEffect:
-    """An effect of the position as it was fitted: of the catalogue, or the command at another time."""
+    """A fitted effect on the position: a candidate of the catalogue, or a latency."""
 
     effect: str
     candidate: Candidate | None
     latency_s: float
 
     def error_in(self, run: PositionErrors) -> FloatArray:
-        """Return what it makes of a run, shape `(B,)` [mm]."""
+        """Return its error in a run, shape `(B,)` [mm]."""
         if self.candidate is not None:
             return predicted_position_error(self.candidate, run)
         return run.zeroed(run.delayed_command(self.latency_s) - run.delayed_command(0.0))
@@ -155,16 +159,16 @@ class AssumedPositionEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionSeparation:
-    """Motions that were made, and which effects of the position they are to set apart.
+    """Separation of effects on the position by the motions of runs.
 
     Attributes
     ----------
     runs
-        Runs with different motions; their errors are not looked at.
+        Runs with different motions; their errors are not used.
     assumed_effects
-        Effects that may be there.
+        Effects that may be present.
     weights
-        How much it matters to set a truth apart from a rival.
+        Weight of each pair of assumed effect and rival.
     """
 
     runs: tuple[PositionErrors, ...]
@@ -172,109 +176,116 @@ class PositionSeparation:
     weights: Mapping[tuple[str, str], float]
 
     def with_run(self, observation: Sequence[PositionErrors]) -> Self:
-        """Add a run by its motion, as often as it is made."""
+        """Add a run by its motion, repeats included."""
         return replace(self, runs=(*self.runs, *observation))
 
     def separations(self) -> tuple[PairSeparation, ...]:
-        """Return how far each truth would be set apart from each rival if it were what strays."""
-        return tuple(answer for truth in self.assumed_effects for answer in self._separations_of(truth))
+        """Return the separation of each assumed effect from each rival."""
+        return tuple(separation for assumed in self.assumed_effects for separation in self._separations_of(assumed))
 
-    def _separations_of(self, truth: AssumedPositionEffect) -> Iterator[PairSeparation]:
-        rivals = [name for label, name in self.weights if label == truth.effect]
-        runs = [replace(run, error_mm=truth.error_in(run)) for run in self.runs]
-        size = float(np.sqrt(sum(np.mean(run.error_mm**2) for run in runs)))
-        explained = {
+    def _separations_of(self, assumed: AssumedPositionEffect) -> Iterator[PairSeparation]:
+        rivals = [name for assumed_name, name in self.weights if assumed_name == assumed.effect]
+        runs = [replace(run, error_mm=assumed.error_in(run)) for run in self.runs]
+        rms_mm = float(np.sqrt(sum(np.mean(run.error_mm**2) for run in runs)))
+        shares = {
             model_class.effect: model_class.held_out_share
-            for model_class in score_model_classes(runs, (truth.effect, *rivals))
+            for model_class in score_model_classes(runs, (assumed.effect, *rivals))
         }
         for rival in rivals:
-            left = min(max(explained[truth.effect] - explained[rival], 0.0), 1.0)
-            contest = ModelPair(
-                truth.effect, rival, DETECTABLE_D_PRIME * size / self.runs[0].detectable_mm * float(np.sqrt(left)), left
+            remaining = min(max(shares[assumed.effect] - shares[rival], 0.0), 1.0)
+            pair = ModelPair(
+                assumed.effect,
+                rival,
+                DETECTABLE_D_PRIME * rms_mm / self.runs[0].detectable_mm * float(np.sqrt(remaining)),
+                remaining,
             )
             yield PairSeparation(
-                contest, _position_log_odds(contest, explained[truth.effect]), self.weights[truth.effect, rival]
+                pair, _position_log_odds(pair, shares[assumed.effect]), self.weights[assumed.effect, rival]
             )
 
 
 def _position_log_odds(pair: ModelPair, explained: float) -> float:
-    """Return about how sure a diagnosis can be of the truth, which explains a share of the errors by its free form."""
-    against = POSITION_RIVAL_SLOPE * max(pair.remaining_share - CHANCE_SHARE, 0.0)
-    named = DECIDED_LOG_ODDS * (explained - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
-    sure = min(against, named)
-    return sure if sure < DECIDED_LOG_ODDS else DECIDED_LOG_ODDS + log(max(pair.d_prime, 1.0))
+    """Return the approximate log odds of a diagnosis for an effect with this held-out share."""
+    rival_odds = POSITION_RIVAL_SLOPE * max(pair.remaining_share - CHANCE_SHARE, 0.0)
+    own_odds = DECIDED_LOG_ODDS * (explained - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
+    log_odds = min(rival_odds, own_odds)
+    return log_odds if log_odds < DECIDED_LOG_ODDS else DECIDED_LOG_ODDS + log(max(pair.d_prime, 1.0))
 
 
 def recommend_position_run(
     study: Study, position: PositionAnalysis, probabilities: Mapping[str, float], budget: ExperimentBudget
 ) -> NextExperiment | None:
-    """Recommend the run that best separates the leading effects of the position per minute of rig time, or several.
+    """Recommend the run that separates the leading effects on the position best per minute, or several.
 
-    Where no effect is likelier than `unknown`, it is the run that goes furthest beyond how the stage has moved so far.
+    Where no effect is more likely than `unknown`, the run with the most novel motion is recommended.
 
     Parameters
     ----------
     position
-        What strays.
+        Position errors of the campaign.
     probabilities
-        Of hypotheses; several effects joined with `+`.
+        Probabilities of hypotheses; several effects joined with `+`.
 
     Returns
     -------
-    None where the nominal model is not the friction model, or no run would help.
+    None if the nominal model is not the friction model, or no run would help.
     """
     if not isinstance(study, CapsuleStudy):
         return None
     limits = budget.limits or limits_of_campaign(study)
-    trials = [
+    candidates = [
         candidate
         for candidate in motion_grid(campaign_specimen(study), whole=budget.runs > 1)
         if limits.allow(candidate)
     ]
     last = position.runs[-1]
-    seen = position_errors(candidate_experiments(last.experiment, trials))
-    tried = list(zip(trials, (replace(run, session_s=last.session_s) for run in seen), strict=True))
-    chances = {
+    observations = position_errors(candidate_experiments(last.experiment, candidates))
+    observed = list(zip(candidates, (replace(run, session_s=last.session_s) for run in observations), strict=True))
+    probability_of = {
         model_class.effect: marginal_probability(model_class.effect, probabilities)
         for model_class in position.model_classes
     }
-    if not tried:
+    if not observed:
         return None
-    if max(chances.values(), default=0.0) <= probabilities.get(UNKNOWN, 0.0):
-        return search_new_motions(position, tried, budget)
+    if max(probability_of.values(), default=0.0) <= probabilities.get(UNKNOWN, 0.0):
+        return search_new_motions(position, observed, budget)
     leading = {
         model_class.effect: _assumed_position_effect(position, model_class)
         for model_class in position.model_classes[:LEADING_HYPOTHESES]
     }
-    truths = tuple(assumed for assumed in leading.values() if assumed is not None)
-    matter = {name: max(chances[name], MIN_PAIR_WEIGHT) for name in leading}
-    pairs = [(assumed.effect, rival) for assumed in truths for rival in leading if rival != assumed.effect]
-    made = tuple(map(_thinned_blocks, _distinct_motions(position.runs)))
-    field = PositionSeparation(made, truths, {pair: matter[pair[0]] * matter[pair[1]] for pair in pairs})
-    may_see = [(trial, (_thinned_blocks(run),) * trial.step.repeats) for trial, run in tried]
-    within = replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS))
-    return next_experiment_of(greedy_search(field, may_see, within), len(tried))
+    assumed_effects = tuple(assumed for assumed in leading.values() if assumed is not None)
+    weight_of = {name: max(probability_of[name], MIN_PAIR_WEIGHT) for name in leading}
+    pairs = [(assumed.effect, rival) for assumed in assumed_effects for rival in leading if rival != assumed.effect]
+    motions = tuple(map(_thinned_blocks, _distinct_motions(position.runs)))
+    model = PositionSeparation(
+        motions, assumed_effects, {pair: weight_of[pair[0]] * weight_of[pair[1]] for pair in pairs}
+    )
+    thinned = [(candidate_run, (_thinned_blocks(run),) * candidate_run.step.repeats) for candidate_run, run in observed]
+    limited_budget = replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS))
+    return next_experiment_of(greedy_search(model, thinned, limited_budget), len(observed))
 
 
-def _assumed_position_effect(position: PositionAnalysis, family: PositionModelClass) -> AssumedPositionEffect | None:
-    """Return an effect as it was fitted; None where it cannot be what strays, for it takes hardly any of it."""
-    effect = catalogue()[family.effect]
-    by_form = effect.channel is Channel.POSITION
+def _assumed_position_effect(
+    position: PositionAnalysis, model_class: PositionModelClass
+) -> AssumedPositionEffect | None:
+    """Return an effect as fitted; None if it explains too little of the errors."""
+    effect = catalogue()[model_class.effect]
+    in_catalogue = effect.channel is Channel.POSITION
     runs = _distinct_motions(position.runs)
     candidate = position.candidate
-    if candidate is None or candidate.effect.id != family.effect:
-        candidate = fit_position_effect(runs, effect, family)[0] if by_form else None
-    assumed = AssumedPositionEffect(family.effect, candidate, family.shape_value)
-    left = [
+    if candidate is None or candidate.effect.id != model_class.effect:
+        candidate = fit_position_effect(runs, effect, model_class)[0] if in_catalogue else None
+    assumed = AssumedPositionEffect(model_class.effect, candidate, model_class.shape_value)
+    remaining = [
         float(np.mean((run.error_mm - assumed.error_in(run)) ** 2)) / (run.rms_mm + run.encoder_count_mm) ** 2
         for run in runs
     ]
-    whole = [float(np.mean(run.error_mm**2)) / (run.rms_mm + run.encoder_count_mm) ** 2 for run in runs]
-    return assumed if sum(left) < (1.0 - MIN_FITTED_SHARE) * sum(whole) else None
+    total = [float(np.mean(run.error_mm**2)) / (run.rms_mm + run.encoder_count_mm) ** 2 for run in runs]
+    return assumed if sum(remaining) < (1.0 - MIN_FITTED_SHARE) * sum(total) else None
 
 
 def _thinned_blocks(run: PositionErrors) -> PositionErrors:
-    """Return a run with the blocks that are looked at."""
+    """Return a run with a part of its blocks."""
     return replace(
         run,
         time_s=run.time_s[::BLOCK_STRIDE],
@@ -286,18 +297,18 @@ def _thinned_blocks(run: PositionErrors) -> PositionErrors:
 
 
 def _distinct_motions(runs: Sequence[PositionErrors]) -> list[PositionErrors]:
-    """Return runs of different motions, for repeats say nothing new; of many, some from the slowest to the fastest."""
+    """Return runs with distinct motions; of many, some from the slowest to the fastest."""
 
     def motion(run: PositionErrors) -> tuple[float, ...]:
-        lasted = float(run.time_s[-1] - run.time_s[0])
+        duration_s = float(run.time_s[-1] - run.time_s[0])
         return tuple(
-            round(each, 2) for each in (run.top_speed_mm_s, run.command_mm.min(), run.command_mm.max(), lasted)
+            round(value, 2) for value in (run.top_speed_mm_s, run.command_mm.min(), run.command_mm.max(), duration_s)
         )
 
     distinct = {motion(run): run for run in reversed(runs)}
-    kept = np.unique(np.linspace(0, len(distinct) - 1, min(MAX_MOTIONS, len(distinct))).round().astype(int)).tolist()
+    indices = np.unique(np.linspace(0, len(distinct) - 1, min(MAX_MOTIONS, len(distinct))).round().astype(int)).tolist()
     ordered = sorted(distinct)
-    return [distinct[ordered[place]] for place in kept]
+    return [distinct[ordered[index]] for index in indices]
 
 
 def recommend_next_run(
@@ -308,13 +319,13 @@ def recommend_next_run(
     of_force: Classification,
     budget: ExperimentBudget,
 ) -> NextExperiment | None:
-    """Recommend the run to make next; `of_force` is the verdict as if only the force had been looked at.
+    """Recommend the next run; `of_force` is the verdict without the position channel.
 
-    Where an effect of the force is named beside one of the position, the run is for the more doubtful one.
+    With effects on both channels, the run is for the less certain one.
     """
     if position.has_position_error:
-        beside = set(classification.effects) & set(of_force.effects) - {hum_effect().id}
-        if not beside or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(
+        force_effects = set(classification.effects) & set(of_force.effects) - {hum_effect().id}
+        if not force_effects or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(
             classification, position
         ):
             return recommend_position_run(study, position, classification.probabilities, budget)
@@ -326,21 +337,21 @@ def recommend_next_run(
 def reasons_for_no_run(
     study: Study, position: PositionAnalysis, classification: Classification, next_experiment: NextExperiment | None
 ) -> Iterator[str]:
-    """Say why no run is recommended where the position strays and what it is is in doubt."""
+    """Yield why no run is recommended although the cause of position errors is uncertain."""
     if not position.has_position_error or next_experiment is not None or not isinstance(study, CapsuleStudy):
         return
-    families = {model_class.effect for model_class in position.model_classes}
-    rivals = [name for name in classification.confusable_with if name in families]
+    position_effects = {model_class.effect for model_class in position.model_classes}
+    rivals = [name for name in classification.confusable_with if name in position_effects]
     if classification.verdict is Verdict.UNKNOWN:
         yield NO_NEW_MOTION
     elif rivals:
-        named = [name for name in classification.effects if name in families]
-        apart = f"{display_name('+'.join(named))} from {display_name('+'.join(rivals))}"
-        yield f"No run that was compared would tell {apart} either."
+        names = [name for name in classification.effects if name in position_effects]
+        apart = f"{display_name('+'.join(names))} from {display_name('+'.join(rivals))}"
+        yield f"No candidate run would distinguish {apart} either."
 
 
 def _position_doubt(classification: Classification, position: PositionAnalysis) -> float:
-    """Return how doubtful the effect of the position is that was named, whatever is named beside it."""
-    families = {model_class.effect for model_class in position.model_classes}
-    named = {name for name in classification.effects if name in families}
-    return 1.0 - sum(value for name, value in classification.probabilities.items() if named & set(name.split("+")))
+    """Return the probability that the named effect on the position is wrong."""
+    position_effects = {model_class.effect for model_class in position.model_classes}
+    names = {name for name in classification.effects if name in position_effects}
+    return 1.0 - sum(value for name, value in classification.probabilities.items() if names & set(name.split("+")))
