@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from dragrig.sim_backend.blind.effects.hidden_effect import dahl_operator, play_operator
 
-LOADS = st.lists(st.floats(-100, 100, allow_subnormal=False).map(lambda one: round(one, 3)), min_size=2, max_size=40)
+LOADS = st.lists(st.floats(-100, 100, allow_subnormal=False).map(lambda load: round(load, 3)), min_size=2, max_size=40)
 
 
 @given(LOADS, st.floats(0.5, 50))

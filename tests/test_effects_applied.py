@@ -37,13 +37,13 @@ def test_a_model_file_may_have_effects(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text('name = "own"\n[[effects]]\nid = "stribeck"\nratio = 0.4\n[[effects]]\nid = "mains_hum"\n', "utf-8")
     model = read_settings_file(FrictionModelSettings, path)
-    assert [(one.effect.id, one.values) for one in active_effects(model)] == [
+    assert [(active.effect.id, active.values) for active in active_effects(model)] == [
         ("stribeck", {**catalogue()["stribeck"].defaults, "ratio": 0.4}),
         ("mains_hum", catalogue()["mains_hum"].defaults),
     ]
 
 
-names = st.from_regex(r"[a-z_]{1,12}", fullmatch=True).filter(lambda one: one not in {"id", "parameters"})
+names = st.from_regex(r"[a-z_]{1,12}", fullmatch=True).filter(lambda name: name not in {"id", "parameters"})
 
 
 @given(
@@ -61,8 +61,10 @@ def test_effects_come_back_from_a_file_and_from_what_is_typed(effects: list[Effe
 
     model = FrictionModelSettings(effects=tuple(effects))
     assert parse(FrictionModelSettings, tomllib.loads(to_toml(model)), "x") == model
-    typed = [f"{one.id}:{','.join(f'{key}={value!r}' for key, value in one.parameters.items())}" for one in effects]
-    assert parse_effects([one.removesuffix(":") for one in typed]) == tuple(effects)
+    typed = [
+        f"{effect.id}:{','.join(f'{key}={value!r}' for key, value in effect.parameters.items())}" for effect in effects
+    ]
+    assert parse_effects([text.removesuffix(":") for text in typed]) == tuple(effects)
 
 
 @pytest.mark.parametrize(
@@ -182,7 +184,7 @@ def test_run_writes_files_with_effects_and_a_run_file_repeats_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = [f"--set={one}" for one in (*QUICK, "speed_mm_s=2")]
+    words = [f"--set={assignment}" for assignment in (*QUICK, "speed_mm_s=2")]
     assert main(["run", "drag", "--yes", "--json", "--out", "a", "--effect", "stribeck:ratio=0.8", *words]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]
     first = read_run(Path(runs[0]["file"]))
@@ -237,5 +239,5 @@ def test_the_force_gain_acts_on_effects_in_the_gut_and_not_on_those_of_the_senso
     creep = np.asarray(crept.trace.force)[:size]
     twice = 2 * (np.asarray(plain.trace.force)[:size] - creep) + creep
     assert np.asarray(doubled.trace.force)[:size] == pytest.approx(twice, abs=4 * STEP_MN)
-    motor = (np.asarray(one.trace.channels["motor_force"]) for one in (plain, doubled))
+    motor = (np.asarray(run.trace.channels["motor_force"]) for run in (plain, doubled))
     assert next(motor) == pytest.approx(next(motor), abs=1e-3)

@@ -77,8 +77,8 @@ def test_stretches_that_are_evaluated_at_once_give_the_same(name: str) -> None:
         force = prepare(sliding(PROFILES[name]), MODEL, motion).friction
         assert isinstance(force, SlidingForce)
         alone = replace(force, spans=force.intervals)
-        for one, other in zip(astuple(force.components(time)), astuple(alone.components(time)), strict=True):
-            np.testing.assert_array_equal(one, other)
+        for part, expected in zip(astuple(force.components(time)), astuple(alone.components(time)), strict=True):
+            np.testing.assert_array_equal(part, expected)
     assert len(force.spans) < 0.2 * len(force.intervals)
 
 

@@ -22,7 +22,9 @@ CLOSED_ONLY = {"adhesion", "folds", "mesentery_tether", "peristalsis", "wall_lif
 TISSUE = {"hyperelastic_wall", "extra_relaxation", "tissue_ageing", "preconditioning"}
 INTERFACE = {"stribeck", "breakaway", "presliding", "film_depletion"}
 GUT = tuple(
-    one for one in catalogue().values() if isinstance(one, ForceEffect) and one.id in CLOSED_ONLY | TISSUE | INTERFACE
+    force_effect
+    for force_effect in catalogue().values()
+    if isinstance(force_effect, ForceEffect) and force_effect.id in CLOSED_ONLY | TISSUE | INTERFACE
 )
 TRAVEL = 40.0
 
@@ -59,8 +61,8 @@ def effect(name: str) -> ForceEffect:
 
 
 def added(name: str, scene: RunState, **values: float) -> FloatArray:
-    one = effect(name)
-    return one.added_force(scene, {**one.defaults, **values})
+    force_effect = effect(name)
+    return force_effect.added_force(scene, {**force_effect.defaults, **values})
 
 
 def middle(scene: RunState, force: FloatArray) -> float:
@@ -73,75 +75,82 @@ def holding(scene: RunState) -> FloatArray:
     return np.asarray(scene.slip.since_stop_s > 0.1)
 
 
-@pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
+@pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)
 @pytest.mark.parametrize("scene", [drag(), coulomb(), relaxation()], ids=["drag", "coulomb", "relaxation"])
-def test_size_0_is_nothing_and_every_shape_tried_is_finite(one: ForceEffect, scene: RunState) -> None:
-    assert not one.added_force(scene, {**one.defaults, one.size.name: 0.0}).any()
-    for shape in one.shapes:
+def test_size_0_is_nothing_and_every_shape_tried_is_finite(force_effect: ForceEffect, scene: RunState) -> None:
+    assert not force_effect.added_force(scene, {**force_effect.defaults, force_effect.size.name: 0.0}).any()
+    for shape in force_effect.shapes:
         for value in shape.grid:
-            force = one.added_force(scene, {**one.defaults, shape.name: value})
+            force = force_effect.added_force(scene, {**force_effect.defaults, shape.name: value})
             assert force.shape == scene.time_s.shape
             assert np.isfinite(force).all()
 
 
-@pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
-def test_twice_the_size_is_twice_the_force(one: ForceEffect) -> None:
+@pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)
+def test_twice_the_size_is_twice_the_force(force_effect: ForceEffect) -> None:
     for scene in (drag(60.0), relaxation()):
         small, large = (
-            one.added_force(scene, {**one.defaults, one.size.name: f * one.size.default}) for f in (0.5, 1.0)
+            force_effect.added_force(
+                scene, {**force_effect.defaults, force_effect.size.name: f * force_effect.size.default}
+            )
+            for f in (0.5, 1.0)
         )
         assert np.abs(2 * small - large).max() <= 1e-9 * np.abs(large).max() + 1e-9
 
 
-@pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
-def test_an_effect_acts_where_it_can(one: ForceEffect) -> None:
+@pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)
+def test_an_effect_acts_where_it_can(force_effect: ForceEffect) -> None:
     acts = [
-        bool(np.abs(one.added_force(scene, one.defaults)).max() > 0.1) for scene in (relaxation(), coulomb(), drag())
+        bool(np.abs(force_effect.added_force(scene, force_effect.defaults)).max() > 0.1)
+        for scene in (relaxation(), coulomb(), drag())
     ]
-    expected = [one.id in TISSUE, one.id in INTERFACE, True]
+    expected = [force_effect.id in TISSUE, force_effect.id in INTERFACE, True]
     assert acts == expected
     nothing = seen(blank(moves((TRAVEL, 10.0))))
-    assert not one.added_force(nothing, one.defaults).any()
+    assert not force_effect.added_force(nothing, force_effect.defaults).any()
 
 
-@pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
-def test_the_force_at_a_time_does_not_depend_on_which_other_times_are_asked_for(one: ForceEffect) -> None:
+@pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)
+def test_the_force_at_a_time_does_not_depend_on_which_other_times_are_asked_for(force_effect: ForceEffect) -> None:
     acquisition = sliding(there_and_back())
     motion = ProfileMotion.of(acquisition.profile)
     some = np.sort(np.random.default_rng(1).uniform(0.0, acquisition.profile.duration_s, 50))
     alone = gut_run_state(acquisition, FrictionModelSettings(), motion, some, 100.0)
     dense = np.union1d(some, np.arange(0.0, acquisition.profile.duration_s, 0.003))
     among = gut_run_state(acquisition, FrictionModelSettings(), motion, dense, 100.0)
-    kept = one.added_force(among, one.defaults)[np.searchsorted(dense, some)]
-    assert one.added_force(alone, one.defaults) == pytest.approx(kept, abs=1e-6)
+    kept = force_effect.added_force(among, force_effect.defaults)[np.searchsorted(dense, some)]
+    assert force_effect.added_force(alone, force_effect.defaults) == pytest.approx(kept, abs=1e-6)
 
 
-@pytest.mark.parametrize("one", GUT, ids=lambda one: one.id)
-def test_neighbouring_shapes_overlap(one: ForceEffect) -> None:
+@pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)
+def test_neighbouring_shapes_overlap(force_effect: ForceEffect) -> None:
     """A shape between two that are tried is found by either."""
-    if one.phase is not None:
+    if force_effect.phase is not None:
         pytest.skip("the phase has a say")
     scenes = (*(drag(v) for v in (0.5, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)), coulomb(), relaxation(0.5),
               relaxation(2.0))  # fmt: skip
-    for shape in one.shapes:
-        signatures = [signature(one, scenes, {shape.name: value}) for value in shape.grid]
+    for shape in force_effect.shapes:
+        signatures = [signature(force_effect, scenes, {shape.name: value}) for value in shape.grid]
         for left, right in pairwise(signatures):
             assert float(left @ right) > 0.8
 
 
-def signature(one: ForceEffect, scenes: tuple[RunState, ...], values: Mapping[str, float]) -> FloatArray:
-    parts = [one.added_force(scene, {**one.defaults, **values}) / np.sqrt(scene.time_s.size) for scene in scenes]
+def signature(force_effect: ForceEffect, scenes: tuple[RunState, ...], values: Mapping[str, float]) -> FloatArray:
+    parts = [
+        force_effect.added_force(scene, {**force_effect.defaults, **values}) / np.sqrt(scene.time_s.size)
+        for scene in scenes
+    ]
     whole = np.concatenate(parts)
     return np.asarray(whole / np.linalg.norm(whole))
 
 
 def test_the_catalogue_has_them_all_with_a_source_and_a_place() -> None:
-    assert {one.id for one in GUT} == CLOSED_ONLY | TISSUE | INTERFACE
-    for one in GUT:
-        assert len(one.source) > 20
-        assert one.location in {Location.WALL, Location.INTERFACE, Location.SPECIMEN}
-        assert one.size.low <= one.size.default <= one.size.high
-        assert all(shape.low <= value <= shape.high for shape in one.shapes for value in shape.grid)
+    assert {force_effect.id for force_effect in GUT} == CLOSED_ONLY | TISSUE | INTERFACE
+    for force_effect in GUT:
+        assert len(force_effect.source) > 20
+        assert force_effect.location in {Location.WALL, Location.INTERFACE, Location.SPECIMEN}
+        assert force_effect.size.low <= force_effect.size.default <= force_effect.size.high
+        assert all(shape.low <= value <= shape.high for shape in force_effect.shapes for value in shape.grid)
 
 
 def test_lift_off_takes_from_f_e_alone_and_only_at_speed() -> None:
@@ -168,7 +177,7 @@ def test_a_hyperelastic_wall_raises_peaks_the_more_the_larger_the_strain_and_the
     assert growth[1] > 4 * growth[0]
     slow, fast = drag(1.0), drag(60.0)
     only_fast = [
-        middle(one, added("hyperelastic_wall", one, slow_share=0.0)) / middle(one, one.f_e) for one in (slow, fast)
+        middle(run, added("hyperelastic_wall", run, slow_share=0.0)) / middle(run, run.f_e) for run in (slow, fast)
     ]
     assert only_fast[1] > 3 * only_fast[0] > 0
 
@@ -196,11 +205,11 @@ def test_the_further_branch_still_relaxes_when_the_nominal_ones_have() -> None:
 
 def test_a_spread_of_rates_keeps_the_first_slope_and_lasts_longer() -> None:
     scene = relaxation(1.0)
-    one, many = (added("extra_relaxation", scene, time_s=8.0, spread=spread) for spread in (0.0, 1.0))
-    after = scene.time_s - scene.time_s[np.argmax(one)]
+    single, many = (added("extra_relaxation", scene, time_s=8.0, spread=spread) for spread in (0.0, 1.0))
+    after = scene.time_s - scene.time_s[np.argmax(single)]
     inside = (after > 0.5) & (after < 15.0)
     assert many[inside] / many.max() == pytest.approx(1 / (1 + after[inside] / 8.0), abs=0.02)
-    assert many[-1] > one[-1]
+    assert many[-1] > single[-1]
 
 
 def test_in_a_drag_run_the_further_branch_acts_on_fresh_wall() -> None:
@@ -277,7 +286,7 @@ def test_folds_pass_at_the_same_positions_at_every_speed() -> None:
 def test_wavelengths_and_periods_tried_leave_no_gap_between_them() -> None:
     """A sine between two neighbours, over 40 mm or 90 s, is more than 0.8 along one of them, phase free."""
     for name, shape, extent in (("folds", "wavelength_mm", 40.0), ("peristalsis", "period_s", 90.0)):
-        tried = next(one.grid for one in effect(name).shapes if one.name == shape)
+        tried = next(parameter.grid for parameter in effect(name).shapes if parameter.name == shape)
         apart = np.abs(np.diff(1 / np.array(tried))).max() / 2
         assert np.sinc(apart * extent) > 0.8
         assert len(tried) <= 60

@@ -207,5 +207,5 @@ def test_fast_evaluation_is_the_profile_s_own(
     np.testing.assert_allclose(motion.position, profile.position(time), atol=1e-9)
     np.testing.assert_allclose(motion.velocity, profile.velocity(time), atol=1e-6)
     np.testing.assert_array_equal(motion.acceleration, profile.acceleration(time))
-    for one in (time[0], time[-1]):
-        assert profile_position(profile, float(one)) == pytest.approx(float(profile.position(one)), abs=1e-9)
+    for end in (time[0], time[-1]):
+        assert profile_position(profile, float(end)) == pytest.approx(float(profile.position(end)), abs=1e-9)

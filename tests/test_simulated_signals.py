@@ -161,15 +161,15 @@ def test_specimens_differ_by_the_list_s_deviations() -> None:
     drawn = [draw_specimen_model(nominal, seed) for seed in range(2000)]
     error = 5 / np.sqrt(2 * len(drawn))
     for name, deviation in BETWEEN_SPECIMENS.items():
-        factors = np.array([getattr(one, name) for one in drawn]) / getattr(nominal, name)
+        factors = np.array([getattr(model, name) for model in drawn]) / getattr(nominal, name)
         assert factors.std() == pytest.approx(deviation, rel=2 * error), name
         assert factors.mean() == pytest.approx(1.0, abs=5 * deviation / np.sqrt(len(drawn))), name
         assert factors.min() > 0
-    angles = np.array([one.contact_angle_offset_deg for one in drawn])
+    angles = np.array([model.contact_angle_offset_deg for model in drawn])
     assert angles.std() == pytest.approx(CONTACT_ANGLE_SD_DEG, rel=2 * error)
     assert np.abs(angles).max() <= MAX_DEVIATIONS * CONTACT_ANGLE_SD_DEG
     stiffness, friction = (
-        np.array([getattr(one, name) for one in drawn]) for name in ("stiffness_scale", "friction_coefficient")
+        np.array([getattr(model, name) for model in drawn]) for name in ("stiffness_scale", "friction_coefficient")
     )
     assert abs(np.corrcoef(stiffness, friction)[0, 1]) < 5 / np.sqrt(len(drawn))
 
