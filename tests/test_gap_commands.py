@@ -7,11 +7,13 @@ import pytest
 
 import dragrig
 from dragrig.analysis.gap.diagnose import DiagnosisOptions
-from dragrig.api.diagnose import diagnosis_options, save_amended_model, save_gap_report
+from dragrig.api.diagnose import diagnosis_options, save_amended_model
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.settings import read_settings_file
+from dragrig.present.diagnosis import diagnosis_document
+from dragrig.present.html_page import render_page
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 
@@ -97,5 +99,4 @@ def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
     assert with_it.trace.force[steady].mean() > without.trace.force[steady].mean() + 5
     assert save_amended_model(NO_GAP, tmp_path / "none.toml") is None
     assert not (tmp_path / "none.toml").exists()
-    report = save_gap_report(STRIBECK, tmp_path / "report.html", model=path)
-    assert "gap evaluate" in report.read_text("utf-8")
+    assert "gap evaluate" in render_page(diagnosis_document(STRIBECK, model=str(path)))

@@ -58,7 +58,7 @@ class Onlooker(NullOperator):
             text=True,
         )
         assert self.process.stdout is not None
-        assert "waits for a person: Take the capsule off" in self.process.stdout.readline()
+        assert "waiting for the operator: Take the capsule off" in self.process.stdout.readline()
         return Answer.DONE
 
     def reads(self, reading: Reading) -> None:

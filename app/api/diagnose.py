@@ -267,14 +267,3 @@ def save_amended_model(diagnosis: Diagnosis, path: Path, *, overwrite: bool = Fa
         When the file exists, or the folder cannot be written.
     """
     return None if diagnosis.model is None else write_text(to_toml(diagnosis.model), path, overwrite=overwrite)
-
-
-def save_gap_report(
-    diagnosis: Diagnosis, path: Path, *, source: str = "", model: Path | None = None, overwrite: bool = False
-) -> Path:
-    """Write the report, one HTML file with its pictures inside; raises as `save_amended_model`."""
-    from dragrig.present.diagnosis import diagnosis_document
-    from dragrig.present.html_page import render_page
-
-    document = diagnosis_document(diagnosis, source=source, model=None if model is None else str(model))
-    return write_text(render_page(document), path, overwrite=overwrite)

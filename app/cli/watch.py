@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 DEFAULT_PORT = 8765
 ACTIVITY_TEXTS = {
-    "preparing": "makes the rig ready",
-    "asking": "waits for a person",
-    "waiting": "rests",
-    "recording": "records",
+    "preparing": "preparing the rig",
+    "asking": "waiting for the operator",
+    "waiting": "waiting",
+    "recording": "recording",
     "between": "between two runs",
-    "ended": "over",
+    "ended": "ended",
     "died": "died",
 }
 

@@ -187,15 +187,6 @@ class PlotLine:
         """Show a trace, which may grow; `TimePlot.redraw` draws it."""
         self._trace, self._rate_hz, self._start_s = values, rate_hz, start_s
 
-    def show(self, *, visible: bool) -> None:
-        """Show or hide the line."""
-        self.drawn.setVisible(visible)
-
-    @property
-    def visible(self) -> bool:
-        """Whether the line is shown."""
-        return bool(self.drawn.isVisible())
-
     def redraw(self, low_s: float, high_s: float, columns: int) -> None:
         """Draw the trace between two times."""
         if self._trace is None:
@@ -221,8 +212,3 @@ class PlotCursor:
         """Move it."""
         self._line.setVisible(visible)
         self._line.setValue(time_s)
-
-    @property
-    def visible(self) -> bool:
-        """Whether it is shown."""
-        return bool(self._line.isVisible())
