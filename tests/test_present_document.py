@@ -20,6 +20,7 @@ from dragrig.present.document import (
     Text,
     TextKind,
 )
+from dragrig.present.files import drawn
 from dragrig.present.html_page import render_page
 from dragrig.present.json_values import to_json_value
 from dragrig.present.numbers import decimals, significant
@@ -123,16 +124,16 @@ def test_columns_are_selected_in_the_order_of_their_names() -> None:
 
 def test_figures_are_drawn_once_and_then_travel_with_the_document() -> None:
     calls: list[tuple[int, int]] = []
-    drawn = DOCUMENT.drawn(lambda done, total: calls.append((done, total)))
-    assert [figure.drawing for figure in drawn.figures()] == [SVG]
+    copy = drawn(DOCUMENT, lambda done, total: calls.append((done, total)))
+    assert [figure.drawing for figure in copy.figures()] == [SVG]
     assert calls == [(0, 1), (1, 1)]
-    assert render_page(drawn) == render_page(DOCUMENT)
+    assert render_page(copy) == render_page(DOCUMENT)
 
 
 def test_a_drawn_document_can_be_sent_to_another_process() -> None:
-    drawn = pickle.loads(pickle.dumps(DOCUMENT.drawn()))  # our own
-    assert document_text(drawn) == document_text(DOCUMENT)
-    assert not list(drawn.without("curve").figures())
+    copy = pickle.loads(pickle.dumps(drawn(DOCUMENT)))
+    assert document_text(copy) == document_text(DOCUMENT)
+    assert not list(copy.without("curve").figures())
 
 
 def test_json_knows_no_nan() -> None:

@@ -9,13 +9,14 @@ from PySide6.QtWidgets import QApplication, QLabel, QTableWidget, QWidget
 from test_present_document import DOCUMENT
 from test_present_example import example_document
 
+from dragrig.present.files import drawn
 from dragrig.window.document_view import DocumentView, DrawnFigure
 
 
 @pytest.fixture
 def view(qapp: QApplication) -> DocumentView:
     view = DocumentView()
-    view.show_document(DOCUMENT.drawn(), {"More": QWidget()})
+    view.show_document(drawn(DOCUMENT), {"More": QWidget()})
     return view
 
 
@@ -45,7 +46,7 @@ def test_another_document_takes_the_place_of_the_first(view: DocumentView) -> No
 
 def test_the_result_of_the_docs_is_shown(qapp: QApplication) -> None:
     view = DocumentView()
-    view.show_document(example_document().drawn())
+    view.show_document(drawn(example_document()))
     (table,) = view.findChildren(QTableWidget)
     assert table.item(0, 1).text() == "101.23 ± 0.31"
     assert view.findChildren(DrawnFigure)

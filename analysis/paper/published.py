@@ -26,6 +26,10 @@ SPEEDS_MM_S: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60
 """Speeds of the drag programme; the paper's text names only its range by the axes of its figures."""
 LOWEST_MM_S, HIGHEST_MM_S = SPEEDS_MM_S[0], SPEEDS_MM_S[-1]
 
+SKEW_SPEEDS_MM_S: Final = (0.5, 2.0, 5.0, 10.0, 20.0, 60.0)
+"""Speeds of the curves of skew resistance, Fig. 7."""
+WALL_UNITS: Final = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
+"""Units of the wall's five elements, Table 1."""
 PAPER_MODEL: Final = FrictionModelSettings()
 """The model as printed: Eq. 14, mucus as published, μ = 0.082."""
 PAPER_CAPSULE: Final = Capsule(name="drag", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=COULOMB_MASS_G)

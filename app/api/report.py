@@ -16,6 +16,7 @@ from dragrig.present.files import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,
     PAPER_TABLES,
+    drawn,
     existing_files,
     require_writable,
     write_text,
@@ -102,8 +103,9 @@ def _campaign_report(folder: Path, progress: Progress) -> str:
     whole = MEASURING_SHARE + DRAWING_SHARE
     data = campaign_results(folder, lambda done, of: progress(MEASURING_SHARE * done, whole * max(of, 1)))
     return render_page(
-        campaign_document(data).drawn(
-            lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * max(of, 1))
+        drawn(
+            campaign_document(data),
+            lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * max(of, 1)),
         )
     )
 
@@ -245,7 +247,7 @@ def _write_paper_files(
         model = None
     written = write_texts(folder, {f"{name}.csv": table.csv() for name, table in tables.items()})
     progress(1, 3)
-    document = paper_document(data, tables, None if model is None else model.name).drawn()
+    document = drawn(paper_document(data, tables, None if model is None else model.name))
     progress(2, 3)
     (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: render_page(document)})
     progress(3, 3)
@@ -359,14 +361,14 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
     from dragrig.present.run_figures import run_figure
 
     paths = made.files
-    drawn = {run.path for run in made.session.runs if run.run.follows < 0}
+    shown = {run.path for run in made.session.runs if run.run.follows < 0}
     tables = made.folder / DEMO_TABLES
     tables.mkdir(exist_ok=True)
     for done, path in enumerate(paths):
         progress(done, len(paths) + 1)
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
-        if path in drawn:
+        if path in shown:
             save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
     return save_figure_in(made.folder, DEMO_OVERVIEW, campaign_figure(map(read_run, paths), DEMO_PLAN))

@@ -10,7 +10,8 @@ from dragrig.analysis.campaign_table import UNREADABLE, TableRow, mean_per_speed
 from dragrig.present.document import Cell, Column, Document, Field, Figure, FormattedNumber, Section, Table, Text
 from dragrig.present.json_values import to_json_object
 from dragrig.present.numbers import decimals, shortest, shortest_percent, value_with_error
-from dragrig.present.run import run_drawing, run_problem, run_title
+from dragrig.present.run import run_drawing
+from dragrig.present.run_titles import run_problem, run_title
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import Campaign, read_run
 from dragrig.rig.runfile.model import RunInfo, RunStatus
@@ -159,7 +160,7 @@ def _with_error(value: float | None, error: float | None) -> FormattedNumber:
 
 def _session_table(data: CampaignReportData) -> Table:
     times = [info.header.start_time for info in data.campaign.runs]
-    ends = [*(session.begun_at for session in data.sessions[1:]), None]
+    ends = [*(session.begun_at for session in data.sessions), None][1:]
     return Table.of(
         "sessions",
         "Each start or continuation of the campaign",

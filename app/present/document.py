@@ -178,14 +178,6 @@ class Figure:
     caption: str
     drawing: "Callable[[], MatplotlibFigure] | str"
 
-    def svg(self) -> str:
-        """Return the figure as a whole SVG document."""
-        if isinstance(self.drawing, str):
-            return self.drawing
-        from dragrig.present.files import svg_text
-
-        return svg_text(self.drawing())
-
 
 class TextKind(StrEnum):
     """What a paragraph is for."""
@@ -331,15 +323,9 @@ class Document:
         """Return the document without the figures of these names."""
         return replace(self, sections=tuple(_without(section, names) for section in self.sections))
 
-    def drawn(self, progress: Callable[[int, int], None] = lambda _done, _total: None) -> "Document":
-        """Return the document with its figures drawn, so that another process or thread can show it."""
-        total = sum(1 for _ in self.figures())
-        drawn: dict[str, str] = {}
-        for done, figure in enumerate(self.figures()):
-            progress(done, total)
-            drawn[figure.name] = figure.svg()
-        progress(total, total)
-        return replace(self, sections=tuple(_with_drawings(section, drawn) for section in self.content))
+    def with_drawings(self, svg: Mapping[str, str]) -> "Document":
+        """Return the document with its figures drawn: their SVG by name."""
+        return replace(self, sections=tuple(_with_drawings(section, svg) for section in self.content))
 
 
 def _blocks_of(blocks: "tuple[Block, ...]") -> "Iterator[Block]":

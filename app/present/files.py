@@ -8,12 +8,14 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dragrig.analysis.computation import Progress, no_progress
 from dragrig.config.errors import OutputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dragrig.present.document import Document
+    from dragrig.present.document import Figure as DocumentFigure
 
 FIGURE_FORMATS = {".png": {"Software": "dragrig"}, ".svg": {"Date": None, "Creator": "dragrig"}}
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
@@ -137,9 +139,22 @@ def save_figures(document: "Document", folder: Path, *, overwrite: bool = False)
             yield save_figure_in(folder, f"{figure.name}.png", figure.drawing(), overwrite)
 
 
-def svg_text(figure: "Figure") -> str:
-    """Return a figure as a whole SVG document; the same figure gives the same text."""
-    return _figure_bytes(figure, ".svg").decode("utf-8")
+def svg_text(figure: "DocumentFigure") -> str:
+    """Return a figure of a document as a whole SVG document; the same figure gives the same text."""
+    if isinstance(figure.drawing, str):
+        return figure.drawing
+    return _figure_bytes(figure.drawing(), ".svg").decode("utf-8")
+
+
+def drawn(document: "Document", progress: Progress = no_progress) -> "Document":
+    """Return a document with its figures drawn, so that another process can show it."""
+    figures = tuple(document.figures())
+    texts = {}
+    for done, figure in enumerate(figures):
+        progress(done, len(figures))
+        texts[figure.name] = svg_text(figure)
+    progress(len(figures), len(figures))
+    return document.with_drawings(texts)
 
 
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:

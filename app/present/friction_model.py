@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from dragrig.analysis.paper.published import WALL_UNITS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
 from dragrig.present.document import Column, Document, Field, Figure, Section, Table, Text
@@ -11,9 +12,6 @@ from dragrig.present.numbers import decimals, percent_difference, shortest, shor
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure
 
-SKEW_SPEEDS_MM_S = (0.5, 2.0, 5.0, 10.0, 20.0, 60.0)
-"""Speeds of the skew-resistance curves by default."""
-WALL_UNITS = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
 WALL_TEXTS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
 
 

@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from dragrig.present.document import Block, Document
+from dragrig.present.files import svg_text
 from dragrig.rig.runfile.schema import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
@@ -19,7 +20,7 @@ _CODE = re.compile(r"`([^`]+)`")
 
 def render_page(document: Document) -> str:
     """Return a document as one HTML page; the letters of all its figures stand in the page once."""
-    figures = {figure.name: inline_svg(figure.svg(), figure.shows) for figure in document.figures()}
+    figures = {figure.name: inline_svg(svg_text(figure), figure.shows) for figure in document.figures()}
     glyphs = {name: path for figure in figures.values() for name, path in figure.glyphs.items()}
     return render_template(
         "document.html",

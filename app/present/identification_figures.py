@@ -56,7 +56,6 @@ from dragrig.present.drawing import (
 from dragrig.present.model_figures import TABLE1_DASHES, model_text
 from dragrig.present.numbers import value_with_error
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION
-from dragrig.present.run import run_problem
 from dragrig.present.run_figures import (
     FOOT_IN,
     LEFT_IN,
@@ -72,6 +71,7 @@ from dragrig.present.run_figures import (
     steady_level,
     write_run_header,
 )
+from dragrig.present.run_titles import run_problem
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN

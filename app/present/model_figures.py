@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dragrig.analysis.estimates import EstimatedQuantity
+from dragrig.analysis.paper.published import SKEW_SPEEDS_MM_S, WALL_UNITS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
 from dragrig.present.drawing import (
@@ -27,7 +28,6 @@ from dragrig.present.drawing import (
     text_width_in,
     write_title,
 )
-from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, WALL_UNITS
 from dragrig.present.numbers import percent_difference
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
 from dragrig.rig.arrays import FloatArray

@@ -43,7 +43,7 @@ from dragrig.present.document import (
     TextKind,
 )
 from dragrig.present.files import PAPER_TABLES
-from dragrig.present.friction_model import SKEW_SPEEDS_MM_S, WALL_TEXTS
+from dragrig.present.friction_model import WALL_TEXTS
 from dragrig.present.numbers import (
     NumberFormat,
     decimals,
@@ -262,8 +262,8 @@ def _model_tables(results: PaperReportData) -> tuple[Table, Table, Table]:
     maxima = (forces.speed_mm_s, forces.max_skew, forces.x_of_max_skew, forces.side_pressure_force)
     length = 0.5 * results.capsule.diameter_mm * np.sin(np.radians(results.capsule.contact_angle_deg))
     x = np.append(np.linspace(0.0, length, SKEW_POINTS), length + results.model.side_contact_mm)
-    curves = [skew_resistance(x, speed_mm_s, *settings) for speed_mm_s in SKEW_SPEEDS_MM_S]
-    curve_columns = _columns(x_mm="x, mm", **{f"skew_mN_at_{v:g}_mm_s": f"{v:g}" for v in SKEW_SPEEDS_MM_S})
+    curves = [skew_resistance(x, speed_mm_s, *settings) for speed_mm_s in published.SKEW_SPEEDS_MM_S]
+    curve_columns = _columns(x_mm="x, mm", **{f"skew_mN_at_{v:g}_mm_s": f"{v:g}" for v in published.SKEW_SPEEDS_MM_S})
     force_columns = (
         *speed,
         *_columns(TWO_DECIMALS, f_e_mN="f_e, mN", f_v_mN="f_v, mN", f_c_mN="f_c, mN", total_mN="total, mN"),

@@ -36,7 +36,7 @@ from dragrig.present.drawing import (
 )
 from dragrig.present.numbers import value_with_error
 from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, PALE, PAPER, PURPLE, VERMILLION
-from dragrig.present.run import run_problem, run_subtitle, run_title
+from dragrig.present.run_titles import run_problem, run_subtitle, run_title
 from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray, PhaseArray
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, FilteredTrace, Run, RunEvent, RunInfo, RunStatus

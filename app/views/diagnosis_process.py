@@ -82,8 +82,10 @@ class DiagnosisProcess:
 def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
     """Draw the figures of a diagnosis, which takes matplotlib, here and not in the window's process."""
     from dragrig.present.diagnosis import diagnosis_document
+    from dragrig.present.files import drawn
 
-    return CompletedDiagnosis(diagnosis, diagnosis_document(diagnosis, source=source).without("before-after").drawn())
+    document = diagnosis_document(diagnosis, source=source).without("before-after")
+    return CompletedDiagnosis(diagnosis, drawn(document))
 
 
 def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:

@@ -14,7 +14,7 @@ ROW_PX = 30
 
 
 class DocumentView(QWidget):
-    """Shows a document whose figures are drawn already (`Document.drawn`)."""
+    """Shows a document whose figures are drawn already (`present.files.drawn`)."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -98,7 +98,9 @@ class DrawnFigure(QSvgWidget):
 
     def __init__(self, figure: Figure) -> None:
         super().__init__()
-        self.load(QByteArray(figure.svg().encode()))
+        if not isinstance(figure.drawing, str):
+            raise TypeError(f"the figure {figure.name} is not drawn yet; show drawn(document)")
+        self.load(QByteArray(figure.drawing.encode()))
         # What is loaded brings a mode of its own.
         self.renderer().setAspectRatioMode(Qt.AspectRatioMode.KeepAspectRatio)
         self.setAccessibleName(figure.shows)
