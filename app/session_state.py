@@ -56,23 +56,23 @@ class SessionState(Settings):
     run_s: float = 0.0
     """Its recording time."""
     after_s: float = 0.0
-    """Duration of all runs after it, with rests, without prompts."""
+    """Duration of all later runs, with waits, without prompts."""
     status: str = ""
     """How the session ended."""
     reason: str = ""
 
 
 def read_state(folder: Path) -> SessionState | None:
-    """Read the state of the latest session of a campaign; None where there is none that can be read."""
+    """Read the state of the latest session of a campaign; None without a valid one."""
     with contextlib.suppress(OSError, ValidationError):
         return SessionState.model_validate_json((folder / STATE_FILE).read_bytes())
     return None
 
 
 def is_session_running(folder: Path) -> bool:
-    """Return whether a process carries out a session of this campaign; writes nothing.
+    """Return whether a session of this campaign is running; writes nothing.
 
-    Where the file system has no locks, or a lock was left behind, this is True: the state file is then believed.
+    True where the file system has no locks, or a lock was left behind; the state file then decides.
     """
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
@@ -105,7 +105,7 @@ def session_lock(folder: Path) -> Iterator[None]:
     OutputError
         When the folder cannot be written.
     """
-    busy = f"{folder}: another session of this campaign is running; wait until it is over."
+    busy = f"{folder}: another session of this campaign is running; wait until it ends."
     with file_lock(folder / LOCK_FILE, busy, _LOCK_TIMEOUT_S):
         yield
 
@@ -113,8 +113,8 @@ def session_lock(folder: Path) -> Iterator[None]:
 class StatePublisher:
     """Operator and observer of a session that also writes its state file.
 
-    The file is small, replaced atomically, and written when an activity starts, never while samples are taken; a folder
-    that cannot be written does not disturb the session.
+    The file is small, replaced atomically, and written when an activity starts, never while samples are taken; errors
+    of writing do not disturb the session.
     """
 
     def __init__(self, operator: Operator, observer: SessionObserver, folder: Path, state: SessionState) -> None:
@@ -139,7 +139,7 @@ class StatePublisher:
         self._observer.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:
-        """Publish a rest."""
+        """Publish a wait."""
         self._publish("waiting", said=why, wait_s=duration_s if self._state.real_time else 0.0)
         self._observer.waits(duration_s, why)
 
@@ -162,12 +162,12 @@ class StatePublisher:
         self._observer.reads(reading)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Publish that nothing is recorded."""
+        """Publish that no run is recorded."""
         self._publish("between")
         self._observer.run_ends(run, outcome)
 
     def ends(self, status: str, reason: str) -> None:
-        """Publish how the session ended; nothing where it never started."""
+        """Publish how the session ended, if it started."""
         if self._started:
             self._publish("ended", status=status, reason=reason)
 

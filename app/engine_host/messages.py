@@ -16,7 +16,12 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import PHASE_NAMES, RunStatus
 from dragrig.setup import Pace, RigChoices
 
-__all__ = ["PHASE_NAMES", "Answer", "Pace", "RunStatus"]  # what messages hold, for clients that know no rig
+__all__ = [
+    "PHASE_NAMES",
+    "Answer",
+    "Pace",
+    "RunStatus",
+]  # types of the messages' fields, for clients that do not import the rig
 
 SILENCE_TIMEOUT_S = 20.0
 """A client without a sign of life for this long counts as dead; one whose interpreter hangs for seconds does not."""
@@ -124,7 +129,7 @@ class HostReady:
 
 @dataclass(frozen=True, slots=True)
 class RigExamined:
-    """What a look at the rig found; `error` where it could not be finished."""
+    """Results of the device checks; `error` if they could not be finished."""
 
     devices: tuple[RigCheck, ...]
     error: str = ""
@@ -132,14 +137,14 @@ class RigExamined:
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """What the guard is latched on; empty when it is armed."""
+    """Why the guard is tripped; empty when it is armed."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class QueuedRun:
-    """A run of a session as a list shows it."""
+    """A run of a session, for a list of runs."""
 
     index: int
     summary: str
@@ -149,7 +154,7 @@ class QueuedRun:
 
 @dataclass(frozen=True, slots=True)
 class SessionStarted:
-    """A session starts with these runs still to make."""
+    """A session started, with these runs still to make."""
 
     job: int
     runs: tuple[QueuedRun, ...]
@@ -158,7 +163,7 @@ class SessionStarted:
 
 @dataclass(frozen=True, slots=True)
 class SessionWaiting:
-    """Nothing moves for a while."""
+    """A wait before a run."""
 
     duration_s: float
     why: str
@@ -166,7 +171,7 @@ class SessionWaiting:
 
 @dataclass(frozen=True, slots=True)
 class RunStarted:
-    """A run starts."""
+    """A run started."""
 
     run: QueuedRun
     order: int
@@ -174,7 +179,7 @@ class RunStarted:
 
 @dataclass(frozen=True, slots=True)
 class RunFinished:
-    """A run ended; `warnings` is what the checks right after it saw."""
+    """A run ended, with the warnings of its checks."""
 
     run: QueuedRun
     order: int
@@ -186,7 +191,7 @@ class RunFinished:
 
 @dataclass(frozen=True, slots=True)
 class PromptShown:
-    """A question for the person at the rig; `hands` when something has to be done or looked at there."""
+    """A prompt; `hands` if it needs hands or eyes at the rig."""
 
     question: int
     text: str
@@ -197,7 +202,7 @@ class PromptShown:
 
 @dataclass(frozen=True, slots=True)
 class MirrorStatus:
-    """How many files have an equal in the mirror, and which have none, each with why."""
+    """Number of files in the mirror, and the missing ones, each with the reason."""
 
     folder: Path
     copied: int
@@ -206,14 +211,14 @@ class MirrorStatus:
 
 @dataclass(frozen=True, slots=True)
 class OperatorWarning:
-    """Something that a person has to know at once and that stops nothing."""
+    """A warning that the operator must see at once; nothing stops."""
 
     sentence: str
 
 
 @dataclass(frozen=True, slots=True)
 class SessionFinished:
-    """A session is over; `status` is none where it never began, and `reason` says why."""
+    """A session ended; `status` is None if it never started, for the given reason."""
 
     job: int
     status: RunStatus | None
@@ -224,7 +229,7 @@ class SessionFinished:
 
 @dataclass(frozen=True, slots=True)
 class RequestRefused:
-    """What was asked cannot be done, in a person's words."""
+    """A request that cannot be carried out, with the reason."""
 
     sentence: str
 
@@ -310,16 +315,16 @@ class LiveRingWriter:
 
     def __init__(self, memory: RingMemory) -> None:
         self._ring = _SampleRing(memory)
-        self._begins = False
+        self._starts_run = False
 
     def begin(self) -> None:
         """Start another run with the next block."""
-        self._begins = True
+        self._starts_run = True
 
     def put(self, reading: Reading) -> None:
         """Write a block; takes as long as copying it."""
         head = self._ring.head
-        if self._begins:
+        if self._starts_run:
             self._open_run(reading)
         written, base = int(head[_WRITTEN]), int(head[_BASE])
         gap = base + reading.first_index - written
@@ -329,7 +334,7 @@ class LiveRingWriter:
         head[_WRITTEN] = self._write(written, len(force), force, position, reading.phase)
 
     def _open_run(self, reading: Reading) -> None:
-        head, self._begins = self._ring.head, False
+        head, self._starts_run = self._ring.head, False
         # Odd while the fields are inconsistent.
         head[_SERIAL] += 1
         head[_BASE] = head[_WRITTEN]

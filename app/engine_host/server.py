@@ -125,14 +125,14 @@ class RequestReceiver:
             abort(reason)
 
     def await_answer(self, question: int, ask: Callable[[], None]) -> Answer:
-        """Ask a question and wait for its answer, which is an abort where the current request is aborted."""
+        """Ask a question and wait for its answer, which is an abort if the current request is aborted."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         with self._lock:
             self._answers[question] = answers
             if self._is_aborted:
                 answers.put(Answer.ABORT)
         try:
-            # Only now that its answer, which may be quick, has a place to go.
+            # After its queue exists: the answer may arrive at once.
             ask()
             return answers.get()
         finally:
@@ -201,7 +201,7 @@ class RemoteOperator:
         """Number of the session that is reported."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Show a prompt and wait for the answer, which is an abort where the session is aborted."""
+        """Show a prompt and wait for the answer, which is an abort if the session is aborted."""
         number = next(self._numbers)
         shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
         return self._receiver.await_answer(number, lambda: self._sender.say(shown))
@@ -212,7 +212,7 @@ class RemoteOperator:
         self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time))
 
     def waits(self, duration_s: float, why: str) -> None:
-        """Report a rest."""
+        """Report a wait."""
         self._sender.say(SessionWaiting(duration_s, why))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
