@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError, reason_of
-from dragrig.rig.devices import Clock, StageState, TravelEnd, Trip, TripCause
+from dragrig.rig.devices import Clock, StageLimits, TravelEnd, Trip, TripCause
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Refusal, Request
 from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, RefusedError
@@ -271,124 +271,103 @@ class PositionModeStage(MonitoredStage):
         """Uncertainty of the start of any stroke of the last motion, as measured on the link."""
         return 0.0 if self._strokes is None else self._strokes.start_uncertainty_s
 
-    def state(self) -> StageState:
-        """Poll drive and switches now.
-
-        Raises
-        ------
-        DeviceError
-            When the drive does not answer.
-        """
-        fault = self._monitor.poll()
-        position_mm, status = self._tracker.position_mm(), self._tracker.status
-        return StageState(position_mm, status.enabled, status.homed, self._sync.moving, fault)
-
     def enable(self) -> None:
-        """Switch the drive on.
-
-        Raises
-        ------
-        DeviceError
-            When something forbids motion: remove the cause, then `disable`; or when the drive refuses or is silent.
-        """
+        """Switch the drive on, which holds the position."""
         with self._commands:
             self._refuse_fault()
             self._power_on()
 
-    def home(self) -> None:
-        """Let the drive find its index pulse, which becomes 0; returns when it stands there.
-
-        Raises
-        ------
-        DeviceError
-            When the drive is off, moving, has a fault, refuses, or was stopped before it had found the pulse.
-        """
-        planned_at = self._link.stop_count
-        with self._commands:
-            side = TravelEnd(self._drive.homing_direction)
-            switch = LIMIT_SWITCH_CAUSES[side]
-            self._refuse_not_ready(enabled=self._tracker.status.enabled, ignoring=switch)
-            write_safeguards(self._link, self._settings)
-            speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"
-            self._link.set_and_verify(Parameter.HOMING_SPEED_MM_S, speed_mm_s, key)
-            movement = Movement(self._link, planned_at)
-            self._monitor.tolerate(switch)
-            self._tracker.begin(movement)
-            try:
-                self._link.exchange(Request(Command.HOME, value=-1.0 if side is TravelEnd.LOW else 1.0), planned_at)
-            except DeviceError:
-                self._link.stop()
-                raise
-            finally:
-                # Whether or not it answered, it may move from here on.
-                movement.mark_started()
-                movement.mark_complete()
-                self._await_homed()
-            self._refuse_fault()
-            if movement.is_stopped or not self._tracker.status.homed:
-                raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
-
-    def move(self, profile: MotionProfile) -> None:
-        """Begin to follow a profile: now, or with the first sample when the sampler is armed.
-
-        Raises
-        ------
-        DeviceError
-            When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
-            too long past; when the profile leaves the stage's limits, does not end at a standstill, or cannot be made
-            of strokes; and when the drive does not hold a limit that was written to it.
-        """
-        planned_at = self._link.stop_count
-        with self._commands:
-            self._refuse_not_ready(enabled=self._tracker.status.enabled)
-            if not self._tracker.status.homed:
-                raise DeviceError("the stage does not know its position: home it before it moves.")
-            if profile.duration_s <= 0:
-                return
-            origin_mm = self._tracker.position_mm()
-            limits = self._checked_limits(profile, origin_mm)
-            strokes = split_into_strokes(profile)
-            if not strokes:
-                return
-            began_s, wall_s = self._clock.monotonic(), time.perf_counter()
-            write_safeguards(self._link, self._settings)
-            write_travel(self._link, limits)
-            self._link.set_and_verify(Parameter.SPEED_MM_S, strokes[0].speed_mm_s, "the motion's speed")
-            acceleration = strokes[0].acceleration_mm_s2
-            self._link.set_and_verify(Parameter.ACCELERATION_MM_S2, acceleration, "the motion's acceleration")
-            pace = (self._clock.monotonic() - began_s) / (time.perf_counter() - wall_s)
-            self._refuse_late_start(strokes[0].start_s)
-            self._strokes = StrokeMovement(
-                strokes,
-                origin_mm,
-                self._link,
-                planned_at,
-                self._sync,
-                self._clock,
-                self._link.round_trip_s * pace,
-                lambda error: self._monitor.latch(Trip(TripCause.DRIVE_FAULT, reason_of(error))),
-                self._all_sent,
-            )
-            self._watchdog.feed()
-            self._tracker.begin(self._strokes)
-            self._strokes.start()
-
     def stop(self) -> None:
-        """Brake to a standstill now; an acquisition in progress ends there. Safe at any time, from any thread.
-
-        Returns at once; the drive receives it at the latest after the reply in progress on the link.
-        """
+        """Brake to a standstill; the drive receives it at the latest after the reply in progress on the link."""
         self._sync.set_stop_requested()
         self._link.stop()
-
-    def _come_to_rest(self) -> None:
-        self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
 
     def close(self) -> None:
         """Stop, and disconnect from the drive. Safe to call twice."""
         self._link.stop()
         self._monitor.close()
         self._link.close()
+
+    @property
+    def _is_enabled(self) -> bool:
+        return self._tracker.status.enabled
+
+    @property
+    def _is_homed(self) -> bool:
+        return self._tracker.status.homed
+
+    @property
+    def _stop_count(self) -> int:
+        return self._link.stop_count
+
+    def _position_mm(self) -> float:
+        return self._tracker.position_mm()
+
+    def _find_index(self, side: TravelEnd, planned_at: int) -> None:
+        speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"
+        self._link.set_and_verify(Parameter.HOMING_SPEED_MM_S, speed_mm_s, key)
+        movement = Movement(self._link, planned_at)
+        self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
+        self._tracker.begin(movement)
+        try:
+            self._link.exchange(Request(Command.HOME, value=-1.0 if side is TravelEnd.LOW else 1.0), planned_at)
+        except DeviceError:
+            self._link.stop()
+            raise
+        finally:
+            # Whether or not it answered, it may move from here on.
+            movement.mark_started()
+            movement.mark_complete()
+            self._await_homed()
+        self._refuse_fault()
+        if movement.is_stopped or not self._is_homed:
+            raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
+
+    def _await_homed(self) -> None:
+        travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _HOMING_OVERTRAVEL_MM
+        # Onto the switch and back.
+        until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
+        while not self._await_standstill(_HOMING_POLL_S):
+            if self._clock.monotonic() > until_s:
+                break
+        else:
+            return
+        self._link.stop()
+        if not self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S):
+            raise DeviceError(
+                "the drive reports that it still moves, although homing has timed out and a stop was sent: switch its "
+                "power off by hand, and inspect the rig."
+            )
+
+    def _follow(self, profile: MotionProfile, origin_mm: float, limits: StageLimits, planned_at: int) -> None:
+        strokes = split_into_strokes(profile)
+        if not strokes:
+            return
+        began_s, wall_s = self._clock.monotonic(), time.perf_counter()
+        write_safeguards(self._link, self._settings)
+        write_travel(self._link, limits)
+        self._link.set_and_verify(Parameter.SPEED_MM_S, strokes[0].speed_mm_s, "the motion's speed")
+        acceleration = strokes[0].acceleration_mm_s2
+        self._link.set_and_verify(Parameter.ACCELERATION_MM_S2, acceleration, "the motion's acceleration")
+        pace = (self._clock.monotonic() - began_s) / (time.perf_counter() - wall_s)
+        self._refuse_late_start(strokes[0].start_s)
+        self._strokes = StrokeMovement(
+            strokes,
+            origin_mm,
+            self._link,
+            planned_at,
+            self._sync,
+            self._clock,
+            self._link.round_trip_s * pace,
+            lambda error: self._monitor.latch(Trip(TripCause.DRIVE_FAULT, reason_of(error))),
+            self._all_sent,
+        )
+        self._watchdog.feed()
+        self._tracker.begin(self._strokes)
+        self._strokes.start()
+
+    def _come_to_rest(self) -> None:
+        self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
 
     def _stop_leftover_motion(self) -> None:
         # Left by a program that was killed; polling keeps the drive's silence timeout from ending it.
@@ -406,20 +385,3 @@ class PositionModeStage(MonitoredStage):
             self._monitor.poll_fast()
         else:
             self._tracker.drop_movement()
-
-    def _await_homed(self) -> None:
-        travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _HOMING_OVERTRAVEL_MM
-        # Onto the switch and back.
-        until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
-        while not self._await_standstill(_HOMING_POLL_S):
-            if self._clock.monotonic() > until_s:
-                self._give_up_homing()
-                return
-
-    def _give_up_homing(self) -> None:
-        self._link.stop()
-        if not self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S):
-            raise DeviceError(
-                "the drive reports that it still moves, although homing has timed out and a stop was sent: switch its "
-                "power off by hand, and inspect the rig."
-            )

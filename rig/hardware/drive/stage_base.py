@@ -325,29 +325,106 @@ class MonitoredStage(ABC):
     def start_uncertainty_s(self) -> float:
         """Uncertainty of the last motion's time 0 against the first sample."""
 
-    @abstractmethod
     def state(self) -> StageState:
-        """Poll drive and switches now."""
+        """Poll drive, switches and position now.
+
+        Raises
+        ------
+        DeviceError
+            When drive or card do not answer.
+        """
+        fault = self._monitor.poll()
+        was_moving, position_mm = self._sync.moving, self._position_mm()
+        if was_moving and not self._sync.moving:
+            # It came to rest after the position was read, which is then not where it stands.
+            position_mm = self._position_mm()
+        return StageState(position_mm, self._is_enabled, self._is_homed, self._sync.moving, fault)
 
     @abstractmethod
     def enable(self) -> None:
-        """Switch the drive on and hold the position."""
+        """Switch the drive on and hold the position.
 
-    @abstractmethod
+        Raises
+        ------
+        DeviceError
+            When something forbids motion: remove the cause, then `disable`; or when drive or card refuse or are silent.
+        """
+
     def home(self) -> None:
-        """Find the origin of absolute positions; return when the stage stands there."""
+        """Find the index pulse, which becomes 0; return when the stage stands there, or at the soft limit next to it.
 
-    @abstractmethod
+        Raises
+        ------
+        DeviceError
+            When the drive is off, moving, has a fault, refuses, or stops before the pulse was found.
+        SettingsError
+            When the program homes and limit switch or index pulse are not wired.
+        """
+        planned_at = self._stop_count
+        with self._commands:
+            side = TravelEnd(self._drive.homing_direction)
+            self._refuse_not_ready(ignoring=LIMIT_SWITCH_CAUSES[side])
+            write_safeguards(self._link, self._settings)
+            self._find_index(side, planned_at)
+
     def move(self, profile: MotionProfile) -> None:
-        """Begin to follow a profile: now, or with the first sample when the sampler is armed."""
+        """Begin to follow a profile: now, or with the first sample when the sampler is armed.
+
+        Raises
+        ------
+        DeviceError
+            When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
+            too long past; when the profile leaves the stage's limits, does not end at a standstill, or cannot be made
+            in the drive's mode; and when the drive does not hold a limit that was written to it.
+        """
+        planned_at = self._stop_count
+        with self._commands:
+            self._refuse_not_ready()
+            if not self._is_homed:
+                raise DeviceError("the stage does not know its position: home it before it moves.")
+            if profile.duration_s <= 0:
+                return
+            origin_mm = self._origin_mm()
+            self._follow(profile, origin_mm, self._checked_limits(profile, origin_mm), planned_at)
 
     @abstractmethod
     def stop(self) -> None:
-        """Brake to a standstill now; returns at once."""
+        """Brake to a standstill now; an acquisition in progress ends there. Safe at any time, from any thread.
+
+        Returns at once.
+        """
 
     @abstractmethod
     def close(self) -> None:
         """Stop, and disconnect from the drive. Safe to call twice."""
+
+    @property
+    @abstractmethod
+    def _is_enabled(self) -> bool: ...
+
+    @property
+    @abstractmethod
+    def _is_homed(self) -> bool: ...
+
+    @property
+    @abstractmethod
+    def _stop_count(self) -> int:
+        """Number of stops requested so far: a motion that was planned at a lower count is dropped."""
+
+    @abstractmethod
+    def _position_mm(self) -> float: ...
+
+    def _origin_mm(self) -> float:
+        """Return the position from which a motion starts."""
+        return self._position_mm()
+
+    @abstractmethod
+    def _find_index(self, side: TravelEnd, planned_at: int) -> None:
+        """Home over the limit switch of a side."""
+
+    @abstractmethod
+    def _follow(self, profile: MotionProfile, origin_mm: float, limits: StageLimits, planned_at: int) -> None:
+        """Write the limits to the drive and begin to follow a profile."""
 
     @abstractmethod
     def _come_to_rest(self) -> None:
@@ -425,26 +502,25 @@ class MonitoredStage(ABC):
         self._monitor.tolerate(None)
 
     def _checked_limits(self, profile: MotionProfile, origin_mm: float) -> StageLimits:
-        """Return the limits of a profile from a position, with an override; raises `DeviceError` beyond them."""
-        limits = limits_with_override(self._limits, self._override, origin_mm)
+        """Return the limits of a profile from a position, with an override; raises `DeviceError` beyond them.
+
+        With an overridden limit switch, whatever goes towards it or leaves it fast is refused.
+        """
         if self._override is not None:
-            self._refuse_towards_switch(profile, self._override)
+            extremes, max_mm_s = profile.extremes(), self._drive.homing_speed_mm_s
+            further_mm = -extremes.lowest_mm if self._override is TravelEnd.LOW else extremes.highest_mm
+            if not further_mm <= POSITION_TOLERANCE_MM:
+                raise DeviceError(
+                    f"the {self._override} limit switch is overridden for a move away from it only: reverse the travel."
+                )
+            if not extremes.speed_mm_s <= max_mm_s * (1 + 1e-9):
+                raise DeviceError(
+                    f"off an overridden limit switch the stage moves at {max_mm_s:g} mm/s at most, not at "
+                    f"{extremes.speed_mm_s:g} (hardware.drive.homing_speed_mm_s of the rig file)."
+                )
+        limits = limits_with_override(self._limits, self._override, origin_mm)
         require_within_limits(profile, origin_mm, limits, POSITION_TOLERANCE_MM)
         return limits
-
-    def _refuse_towards_switch(self, profile: MotionProfile, side: TravelEnd) -> None:
-        """Refuse whatever goes towards an overridden limit switch, or leaves it fast."""
-        extremes, max_mm_s = profile.extremes(), self._drive.homing_speed_mm_s
-        further_mm = -extremes.lowest_mm if side is TravelEnd.LOW else extremes.highest_mm
-        if not further_mm <= POSITION_TOLERANCE_MM:
-            raise DeviceError(
-                f"the {side} limit switch is overridden for a move away from it only: reverse the travel."
-            )
-        if not extremes.speed_mm_s <= max_mm_s * (1 + 1e-9):
-            raise DeviceError(
-                f"off an overridden limit switch the stage moves at {max_mm_s:g} mm/s at most, not at "
-                f"{extremes.speed_mm_s:g} (hardware.drive.homing_speed_mm_s of the rig file)."
-            )
 
     def _refuse_late_start(self, start_s: float) -> None:
         """Refuse a motion that was to begin `start_s` after the first sample, more than a block ago."""
@@ -461,9 +537,9 @@ class MonitoredStage(ABC):
         if self._sync.moving:
             raise DeviceError("the stage is still moving: wait until it stands or stop it first.")
 
-    def _refuse_not_ready(self, *, enabled: bool, ignoring: TripCause | None = None) -> None:
+    def _refuse_not_ready(self, ignoring: TripCause | None = None) -> None:
         self._refuse_fault(ignoring)
-        if not enabled:
+        if not self._is_enabled:
             raise DeviceError("the drive is off: enable the stage first.")
         self._refuse_moving()
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from dragrig.config.errors import DeviceError, SettingsError
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.rig.devices import Clock, StageLimits, StageState, TravelEnd, TripCause
+from dragrig.rig.devices import Clock, StageLimits, TravelEnd, TripCause
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.scaling import Scaling
@@ -178,26 +178,8 @@ class VelocityModeStage(MonitoredStage):
         """One sample of the voltage where the card's trigger began the last motion; else that of the clocks."""
         return self._loop.start_uncertainty_s
 
-    def state(self) -> StageState:
-        """Poll drive, switches and encoder now.
-
-        Raises
-        ------
-        DeviceError
-            When the card does not answer.
-        """
-        fault = self._monitor.poll()
-        position_mm = self._loop.position_mm()
-        return StageState(position_mm, self._is_enabled, self._homed, self._sync.moving, fault)
-
     def enable(self) -> None:
-        """Switch the drive on at 0 V and hold the position.
-
-        Raises
-        ------
-        DeviceError
-            When something forbids motion: remove the cause, then `disable`; or when drive or card refuse or are silent.
-        """
+        """Switch the drive on at 0 V and hold the position."""
         with self._commands:
             self._refuse_fault()
             if self._is_enabled:
@@ -206,73 +188,10 @@ class VelocityModeStage(MonitoredStage):
             self._power_on()
             self._loop.start()
 
-    def home(self) -> None:
-        """Find the index pulse, which becomes 0; return when the stage stands there, or at the soft limit next to it.
-
-        Raises
-        ------
-        DeviceError
-            When the drive is off, moving, has a fault, or stops before the pulse was found.
-        SettingsError
-            When limit switch or index pulse are not wired.
-        """
-        planned_at = self._loop.stop_count
-        with self._commands:
-            switch = LIMIT_SWITCH_CAUSES[TravelEnd(self._drive.homing_direction)]
-            self._refuse_not_ready(enabled=self._is_enabled, ignoring=switch)
-            write_safeguards(self._link, self._settings)
-            self._homed, self._homing = False, True
-            self._monitor.tolerate(switch)
-            try:
-                self._index_search.run(planned_at)
-            except DeviceError:
-                # The fault that stopped the stage explains more than that it stopped.
-                self._refuse_fault(switch)
-                raise
-            finally:
-                self._homing = False
-                self._end_override()
-                self._loop.brake()
-            self._refuse_fault()
-            self._homed = True
-
-    def move(self, profile: MotionProfile) -> None:
-        """Begin to follow a profile: now, or with the first sample when the sampler is armed.
-
-        Raises
-        ------
-        DeviceError
-            When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
-            too long past; when the profile leaves the stage's limits or does not end at a standstill; and when the
-            drive does not hold a limit that was written to it.
-        """
-        planned_at = self._loop.stop_count
-        with self._commands:
-            self._loop.position_mm()
-            self._refuse_not_ready(enabled=self._is_enabled)
-            if not self._homed:
-                raise DeviceError("the stage does not know its position: home it before it moves.")
-            if profile.duration_s <= 0:
-                return
-            origin_mm = self._origin_mm()
-            limits = self._checked_limits(profile, origin_mm)
-            write_safeguards(self._link, self._settings)
-            write_travel(self._link, self._in_drive_positions(limits, origin_mm))
-            self._refuse_late_start(first_motion_s(profile))
-            self._watchdog.feed()
-            self._loop.follow(profile, origin_mm, planned_at)
-
     def stop(self) -> None:
-        """Brake to a standstill now; an acquisition in progress ends there. Safe at any time, from any thread.
-
-        Returns at once; the voltage goes down as soon as what is written is put out.
-        """
+        """Brake to a standstill; the voltage goes down as soon as what is written is put out."""
         self._sync.set_stop_requested()
         self._loop.brake()
-
-    def _come_to_rest(self) -> None:
-        self._await_standstill(_STANDSTILL_TIMEOUT_S)
-        self._loop.end()
 
     def close(self) -> None:
         """Stop, and disconnect from drive and card. Safe to call twice."""
@@ -286,16 +205,56 @@ class VelocityModeStage(MonitoredStage):
     def _is_enabled(self) -> bool:
         return self._tracker.status.enabled and self._loop.running
 
+    @property
+    def _is_homed(self) -> bool:
+        return self._homed
+
+    @property
+    def _stop_count(self) -> int:
+        return self._loop.stop_count
+
+    def _position_mm(self) -> float:
+        return self._loop.position_mm()
+
+    def _refuse_moving(self) -> None:
+        self._loop.position_mm()  # updates whether it still moves
+        super()._refuse_moving()
+
     def _origin_mm(self) -> float:
         # The commanded position, not the measured one: the loop's residual error must not add up, nor count as a limit.
         hold_mm = self._loop.hold_position_mm()
         inside_mm = min(max(hold_mm, self._limits.lowest_mm), self._limits.highest_mm)
         return inside_mm if abs(inside_mm - hold_mm) <= _MAX_HOLD_ERROR_MM else hold_mm
 
-    def _in_drive_positions(self, limits: StageLimits, origin_mm: float) -> StageLimits:
+    def _find_index(self, side: TravelEnd, planned_at: int) -> None:
+        self._homed, self._homing = False, True
+        self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
+        try:
+            self._index_search.run(planned_at)
+        except DeviceError:
+            # The fault that stopped the stage explains more than that it stopped.
+            self._refuse_fault(LIMIT_SWITCH_CAUSES[side])
+            raise
+        finally:
+            self._homing = False
+            self._end_override()
+            self._loop.brake()
+        self._refuse_fault()
+        self._homed = True
+
+    def _follow(self, profile: MotionProfile, origin_mm: float, limits: StageLimits, planned_at: int) -> None:
+        write_safeguards(self._link, self._settings)
         # The drive was not homed, so that its positions have another zero.
         shift_mm = self._tracker.position_mm() - origin_mm
-        return replace(limits, lowest_mm=limits.lowest_mm + shift_mm, highest_mm=limits.highest_mm + shift_mm)
+        lowest_mm, highest_mm = limits.lowest_mm + shift_mm, limits.highest_mm + shift_mm
+        write_travel(self._link, replace(limits, lowest_mm=lowest_mm, highest_mm=highest_mm))
+        self._refuse_late_start(first_motion_s(profile))
+        self._watchdog.feed()
+        self._loop.follow(profile, origin_mm, planned_at)
+
+    def _come_to_rest(self) -> None:
+        self._await_standstill(_STANDSTILL_TIMEOUT_S)
+        self._loop.end()
 
     def _may_beat(self) -> bool:
         # The heartbeat relay takes the drive's power when the program is not well.
