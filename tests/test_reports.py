@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 
 import dragrig
 from dragrig.analysis.measures import measure
+from dragrig.api.report import campaign_results
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
+from dragrig.present.campaign import campaign_document
 from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Column, Table
 from dragrig.present.exam import exam_document
@@ -96,6 +98,12 @@ def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_p
     sessions = html.split('id="sessions"', 1)[1].split("</section>", 1)[0]
     assert re.search(r'blank</td><td>simulated</td><td></td><td class="number" data-number="4">4</td>', sessions)
     assert "Not drawn: 2 return strokes;" in words(campaign_page)
+
+
+def test_a_campaign_without_sessions_is_reported() -> None:
+    document = campaign_document(campaign_results(CAMPAIGN))
+    assert "sessions" not in [section.name for section in document.content]
+    assert [section.name for section in document.content][:2] == ["overview", "means"]
 
 
 def test_the_same_run_gives_the_same_page(run_page: Path, campaign: Path, tmp_path: Path) -> None:
