@@ -97,7 +97,7 @@ def test_the_model_is_what_the_simulator_shows(run: dragrig.Run) -> None:
     assert abs(steady["steady_force_mN"] - total) < 4 * (offset_sd + spread * total)
 
 
-def test_what_cannot_be_is_raised_in_words(run: dragrig.Run, tmp_path: Path) -> None:
+def test_invalid_arguments_are_errors_with_a_message(run: dragrig.Run, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="outside the stage's travel"):
         dragrig.simulate(DragProtocol(speed_mm_s=10, travel_mm=500))
     with pytest.raises(AnalysisError, match="odd number"):

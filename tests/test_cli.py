@@ -90,7 +90,7 @@ def _failing(error: BaseException) -> click.Command:
     return command
 
 
-def test_a_bug_is_told_with_where_its_details_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bug_is_reported_with_the_place_of_its_details(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line(_failing(ZeroDivisionError("division by zero")), []) == 1
     told = capsys.readouterr().err
     assert told.count("\n") == 1
@@ -109,7 +109,7 @@ def test_a_bug_is_told_with_where_its_details_are(capsys: pytest.CaptureFixture[
         (PermissionError(13, "Permission denied", "runs/a.h5"), 2, "runs/a.h5: Permission denied"),
     ],
 )
-def test_what_is_no_bug_has_its_own_exit_code(
+def test_expected_errors_have_their_own_exit_codes(
     error: BaseException, code: int, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_command_line(_failing(error), []) == code
@@ -117,7 +117,7 @@ def test_what_is_no_bug_has_its_own_exit_code(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
-def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     code = (
         "import sys, click; from dragrig.cli.console import print_result, run_command_line\n"
         "@click.command()\ndef many():\n    for _ in range(100_000): print_result('line')\n"
@@ -132,13 +132,13 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     assert process.returncode == 0
 
 
-def test_a_console_that_lacks_characters_shows_stand_ins(tmp_path: Path) -> None:
+def test_missing_characters_of_a_console_are_replaced(tmp_path: Path) -> None:
     done = dragrig("check", "drag", "--set", "prompt=ε₀ → μ", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
     assert done.returncode == 0, done.stderr
     assert "mm/s²" in done.stdout.decode("cp1252")
 
 
-def test_json_knows_no_nan() -> None:
+def test_json_has_no_nan() -> None:
     import numpy as np
 
     plain = to_json_value({"a": float("nan"), "b": np.array([1.0, np.inf]), "c": Path("x"), "d": (np.float64(2), True)})

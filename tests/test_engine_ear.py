@@ -25,7 +25,7 @@ def pair() -> Iterator[tuple[Client, RequestReceiver]]:
     host.close()
 
 
-def test_an_answer_that_is_quicker_than_its_question_is_heard(pair: tuple[Client, RequestReceiver]) -> None:
+def test_an_answer_before_its_prompt_is_kept(pair: tuple[Client, RequestReceiver]) -> None:
     client, ear = pair
     client.send(ResetGuard())
     assert ear.next() == ResetGuard()
@@ -38,7 +38,7 @@ def test_an_answer_that_is_quicker_than_its_question_is_heard(pair: tuple[Client
     assert ear.await_answer(1, put) is Answer.SKIP
 
 
-def test_a_stop_with_nothing_under_way_ends_nothing_that_is_asked_later(pair: tuple[Client, RequestReceiver]) -> None:
+def test_an_abort_without_a_session_aborts_no_later_request(pair: tuple[Client, RequestReceiver]) -> None:
     client, ear = pair
     client.send(AbortSession("nothing moves"))
     client.send(ResetGuard())
@@ -49,7 +49,7 @@ def test_a_stop_with_nothing_under_way_ends_nothing_that_is_asked_later(pair: tu
     assert stopped == []
 
 
-def test_a_stop_is_for_what_was_asked_before_it_and_keeps_its_first_reason(
+def test_an_abort_applies_to_earlier_requests_with_its_first_reason(
     pair: tuple[Client, RequestReceiver],
 ) -> None:
     client, ear = pair

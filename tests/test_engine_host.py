@@ -85,7 +85,7 @@ def said(process: "subprocess.Popen[str]", word: str) -> str:
     return rest.strip()
 
 
-def test_a_client_whose_interpreter_is_held_for_five_seconds_loses_no_sample(tmp_path: Path) -> None:
+def test_a_client_blocked_for_five_seconds_loses_no_sample(tmp_path: Path) -> None:
     with client(tmp_path / "c", 5.5, 5.0) as process:
         said(process, "moving")
         assert float(said(process, "held")) >= 5.0
@@ -97,7 +97,7 @@ def test_a_client_whose_interpreter_is_held_for_five_seconds_loses_no_sample(tmp
     require_whole(run)
 
 
-def test_a_killed_clients_stage_is_stopped_and_its_run_finished(tmp_path: Path) -> None:
+def test_killing_the_client_stops_the_stage_and_finishes_the_run(tmp_path: Path) -> None:
     with client(tmp_path / "c", 60.0, 0.0) as process:
         host = psutil.Process(int(said(process, "moving")))
         process.kill()
@@ -110,7 +110,7 @@ def test_a_killed_clients_stage_is_stopped_and_its_run_finished(tmp_path: Path) 
     require_standing(run)
 
 
-def test_a_silent_client_is_taken_for_dead(tmp_path: Path) -> None:
+def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
     with listening(silence_s=1.0) as heard:
         host = psutil.Process(heard.client.pid)
         heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
@@ -123,7 +123,7 @@ def test_a_silent_client_is_taken_for_dead(tmp_path: Path) -> None:
     require_standing(run)
 
 
-def test_a_session_tells_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:
+def test_a_session_reports_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(StartSession(SessionJob(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
     ended = heard.until(SessionFinished)
     assert ended == SessionFinished(7, RunStatus.COMPLETE, "", tmp_path / "c")
@@ -135,7 +135,7 @@ def test_a_session_tells_its_runs_and_its_end(tmp_path: Path, heard: Listener) -
     assert len(read_campaign(tmp_path / "c").runs) == 2
 
 
-def test_a_campaign_that_goes_on_tells_the_runs_that_are_made_again(tmp_path: Path, heard: Listener) -> None:
+def test_a_resumed_campaign_reports_repeated_runs(tmp_path: Path, heard: Listener) -> None:
     short = plan(runs=3)
     heard.client.ask(StartSession(SessionJob(1, short, out=tmp_path / "c")))
     heard.until(SessionFinished)
@@ -148,7 +148,7 @@ def test_a_campaign_that_goes_on_tells_the_runs_that_are_made_again(tmp_path: Pa
     assert told.runs == tuple(made)
 
 
-def test_an_abort_stops_the_stage_at_once_and_says_why(tmp_path: Path, heard: Listener) -> None:
+def test_an_abort_stops_the_stage_at_once_with_its_reason(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
     heard.until(RunStarted)
     shown = heard.until_samples(600)
@@ -161,7 +161,7 @@ def test_an_abort_stops_the_stage_at_once_and_says_why(tmp_path: Path, heard: Li
     require_standing(run)
 
 
-def test_an_abort_that_comes_before_anything_moves_is_heard(tmp_path: Path, heard: Listener) -> None:
+def test_an_abort_before_the_first_motion_takes_effect(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
     heard.client.ask(AbortSession("too early"))
     ended = heard.until(SessionFinished)
@@ -183,7 +183,7 @@ def test_an_abort_at_a_prompt_ends_the_session(tmp_path: Path, heard: Listener) 
     assert (ended.status, ended.reason) == (RunStatus.ABORTED, "never mind")
 
 
-def test_a_prompt_takes_the_persons_answer(tmp_path: Path, heard: Listener) -> None:
+def test_a_prompt_gets_the_clients_answer(tmp_path: Path, heard: Listener) -> None:
     heard.answer = Answer.SKIP
     heard.client.ask(StartSession(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c")))
     ended = heard.until(SessionFinished)
@@ -213,7 +213,7 @@ def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
     assert not (tmp_path / "d").exists()
 
 
-def test_a_plan_that_the_rig_cannot_carry_out_is_refused_in_a_sentence(tmp_path: Path, heard: Listener) -> None:
+def test_a_plan_beyond_the_limits_is_refused(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(StartSession(SessionJob(1, plan(travel_mm=900.0), out=tmp_path / "c")))
     ended = heard.until(SessionFinished)
     assert isinstance(ended, SessionFinished)
@@ -221,7 +221,7 @@ def test_a_plan_that_the_rig_cannot_carry_out_is_refused_in_a_sentence(tmp_path:
     assert "change travel_mm or start_mm" in ended.reason
 
 
-def test_every_device_is_told_of(tmp_path: Path, heard: Listener) -> None:
+def test_every_device_is_reported(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(ExamineRig())
     found = heard.until(RigExamined)
     assert isinstance(found, RigExamined)

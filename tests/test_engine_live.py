@@ -26,7 +26,7 @@ def ring(samples: int) -> tuple[LiveRingWriter, LiveRingReader]:
 
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(st.integers(1, 90), st.integers(0, 30), st.booleans()), min_size=1, max_size=40))
-def test_what_is_read_is_what_was_written(blocks: list[tuple[int, int, bool]]) -> None:
+def test_samples_are_read_as_written(blocks: list[tuple[int, int, bool]]) -> None:
     writer, reader = ring(256)
     writer.begin()
     at = seen = 0
@@ -49,7 +49,7 @@ def test_what_is_read_is_what_was_written(blocks: list[tuple[int, int, bool]]) -
         assert reader.read() is None
 
 
-def test_a_late_reader_learns_what_it_missed() -> None:
+def test_a_late_reader_knows_how_many_samples_it_missed() -> None:
     writer, reader = ring(256)
     writer.begin()
     for first in range(0, 1000, 50):
@@ -60,7 +60,7 @@ def test_a_late_reader_learns_what_it_missed() -> None:
     assert fresh.force[-1] == 999
 
 
-def test_lost_samples_are_not_closed_up() -> None:
+def test_lost_samples_leave_a_gap() -> None:
     writer, reader = ring(1024)
     writer.begin()
     writer.put(reading(0, 10))
@@ -71,7 +71,7 @@ def test_lost_samples_are_not_closed_up() -> None:
     assert fresh.force[40] == 40
 
 
-def test_a_block_larger_than_the_ring_leaves_its_end() -> None:
+def test_a_block_larger_than_the_ring_keeps_its_end() -> None:
     writer, reader = ring(128)
     writer.begin()
     writer.put(reading(0, 1000))

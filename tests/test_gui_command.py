@@ -13,7 +13,7 @@ from dragrig.rig.runfile.model import RunStatus
 
 
 @pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
-def test_without_qt_a_sentence_says_what_to_install(missing: str, tmp_path: Path) -> None:
+def test_without_qt_the_error_says_what_to_install(missing: str, tmp_path: Path) -> None:
     script = f"import sys; sys.modules[{missing!r}] = None; from dragrig.cli import main; sys.exit(main(['gui']))"
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -21,7 +21,7 @@ def test_without_qt_a_sentence_says_what_to_install(missing: str, tmp_path: Path
     assert "Traceback" not in done.stderr
 
 
-def test_a_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_lab_is_refused(tmp_path: Path) -> None:
     script = "import sys; from dragrig.cli import main; sys.exit(main(['gui', sys.argv[1]]))"
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -29,7 +29,7 @@ def test_a_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
-def test_without_a_screen_a_sentence_says_so(tmp_path: Path) -> None:
+def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
     require_qt()
     screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
     bare = {name: value for name, value in os.environ.items() if name not in screens}
@@ -39,7 +39,7 @@ def test_without_a_screen_a_sentence_says_so(tmp_path: Path) -> None:
     assert "there is no screen here" in done.stderr
 
 
-def test_a_pace_that_the_rig_has_not_is_refused(tmp_path: Path) -> None:
+def test_an_unsupported_pace_is_refused(tmp_path: Path) -> None:
     require_qt()
     command = [sys.executable, "-m", "dragrig", "gui", "--backend", "simulated", "--pace", "20"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -47,7 +47,7 @@ def test_a_pace_that_the_rig_has_not_is_refused(tmp_path: Path) -> None:
     assert "is fast or real" in done.stderr
 
 
-def test_a_queue_tells_how_far_it_is_and_what_is_left() -> None:
+def test_a_queue_knows_its_progress_and_the_time_left() -> None:
     require_qt()
     from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 

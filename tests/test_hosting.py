@@ -85,13 +85,13 @@ class PressingCtrlC(NullOperator):
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
-def test_a_prompt_does_not_outlast_ctrl_c() -> None:
+def test_ctrl_c_closes_an_open_prompt() -> None:
     result = carried_out(PressingCtrlC())
     assert (result.status, result.runs) == (RunStatus.ABORTED, ())
     assert result.reason == "ended at a prompt"
 
 
-def test_an_operator_who_fails_leaves_no_session_behind() -> None:
+def test_an_error_of_the_operator_ends_the_session() -> None:
     with pytest.raises(ZeroDivisionError):
         carried_out(AtThePrompt(ZeroDivisionError()))
     assert not any(thread.name == "session" for thread in threading.enumerate())
@@ -107,7 +107,7 @@ def test_an_error_of_the_session_reaches_the_caller() -> None:
         carried_out(NullOperator(), Refusing())
 
 
-def test_nothing_is_asked_of_a_plan_that_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_plan_asks_no_prompt(monkeypatch: pytest.MonkeyPatch) -> None:
     person = AtThePrompt(Answer.DONE)
     with pytest.raises(PlanError, match="outside the stage's travel"):
         carried_out(person, None, "travel_mm=140")

@@ -36,7 +36,7 @@ class Mover(NullOperator):
             self._mirror.with_name("away").rename(self._mirror)
 
 
-def test_each_finished_file_has_its_equal_in_the_mirror(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_finished_file_is_copied_to_the_mirror(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "second").mkdir()
     folder, mirror = tmp_path / "runs", tmp_path / "second"
     line = ["run", "blank", "--out", str(folder), "--mirror", str(mirror), "--yes", "--set", FAST[0]]
@@ -48,7 +48,7 @@ def test_each_finished_file_has_its_equal_in_the_mirror(tmp_path: Path, capsys: 
     assert filecmp.cmpfiles(folder, mirror / "runs", made, shallow=False) == (made, [], [])
 
 
-def test_a_mirror_that_disappears_stops_nothing_and_is_reported(tmp_path: Path) -> None:
+def test_a_vanished_mirror_is_reported_and_stops_nothing(tmp_path: Path) -> None:
     mirror, told = tmp_path / "second", list[str]()
     mirror.mkdir()
     made = dragrig.run(
@@ -66,7 +66,7 @@ def test_a_mirror_that_disappears_stops_nothing_and_is_reported(tmp_path: Path) 
     assert not mirror.exists()
 
 
-def test_a_mirror_that_comes_back_gets_what_it_missed(tmp_path: Path) -> None:
+def test_a_returning_mirror_gets_the_missing_files(tmp_path: Path) -> None:
     mirror = tmp_path / "second"
     mirror.mkdir()
     made = dragrig.run(
@@ -78,7 +78,7 @@ def test_a_mirror_that_comes_back_gets_what_it_missed(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(made.mirrored.copied)
 
 
-def test_going_on_mirrors_what_was_made_before(tmp_path: Path) -> None:
+def test_resuming_mirrors_the_earlier_runs(tmp_path: Path) -> None:
     (tmp_path / "second").mkdir()
     first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
     assert first.mirrored is None
@@ -88,7 +88,7 @@ def test_going_on_mirrors_what_was_made_before(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(again.mirrored.copied)
 
 
-def test_the_campaigns_own_folder_is_no_mirror(tmp_path: Path) -> None:
+def test_the_campaigns_own_folder_is_refused_as_mirror(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is where the campaign itself goes"):
         dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path, assignments=FAST[:1])
     assert not (tmp_path / "runs").exists()

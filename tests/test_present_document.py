@@ -136,5 +136,5 @@ def test_a_drawn_document_can_be_sent_to_another_process() -> None:
     assert not list(copy.without("curve").figures())
 
 
-def test_json_knows_no_nan() -> None:
+def test_json_has_no_nan() -> None:
     assert json.dumps(to_json_value(DOCUMENT.data), allow_nan=False) == '{"force_mN": [101.234, null]}'

@@ -97,7 +97,7 @@ def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> 
     ]
 
 
-def test_without_anybody_to_answer_the_session_ends_and_says_so(run: Runner) -> None:
+def test_without_an_answer_the_session_ends_with_a_reason(run: Runner) -> None:
     told = run.told(*QUICK, code=3)
     assert json.loads(told.out)["status"] == "aborted"
     assert "--yes" in told.err
@@ -152,7 +152,7 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
     assert -0.1 < stopped - sent < 0.1
 
 
-def test_a_trip_is_told_and_the_campaign_goes_on_after_it(run: Runner, tmp_path: Path) -> None:
+def test_a_tripped_campaign_can_be_resumed(run: Runner, tmp_path: Path) -> None:
     words = (*QUICK, "--yes", "--out", "c")
     told = run.told(*words, "--set", "rig.guard.force_limit_mN=100", code=4)
     made = json.loads(told.out)
@@ -169,7 +169,7 @@ def test_a_trip_is_told_and_the_campaign_goes_on_after_it(run: Runner, tmp_path:
     assert "only rig" in run.told("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
 
 
-def test_a_crashed_campaign_goes_on(waiting: "subprocess.Popen[str]", run: Runner, tmp_path: Path) -> None:
+def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run: Runner, tmp_path: Path) -> None:
     recording = until_it_records(tmp_path / "c")
     waiting.kill()
     waiting.wait()
@@ -213,7 +213,7 @@ way_back = "stay"
 """
 
 
-def test_how_far_a_first_run_that_is_made_again_has_come_is_told(run: Runner, tmp_path: Path) -> None:
+def test_the_progress_of_a_repeated_first_run_is_shown(run: Runner, tmp_path: Path) -> None:
     (tmp_path / "two.toml").write_text(SLOW_THEN_QUICK, "utf-8")
     run("two.toml", "--yes", "--out", "c")
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
@@ -237,7 +237,7 @@ def test_how_far_a_first_run_that_is_made_again_has_come_is_told(run: Runner, tm
         (("drag", "--set", "rig.recording.reserve_mb=1e9"), "MB are free"),
     ],
 )
-def test_what_cannot_be_run_is_told_before_anything_moves(
+def test_an_impossible_plan_is_reported_before_anything_moves(
     run: Runner, tmp_path: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     (tmp_path / "taken").write_text("mine", "utf-8")

@@ -79,7 +79,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Onlooker:
     return onlooker
 
 
-def test_a_prompt_that_waits_is_seen(seen: Onlooker) -> None:
+def test_an_open_prompt_is_shown(seen: Onlooker) -> None:
     [state] = seen.asked
     assert (state.doing, state.said) == ("asking", "Take the capsule off")
     assert (state.run, state.of, state.finished) == (0, 4, ())
@@ -87,7 +87,7 @@ def test_a_prompt_that_waits_is_seen(seen: Onlooker) -> None:
     assert not state.over
 
 
-def test_a_run_is_seen_while_it_is_recorded(seen: Onlooker) -> None:
+def test_a_run_is_shown_while_it_is_recorded(seen: Onlooker) -> None:
     [state] = seen.recorded
     assert (state.doing, state.run, state.backend) == ("recording", 1, "simulated")
     one = state.recording
@@ -100,21 +100,21 @@ def test_a_run_is_seen_while_it_is_recorded(seen: Onlooker) -> None:
     assert 1 < len(one.recent_s) == len(one.recent_mN) < 700
 
 
-def test_who_follows_in_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
+def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
     assert seen.process is not None
     told, _ = seen.process.communicate()
     assert seen.process.returncode == 0
-    assert told.splitlines()[-1] == "two: run 4 of 4, over, complete"
+    assert told.splitlines()[-1] == "two: run 4 of 4, ended, complete"
 
 
-def test_what_is_over_says_how_it_ended(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
     folder = seen.asked[0].folder
     assert main(["watch", str(folder), "--once", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["doing"], told["status"], told["recording"], told["left_s"]) == ("ended", "complete", None, None)
     assert [one["kind"] for one in told["finished"]] == ["blank", "return", "blank", "return"]
     assert main(["watch", str(folder)]) == 0
-    assert capsys.readouterr().out == "two: run 4 of 4, over, complete\n"
+    assert capsys.readouterr().out == "two: run 4 of 4, ended, complete\n"
 
 
 def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path) -> None:
@@ -128,13 +128,13 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"plan": 1', "\x00"])
-def test_a_damaged_state_is_no_state(content: str, tmp_path: Path) -> None:
+def test_a_damaged_state_is_ignored(content: str, tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
     (tmp_path / STATE_FILE).write_text(content, "utf-8")
     assert CampaignWatch(tmp_path).look().said == "no session is running here"
 
 
-def test_a_session_that_has_not_said_anything_yet_is_not_over(tmp_path: Path) -> None:
+def test_a_session_without_a_state_has_not_ended(tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
     with session_lock(tmp_path):
         state = CampaignWatch(tmp_path).look()
@@ -142,7 +142,7 @@ def test_a_session_that_has_not_said_anything_yet_is_not_over(tmp_path: Path) ->
     assert not (tmp_path / LOCK_FILE).exists()
 
 
-def test_one_session_of_a_campaign_at_a_time(tmp_path: Path) -> None:
+def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
     """Not a run is being recorded: the other session waits for a person."""
     folder = tmp_path / "runs" / "one"
     told: list[str] = []
@@ -168,7 +168,7 @@ def test_one_session_of_a_campaign_at_a_time(tmp_path: Path) -> None:
     assert len(list(folder.glob("session-*.toml"))) == 1
 
 
-def test_sessions_that_begin_in_one_moment_have_a_folder_each(tmp_path: Path) -> None:
+def test_sessions_started_at_once_have_separate_folders(tmp_path: Path) -> None:
     at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
     setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
     with ThreadPoolExecutor(4) as some:
@@ -198,7 +198,7 @@ def test_runs_made_again_or_skipped_count_once(tmp_path: Path) -> None:
     assert at == [(1, 4), (2, 4), (1, 4), (2, 4)]
 
 
-def test_a_browser_that_goes_away_is_no_matter(seen: Onlooker, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_disconnected_browser_does_no_harm(seen: Onlooker, capfd: pytest.CaptureFixture[str]) -> None:
     with serve_state_page(0) as page:
         page.html = b"x" * (1 << 24)
         with socket.create_connection(("127.0.0.1", page.port)) as gone:
@@ -217,7 +217,7 @@ def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:
         CampaignWatch(tmp_path / "gone")
 
 
-def test_the_page_is_for_this_machine_alone(seen: Onlooker) -> None:
+def test_the_page_is_served_to_this_machine_alone(seen: Onlooker) -> None:
     with serve_state_page(0) as page:
         page.show(seen.recorded[0])
         address = f"http://127.0.0.1:{page.port}"
@@ -229,7 +229,7 @@ def test_the_page_is_for_this_machine_alone(seen: Onlooker) -> None:
             urlopen(f"{address}/etc")
 
 
-def test_the_page_shows_the_run_and_then_that_it_is_over(seen: Onlooker, browser: "Browser") -> None:
+def test_the_page_shows_the_run_and_its_end(seen: Onlooker, browser: "Browser") -> None:
     from browsing import PHONE_PX, opened
     from playwright.sync_api import expect
 

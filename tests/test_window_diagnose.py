@@ -62,7 +62,7 @@ def diagnosed(window: MainWindow, until: Until) -> Diagnosis:
     return page.results.diagnosis
 
 
-def test_a_diagnosis_under_way_is_cancelled_and_leaves_no_process(window: MainWindow, until: Until) -> None:
+def test_a_running_diagnosis_can_be_cancelled(window: MainWindow, until: Until) -> None:
     page = window.diagnose
     page.offer(str(PRACTICE))
     press(page.start)
@@ -76,7 +76,7 @@ def test_a_diagnosis_under_way_is_cancelled_and_leaves_no_process(window: MainWi
     assert page.results.diagnosis is None
 
 
-def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Diagnosis) -> None:
+def test_a_campaign_is_diagnosed_completely(window: MainWindow, diagnosed: Diagnosis) -> None:
     results = window.diagnose.results
     assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
     assert results.isVisible()
@@ -89,7 +89,7 @@ def test_a_campaign_is_diagnosed_to_its_end(window: MainWindow, diagnosed: Diagn
     assert len([figure for figure in results.findChildren(DrawnFigure) if figure.renderer().isValid()]) == 2
 
 
-def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:
+def test_every_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:
     results = window.diagnose.results
     forces = [one for one in diagnosed.traces if one.channel == "force"]
     assert {one.file for one in forces} == {file.name for file in PRACTICE.glob("*.h5")}
@@ -102,7 +102,7 @@ def test_any_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagno
         np.testing.assert_allclose(left, view.measured - view.before)
 
 
-def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, diagnosed: Diagnosis) -> None:
+def test_a_button_queues_the_next_experiment(window: MainWindow, diagnosed: Diagnosis) -> None:
     assert diagnosed.next_experiment is not None
     plan = plan_of_next_runs(diagnosed.next_experiment)
     assert not window.run.queue.entries
@@ -118,7 +118,7 @@ def test_one_button_puts_the_next_experiment_into_the_queue(window: MainWindow, 
     assert not window.run.session_running
 
 
-def test_what_is_no_campaign_is_told_and_the_page_stays_usable(
+def test_an_invalid_campaign_is_reported_and_the_page_stays_usable(
     window: MainWindow, until: Until, tmp_path: Path
 ) -> None:
     page = window.diagnose

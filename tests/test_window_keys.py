@@ -86,7 +86,7 @@ def test_no_two_controls_share_a_letter(window: MainWindow) -> None:
     assert clashes == {}
 
 
-def test_a_letter_presses_its_button_also_where_it_has_a_key_besides(window: MainWindow, qtbot: QtBot) -> None:
+def test_a_button_with_a_shortcut_keeps_its_letter(window: MainWindow, qtbot: QtBot) -> None:
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
     for number, page in ((Qt.Key.Key_2, window.look), (Qt.Key.Key_3, window.diagnose), (Qt.Key.Key_1, window.run)):
@@ -108,7 +108,7 @@ def reached(window: MainWindow, qtbot: QtBot) -> set[QWidget]:
     return set(seen)
 
 
-def test_tab_comes_to_every_control(window: MainWindow, qtbot: QtBot) -> None:
+def test_tab_reaches_every_control(window: MainWindow, qtbot: QtBot) -> None:
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
     missed = []
@@ -126,7 +126,7 @@ def test_tab_comes_to_every_control(window: MainWindow, qtbot: QtBot) -> None:
     assert missed == []
 
 
-def test_plots_are_zoomed_and_cursors_moved_by_keys(window: MainWindow, qtbot: QtBot) -> None:
+def test_keys_zoom_plots_and_move_cursors(window: MainWindow, qtbot: QtBot) -> None:
     window.go_to(window.look)
     window.look.tabs.setCurrentIndex(0)
     window.activateWindow()

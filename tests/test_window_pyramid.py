@@ -16,7 +16,7 @@ from dragrig.window.trace_pyramid import TracePyramid
     ends=st.tuples(st.floats(0, 1), st.floats(0, 1)),
     seed=st.integers(0, 99),
 )
-def test_every_extreme_is_seen_at_every_zoom(
+def test_extremes_are_visible_at_every_zoom(
     blocks: list[int], base: int, columns: int, ends: tuple[float, float], seed: int
 ) -> None:
     values = np.random.default_rng(seed).normal(size=sum(blocks)).astype(np.float32)
@@ -38,7 +38,7 @@ def test_every_extreme_is_seen_at_every_zoom(
     assert whole[0] == 0
 
 
-def test_close_by_each_sample_is_drawn_as_it_is() -> None:
+def test_every_sample_is_drawn_when_zoomed_in() -> None:
     values = np.arange(100_000, dtype=np.float32)
     pyramid = TracePyramid()
     pyramid.append(values)
@@ -47,7 +47,7 @@ def test_close_by_each_sample_is_drawn_as_it_is() -> None:
     assert place[0] == 500
 
 
-def test_a_gap_hides_nothing_beside_it() -> None:
+def test_a_gap_hides_no_neighbouring_samples() -> None:
     values = np.ones(5000, np.float32)
     values[100:4000] = np.nan
     values[4500] = 7.0
@@ -59,7 +59,7 @@ def test_a_gap_hides_nothing_beside_it() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_next_to_nothing_can_be_drawn(count: int) -> None:
+def test_empty_and_single_sample_traces_can_be_drawn(count: int) -> None:
     pyramid = TracePyramid()
     pyramid.append(np.zeros(count, np.float32))
     place, _ = pyramid.view(0, 10, 100)

@@ -93,7 +93,7 @@ def moving(window: MainWindow) -> bool:
     return entry is not None and entry.current_run is not None and entry.elapsed_s > 0.2
 
 
-def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
+def test_the_reason_of_a_trip_is_shown_and_a_button_resets_the_guard(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
     window = opened(qtbot, lab, tmp_path / "window.ini")
     try:
         assert window.notices.trip.isVisible()
@@ -105,7 +105,7 @@ def test_the_guard_says_why_it_is_tripped_and_is_reset_by_a_button(qtbot: QtBot,
         window.close_in_order("the test is over")
 
 
-def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until: Until, lab: Path) -> None:
+def test_a_plan_is_edited_previewed_and_run(window: MainWindow, until: Until, lab: Path) -> None:
     fill(window, speed_mm_s="10, 20")
     assert window.run.preview.runs.rowCount() == 2
     assert "Plan OK, within limits" in window.run.preview.findings.text()
@@ -124,7 +124,7 @@ def test_a_plan_is_filled_in_looked_at_and_carried_out(window: MainWindow, until
     assert live.latest.phase == "hold"
 
 
-def test_what_the_rig_cannot_do_cannot_be_started(window: MainWindow) -> None:
+def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
     fill(window, travel_mm="900")
     assert "NOT ALLOWED" in window.run.preview.findings.text()
     assert not window.run.new.start.isEnabled()
@@ -156,7 +156,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
     assert read_campaign(Path(first.folder)).runs[0].reason == first.reason
 
 
-def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until: Until) -> None:
+def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow, until: Until) -> None:
     fill(window, speed_mm_s="2")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
@@ -196,7 +196,7 @@ def test_covered_dragged_and_minimised_loses_no_sample(window: MainWindow, until
     assert len(run.trace.time) == pytest.approx(planned * run.trace.sample_rate_hz, abs=2)
 
 
-def test_a_window_is_not_closed_by_mistake_while_the_stage_moves(window: MainWindow, until: Until) -> None:
+def test_the_window_does_not_close_during_a_session(window: MainWindow, until: Until) -> None:
     slow(window)
     press(window.run.new.start)
     until(lambda: moving(window))
@@ -206,7 +206,7 @@ def test_a_window_is_not_closed_by_mistake_while_the_stage_moves(window: MainWin
     until(lambda: not window.run.session_running)
 
 
-def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
+def test_a_prompt_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in", prompt_each="yes", repeats="2", way_back="driven")
     press(window.run.new.start)
     until(window.notices.prompt.isVisible)
@@ -224,7 +224,7 @@ def test_a_question_is_answered_in_the_window(window: MainWindow, until: Until) 
     assert (len(made.runs), len(made.good)) == (4, 2)
 
 
-def test_abort_at_a_question_ends_the_session(window: MainWindow, until: Until) -> None:
+def test_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in")
     press(window.run.new.start)
     until(window.notices.prompt.isVisible)
@@ -255,7 +255,7 @@ def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tm
         window.close_in_order("the test is over")
 
 
-def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainWindow, until: Until) -> None:
+def test_queued_sessions_can_be_moved_removed_and_run(window: MainWindow, until: Until) -> None:
     view = window.run.queue_view
     for speed in ("10", "20", "40"):
         fill(window, speed_mm_s=speed)
@@ -281,7 +281,7 @@ def test_sessions_of_the_queue_are_moved_taken_out_and_carried_out(window: MainW
     assert window.run.queue.entries == []
 
 
-def test_garbage_is_collected_on_the_screens_thread_alone(window: MainWindow, until: Until) -> None:
+def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until: Until) -> None:
     """On another thread it would take plots apart that are being drawn, and both would wait for ever."""
     collected_by: list[threading.Thread] = []
 
@@ -313,7 +313,7 @@ def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
     assert devices.verdict == "all ok"
 
 
-def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: Until) -> None:
+def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, until: Until) -> None:
     pid = window.engine.pid
     assert pid is not None
     os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
@@ -331,7 +331,7 @@ def test_a_dead_engine_is_told_of_and_started_again(window: MainWindow, until: U
     assert not window.notices.lost.isVisible()
 
 
-def test_only_the_last_seconds_are_shown_when_asked_for(window: MainWindow, until: Until) -> None:
+def test_the_view_can_be_limited_to_the_last_seconds(window: MainWindow, until: Until) -> None:
     fill(window, speed_mm_s="0.5")
     press(window.run.new.start)
     until(lambda: not window.run.session_running)
@@ -342,7 +342,7 @@ def test_only_the_last_seconds_are_shown_when_asked_for(window: MainWindow, unti
     assert last[1] - last[0] < 12
 
 
-def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
+def test_settings_are_stored(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
     first = opened(qtbot, lab, tmp_path / "window.ini")
     file = tmp_path / "own.toml"
     file.write_text('name = "own"\n[[steps]]\nkind = "blank"\n', "utf-8")
@@ -361,7 +361,7 @@ def test_settings_are_remembered(qtbot: QtBot, lab: Path, tmp_path: Path) -> Non
         second.close_in_order("the test is over")
 
 
-def test_a_rig_is_named_in_words(window: MainWindow) -> None:
+def test_the_title_names_the_kind_of_rig(window: MainWindow) -> None:
     assert "SIMULATED" in window.windowTitle()
     assert window.description.title == "SIMULATED"
 
@@ -373,7 +373,7 @@ def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> Non
     assert window.run.preview.runs.rowCount() == 4
 
 
-def test_a_mirror_is_chosen_and_gets_every_file(window: MainWindow, until: Until, tmp_path: Path) -> None:
+def test_every_file_is_copied_to_the_chosen_mirror(window: MainWindow, until: Until, tmp_path: Path) -> None:
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path))
     press(window.run.new.start)
@@ -387,7 +387,7 @@ def test_a_mirror_is_chosen_and_gets_every_file(window: MainWindow, until: Until
     assert not window.notices.complaint.isVisible()
 
 
-def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tmp_path: Path) -> None:
+def test_files_missing_in_the_mirror_are_shown(window: MainWindow, until: Until, tmp_path: Path) -> None:
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path / "unplugged"))
     press(window.run.new.start)
@@ -403,7 +403,7 @@ def test_what_is_not_in_the_mirror_is_shown(window: MainWindow, until: Until, tm
     assert "NOT IN THE MIRROR" in item.text(3)
 
 
-def test_a_plan_that_was_offered_can_be_chosen_again(window: MainWindow) -> None:
+def test_an_offered_plan_can_be_selected_again(window: MainWindow) -> None:
     plans = window.run.new.plans
     window.run.offer_and_queue("next experiment", plan_form("coulomb"))
     offered = plans.currentIndex()
@@ -413,7 +413,7 @@ def test_a_plan_that_was_offered_can_be_chosen_again(window: MainWindow) -> None
     assert window.run.preview.summary.text() != "This plan cannot be used yet"
 
 
-def test_a_question_of_a_reset_is_put_also_after_a_stop(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
+def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
     """On a rig that needs hands; its double asks as it does."""
     window = opened(qtbot, lab, tmp_path / "window.ini", backend="hardware", double=True, pace=7.0)
     try:
