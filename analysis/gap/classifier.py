@@ -66,16 +66,9 @@ def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibrati
         if inputs.position or inputs.has_position_error
         else _classify_with_lines(inputs, force)
     )
-    return replace(
-        classification,
-        confusable_with=(*classification.confusable_with, *_excluded_aliases(classification.effects, inputs.excluded)),
-    )
-
-
-def _excluded_aliases(effects: Sequence[str], excluded: Sequence[str]) -> tuple[str, ...]:
-    """Return excluded effects that are confusable with the named ones."""
-    confusable = {name for effect in effects for name in confusable_effects(effect)}
-    return tuple(effect for effect in excluded if effect in confusable)
+    aliases = {name for effect in classification.effects for name in confusable_effects(effect)}
+    excluded = [effect for effect in inputs.excluded if effect in aliases]
+    return replace(classification, confusable_with=(*classification.confusable_with, *excluded))
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,16 +355,12 @@ def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str,
             slope = slope + choice.features.T @ residuals
         return total, slope
 
-    bounds = [_weight_bounds(name) for name in names]
+    bounds = [
+        (0.0 if name.startswith(POSITIVE_FEATURES) else None, 0.0 if name.startswith(NEGATIVE_FEATURES) else None)
+        for name in names
+    ]
     best = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000})
     return {name: round(float(weight), 4) for name, weight in zip(names, best.x, strict=True)}
-
-
-def _weight_bounds(feature: str) -> tuple[float | None, float | None]:
-    """Return the bounds of a feature's weight."""
-    return 0.0 if feature.startswith(POSITIVE_FEATURES) else None, 0.0 if feature.startswith(
-        NEGATIVE_FEATURES
-    ) else None
 
 
 def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float = 0.2) -> GapGate:
@@ -379,7 +368,11 @@ def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float
     from scipy.optimize import minimize
 
     rows = [
-        (*_gate_inputs(case.inputs, tolerance_mN), bool(case.effects or case.outside))
+        (
+            largest_llr(case.inputs, tolerance_mN),
+            case.inputs.excess / max(case.inputs.block_count, 1),
+            bool(case.effects or case.outside),
+        )
         for case in cases
         if not case.inputs.has_position_error
         and _force_effects(case) == case.effects
@@ -401,19 +394,11 @@ def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float
 
 
 def _gate_at(steps: FloatArray) -> GapGate:
-    values = [
-        value * float(np.exp(GATE_PRIOR_SD * step)) for value, step in zip(_gate_values(PRIOR_GATE), steps, strict=True)
-    ]
-    llr, width, excess, excess_width = (round(value, 4) for value in values)
-    return GapGate(least_gain=llr, gain_width=width, least_left=excess, left_width=excess_width)
-
-
-def _gate_values(gate: GapGate) -> tuple[float, ...]:
-    return gate.least_gain, gate.gain_width, gate.least_left, gate.left_width
-
-
-def _gate_inputs(inputs: DecisionInputs, tolerance_mN: float) -> tuple[float, float]:
-    return largest_llr(inputs, tolerance_mN), inputs.excess / max(inputs.block_count, 1)
+    factors = np.exp(GATE_PRIOR_SD * steps).tolist()
+    prior: dict[str, float] = PRIOR_GATE.model_dump()
+    return GapGate(
+        **{name: round(value * factor, 4) for (name, value), factor in zip(prior.items(), factors, strict=True)}
+    )
 
 
 def _logistic_array(values: FloatArray) -> FloatArray:

@@ -301,7 +301,7 @@ def linearise(
     by_nominal = _nominal_derivatives(study, z) if reference is None else reference.run_columns(ColumnKind.NOMINAL)
     reference_model_errors = None if reference is None else reference.run_columns(ColumnKind.MODEL_ERROR)
     run_designs, grams, signatures_by_run = [], [], dict[int, FloatArray]()
-    wall = _wall_effects(chain_with(candidates, study.chain))
+    wall = chain_with(candidates, study.chain).only(lambda effect: effect.location in WALL_PLACES)
     for number, (run_data, (scene, gain)) in enumerate(zip(study.runs, study.scenes(z), strict=True)):
         separate = [added_force(chain_with([candidate], study.chain), scene, gain) for candidate in candidates]
         nominal_effects = added_force(study.chain, scene, gain)
@@ -350,10 +350,6 @@ def linearise(
         block_counts=tuple(len(run.residual) for run in run_designs),
         variants=variants,
     )
-
-
-def _wall_effects(chain: EffectChain) -> EffectChain:
-    return chain.only(lambda effect: effect.location in WALL_PLACES)
 
 
 def _nominal_derivatives(study: Study, z: FloatArray) -> list[FloatArray]:

@@ -235,7 +235,7 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
         return ()
     alone = where.runs == 1
     return tuple(
-        AxisText(_axis_name(location), text, float("nan") if alone else location.min_p)
+        AxisText(_AXIS_UNITS.get(location.name, (location.name,))[0], text, float("nan") if alone else location.min_p)
         for location in where.locations
         if (text := _axis_text(location, alone=alone))
     )
@@ -253,10 +253,6 @@ def domain_sentence(where: GapLocation) -> str:
     if not isfinite(score):
         share = ""
     return f"The residual is mainly a function of {DOMAIN_NAMES.get(where.domain, where.domain)}{share}."
-
-
-def _axis_name(location: AxisLocation) -> str:
-    return _AXIS_UNITS[location.name][0] if location.name in _AXIS_UNITS else location.name
 
 
 def _axis_text(location: AxisLocation, *, alone: bool) -> str:

@@ -244,15 +244,10 @@ def hypothesis_features(inputs: DecisionInputs, tolerance_mN: float) -> tuple[Hy
 
 
 def _is_admissible(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
-    return (
-        not hypothesis.at_limit or explained_share(hypothesis.chi2, inputs) > AT_LIMIT_MIN_SHARE
-    ) and not _replaces_excluded_effect(hypothesis, inputs)
-
-
-def _replaces_excluded_effect(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
-    """Whether several effects may together imitate one that was excluded from the search."""
-    confusable = {confusable_name for name in hypothesis.effects for confusable_name in confusable_effects(name)}
-    return len(hypothesis.effects) > 1 and bool(confusable & set(inputs.excluded))
+    if hypothesis.at_limit and explained_share(hypothesis.chi2, inputs) <= AT_LIMIT_MIN_SHARE:
+        return False
+    confusable = {alias for effect in hypothesis.effects for alias in confusable_effects(effect)}
+    return len(hypothesis.effects) == 1 or not confusable & set(inputs.excluded)
 
 
 def chance_chi2(inputs: DecisionInputs) -> float:

@@ -147,7 +147,8 @@ def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
             interval = (min(low, closed), max(high, closed))
     duration, before, after, floor = rows.sum(axis=0).tolist()
     points = [(gap.run.condition[1], *gap.steady) for gap in gaps if gap.steady is not None]
-    sides = _split_at_boundary(points)
+    highest = PAPER_BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
+    sides = [point for point in points if point[0] <= highest], [point for point in points if point[0] > highest]
     on_both_sides = all(len(side) >= 1 for side in sides)
     return GapReduction(
         gap_before_mN=float(np.sqrt(before / duration)),
@@ -181,11 +182,6 @@ def _steady_forces(run: RunData, before: FloatArray, after: FloatArray) -> tuple
 
 
 SteadyPoint = tuple[float, float, float, float]
-
-
-def _split_at_boundary(points: Sequence[SteadyPoint]) -> tuple[list[SteadyPoint], list[SteadyPoint]]:
-    highest = PAPER_BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
-    return [point for point in points if point[0] <= highest], [point for point in points if point[0] > highest]
 
 
 def _r2_before_after(sides: tuple[list[SteadyPoint], list[SteadyPoint]], form: str) -> R2BeforeAfter:
@@ -330,7 +326,8 @@ def predict_held_out(search: ForceSearchResult, chosen: HypothesisFit | None) ->
         others = [index for index in runs if index not in fold]
         coefficients = _fit_to_runs(nominal, others, (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR))
         before |= {index: _run_residual(nominal, index, *coefficients) for index in fold}
-        best = _best_effect(nominal, others)
+        projected = project_dictionary(nominal, nominal.total_gram(others), *NUISANCES)
+        best = next(iter(rank_effects(projected, nominal.variants)), None)
         same = chosen is not None and (best is None or best.effect in chosen.effects or len(chosen.effects) > 1)
         if chosen is not None and same:
             coefficients = _fit_to_runs(
@@ -386,11 +383,6 @@ def _predicted_chi2(design: Design, runs: Sequence[int], columns: IndexArray, co
     return float(
         total[0, 0] - 2 * total[0, rows] @ coefficients + coefficients @ total[np.ix_(rows, rows)] @ coefficients
     )
-
-
-def _best_effect(design: Design, runs: Sequence[int]) -> RankedEffect | None:
-    ranked = rank_effects(project_dictionary(design, design.total_gram(runs), *NUISANCES), design.variants)
-    return ranked[0] if ranked else None
 
 
 def _fit_with_variants(design: Design, runs: Sequence[int], ranked: RankedEffect) -> tuple[IndexArray, FloatArray]:

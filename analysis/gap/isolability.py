@@ -368,10 +368,10 @@ def position_isolability(
     runs = position_errors(experiments)
     position_effects = [effect for effect in effects if effect.channel is Channel.POSITION]
     trials = {
-        one.id: [_position_trial(candidate, runs) for candidate in _trial_candidates(one)] if runs else []
-        for one in position_effects
+        acting.id: [_position_trial(candidate, runs) for candidate in _trial_candidates(acting)] if runs else []
+        for acting in position_effects
     }
-    visibilities = tuple(_position_visibility(one, trials[one.id]) for one in position_effects)
+    visibilities = tuple(_position_visibility(acting, trials[acting.id]) for acting in position_effects)
     shown = tuple(visibility.effect for visibility in visibilities if visibility.smallest is not None)
     return visibilities, tuple(_position_pair(pair, trials) for pair in effect_pairs(shown))
 
@@ -466,7 +466,11 @@ def isolate(
         angles.effects, {frozenset(effect_pair.effects): effect_pair.sin2 for effect_pair in pairs}
     )
     visible = {name: _force_visibility(study, design, angles, name) for name in order}
-    invisible = [_invisible(effect) for effect in study.effects if effect.id not in visible]
+    invisible = [
+        Visibility(effect.id, "force", 0.0, effect.size.default, None, effect.size.unit)
+        for effect in study.effects
+        if effect.id not in visible
+    ]
     progress(3, ISOLABILITY_STEPS)
     lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.spectral_line]
     in_position, position_pairs = position_isolability(selection.experiments, effects)
@@ -514,10 +518,6 @@ def _smallest_visible(study: Study, design: Design, variant: VariantColumns, d_p
     rms = variant_rms(study, design, variant.variants[0])
     share = max(d_prime / variant.d_prime, DEFAULT_TOLERANCE_MN / rms if rms > 0 else 0.0)
     return share, share * rms
-
-
-def _invisible(effect: Effect) -> Visibility:
-    return Visibility(effect.id, "force", 0.0, effect.size.default, None, effect.size.unit)
 
 
 def _line_visibility(effect: Effect, selection: RunSelection, channel: str) -> Visibility:

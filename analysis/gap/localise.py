@@ -242,14 +242,11 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
     scores["session"] = max(scores["session"], scores[CONSTANT_DOMAIN] + in_time)
     total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
-    fast = sum(_fast_excess(run) for run in blocks)
+    is_fast = np.array(BANDS_HZ[:-1]) >= FAST_HZ
+    fast = sum(float(np.maximum(band_excess(run)[is_fast], 0.0).sum()) for run in blocks)
     scores["frequency"] = fast / (total + fast) if fast > 0 else 0.0
     scores["transient"] = sum(_transient_excess(run) for run in blocks) / total if total > 0 else 0.0
     return {name: float(np.clip(scores[name], 0.0, 1.0)) for name in DOMAINS}
-
-
-def _fast_excess(blocks: ResidualBlocks) -> float:
-    return float(np.maximum(band_excess(blocks)[np.array(BANDS_HZ[:-1]) >= FAST_HZ], 0.0).sum())
 
 
 def _transient_excess(blocks: ResidualBlocks) -> float:
@@ -311,6 +308,8 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
     gap_present = p < ALPHA if present is None else present
     total = float(np.maximum(runs.energy, 0.0).sum())
     scores = domain_scores(blocks) if gap_present else {}
+    domain = max(scores, key=lambda name: scores[name], default="")
+    min_score = MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0
     return GapLocation(
         present=gap_present,
         p=p,
@@ -320,17 +319,12 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
             for axis, significance in zip(axes, significances, strict=True)
         ),
         cells=_phase_cells(blocks),
-        domain=_main_domain(scores, MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0),
+        domain=domain if scores.get(domain, 0.0) > min_score else "",
         domain_scores=scores,
         permutations=PERMUTATIONS,
         seed=seed,
         runs=len(runs.ids),
     )
-
-
-def _main_domain(scores: Mapping[str, float], threshold: float) -> str:
-    best = max(scores, key=lambda name: scores[name], default="")
-    return best if best and scores[best] > threshold else ""
 
 
 def _axis_location(
@@ -422,14 +416,8 @@ def attribute_to_effects(
         return location
     shown = [replace(run, explained=contribution) for run, contribution in zip(blocks, added, strict=False)]
     where = localise([*shown, *blocks[len(shown) :]], present=True, seed=location.seed)
-    pairs = zip(location.locations, where.locations, strict=True)
-    return replace(where, p=location.p, locations=tuple(_with_residual_p(*pair) for pair in pairs))
-
-
-def _with_residual_p(location: AxisLocation, shown: AxisLocation) -> AxisLocation:
-    bins = tuple(_bin_with_residual_p(*pair) for pair in zip(location.bins, shown.bins, strict=True))
-    return replace(shown, bins=bins, p=location.p, min_p=location.min_p)
-
-
-def _bin_with_residual_p(axis_bin: AxisBin, shown: AxisBin) -> AxisBin:
-    return replace(shown, p=axis_bin.p)
+    axes = []
+    for residual, effect in zip(location.locations, where.locations, strict=True):
+        bins = tuple(replace(bin_, p=own.p) for bin_, own in zip(effect.bins, residual.bins, strict=True))
+        axes.append(replace(effect, bins=bins, p=residual.p, min_p=residual.min_p))
+    return replace(where, p=location.p, locations=tuple(axes))

@@ -188,17 +188,13 @@ def search_force_runs(
     questions
         Pairs with their weights; at least one.
     """
-    effects = _asked_effects(study, questions)
+    names = {question.assumed.effect for question in questions} | {question.rival for question in questions}
+    effects = [effect.id for effect in study.effects if effect.id in names]
     grams = _candidate_grams(
         replace(study, effects=tuple(effect for effect in study.effects if effect.id in effects)), design, candidates
     )
     model = ForceSeparation(Information.of(design, effects), tuple(questions))
     return greedy_search(model, list(zip(candidates, grams, strict=True)), budget)
-
-
-def _asked_effects(study: Study, questions: Sequence[PairQuestion]) -> list[str]:
-    names = {question.assumed.effect for question in questions} | {question.rival for question in questions}
-    return [effect.id for effect in study.effects if effect.id in names]
 
 
 def _candidate_grams(study: Study, design: Design, candidates: Sequence[CandidateRun]) -> list[FloatArray]:

@@ -497,7 +497,7 @@ def _start_candidates(effect: Effect, model_class: PositionModelClass) -> list[C
     phases = np.linspace(-np.pi, np.pi, 8, endpoint=False) if effect.phase is not None else (0.0,)
     starts = []
     for *shapes, size, phase_rad in product(*grids, sizes, phases):
-        values = {**effect.defaults, **{one.name: value for one, value in zip(effect.shapes, shapes, strict=True)}}
+        values = {**effect.defaults, **{shape.name: value for shape, value in zip(effect.shapes, shapes, strict=True)}}
         values[effect.size.name] = float(np.clip(size * effect.size.default, effect.size.low, effect.size.high))
         if effect.phase is not None:
             values[effect.phase.name] = float(phase_rad)

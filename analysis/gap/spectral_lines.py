@@ -54,7 +54,8 @@ class SpectralLine:
     @property
     def is_mains(self) -> bool:
         """Whether it is at a multiple of 50 or 60 Hz."""
-        return any(_is_harmonic(self.frequency_hz, mains) for mains in MAINS_HZ)
+        multiples = (mains * max(round(self.frequency_hz / mains), 1) for mains in MAINS_HZ)
+        return any(abs(self.frequency_hz - multiple) <= MAINS_TOLERANCE_HZ for multiple in multiples)
 
 
 NO_LINE = SpectralLine(0.0, 0.0, 0.0)
@@ -166,11 +167,6 @@ def _background(frequency_hz: FloatArray, power: FloatArray) -> FloatArray:
         near &= np.abs(frequency_hz - frequency) > 2.1 * FREQUENCY_STEP_HZ
         background[index] = np.median(power[near]) if near.any() else power[index]
     return background
-
-
-def _is_harmonic(frequency_hz: float, mains_hz: float) -> bool:
-    multiple = max(round(frequency_hz / mains_hz), 1)
-    return abs(frequency_hz - multiple * mains_hz) <= MAINS_TOLERANCE_HZ
 
 
 NEW_HUM_FACTOR = 1.5

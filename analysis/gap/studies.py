@@ -164,16 +164,12 @@ def _friction_columns(run: RunData, longest_mm: float) -> FloatArray:
     travel = np.abs(blocks.position_mm - blocks.position_mm[0]) / max(longest_mm, 1e-12)
     measured_sign = np.sign(run.experiment.velocity(blocks.time_s))
     # An encoder of 1 µm shows the slowest motions as rest; in steady motion the run's direction is taken.
-    sign = np.where(blocks.phase == Phase.STEADY, _travel_sign(run), measured_sign)
+    direction = float(np.sign(blocks.position_mm[-1] - blocks.position_mm[0])) or 1.0
+    sign = np.where(blocks.phase == Phase.STEADY, direction, measured_sign)
     shapes = [travel**power for power in WAY_POWERS] + [
         np.exp(-travel / length) for length in np.geomspace(0.01, 1, WAY_LENGTHS)
     ]
     return np.asarray(sign[:, None] * np.stack(shapes, axis=1))
-
-
-def _travel_sign(run: RunData) -> float:
-    position = run.coordinates.position_mm
-    return float(np.sign(position[-1] - position[0])) or 1.0
 
 
 MIN_RUNS_TO_HOLD_OUT = 4
@@ -353,7 +349,8 @@ class OwnModelStudy(Study):
         """
         all_channels = JointProblem.of(selection, nominal, MAX_BLOCK_MM)
         channels = tuple(dict.fromkeys(data.channel for data in all_channels.channels))
-        forces = _force_channels(selection)
+        headers = [experiment.run.info.header for experiment in selection.experiments]
+        forces = {channel.name for header in headers for channel in header.channels if channel.units == FORCE_UNIT}
         channel = next((name for name in (*SIGNALS, *channels) if name in channels and name in forces), None)
         if channel is None:
             raise AnalysisError(
@@ -391,11 +388,6 @@ class OwnModelStudy(Study):
         """Yield what these runs and this model cannot answer, a sentence each."""
         yield from own_model_limitations(self.runs, self.other_channels)
         yield from general_limitations(self.runs)
-
-
-def _force_channels(selection: RunSelection) -> set[str]:
-    headers = [experiment.run.info.header for experiment in selection.experiments]
-    return {channel.name for header in headers for channel in header.channels if channel.units == FORCE_UNIT}
 
 
 def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> Study:

@@ -403,7 +403,7 @@ def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
     absent = [
         name
         for name in dict.fromkeys(run.kind for run in blocks)
-        if _axis_share(where, "protocol", name) < NEGLIGIBLE_SHARE
+        if where.location("protocol").shares.get(name, 0.0) < NEGLIGIBLE_SHARE
     ]
     text = f"It is in {_channels_text(where)} of {kinds_text(kinds)}{_speeds_text(where, blocks)}"
     text += _range_text(where.location("strain"), "at shear strains of", "")
@@ -420,10 +420,6 @@ def kinds_text(kinds: Sequence[str], joiner: str = "and") -> str:
     names = [_KIND_NAMES.get(name, name) for name in kinds]
     listed = f" {joiner} ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
     return f"{listed} runs"
-
-
-def _axis_share(where: GapLocation, axis: str, name: str) -> float:
-    return where.location(axis).shares.get(name, 0.0)
 
 
 def _channels_text(where: GapLocation) -> str:
