@@ -341,7 +341,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
 
 def _parameter_table(diagnosis: Diagnosis) -> Table:
 
-    verdict = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
+    verdict = _stated_hypothesis(diagnosis)
 
     return Table.of(
         "parameters",
@@ -359,6 +359,10 @@ def _parameter_table(diagnosis: Diagnosis) -> Table:
         Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
         Field("meaning", "meaning", lambda parameter: _parameter_meaning(parameter.name, diagnosis)),
     )
+
+
+def _stated_hypothesis(diagnosis: Diagnosis) -> RankedHypothesis | None:
+    return next((ranked for ranked in diagnosis.ranking if is_stated_verdict(ranked, diagnosis)), None)
 
 
 def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
@@ -405,8 +409,8 @@ def _runs_section(diagnosis: Diagnosis) -> Section:
                 "left-out",
                 "",
                 diagnosis.left_out,
-                Field("file", "left out", lambda one: one.what),
-                Field("reason", "reason", lambda one: one.reason),
+                Field("file", "left out", lambda exclusion: exclusion.what),
+                Field("reason", "reason", lambda exclusion: exclusion.reason),
                 brief_rows=MAX_LEFT_OUT,
             ),
         ),
@@ -416,7 +420,7 @@ def _runs_section(diagnosis: Diagnosis) -> Section:
 def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tuple[Cell, ...]:
     if diagnosis is None:
         return source, f"not diagnosed: {why_not}", "", "", "", "", ""
-    verdict = next((one for one in diagnosis.ranking if is_stated_verdict(one, diagnosis)), None)
+    verdict = _stated_hypothesis(diagnosis)
     shrink = diagnosis.shrink
     closed = None if shrink is None or not diagnosis.effects else shrink.closed
     interval = None if shrink is None or not diagnosis.effects else shrink.closed_95ci

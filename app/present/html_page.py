@@ -170,7 +170,9 @@ def _shorten_attributes(element: ET.Element, key: str, wanted: set[str]) -> None
 def _prefix_references(value: str, key: str, wanted: set[str]) -> str:
     if not value.startswith(("#", "url(#")):
         return value
-    return _REFERENCE.sub(lambda found: f"#{_prefix_id(found[1], key)}" if found[1] in wanted else found[0], value)
+    return _REFERENCE.sub(
+        lambda reference: f"#{_prefix_id(reference[1], key)}" if reference[1] in wanted else reference[0], value
+    )
 
 
 def _prefix_id(name: str, key: str) -> str:
@@ -178,7 +180,7 @@ def _prefix_id(name: str, key: str) -> str:
 
 
 def _short_path(data: str) -> str:
-    short = _LINE.sub(lambda found: _relative_polyline(found[0]), _NUMBER.sub(_three_decimals, data))
+    short = _LINE.sub(lambda line: _relative_polyline(line[0]), _NUMBER.sub(_three_decimals, data))
     return " ".join(short.split())
 
 
@@ -205,5 +207,5 @@ def _tenths_text(value: int) -> str:
     return re.sub(r"^(-?)0\.", r"\1.", f"{value / 10:g}")
 
 
-def _three_decimals(found: re.Match[str]) -> str:
-    return f"{float(found[0]):.3f}".rstrip("0").rstrip(".")
+def _three_decimals(number: re.Match[str]) -> str:
+    return f"{float(number[0]):.3f}".rstrip("0").rstrip(".")

@@ -77,7 +77,7 @@ class PaperReportData:
     model, capsule, wall_thickness_mm
         What was simulated: the model, the drag test's capsule, the wall.
     runs
-        How many runs were made, ways back included.
+        Number of runs, return strokes included.
     of_run
         The model that each run was simulated with, its own variation included, by the file's name.
     coulomb_trace
