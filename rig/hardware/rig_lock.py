@@ -40,7 +40,9 @@ class RigLock:
         self._lock = FileLock(path, timeout=0, mode=_SHARED_FILE, thread_local=False)
         self._note = path.with_suffix(".pid")
         try:
-            _make_shared_folder(path.parent)
+            if not path.parent.is_dir():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.parent.chmod(_SHARED_FOLDER)
             self._lock.acquire()
         except Timeout:
             raise DeviceError(
@@ -50,7 +52,10 @@ class RigLock:
             raise DeviceError(
                 f"{rig}: the lock {path} cannot be made ({error.strerror}): check who may write there."
             ) from error
-        self._sign()
+        # The process id is information for a person only; the lock holds without it.
+        with contextlib.suppress(OSError):
+            self._note.write_text(str(os.getpid()), "ascii")
+            self._note.chmod(_SHARED_FILE)
 
     def __enter__(self) -> Self:
         return self
@@ -66,12 +71,6 @@ class RigLock:
             with contextlib.suppress(OSError):  # the next holder writes its own
                 self._note.unlink(missing_ok=True)
             self._lock.release()
-
-    def _sign(self) -> None:
-        # The process id is information for a person only; the lock holds without it.
-        with contextlib.suppress(OSError):
-            self._note.write_text(str(os.getpid()), "ascii")
-            self._note.chmod(_SHARED_FILE)
 
 
 def lock_name(hardware: HardwareSettings) -> str:
@@ -90,12 +89,6 @@ def machine_lock_folder() -> Path:
     # Not whether this user may write there but whether every user may: all have to get the same folder.
     shared = (path for path in _LOCK_FOLDERS if path.is_dir() and path.stat().st_mode & stat.S_IWOTH)
     return next(shared, Path(tempfile.gettempdir())) / "dragrig"
-
-
-def _make_shared_folder(folder: Path) -> None:
-    if not folder.is_dir():
-        folder.mkdir(parents=True, exist_ok=True)
-        folder.chmod(_SHARED_FOLDER)
 
 
 def _describe_holder(note: Path) -> str:

@@ -118,8 +118,10 @@ class DriveDouble:
                 self._continue_homing()
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
+            elif self._is_blocked(self._direction) and self._seeks_switch:
+                self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
             elif self._is_blocked(self._direction):
-                self._stop_at_switch()
+                self._end(Halt.LIMIT_SWITCH)
             elif 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
                 self._end(Halt.SILENCE)
 
@@ -230,12 +232,6 @@ class DriveDouble:
     def _follow(self, travel_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         self._halt, self._direction = Halt.TARGET, travel_mm
         self.bench.follow(trapezoid(travel_mm, speed_mm_s, acceleration_mm_s2))
-
-    def _stop_at_switch(self) -> None:
-        if self._seeks_switch:
-            self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
-        else:
-            self._end(Halt.LIMIT_SWITCH)
 
     def _end(self, why: Halt) -> None:
         if self._moving() and self._halt is Halt.TARGET:

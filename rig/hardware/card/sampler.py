@@ -200,11 +200,12 @@ class ReaderThread:
             try:
                 item = self._queue.get(timeout=_POLL_S)
             except Empty:
-                if time.monotonic() - wait_began_s < _FROZEN_S:
-                    self._refuse_stale()
-                else:
+                stale_s, now_s = self._settings.stale_s, time.monotonic()
+                if now_s - wait_began_s >= _FROZEN_S:
                     # The program itself was held up, so that nobody knows yet whether samples are there.
-                    self._last_data_s = time.monotonic()
+                    self._last_data_s = now_s
+                elif now_s - self._last_data_s > stale_s and self._queue.empty():
+                    raise no_samples_error(self._card, stale_s) from None
                 continue
             if isinstance(item, Block):
                 return item
@@ -230,11 +231,6 @@ class ReaderThread:
         """Whether the thread still runs."""
         return self._thread.is_alive()
 
-    def _refuse_stale(self) -> None:
-        stale_s = self._settings.stale_s
-        if time.monotonic() - self._last_data_s > stale_s and self._queue.empty():
-            raise no_samples_error(self._card, stale_s)
-
     def _run(self) -> None:
         failed = False
         try:
@@ -258,7 +254,11 @@ class ReaderThread:
         while not self._end_requested.is_set():
             wanted = min(self._settings.block_samples, self._end_index() - self._fetcher.next_index)
             if wanted <= 0:
-                self._refuse_lost_end()
+                if lost := self._fetcher.lost:
+                    raise DeviceError(
+                        f"the last {lost} samples are lost, because this computer did not fetch them in time: end "
+                        "other programs, or lower sampling.rate_hz."
+                    )
                 return None
             batch = self._fetcher.fetch(wanted)
             if batch.samples:
@@ -278,24 +278,14 @@ class ReaderThread:
     def _block(self, batch: SampleBatch) -> Block:
         if batch.first_index == 0:
             self._origin_counts = float(batch.counts[0])
-        fault = self._overrun(batch) or self._scaling.sensor_fault(batch.volts[0])
-        return Block(batch.first_index, self._scaling.scale(batch.volts, batch.counts, self._origin_counts), fault)
-
-    def _overrun(self, batch: SampleBatch) -> Trip | None:
-        if not batch.lost:
-            return None
-        at_s = (batch.first_index - batch.lost) / self._settings.rate_hz
-        return Trip(
-            TripCause.OVERRUN,
-            f"{batch.lost} samples from {at_s:.3f} s on are lost, because this computer did not fetch them in time",
-        )
-
-    def _refuse_lost_end(self) -> None:
-        if lost := self._fetcher.lost:
-            raise DeviceError(
-                f"the last {lost} samples are lost, because this computer did not fetch them in time: end other "
-                "programs, or lower sampling.rate_hz."
+        fault = self._scaling.sensor_fault(batch.volts[0])
+        if batch.lost:
+            at_s = (batch.first_index - batch.lost) / self._settings.rate_hz
+            fault = Trip(
+                TripCause.OVERRUN,
+                f"{batch.lost} samples from {at_s:.3f} s on are lost, because this computer did not fetch them in time",
             )
+        return Block(batch.first_index, self._scaling.scale(batch.volts, batch.counts, self._origin_counts), fault)
 
     def _wrapped(self, error: Exception) -> Exception:
         return device_error(error, self._card, "it samples") if isinstance(error, driver_errors()) else error

@@ -162,7 +162,11 @@ class Monitor:
             )
             self._ended.wait(self._interval_s)
             return
-        self._beat()
+        try:
+            if self._may_beat():
+                self._lines.toggle_heartbeat()
+        except DeviceError as error:
+            self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
         self.poll()
         if self._fast.is_set() and self._sync.moving:
             self._ended.wait(_FAST_POLL_S)
@@ -193,13 +197,6 @@ class Monitor:
             # Once a motion, because a stop feeds the drive's silence timeout too.
             self._stop_sent = True
             self._stop()
-
-    def _beat(self) -> None:
-        try:
-            if self._may_beat():
-                self._lines.toggle_heartbeat()
-        except DeviceError as error:
-            self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
 
     def _poll_switches(self) -> Trip | None:
         try:

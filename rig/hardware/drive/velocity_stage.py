@@ -58,13 +58,20 @@ class IndexSearch:
             When a stop or a fault came first, or one of the two was not found.
         """
         side = TravelEnd(self._drive.homing_direction)
-        self._refuse_unwired(side)
+        lines = self._card.lines
+        if not ((lines.limit_low if side is TravelEnd.LOW else lines.limit_high) and self._card.encoder.z):
+            raise SettingsError(
+                f"homing in velocity mode needs the {side} limit switch and the index pulse: name them in "
+                f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
+            )
         direction = -1.0 if side is TravelEnd.LOW else 1.0
         if not self._is_pressed(side):
             switch = f"the {side} limit switch"
             planned_at = self._creep(direction, lambda: self._is_pressed(side), switch, planned_at)
         self._loop.reset_counter(_UNREFERENCED_MM, index=True)
-        planned_at = self._creep(-direction, self._is_referenced, "the index pulse", planned_at)
+        planned_at = self._creep(
+            -direction, lambda: abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2, "the index pulse", planned_at
+        )
         position_mm = self._loop.position_mm()
         self._loop.reset_counter(position_mm, index=False)
         target_mm = min(max(0.0, self._stage.lowest_mm), self._stage.highest_mm)
@@ -108,18 +115,6 @@ class IndexSearch:
     def _is_pressed(self, side: TravelEnd) -> bool:
         switches = self._lines.read_switches()
         return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
-
-    def _is_referenced(self) -> bool:
-        return abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2
-
-    def _refuse_unwired(self, side: TravelEnd) -> None:
-        lines = self._card.lines
-        switch = lines.limit_low if side is TravelEnd.LOW else lines.limit_high
-        if not (switch and self._card.encoder.z):
-            raise SettingsError(
-                f"homing in velocity mode needs the {side} limit switch and the index pulse: name them in "
-                f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
-            )
 
 
 _STANDSTILL_TIMEOUT_S = 1.0
