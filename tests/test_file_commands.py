@@ -84,7 +84,7 @@ def test_a_mark_is_honoured_by_everything_later_and_can_be_taken_back(command: C
     assert command.json("info", drag)[0]["bad"] == "capsule slipped off"
     row = next(row for row in command.json("table", "c")["runs"] if row["file"] == drag.name)
     assert (row["bad"], row["mark"]) == (True, "capsule slipped off")
-    assert "BAD: capsule slipped off" in command("table", "c").out
+    assert "marked bad: capsule slipped off" in command("table", "c").out
     filtered = command("filter", "c")
     assert "left out, marked bad: capsule slipped off" in filtered.err
     assert drag.name not in filtered.out
@@ -105,7 +105,7 @@ def test_table_gives_the_same_numbers_to_people_and_programs(command: Command, p
     steady = {row["file"]: row for row in answer["runs"]}["010-drag.h5"]
     assert steady["steady_force_mN"] > 5 * steady["steady_force_error_mN"] > 0
     shown = command("table", "c").out
-    assert f"{steady['steady_force_mN']:.1f}" in shown
+    assert f"{steady['steady_force_mN']:.2f} ± {steady['steady_force_error_mN']:.2f}" in shown
     frame = dragrig.table(practice)
     assert frame.set_index("file").loc["010-drag.h5", "steady_force_mN"] == pytest.approx(steady["steady_force_mN"])
 
