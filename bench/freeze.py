@@ -104,12 +104,15 @@ class Inputs:
         Folders of practice campaigns.
     workers
         Processes of an exam.
+    own_model
+        Nominal model in a file, for which the program has the modules that it imports.
     """
 
     python: Path
     data: Path
     campaigns: tuple[Path, ...]
     workers: int
+    own_model: Path
 
 
 class Shell:
@@ -337,7 +340,7 @@ def elsewhere(shell: Shell) -> dict[str, Json]:
     data = shell.inputs.data / "elsewhere"
     slip = ("--map", "time=Time:s", "--map", "position=Displ:um", "--map", "force=Friction:1*1000")
     turn = ("--map", "time=Time:s", "--map", "position=Position:rad*10", "--map", "motor_force=Iq:A*1000")
-    shutil.copy(REPOSITORY / "bench" / "linear_trend.py", shell.folder)
+    shutil.copy(shell.inputs.own_model, shell.folder / "own_model.py")
     found: dict[str, Json] = {}
     for name, file, words in (
         ("sepiolite", "velocity-steps/sepiolite.txt", (*slip, "--resample-hz", "1", "--from-s", "21326")),
@@ -350,7 +353,7 @@ def elsewhere(shell: Shell) -> dict[str, Json]:
         found[f"import {name}"] = shell.answer("import", "trace.txt", *words, "--specimen", name, "-o", name)
         shell.cleaner.learn_runs(shell.folder / name)
         found[f"run files {name}"] = runs(shell.folder / name, shell.cleaner)
-        nominal = "drive" if "motor" in name else "linear_trend.py"
+        nominal = "drive" if "motor" in name else "own_model.py"
         found[f"diagnose {name}"] = shell.answer("gap", "diagnose", name, "--nominal", nominal)
         found[f"identify {name}"] = shell.answer("identify", name, "--nominal", nominal)
     return found
@@ -530,6 +533,12 @@ def arguments() -> argparse.Namespace:
         "--python", type=Path, default=Path(sys.executable), help="its interpreter; default: this one"
     )
     recording.add_argument("--data", type=Path, default=REPOSITORY / "tests" / "data")
+    recording.add_argument(
+        "--own-model",
+        type=Path,
+        default=REPOSITORY / "bench" / "linear_trend.py",
+        help="nominal model that it can load",
+    )
     recording.add_argument("--jobs", type=int, default=1, help="stages side by side")
     recording.add_argument("--workers", type=int, default=2, help="processes of an exam")
     comparing = commands_.add_parser("compare", help="compare two records")
@@ -565,8 +574,12 @@ def main() -> None:
     given = arguments()
     campaigns = practice_campaigns(given.campaigns)
     recording = given.command == "record"
-    inputs = Inputs(given.python.absolute(), given.data.resolve(), campaigns, given.workers) if recording else None
-    available = stages(inputs or Inputs(Path(), Path(), campaigns, 1))
+    inputs = (
+        Inputs(given.python.absolute(), given.data.resolve(), campaigns, given.workers, given.own_model.resolve())
+        if recording
+        else None
+    )
+    available = stages(inputs or Inputs(Path(), Path(), campaigns, 1, Path()))
     chosen = given.only or (QUICK if given.quick else available)
     names = [name for name in chosen if name in available]
     for name in sorted(set(chosen) - set(names)):
