@@ -155,10 +155,10 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
     [
         (("--double",), "has no double; leave out --double, or name one with --backend: handed, hardware"),
         (("--backend", "handd", "--double"), "did you mean handed?"),
-        (("--pace", "20"), "so many times faster is for --double"),
-        (("--pace", "fast", "--backend", "handed", "--double"), "a double's is real"),
-        (("--pace", "-3", "--backend", "handed", "--double"), "a double's is real"),
-        (("--pace", "nan", "--backend", "handed", "--double"), "a double's is real"),
+        (("--pace", "20"), "a number of times faster is for --double"),
+        (("--pace", "fast", "--backend", "handed", "--double"), "that of a double is real"),
+        (("--pace", "-3", "--backend", "handed", "--double"), "that of a double is real"),
+        (("--pace", "nan", "--backend", "handed", "--double"), "that of a double is real"),
         (("--pace", "slow"), "is neither fast, real, nor a number"),
     ],
 )
