@@ -33,9 +33,10 @@ from dragrig.analysis.comparison.comparison import (
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import NORMAL_95, Estimate, Exclusion
 from dragrig.analysis.measures import RunMeasures, measure
+from dragrig.analysis.models.capsule_model import FRICTION_SCATTER, STIFFNESS_SCATTER
 from dragrig.analysis.segments import in_phase
 from dragrig.config.errors import AnalysisError, DragrigError, reason_of
-from dragrig.config.rig import NoiseSettings, VariationSettings
+from dragrig.config.rig import NoiseSettings
 from dragrig.config.specimen import Fixture
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile.campaigns import specimen_key
@@ -43,8 +44,6 @@ from dragrig.rig.runfile.model import PHASE_NAMES, Run
 
 ZERO_FORCE_AT_REST_KINDS = frozenset({"blank", "coulomb", "relaxation"})
 """Kinds of run without force before the motion, so that the rest shows the sensor's zero."""
-STIFFNESS_SCATTER = VariationSettings().run_stiffness
-FRICTION_SCATTER = VariationSettings().run_friction
 DEFAULT_ZERO_SD_MN = NoiseSettings().zero_mN
 MIN_ZEROS = 3
 MIN_PAIRS_FOR_SCATTER = 3

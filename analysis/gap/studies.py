@@ -13,8 +13,8 @@ from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
 from dragrig.analysis.inference.linear_gaussian import JointProblem
 from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.drive_model import TURNING_SPEED_MM_S, DriveModel, DrivePredictor
-from dragrig.analysis.models.nominal_model import NominalModel
+from dragrig.analysis.models.drive_model import DriveModel, DrivePredictor
+from dragrig.analysis.models.nominal_model import TURNING_SPEED_MM_S, NominalModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings

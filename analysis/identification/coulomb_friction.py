@@ -15,7 +15,7 @@ from dragrig.analysis.estimates import Estimate, missing
 from dragrig.analysis.identification.identification import CoulombResult, CoulombRun
 from dragrig.analysis.identification.steady_sliding import measure_sliding, rest_mean, subtract_estimates
 from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
-from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, RUN_VARIATIONS, SPECIMEN_PRIORS
+from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, FRICTION_SCATTER, SPECIMEN_PRIORS
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.segments import attribute_number
 from dragrig.analysis.selection import RunSelection
@@ -26,7 +26,6 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
-RUN_SCATTER = RUN_VARIATIONS[1].sd
 GAIN_SD = SPECIMEN_PRIORS["force_gain"][0]
 MUCUS_SD = SPECIMEN_PRIORS["mucus_scale"][0]
 SAME_SPEED_FACTOR = 1.5
@@ -143,7 +142,7 @@ def _covariance(net: Sequence[CoulombRun], shared: FloatArray) -> FloatArray:
 
 def _pool_runs(estimates: Sequence[Estimate], covariance: FloatArray) -> PooledMean:
     values = np.array([estimate.value for estimate in estimates], dtype=float)
-    return pool_estimates(values, covariance, RUN_SCATTER * abs(float(np.median(values))))
+    return pool_estimates(values, covariance, FRICTION_SCATTER * abs(float(np.median(values))))
 
 
 def pool_estimates(values: FloatArray, covariance: FloatArray, usual_scatter: float) -> PooledMean:
@@ -193,7 +192,7 @@ def _remarks(
     mean = pooled.mean.value or float("nan")
     if pooled.p_value is not None and pooled.p_value < SIGNIFICANCE:
         yield (
-            f"μ differs between runs by {pooled.scatter / abs(mean):.1%}, more than the usual {RUN_SCATTER:.1%} "
+            f"μ differs between runs by {pooled.scatter / abs(mean):.1%}, more than the usual {FRICTION_SCATTER:.1%} "
             f"(p = {pooled.p_value:.2g}); its error includes that"
         )
     yield from _speed_remark(net, shared, mean)
@@ -207,7 +206,7 @@ def _speed_remark(net: Sequence[CoulombRun], shared: FloatArray, mean: float) ->
     if len(net) < 2 or speeds.max() < SAME_SPEED_FACTOR * speeds.min():
         return
     values = np.array([run.mu_without_viscous.value for run in net], dtype=float)
-    weight = np.linalg.inv(_covariance(net, shared) + (RUN_SCATTER * mean) ** 2 * np.eye(len(net)))
+    weight = np.linalg.inv(_covariance(net, shared) + (FRICTION_SCATTER * mean) ** 2 * np.eye(len(net)))
     design = np.column_stack((np.ones_like(speeds), np.log(speeds)))
     covariance = np.linalg.inv(design.T @ weight @ design)
     slope = float((covariance @ design.T @ weight @ values)[1])

@@ -16,6 +16,7 @@ from dragrig.analysis.identification.maxwell_fit import (
     third_branch_test,
 )
 from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
+from dragrig.analysis.models.capsule_model import STIFFNESS_SCATTER
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
@@ -30,8 +31,6 @@ MAX_RELATIVE_ERROR = 0.25
 """Largest relative standard error with which a run supports an element."""
 MIN_SAMPLES_PER_TIME_CONSTANT = 1.5
 """A branch that relaxes within fewer samples absorbs whatever the stage does between two of them."""
-RUN_TO_RUN_STIFFNESS = 0.02
-"""Relative standard deviation of all stiffness from run to run on one specimen."""
 SAME_STRAIN_TOLERANCE = 0.01
 """Relative difference up to which strains count as repeats of one strain."""
 MAX_DEGREE = 2
@@ -187,7 +186,7 @@ def _strain_mean(repeats: Sequence[EstimatedQuantity]) -> tuple[float, float]:
     values = np.array([quantity.value for quantity in repeats])
     errors = np.array([quantity.standard_error for quantity in repeats])
     mean = float(values.mean())
-    variance = float((errors**2).mean()) + (RUN_TO_RUN_STIFFNESS * mean) ** 2
+    variance = float((errors**2).mean()) + (STIFFNESS_SCATTER * mean) ** 2
     if len(values) > 1:
         variance = max(variance, float(values.var(ddof=1)))
     return mean, float(np.sqrt(variance / len(values)))

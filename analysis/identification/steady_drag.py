@@ -25,8 +25,9 @@ from dragrig.analysis.models.capsule_model import (
     ANGLE_PARAMETER,
     ANGLE_SD_DEG,
     FORCE_CHANNEL,
-    RUN_VARIATIONS,
+    FRICTION_SCATTER,
     SPECIMEN_PRIORS,
+    STIFFNESS_SCATTER,
 )
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.segments import at_rest
@@ -39,7 +40,6 @@ from dragrig.sim_backend.friction.contact import gauss_legendre
 from dragrig.sim_backend.friction.friction_force import steady_forces
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
-STIFFNESS_SCATTER, FRICTION_SCATTER = (variation.sd for variation in RUN_VARIATIONS)
 SAME_SPEED_FACTOR = 1.03
 """Successive speeds within this factor are repeats."""
 SIGNIFICANCE = 0.05

@@ -36,7 +36,9 @@ DWELL_PARAMETER = "insertion_dwell_scale"
 ANGLE_PARAMETER = "contact_angle_offset_deg"
 ANGLE_SD_DEG = 0.7
 FORCE_ZERO_SD_MN = 5.0
-RUN_VARIATIONS = (Variation("stiffness", 0.02), Variation("friction", 0.015))
+STIFFNESS_SCATTER, FRICTION_SCATTER = 0.02, 0.015
+"""Relative standard deviations of all stiffness and of μ from run to run on one specimen."""
+RUN_VARIATIONS = (Variation("stiffness", STIFFNESS_SCATTER), Variation("friction", FRICTION_SCATTER))
 
 
 def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]:

@@ -11,11 +11,22 @@ import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.kinematics import Kinematics, fit_kinematics
-from dragrig.analysis.models.nominal_model import NominalModel, Parameter, Prediction, Predictor, Variation
+from dragrig.analysis.models.nominal_model import (
+    TURNING_SPEED_MM_S,
+    NominalModel,
+    Parameter,
+    Prediction,
+    Predictor,
+    Variation,
+)
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
 
-LOAD_CHANNEL = "force"
+MOTOR_FORCE_CHANNEL, LOAD_CHANNEL = "motor_force", "force"
+MILLINEWTONS_PER_G_MM_S2 = 1e-3
+"""Millinewtons that accelerate one gram by one mm/s²."""
+LOAD_ZERO_SD_MN = 10.0
+"""Prior of the force sensor's zero in each run with a load; a tared sensor's is a few mN."""
 BLANK_KIND, EXTERNAL_BACKEND = "blank", "external"
 WINDOW_SHARE = 0.1
 """Window of the smoothing over the time since the motion last changed: forces change fast at first, then slowly."""
@@ -24,6 +35,14 @@ SLOW_NOISE_SHARE = 0.45
 """Slow noise of the sensor over its white noise: a third, and more for it outlasts the windows."""
 NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a standard normal variable."""
+
+DRIVE_PARAMETERS = (
+    Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates"),
+    Parameter("viscous_mN_s_mm", "mN·s/mm", 0.0, 1e3, positive=False, meaning="friction per speed"),
+    Parameter("coulomb_mN", "mN", 0.0, 1e4, positive=False, meaning="friction at any speed"),
+    Parameter("offset_mN", "mN", 0.0, 1e4, positive=False, meaning="force at rest without load"),
+    Parameter("load_gain", "1", 1.0, 0.02, meaning="motor force per force at the sensor"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,27 +115,6 @@ class MeasuredLoad:
         piece = np.searchsorted(self.changes_s, time_s, side="right").clip(1, len(self.changes_s) - 1)
         since, until = time_s - self.changes_s[piece - 1], self.changes_s[piece] - time_s
         return np.asarray(np.clip(np.minimum(WINDOW_SHARE * since, 2 * until), self.step_s, MAX_WINDOW_S))
-
-
-MOTOR_FORCE_CHANNEL = "motor_force"
-MILLINEWTONS_PER_G_MM_S2 = 1e-3
-"""Millinewtons that accelerate one gram by one mm/s²."""
-TURNING_SPEED_MM_S = 0.05
-"""Speed over which Coulomb friction changes sign, as in the capsule's friction model.
-
-A sign function would have no derivative, and no encoder distinguishes a slower creep from rest: at 1 µm per count and
-500 Hz one count more or less is 0.25 mm/s.
-"""
-LOAD_ZERO_SD_MN = 10.0
-"""Prior of the force sensor's zero in each run with a load; a tared sensor's is a few mN."""
-
-DRIVE_PARAMETERS = (
-    Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates"),
-    Parameter("viscous_mN_s_mm", "mN·s/mm", 0.0, 1e3, positive=False, meaning="friction per speed"),
-    Parameter("coulomb_mN", "mN", 0.0, 1e4, positive=False, meaning="friction at any speed"),
-    Parameter("offset_mN", "mN", 0.0, 1e4, positive=False, meaning="force at rest without load"),
-    Parameter("load_gain", "1", 1.0, 0.02, meaning="motor force per force at the sensor"),
-)
 
 
 class DriveModel(NominalModel):
