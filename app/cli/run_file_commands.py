@@ -346,7 +346,7 @@ def export_command(
 ) -> None:
     """Write runs, raw and filtered, for other programs.
 
-    RUN is a run file, a pattern or a campaign's folder. Existing files are replaced only with --overwrite. Runs
+    RUN is a run file, a pattern or a campaign's folder. Without --overwrite no existing file is replaced. Runs
     marked bad are left out unless they are named themselves.
     """
     from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
