@@ -172,8 +172,9 @@ def commands(shell: Shell) -> dict[str, Json]:
 
 def _options(shell: Shell, command: str) -> Json:
     code, printed = shell.call(*command.split(), "--help")
-    # An option begins in the third column; what is further right is wrapped help.
-    lines = [line.strip() for line in printed.splitlines() if line.startswith("  -")]
+    # An option begins in the third column below "Options:"; what is further right is wrapped help.
+    listed = printed.partition("\nOptions:")[2]
+    lines = [line.strip() for line in listed.splitlines() if line.startswith("  -")]
     words = (word.strip(",") for line in lines for word in line.split("  ")[0].split())
     return {"code": code, "options": [word for word in words if word.startswith("-")]}
 
