@@ -142,7 +142,7 @@ def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
     classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
     gap = describe_unexplained_gap(quiet, (), classification, None, case("folds", 19_000.0, "speed", NOISE))
     assert gap is not None
-    assert gap.location == "It is too small beside noise and the scatter of repeats to say where it is."
+    assert gap.location == "It is too small compared with noise and repeatability to say where it is."
     assert gap.dependence.startswith("A force that depends on the speed alone")
 
 
