@@ -1,19 +1,22 @@
 """What a session runs with: backend, pace, rig, plan, specimen, model, found by name or file and changed by --set."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getattr_static
 from pathlib import Path
 from typing import Literal, TypedDict, TypeGuard, TypeVar, Unpack
 
-from dragrig.config.errors import DeviceError, DragrigError, PlanError, SettingsError
+import tomli_w
+
+from dragrig.config.errors import DeviceError, DragrigError, OutputError, PlanError, SettingsError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects
 from dragrig.config.plan import Plan, PlanStep
-from dragrig.config.rig import Calibration, RigSettings, rig_file_of
+from dragrig.config.rig import CALIBRATION_FILE, RIG_FILE, Calibration, RigSettings, rig_file_of
 from dragrig.config.settings import (
     Settings,
     Table,
+    find_settings,
     find_table,
     merge_tables,
     nested_table,
@@ -22,8 +25,8 @@ from dragrig.config.settings import (
     suggestion,
 )
 from dragrig.config.specimen import Specimen
+from dragrig.rig.calibration import latest_calibration, read_contact
 from dragrig.rig.devices import Backend, BackendRequest, StageLimits, stage_limits
-from dragrig.rig.lab_folder import latest_calibration, read_contact
 from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
 from dragrig.rig.session import session_record_of_run
@@ -469,3 +472,52 @@ def _keys_of(step: PlanStep) -> set[str]:
     own = set(PlanStep.model_fields) - {"kind", "parameters"}
     protocol = protocol_kinds().get(step.kind)
     return own if protocol is None else own | set(protocol.model_fields)
+
+
+def create_lab(folder: Path) -> tuple[Path, ...]:
+    """Make a lab folder: rig settings to edit, an empty calibration history and the data root.
+
+    Returns
+    -------
+    The paths made.
+
+    Raises
+    ------
+    OutputError
+        When `folder` cannot be written or is a lab folder already; nothing is replaced.
+    """
+    rig = find_settings(RigSettings, "rig", "bench")
+    rig_file, history, root = folder / RIG_FILE, folder / CALIBRATION_FILE, folder / rig.data.root
+    for existing in (path for path in (rig_file, history) if path.exists()):
+        raise OutputError(f"{existing}: exists already and is not changed; name another folder.")
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        with history.open("x", encoding="utf-8"), rig_file.open("x", encoding="utf-8", newline="\n") as text:
+            text.write(commented_toml(rig))
+    except OSError as error:
+        raise OutputError(f"{folder}: no lab folder can be made here ({error.strerror}); name another.") from error
+    return rig_file, history, root
+
+
+def commented_toml(settings: Settings) -> str:
+    """Write settings as TOML, every key below a comment with its description."""
+    return "\n".join(_commented_lines(settings, (), (type(settings).__doc__ or "").splitlines()[0])) + "\n"
+
+
+def _commented_lines(settings: Settings, path: tuple[str, ...], about: str) -> Iterator[str]:
+    yield f"# {about}"
+    if path:
+        yield f"[{'.'.join(path)}]"
+    values = settings.model_dump(mode="json", exclude_none=True)
+    below: dict[str, Settings] = {}
+    for key, field in type(settings).model_fields.items():
+        value = getattr(settings, key)
+        if isinstance(value, Settings):
+            below[key] = value
+        elif key in values:
+            if field.description:
+                yield f"# {' '.join(field.description.split())}"
+            yield tomli_w.dumps({key: values[key]}).strip()
+    for key, inner in below.items():
+        yield ""
+        yield from _commented_lines(inner, (*path, key), (type(inner).__doc__ or "").splitlines()[0])

@@ -24,7 +24,7 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fault_injection import FaultInjector
+from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
 RATE_HZ = 83_333.0
 STEP_V = 20.0 / 2**16

@@ -20,10 +20,10 @@ from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Store
-from dragrig.rig.memory import MemoryStore
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import build_programme
 from dragrig.rig.runfile import FolderStore
+from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import Session, SessionRecord
 from dragrig.sim_backend.devices import open_backend
 

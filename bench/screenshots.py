@@ -18,8 +18,8 @@ from PySide6.QtWidgets import QLabel, QLineEdit, QWidget
 
 import dragrig
 from dragrig.engine_host.messages import ResetGuard, RigSelection
-from dragrig.lab import create_lab
 from dragrig.rig.operator import Answer
+from dragrig.setup import create_lab
 from dragrig.window.main_window import MainWindow, qt_application
 from dragrig.window.widgets import StoredSettings
 

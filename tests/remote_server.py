@@ -39,9 +39,8 @@ from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.drive_double import make_drive_double
-from dragrig.sim_backend.doubles.fault_injection import ActiveFaults, FaultInjector
 from dragrig.sim_backend.doubles.serial_ports import SocketPort
-from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
+from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, FaultInjector, SimulatedBench
 
 _FAULTS_ADAPTER = TypeAdapter(ActiveFaults)
 

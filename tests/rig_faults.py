@@ -32,7 +32,7 @@ from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run, RunStatus
-from dragrig.sim_backend.doubles.fault_injection import ActiveFaults
+from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults
 
 START_MM = 5.0
 TRAVEL_MM = 6.0

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
-from dragrig.lab import create_lab
-from dragrig.rig.lab_folder import latest_calibration, read_calibrations
+from dragrig.rig.calibration import fit_encoder, fit_force, latest_calibration, read_calibrations
 from dragrig.rig.runfile import read_campaign
-from dragrig.rig.sensor_calibration import fit_encoder, fit_force
+from dragrig.setup import create_lab
 
 # Volts on the sensor's input, one after the other, whatever hangs on it.
 CODE = (

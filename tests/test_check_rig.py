@@ -12,11 +12,10 @@ import pytest
 from dragrig.cli import main
 from dragrig.config.hardware import CardSettings, EncoderInputSettings, HardwareSettings
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.lab import create_lab
-from dragrig.rig import lab_folder as calibration
+from dragrig.rig import calibration
 from dragrig.rig import preflight as sanity
 from dragrig.rig.runfile import read_campaign
-from dragrig.setup import resolve_rig
+from dragrig.setup import create_lab, resolve_rig
 
 NOW = datetime.now().astimezone()
 

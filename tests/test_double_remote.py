@@ -37,8 +37,7 @@ from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Reply, 
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import trapezoid
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.fault_injection import FaultInjector
-from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, FaultInjector, SimulatedBench
 
 INPUT = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
 METRES = 1e-6

@@ -15,12 +15,11 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.hardware.backend import HardwareBackend
+from dragrig.rig.hardware.backend import HardwareBackend, RigLock
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter
 from dragrig.rig.hardware.dialects.base import Status as DriveStatus
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
 from dragrig.rig.hardware.drive.stage_base import Movement
-from dragrig.rig.hardware.rig_lock import RigLock
 from dragrig.rig.profile import MotionProfile, trapezoid
 from dragrig.rig.runfile.model import RunStatus
 

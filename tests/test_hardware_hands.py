@@ -10,15 +10,15 @@ from simulated import acquire, stroke
 from dragrig.config.errors import DeviceError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
+from dragrig.rig.calibration import fit_encoder, fit_force, measure_loads, measure_pushed_travel
 from dragrig.rig.devices import BackendRequest, TravelEnd, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.reading import Reading
-from dragrig.rig.sensor_calibration import fit_encoder, fit_force, measure_loads, measure_pushed_travel
 from dragrig.sim_backend.doubles.backend import DoubleBackend
-from dragrig.sim_backend.doubles.fault_injection import FaultInjector
+from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
 # On a busy machine a start can be late, and so can samples.
 RIG = RigSettings.model_validate(

@@ -10,10 +10,10 @@ import pytest
 
 from dragrig.campaign_session import SessionOptions, run_session
 from dragrig.config.errors import PlanError, RecordingError
-from dragrig.rig.memory import MemorySink, MemoryStore
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunHeader, RunStatus
+from dragrig.rig.runfile.store import MemorySink, MemoryStore
 from dragrig.rig.session import SessionResult
 from dragrig.setup import resolve
 

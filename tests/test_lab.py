@@ -10,9 +10,9 @@ from dragrig.cli import main
 from dragrig.config.errors import OutputError, SettingsError
 from dragrig.config.rig import Calibration, RigSettings
 from dragrig.config.settings import find_settings, read_settings_file
-from dragrig.lab import create_lab
-from dragrig.rig import lab_folder as calibration
+from dragrig.rig import calibration
 from dragrig.rig.runfile import read_campaign
+from dragrig.setup import create_lab
 
 
 def entry(name: str, quantity: str = "force") -> Calibration:

@@ -14,10 +14,10 @@ import pytest
 from dragrig.cli import main
 from dragrig.config.rig import ContactPoint
 from dragrig.config.settings import read_settings_file
-from dragrig.lab import create_lab
+from dragrig.rig.calibration import write_contact
 from dragrig.rig.devices import Block
-from dragrig.rig.lab_folder import write_contact
 from dragrig.rig.runfile import read_campaign
+from dragrig.setup import create_lab
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from dragrig.config.errors import DragrigError, SettingsError
 from dragrig.engine_host.messages import RigSelection
-from dragrig.views.plan_view import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
+from dragrig.views import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
 
 
 @pytest.mark.parametrize("name", known_plans())

@@ -16,11 +16,11 @@ from dragrig.config.settings import find_settings, parse
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Sink
-from dragrig.rig.memory import MemoryStore
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun, Programme, build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
+from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import CampaignProgress, Session, SessionRecord, SessionResult, run_acquisition
 from dragrig.sim_backend.devices import open_backend
 

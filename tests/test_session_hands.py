@@ -20,11 +20,11 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Block, Trip, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.memory import MemoryStore
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import Session, SessionRecord
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 from dragrig.sim_backend.devices.simulated_stage import SimulatedStage

@@ -28,7 +28,7 @@ from PySide6.QtWidgets import (
 from pytestqt.qtbot import QtBot
 
 from dragrig.engine_host.messages import PromptShown, RigSelection
-from dragrig.views.diagnosis_process import completed
+from dragrig.views import completed
 from dragrig.window.main_window import MainWindow
 from dragrig.window.widgets import StoredSettings
 

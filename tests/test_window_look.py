@@ -16,8 +16,7 @@ from PySide6.QtWidgets import QApplication, QLabel, QTreeWidgetItem
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.views.diagnosis_process import completed
-from dragrig.views.run_view import FORMATS, shown_trace
+from dragrig.views import FORMATS, completed, shown_trace
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.document_view import DrawnFigure
 from dragrig.window.look_page import LookPage

@@ -21,7 +21,7 @@ from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
-from dragrig.views.plan_view import plan_form
+from dragrig.views import plan_form
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import StoredSettings

@@ -53,7 +53,7 @@ Until = Callable[[Callable[[], bool]], None]
 
 def lab_in(folder: Path) -> Path:
     """Make a lab folder."""
-    from dragrig.lab import create_lab
+    from dragrig.setup import create_lab
 
     create_lab(folder)
     return folder

@@ -16,10 +16,10 @@ from dragrig.campaign_session import (
 )
 from dragrig.config.errors import OutputError
 from dragrig.rig.devices import BackendRequest, RigCheck
-from dragrig.rig.memory import MemoryStore
 from dragrig.rig.preflight import Preflight, check_calibration, check_limits, check_wiring, preflight
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
+from dragrig.rig.runfile.store import MemoryStore
 from dragrig.setup import (
     CALIBRATED_QUANTITIES,
     Pace,

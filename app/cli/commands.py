@@ -61,7 +61,7 @@ SECTIONS: Sections = {
     },
     "Work": {
         "identify": CommandEntry(
-            "identify:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
+            "model_commands:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
         ),
         "mark": CommandEntry("run_file_commands:mark_command", "Mark runs as bad, or remove the mark."),
         "filter": CommandEntry(
@@ -89,8 +89,8 @@ GAP_SECTIONS: Sections = {
         "isolability": CommandEntry(
             "gap_commands:isolability_command", "Show which effects a plan or a campaign can tell apart."
         ),
-        "blind": CommandEntry("exam_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
-        "calibrate": CommandEntry("exam_commands:gap_calibrate_command", "Calibrate the verdict on such campaigns."),
+        "blind": CommandEntry("gap_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
+        "calibrate": CommandEntry("gap_commands:gap_calibrate_command", "Calibrate the verdict on such campaigns."),
         "effects": CommandEntry(
             "gap_commands:effects_command", "List the effects: where each acts, its parameters, and what shows it."
         ),

@@ -34,7 +34,7 @@ def init_command(folder: Path) -> None:
 
     Every command called in or below it takes its rig from there.
     """
-    from dragrig.lab import create_lab
+    from dragrig.setup import create_lab
 
     for path in create_lab(folder):
         print_result(str(path))

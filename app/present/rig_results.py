@@ -9,8 +9,8 @@ from dragrig.present.numbers import decimals, duration_text, shortest, size_text
 
 if TYPE_CHECKING:
     from dragrig.config.rig import Calibration
+    from dragrig.rig.calibration import CalibrationLine, LoadReading, TravelReading
     from dragrig.rig.preflight import Preflight, RunPreview
-    from dragrig.rig.sensor_calibration import CalibrationLine, LoadReading, TravelReading
 
 
 def preflight_document(preflight: "Preflight") -> Document:

@@ -7,14 +7,15 @@ from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import Diagnosis, RunTraces
 from dragrig.config.errors import DragrigError
 from dragrig.present.palette import BLUE, PALE, VERMILLION
-from dragrig.views.diagnosis_process import (
+from dragrig.views import (
     CompletedDiagnosis,
     DiagnosisFailed,
     DiagnosisProcess,
     DiagnosisProgress,
     DiagnosisTask,
+    PlanForm,
+    form_from_plan,
 )
-from dragrig.views.plan_view import PlanForm, form_from_plan
 from dragrig.window.document_view import DocumentView
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import StoredSettings, bare_widget, button, card, choose_path, column, label, named, row

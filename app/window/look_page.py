@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
 
 from dragrig.analysis.campaign_table import TableRow
 from dragrig.present.palette import BLACK, CYCLE, PALE, VERMILLION, tint
-from dragrig.views.run_view import (
+from dragrig.views import (
     FORMATS,
     ShownCampaign,
     ShownRun,

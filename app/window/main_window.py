@@ -26,7 +26,7 @@ from dragrig.engine_host.messages import (
     RigSelection,
     SessionFinished,
 )
-from dragrig.views.plan_view import PlanForm, describe_rig
+from dragrig.views import PlanForm, describe_rig
 from dragrig.window.background import EngineLink
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage

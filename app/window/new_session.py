@@ -18,7 +18,7 @@ from dragrig.config.plan import Plan
 from dragrig.engine_host.messages import Pace, RigSelection
 from dragrig.present.numbers import duration_text, size_text
 from dragrig.present.palette import BLUE, PURPLE
-from dragrig.views.plan_view import (
+from dragrig.views import (
     FieldKind,
     FormField,
     PlanForm,

@@ -28,7 +28,7 @@ from dragrig.engine_host.messages import (
     StartSession,
 )
 from dragrig.present.numbers import duration_text
-from dragrig.views.plan_view import PlanForm, RigDescription, SessionPreview
+from dragrig.views import PlanForm, RigDescription, SessionPreview
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
