@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isnan, sqrt
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity
-from dragrig.analysis.gap.diagnosis_text import join_names
+from dragrig.analysis.gap.diagnosis_text import count_text, join_names
 from dragrig.analysis.identification.identification import (
     CoulombResult,
     DragResult,
@@ -161,7 +161,7 @@ def _joint_fit_heading(fit: JointFit) -> str:
         else "no degree of freedom"
     )
     p_value = "p not known" if isnan(fit.p_value) else p_value_text(fit.p_value)
-    heading = f"Fit of the {fit.nominal} model, {fit.steps} steps: {chi2}, {p_value}"
+    heading = f"Fit of the {fit.nominal} model, {count_text(fit.steps, 'step')}: {chi2}, {p_value}"
     if not fit.holds:
         return f"{heading}. The model leaves more than noise unexplained, so that no interval below need hold."
     if not any(parameter.determined for parameter in fit.parameters):
