@@ -81,7 +81,9 @@ class Watched:
 
 
 @contextmanager
-def worker_killed_at_its_second(function: str, address: str, kept: Callable[[], int]) -> Iterator[Watched]:
+def worker_killed_at_its_second(
+    function: Callable[..., object], address: str, kept: Callable[[], int]
+) -> Iterator[Watched]:
     """Watch a cluster, and kill the first worker that is seen in a function for the second time.
 
     The workers' own stacks say who is in it. The worker is killed once all that had been finished there was kept, so
@@ -107,7 +109,7 @@ def worker_killed_at_its_second(function: str, address: str, kept: Callable[[], 
                     worker: key
                     for worker, stacks in client.call_stack().items()
                     for key, frames in stacks.items()
-                    if any(f", in {function}\n" in frame for frame in frames)
+                    if any(f", in {function.__name__}\n" in frame for frame in frames)
                 }
                 for worker, key in now.items():
                     seen[worker].add(key)

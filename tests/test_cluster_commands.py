@@ -11,6 +11,7 @@ from clusters import dask_cluster, wait_for_workers, worker_killed_at_its_second
 from dragrig.analysis.gap.features import CALIBRATION_FILE as CALIBRATION
 from dragrig.cli import main
 from dragrig.exam.blind_campaigns import draw_cases, open_exam_folder, write_json
+from dragrig.exam.examinee import diagnose_blind
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 SHIPPED = Path(__file__).parents[1] / "config" / "files"
@@ -93,7 +94,7 @@ def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
     def kept() -> int:
         return len(list((there / "said").glob("*.json")))
 
-    with worker_killed_at_its_second("examine", cluster, kept) as watched:
+    with worker_killed_at_its_second(diagnose_blind, cluster, kept) as watched:
         assert main([*asked, str(there), "--scheduler", cluster]) == 0
     assert watched.killed
     assert 1 <= watched.kept < CASES

@@ -248,7 +248,8 @@ def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest
     rig.follows(position[:handed_out], profile, np.arange(handed_out) / rate)
     braking_s = 50.0 / 3000.0
     assert handed_out < len(position) <= handed_out + (braking_s + 0.5) * rate
-    assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm
+    # Positions are whole counts, and their difference in mm is off by rounding.
+    assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm + 1e-9
     assert backend.stage.state().position_mm == pytest.approx(position[-1], abs=2 * rig.position_tolerance_mm)
     backend.sampler.stop()
     again = record(backend, acquire(stroke(), order=1))
