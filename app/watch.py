@@ -1,4 +1,8 @@
-"""Following a running campaign from another process, read-only, and serving its state as a page to this machine."""
+"""Following a running campaign from another process, read-only, and serving its state as a page to this machine.
+
+A state is no `Document`: it is no result but a stream, updated in place twice a second in terminal and page, and a line
+of JSON each time. `CampaignState.to_json` is what page and `--json` read.
+"""
 
 import json
 import os
@@ -7,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -15,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.json_values import to_json_value
+from dragrig.present.json_values import to_json_object
 from dragrig.rig.runfile import read_info, read_tail
 from dragrig.rig.runfile.model import PHASE_NAMES, Run
 from dragrig.rig.runfile.schema import is_recording, run_name
@@ -75,9 +79,9 @@ class CampaignState:
     doing
         `preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process of the session
         is gone without an end.
-    said
+    message
         The open prompt, the reason of a wait, or why the session ended.
-    run, of
+    run, runs
         Number of the current run of this session, and of how many; None where it is not known.
     left_s
         Time left by the plan without prompts; recorded time where time is simulated.
@@ -90,10 +94,10 @@ class CampaignState:
     plan: str
     backend: str
     doing: str
-    said: str
+    message: str
     since: datetime | None
     run: int | None
-    of: int | None
+    runs: int | None
     left_s: float | None
     status: str
     recording: RunInProgress | None
@@ -103,6 +107,11 @@ class CampaignState:
     def over(self) -> bool:
         """Whether the session is over."""
         return self.doing in {"ended", "died"}
+
+    def to_json(self) -> dict[str, object]:
+        """Return the state as page and `--json` have it."""
+        names = {"message": "said", "runs": "of"}
+        return to_json_object({names.get(entry.name, entry.name): getattr(self, entry.name) for entry in fields(self)})
 
 
 class CampaignWatch:
@@ -136,21 +145,21 @@ class CampaignWatch:
         if state is None:
             return self._state_from_files(finished, running=running)
         recording = self._read_recording(state) if running else None
-        doing, said = state.doing if running or state.doing == "ended" else "died", state.said
+        doing, message = state.doing if running or state.doing == "ended" else "died", state.said
         if doing == "ended":
-            said = state.reason
+            message = state.reason
         elif doing == "died":
-            said = "its process is gone; dragrig recover finishes its recording"
+            message = "its process is gone; dragrig recover finishes its recording"
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
             plan=state.plan,
             backend=f"{state.backend}, double" if state.double else state.backend,
             doing=doing,
-            said=said,
+            message=message,
             since=state.since,
             run=state.made,
-            of=state.runs,
+            runs=state.runs,
             left_s=None if doing in {"ended", "died"} else _time_left_s(state, recording),
             status=state.status,
             recording=recording if doing == "recording" else None,
@@ -171,17 +180,19 @@ class CampaignWatch:
         records, _ = read_session_records(self.folder)
         latest = records[-1] if records else None
         left = any(is_recording(path) for path in self.folder.glob("*.h5"))
-        said = "an unfinished recording is left; dragrig recover finishes it" if left else "no session is running here"
+        message = (
+            "an unfinished recording is left; dragrig recover finishes it" if left else "no session is running here"
+        )
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
             plan="" if latest is None else latest.plan.name,
             backend="" if latest is None else latest.backend,
             doing="preparing" if running else "ended",
-            said="" if running else said,
+            message="" if running else message,
             since=None,
             run=None,
-            of=None,
+            runs=None,
             left_s=None,
             status="",
             recording=None,
@@ -273,7 +284,7 @@ class StatePage:
 
     def show(self, state: CampaignState) -> None:
         """Serve this state from now on."""
-        self.shown = _ShownState(json.dumps(to_json_value(state), allow_nan=False).encode(), state.over)
+        self.shown = _ShownState(json.dumps(state.to_json(), allow_nan=False).encode(), state.over)
 
     def note_served(self, shown: _ShownState) -> None:
         """Note that a browser has received a state."""

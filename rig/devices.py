@@ -279,10 +279,18 @@ class Sampler(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """Result of one check of the rig."""
+    """Result of one check of the rig.
 
-    what: str
-    fine: bool
+    Attributes
+    ----------
+    name
+        What was checked: a device, a limit, a calibration.
+    detail
+        What was found, and what to do where the check failed.
+    """
+
+    name: str
+    passed: bool
     detail: str
 
 

@@ -19,8 +19,8 @@ class Handed(SimulatedBackend):
 
     def examine(self):
         note = json.loads(Path(__file__).with_name("findings.json").read_text())
-        for what, fine, detail in note:
-            yield RigCheck(what, fine, detail)
+        for name, passed, detail in note:
+            yield RigCheck(name, passed, detail)
 
 def _opened(request, which):
     told = {"which": which, "pace": request.pace, "real_time": request.real_time, "connect": request.connect,

@@ -441,7 +441,7 @@ def test_a_check_without_moving_finds_what_is_wrong() -> None:
         def look() -> dict[str, tuple[bool, str]]:
             scaling = Scaling.from_settings(rig, {})
             checks = check_card(under_test.connection, rig, under_test.sampler, scaling, lines)
-            return {check.what: (check.fine, check.detail) for check in checks}
+            return {check.name: (check.passed, check.detail) for check in checks}
 
         fine = look()
         assert all(ok for ok, _ in fine.values()), fine

@@ -50,17 +50,17 @@ def opened(site: Path) -> list[dict[str, object]]:
 
 def test_the_simulated_rig_is_fine(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in lines] == ["ok   limits", "ok   rig"]
+    answer, _, _, *rows = capsys.readouterr().out.splitlines()
+    assert answer == "The rig is ready: every check passed."
+    assert [row.split()[:2] for row in rows] == [["ok", "limits"], ["ok", "rig"]]
 
 
 def test_every_device_limit_and_calibration_is_told_without_connecting(
     lab: Path, site: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibrated(lab)
-    assert main(["check", "--backend", "handed"]) == 0
-    whats = [line[5:].split(":")[0] for line in capsys.readouterr().out.splitlines()]
-    assert whats == [
+    assert main(["check", "--backend", "handed", "--json"]) == 0
+    assert [check["what"] for check in json.loads(capsys.readouterr().out)] == [
         "limits",
         "force limit",
         "encoder filter",
@@ -96,20 +96,20 @@ def test_a_calibration_can_be_too_old_or_anothers(
     finding = sanity.check_calibration(
         "force", calibration.latest_calibration(lab), RigSettings.model_validate(rig), NOW
     )
-    assert not finding.fine
+    assert not finding.passed
     assert word in finding.detail
 
 
 def test_limits_that_make_no_sense_together_are_found() -> None:
     fast = RigSettings.model_validate({"stage": {"max_speed_mm_s": 400.0}})
-    assert not sanity.check_limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).fine
-    assert sanity.check_limits(fast).fine
-    assert all(one.fine for one in sanity.check_wiring(fast, {}))
+    assert not sanity.check_limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).passed
+    assert sanity.check_limits(fast).passed
+    assert all(one.passed for one in sanity.check_wiring(fast, {}))
     slow_filter = HardwareSettings(card=CardSettings(encoder=EncoderInputSettings(filter_ns=6425)))
     filtered = fast.model_copy(update={"hardware": slow_filter})
-    assert [one.fine for one in sanity.check_wiring(filtered, {})] == [True, False]
+    assert [one.passed for one in sanity.check_wiring(filtered, {})] == [True, False]
     weak = Calibration(id="a", made_at=NOW, quantity="force", gain=-500.0)
-    assert [one.fine for one in sanity.check_wiring(fast, {"force": weak})] == [False, True]
+    assert [one.passed for one in sanity.check_wiring(fast, {"force": weak})] == [False, True]
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str, typed: str = "") -> int:

@@ -227,5 +227,5 @@ def test_every_device_is_reported(tmp_path: Path, heard: Listener) -> None:
     assert isinstance(found, RigExamined)
     assert found.devices
     assert found.devices
-    assert all(check.fine for check in found.devices)
+    assert all(check.passed for check in found.devices)
     assert not found.error

@@ -81,8 +81,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Onlooker:
 
 def test_an_open_prompt_is_shown(seen: Onlooker) -> None:
     [state] = seen.asked
-    assert (state.doing, state.said) == ("asking", "Take the capsule off")
-    assert (state.run, state.of, state.finished) == (0, 4, ())
+    assert (state.doing, state.message) == ("asking", "Take the capsule off")
+    assert (state.run, state.runs, state.finished) == (0, 4, ())
     assert state.left_s is not None
     assert not state.over
 
@@ -124,14 +124,14 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
     (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "recording"}).model_dump_json(), "utf-8")
     found = CampaignWatch(tmp_path).look()
     assert (found.doing, found.over, found.left_s) == ("died", True, None)
-    assert "dragrig recover" in found.said
+    assert "dragrig recover" in found.message
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"plan": 1', "\x00"])
 def test_a_damaged_state_is_ignored(content: str, tmp_path: Path) -> None:
     (tmp_path / "session-1.toml").touch()
     (tmp_path / STATE_FILE).write_text(content, "utf-8")
-    assert CampaignWatch(tmp_path).look().said == "no session is running here"
+    assert CampaignWatch(tmp_path).look().message == "no session is running here"
 
 
 def test_a_session_without_a_state_has_not_ended(tmp_path: Path) -> None:

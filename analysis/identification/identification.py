@@ -2,12 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import sqrt
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
 from dragrig.rig.arrays import FloatArray
 
 MIN_LEARNT = 0.1
 """Smallest reduction of the prior's width with which the runs determine a parameter."""
+MAX_LACK_OF_FIT_P = 0.05
+"""Significance level of the test of the logarithmic law."""
+CHI2_ALERT_SD = 4.0
+"""Standard deviations by which a run's χ² per degree of freedom must exceed 1 to count as more than noise."""
 MIN_P_VALUE = 0.01
 """A model does not hold if residuals as large are less probable."""
 
@@ -50,6 +55,11 @@ class RunResidual:
     zero: Estimate
     factors: Mapping[str, Estimate]
     offsets: Mapping[str, Estimate] = field(default_factory=dict)
+
+    @property
+    def exceeds_noise(self) -> bool:
+        """Whether the residuals are larger than noise explains; the standard deviation of χ² per block is √(2/n)."""
+        return self.blocks > 0 and self.chi2 > 1 + CHI2_ALERT_SD * sqrt(2 / self.blocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,6 +254,11 @@ class LogLaw:
     correlation: float
     r2: float
     lack_of_fit_p: float | None
+
+    @property
+    def deviates(self) -> bool:
+        """Whether the forces deviate from the law by more than their errors."""
+        return self.lack_of_fit_p is not None and self.lack_of_fit_p < MAX_LACK_OF_FIT_P
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,6 @@ from dragrig.sim_backend.friction.wall import HemisphereContact
 
 SAME_SPEED_FACTOR = 1.03
 """Successive speeds within this factor are repeats."""
-SIGNIFICANCE = 0.05
 NOTABLE_SCATTER = 1.5
 """Scatter of repeats over its expectation from which a remark says so."""
 QUADRATURE_NODES = 24
@@ -337,7 +336,7 @@ def _run_remarks(runs: Sequence[DragRun], scatter_factor: float) -> Iterator[str
 def _law_remarks(points: Sequence[SpeedPoint], law: LogLaw | None) -> Iterator[str]:
     if law is None:
         yield f"a law in ln v needs at least three speeds; these are {len(points)}"
-    elif law.lack_of_fit_p is not None and law.lack_of_fit_p < SIGNIFICANCE:
+    elif law.deviates:
         steady = SteadyForces.of(points)
         line = law.intercept.value + law.slope.value * np.log(steady.speed_mm_s)
         no_freedom = np.empty((0, len(points)))

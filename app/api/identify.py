@@ -306,10 +306,8 @@ def identify_many(
         Whether model and pictures are written, into a folder `identified` beside each campaign's runs.
     out
         Folder to use in their place; each campaign gets a folder of its own name in it.
-    workers
-        Number of processes (default: as many as there are cores).
-    scheduler
-        Address of a Dask cluster to use in their place.
+    workers, scheduler
+        As in `dragrig.diagnose_many`.
 
     Returns
     -------

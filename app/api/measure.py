@@ -53,7 +53,7 @@ def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
     Examples
     --------
     >>> import dragrig
-    >>> all(finding.fine for finding in dragrig.examine(backend="simulated"))
+    >>> all(check.passed for check in dragrig.examine(backend="simulated"))
     True
     """
     return _rig_findings(resolve_rig(**choices))

@@ -189,14 +189,13 @@ def compare_command(
             "name a second campaign or run, or a --model, one of the two", click.get_current_context()
         )
     from dragrig.api.compare import compare, comparison_folder, write_comparison
-    from dragrig.present.comparison import comparison_document
+    from dragrig.present.comparison import comparison_document, comparison_json
     from dragrig.present.files import unused_path
 
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
-    document = comparison_document(comparison)
     if out is None or not as_json:
-        print_document(document, as_json=as_json)
+        print_document(comparison_document(comparison), as_json=as_json)
     if as_json and out is None:
         return
     default = comparison_folder(comparison, a)
@@ -206,7 +205,7 @@ def compare_command(
     with ProgressMeter("drawing") as meter:
         written = list(write_comparison(comparison, folder, overwrite=overwrite, progress=meter.at))
     if as_json:
-        print_json({**document.data, "files": written})
+        print_json({**comparison_json(comparison), "files": written})
         return
     print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
     print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")

@@ -56,7 +56,7 @@ def check_command(
 
     With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
-    Without: limits, calibrations and every device in turn, each ok or NOT; exit code 5 when one is not.
+    Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
     """
     from dragrig.api.measure import check
     from dragrig.present.rig_results import preflight_document
@@ -73,31 +73,29 @@ def check_command(
 
 
 def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
-    of_plans = {
+    plan_options = {
         "specimen": settings["specimen"],
         "effect": settings["effects"],
         "capsule": settings["capsule"],
         "out": out,
     }
-    if unused := [name for name, value in of_plans.items() if value]:
+    if unused := [name for name, value in plan_options.items() if value]:
         raise click.UsageError(f"Without a plan the rig itself is checked, so leave out --{' --'.join(unused)}", ctx)
     from dragrig.api.measure import examine
     from dragrig.config.errors import DeviceError
+    from dragrig.present.rig_results import rig_check_document
 
-    findings = []
-    for finding in examine(
-        rig=settings["rig"],
-        model=settings["model"],
-        backend=settings["backend"],
-        double=settings["double"],
-        assignments=settings["assignments"],
-    ):
-        findings.append(finding)
-        if not as_json:
-            print_result(f"{'ok ' if finding.fine else 'NOT'}  {finding.what}: {finding.detail}")
-    if as_json:
-        print_json(findings)
-    if not all(finding.fine for finding in findings):
+    checks = tuple(
+        examine(
+            rig=settings["rig"],
+            model=settings["model"],
+            backend=settings["backend"],
+            double=settings["double"],
+            assignments=settings["assignments"],
+        )
+    )
+    print_document(rig_check_document(checks), as_json=as_json)
+    if not all(check.passed for check in checks):
         ctx.exit(DeviceError.exit_code)
 
 

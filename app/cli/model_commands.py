@@ -231,7 +231,7 @@ def identify_command(
         write_identified_files,
     )
     from dragrig.parallel import worker_count
-    from dragrig.present.identification import identification_document
+    from dragrig.present.identification import identification_document, identification_json
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
@@ -258,9 +258,8 @@ def identify_command(
     with ProgressMeter("identifying") as meter:
         identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at)
     result = identified.result
-    document = identification_document(result)
     if not as_json:
-        print_document(document, as_json=False)
+        print_document(identification_document(result), as_json=False)
     written: list[Path] = []
     if save_model is not None:
         written.append(save_identified_model(identified, save_model, overwrite=overwrite))
@@ -269,7 +268,7 @@ def identify_command(
         folder = out or identified_folder(campaign)
         written += write_identified_files(identified, folder, with_model=with_model, overwrite=overwrite)
     if as_json:
-        print_json({**document.data, "files": written})
+        print_json({**identification_json(result), "files": written})
     else:
         for path in written:
             print_result(display_path(path))

@@ -192,6 +192,11 @@ def yes(function: Callable[P, R]) -> Callable[P, R]:
     return click.option("--yes", "-y", is_flag=True, help=text)(function)
 
 
+def rig_session(function: Callable[P, R]) -> Callable[P, R]:
+    """Add the options of all commands that move the stage by hand or calibrate."""
+    return rig(pace(yes(as_json(quiet(function)))))
+
+
 def override_limit(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--override-limit`, as the argument `override`."""
     text = "Move although this side's limit switch is pressed; everything else stays guarded."

@@ -12,18 +12,17 @@ from dragrig.cli.console import (
     FileBatch,
     FileProgress,
     display_path,
+    print_document,
     print_error,
     print_json,
     print_remark,
     print_result,
     with_progress,
 )
-from dragrig.present.numbers import duration_text, size_text
 
 if TYPE_CHECKING:
     from dragrig.analysis.importing import ImportedRun
     from dragrig.analysis.savgol import FilteredRun
-    from dragrig.rig.runfile.model import RunInfo
 
 
 @click.command("info")
@@ -38,10 +37,11 @@ def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_j
     With --verify the exit code is 2 when the samples of a file are not those that were recorded.
     """
     from dragrig.config.errors import RunFileError
+    from dragrig.present.run import InspectedFile, files_document
     from dragrig.rig import runfile
     from dragrig.run_inputs import run_files
 
-    runs, errors = [], []
+    files, errors = [], []
     for path in with_progress(run_files(inputs), "reading"):
         try:
             mark = runfile.read_mark(path)
@@ -51,74 +51,17 @@ def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_j
             errors.append(str(error))
             continue
         intact = None if verification is None else verification.holds
-        runs.append((info, mark.reason if mark is not None else None, intact))
+        files.append(InspectedFile(info, mark.reason if mark is not None else None, intact))
         if verification is not None and not verification.stored:
             errors.append(f"{path}: has no checksum, so its samples cannot be verified.")
         elif verification is not None and not intact:
             errors.append(f"{path}: its samples are NOT those that were recorded; restore it from a copy.")
-    if as_json:
-        print_json([_info_json(*run) for run in runs])
-    elif runs:
-        print_result("\n\n".join(_info_text(*run) for run in runs))
+    if files or as_json:
+        print_document(files_document(files), as_json=as_json)
     for sentence in errors:
         print_error(sentence)
     if errors:
         ctx.exit(BAD_INPUT)
-
-
-def _info_json(info: "RunInfo", bad: str | None, intact: bool | None) -> dict[str, object]:
-    header = info.header
-    return {
-        "file": info.path,
-        "run_id": header.run_id,
-        "kind": info.kind,
-        "status": info.status,
-        "reason": info.reason,
-        "bad": bad,
-        "start_time": header.start_time,
-        "end_time": info.end_time,
-        "order": header.order,
-        "backend": header.backend,
-        "sample_rate_hz": header.sample_rate_hz,
-        "samples": info.samples,
-        "duration_s": info.samples / header.sample_rate_hz,
-        "channels": {channel.name: channel.units for channel in header.channels},
-        "entry": header.entry,
-        "protocol": header.protocol,
-        "capsule": header.capsule,
-        "specimen": header.specimen,
-        "checks": info.checks,
-        "intact": intact,
-        "format_version": info.format_version,
-    }
-
-
-def _info_text(info: "RunInfo", bad: str | None, intact: bool | None) -> str:
-    header = info.header
-    duration, file_size = info.samples / header.sample_rate_hz, Path(info.path).stat().st_size
-    fields = [("run", f"{info.kind}, {info.status.value}" + (f" ({info.reason})" if info.reason else ""))]
-    if bad is not None:
-        fields.append(("marked bad", bad))
-    if intact is not None:
-        fields.append(("checksum", "holds" if intact else "none, or the samples differ"))
-    fields += [
-        ("started", f"{header.start_time:%Y-%m-%d %H:%M:%S %z}, order {header.order}, {header.backend}"),
-        (
-            "samples",
-            f"{info.samples} at {header.sample_rate_hz:g} Hz, {duration_text(duration)}, {size_text(file_size)}",
-        ),
-        ("channels", ", ".join(f"{channel.name} [{channel.units}]" for channel in header.channels)),
-    ]
-    groups = {
-        "protocol": header.protocol,
-        "capsule": header.capsule,
-        "specimen": header.specimen,
-        "checks": info.checks,
-        "more": header.entry,
-    }
-    for name, values in groups.items():
-        fields += zip([name, *[""] * len(values)], [f"{key} = {value}" for key, value in values.items()], strict=False)
-    return "\n".join([str(info.path), *(f"  {name:11} {text}" for name, text in fields)])
 
 
 @click.command("mark")

@@ -10,11 +10,7 @@ from dragrig.cli.console import print_document, print_json, print_remark, print_
 
 @click.command("home")
 @options.override_limit
-@options.rig
-@options.pace
-@options.yes
-@options.as_json
-@options.quiet
+@options.rig_session
 def home_command(
     override: str | None, pace: options.Pace | None, yes: bool, as_json: bool, **rig: Unpack[options.RigOptions]
 ) -> None:
@@ -31,11 +27,7 @@ def home_command(
 @click.argument("distance_mm", metavar="MM", type=float)
 @click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, help="Default: 10; 2 off a limit switch.")
 @options.override_limit
-@options.rig
-@options.pace
-@options.yes
-@options.as_json
-@options.quiet
+@options.rig_session
 def jog_command(
     distance_mm: float,
     speed_mm_s: float | None,
@@ -78,11 +70,7 @@ def jog_command(
     "--back", "back_mm", metavar="MM", type=float, default=0.0, show_default=True, help="Retract by this after contact."
 )
 @click.option("--operator", metavar="NAME", default="", help="Operator's name, stored with the contact.")
-@options.rig
-@options.pace
-@options.yes
-@options.as_json
-@options.quiet
+@options.rig_session
 def touch_off_command(
     force_mN: float,
     speed_mm_s: float,
@@ -149,11 +137,7 @@ def _parse_numbers(context: click.Context, parameter: click.Parameter, value: st
 )
 @click.option("--seconds", metavar="S", type=float, default=2.0, show_default=True, help="Duration of each reading.")
 @options.session_notes("with the result")
-@options.rig
-@options.pace
-@options.yes
-@options.as_json
-@options.quiet
+@options.rig_session
 def calibrate_force_command(
     weights: tuple[float, ...],
     repeats: int,
@@ -201,11 +185,7 @@ def calibrate_force_command(
 @click.option("--by-hand", is_flag=True, help="Switch the stage off and push it.")
 @click.option("--seconds", metavar="S", type=float, default=20.0, show_default=True, help="Time for a push by hand.")
 @options.session_notes("with the result")
-@options.rig
-@options.pace
-@options.yes
-@options.as_json
-@options.quiet
+@options.rig_session
 def calibrate_encoder_command(
     travel_mm: float,
     measured_mm: tuple[float, ...],

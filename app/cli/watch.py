@@ -89,14 +89,14 @@ def _follow(watch: "CampaignWatch", every_s: float, *, as_json: bool) -> None:
             continue
         before = shown
         if as_json:
-            print_json_line(state)
+            print_json_line(state.to_json())
         else:
             print_result(state_line(state))
 
 
 def _print_state(state: "CampaignState", as_json: bool) -> None:
     if as_json:
-        print_json_line(state)
+        print_json_line(state.to_json())
     elif sys.stdout.isatty():
         from rich.console import Console
 
@@ -107,12 +107,12 @@ def _print_state(state: "CampaignState", as_json: bool) -> None:
 
 def state_line(state: "CampaignState") -> str:
     """Return a state as one line, which changes with each activity and not with every sample."""
-    run = "" if state.of is None else f"run {state.run} of {state.of}, "
-    what = state.recording.kind if state.recording is not None else ""
+    run = "" if state.runs is None else f"run {state.run} of {state.runs}, "
+    kind = state.recording.kind if state.recording is not None else ""
     phase = f", {state.recording.phase}" if state.recording is not None and state.recording.phase else ""
     ended = f", {state.status}" if state.status else ""
-    reason = f": {state.said}" if state.said else ""
-    return f"{state.campaign}: {run}{ACTIVITY_TEXTS[state.doing]}{ended}{f' {what}{phase}' if what else ''}{reason}"
+    reason = f": {state.message}" if state.message else ""
+    return f"{state.campaign}: {run}{ACTIVITY_TEXTS[state.doing]}{ended}{f' {kind}{phase}' if kind else ''}{reason}"
 
 
 def _quantity(value: float | None, unit: str, digits: int) -> str:
@@ -125,16 +125,16 @@ def state_texts(state: "CampaignState") -> dict[str, str]:
     texts = {
         "campaign": f"{state.campaign} ({state.plan}, {state.backend})" if state.plan else state.campaign,
         "state": f"{ACTIVITY_TEXTS[state.doing]}{f', {state.status}' if state.status else ''}",
-        "what": state.said,
-        "run": "" if state.of is None else f"{state.run} of {state.of}",
+        "message": state.message,
+        "run": "" if state.runs is None else f"{state.run} of {state.runs}",
         "left": "" if state.left_s is None else duration_text(state.left_s),
         "finished": f"{len(state.finished)} runs" if state.finished else "",
     }
     if recording is not None:
-        of = "" if recording.run_s is None else f" of {duration_text(recording.run_s)}"
+        planned = "" if recording.run_s is None else f" of {duration_text(recording.run_s)}"
         texts |= {
             "kind": recording.kind,
-            "phase": f"{recording.phase}, {duration_text(recording.time_s)}{of}",
+            "phase": f"{recording.phase}, {duration_text(recording.time_s)}{planned}",
             "force": _quantity(recording.force_mN, "mN", 4),
             "position": _quantity(recording.position_mm, "mm", 5),
             "samples": f"{recording.samples}",
@@ -150,6 +150,6 @@ def state_table(state: "CampaignState") -> "Table":
     table = Table.grid(padding=(0, 2))
     loud = {"asking": "bold yellow", "died": "bold red", "ended": "bold"}.get(state.doing, "bold green")
     for name, text in state_texts(state).items():
-        styled = f"[{loud}]{escape(text)}[/]" if name in {"state", "what"} else escape(text)
+        styled = f"[{loud}]{escape(text)}[/]" if name in {"state", "message"} else escape(text)
         table.add_row(f"[dim]{name}[/]", f"[bold]{styled}[/]" if name == "force" else styled)
     return table

@@ -9,7 +9,7 @@ document need not ask. Between backticks stands what is typed or is the name of 
 
 import csv
 import io
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
@@ -290,7 +290,7 @@ class Document:
     badges
         Backends that the data come from.
     data
-        What `--json` prints, with exact numbers and keys that stay as they are.
+        What `--json` prints, an object or a list, with exact numbers and keys that stay as they are.
     """
 
     title: str
@@ -300,7 +300,7 @@ class Document:
     problem: str = ""
     source: str = ""
     badges: tuple[str, ...] = ()
-    data: Mapping[str, object] = field(default_factory=dict)
+    data: Mapping[str, object] | Sequence[object] = field(default_factory=dict)
 
     @property
     def content(self) -> tuple[Section, ...]:

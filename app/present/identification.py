@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from math import isnan, sqrt
+from math import isnan
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity
 from dragrig.analysis.gap.diagnosis_text import count_text, join_names
@@ -48,14 +48,10 @@ from dragrig.present.numbers import (
 )
 from dragrig.rig.arrays import FloatArray
 
-CHI2_ALERT_SD = 4.0
-"""Standard deviations of χ² above which a run is pointed out."""
 MAX_RELATIVE_WIDTH = 10.0
 """A half-width of more than ten times the value says nothing and is not shown."""
 STRONG_CORRELATION = 0.9
 """Correlation from which two elements are called hard to distinguish."""
-MAX_LOG_LAW_P = 0.01
-"""p-value of the lack of fit below which the forces are said to deviate from the logarithmic law."""
 
 
 def identification_document(identification: Identification) -> Document:
@@ -192,7 +188,7 @@ def _joint_fit_warnings(fit: JointFit) -> Iterator[str]:
     ]
     if strange:
         yield f"outside of the interval expected before the runs: {join_names(strange)}"
-    unexplained = [run.file for run in fit.runs if _exceeds_noise(run)]
+    unexplained = [run.file for run in fit.runs if run.exceeds_noise]
     if unexplained:
         yield f"the model leaves more than noise in {join_names(unexplained)}"
 
@@ -215,7 +211,7 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
         Field("kind", "kind", lambda run: run.kind),
         Field("channel", "channel", lambda run: run.channel),
         Field("chi2_per_degree", "χ² per degree", lambda run: run.chi2, decimals(2)),
-        Field("alert", "", lambda run: "!" if _exceeds_noise(run) else ""),
+        Field("alert", "", lambda run: "!" if run.exceeds_noise else ""),
         Field("rms_mN", "rms, mN", lambda run: run.rms_mN, decimals(2)),
         Field("zero_mN", "zero, mN", lambda run: _estimate_cell(run.zero)),
         *(own_field("factors", name, f"{name} ×", 3) for name in factors),
@@ -226,10 +222,6 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
 def _estimate_cell(estimate: Estimate) -> FormattedNumber:
     """Return an estimate with its error; why one is missing stands beside the result of all runs."""
     return FormattedNumber(estimate.value, value_with_error(estimate.value, estimate.standard_error))
-
-
-def _exceeds_noise(run: RunResidual) -> bool:
-    return run.blocks > 0 and run.chi2 > 1 + CHI2_ALERT_SD * sqrt(2 / run.blocks)
 
 
 def _part_sections(identification: Identification) -> Iterator[Section]:
@@ -403,8 +395,7 @@ def _drag_residual(point: SpeedPoint, *, in_errors: bool = False) -> Cell:
 def _log_law_blocks(law: LogLaw) -> tuple[Block, ...]:
     fits = "too few speeds to test it"
     if law.lack_of_fit_p is not None:
-        deviates = law.lack_of_fit_p < MAX_LOG_LAW_P
-        verdict = "deviate from it by more than their errors" if deviates else "agree with it within errors"
+        verdict = "deviate from it by more than their errors" if law.deviates else "agree with it within errors"
         fits = f"the forces {verdict} ({p_value_text(law.lack_of_fit_p)})"
     columns = (Column("coefficient", ""), Column("value_mN", "mN"), Column("interval_95", "95 % interval"))
     rows = tuple(
@@ -572,14 +563,7 @@ def _strain_law_json(law: StrainLaw) -> Mapping[str, object]:
 
 
 def _quantities_json(quantities: Iterable[EstimatedQuantity]) -> Mapping[str, object]:
-    return {
-        _key_with_unit(quantity): {
-            "value": quantity.value,
-            "standard_error": quantity.standard_error,
-            "interval_95": quantity.interval,
-        }
-        for quantity in quantities
-    }
+    return {_key_with_unit(quantity): _value_json(quantity) for quantity in quantities}
 
 
 def _parameter_json(parameter: ParameterEstimate, fit: JointFit) -> Mapping[str, object]:
@@ -597,12 +581,11 @@ def _parameter_json(parameter: ParameterEstimate, fit: JointFit) -> Mapping[str,
 
 
 def _estimate_json(estimate: Estimate) -> Mapping[str, object]:
-    return {
-        "value": estimate.value,
-        "standard_error": estimate.standard_error,
-        "interval_95": estimate.interval,
-        "reason": estimate.reason,
-    }
+    return {**_value_json(estimate), "reason": estimate.reason}
+
+
+def _value_json(number: Estimate | EstimatedQuantity) -> Mapping[str, object]:
+    return {"value": number.value, "standard_error": number.standard_error, "interval_95": number.interval}
 
 
 def _matrix_json(matrix: FloatArray | None, names: Iterable[str]) -> Mapping[str, object] | None:

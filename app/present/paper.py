@@ -64,8 +64,6 @@ if TYPE_CHECKING:
 
 PAPER_TITLE = "The paper's programme, simulated and identified"
 _VISCOUS_TEXTS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
-MAX_LOG_LAW_P = 0.05
-"""Below this p-value of the lack of fit, the growth is not called logarithmic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -714,7 +712,7 @@ def _log_law_text(drag: DragResult) -> str:
     if law.lack_of_fit_p is None:
         return text
     chance = "below 0.01" if law.lack_of_fit_p < 1e-4 else significant(2)(100 * law.lack_of_fit_p)
-    verdict = ": the growth is not logarithmic" if law.lack_of_fit_p < MAX_LOG_LAW_P else ""
+    verdict = ": the growth is not logarithmic" if law.deviates else ""
     return f"{text} The probability that runs which follow it deviate as much as these is {chance} %{verdict}."
 
 

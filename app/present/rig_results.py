@@ -1,7 +1,7 @@
-"""What a rig would do and how it was calibrated, laid out for a reader: the check of a plan, calibration points."""
+"""The check of a plan, the check of a rig and the points of a calibration, laid out for a reader."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from dragrig.present.document import Document, Field, Items, Section, Table
 from dragrig.present.json_values import to_json_object
@@ -10,30 +10,17 @@ from dragrig.present.numbers import decimals, duration_text, shortest, size_text
 if TYPE_CHECKING:
     from dragrig.config.rig import Calibration
     from dragrig.rig.calibration import CalibrationLine, LoadReading, TravelReading
+    from dragrig.rig.devices import RigCheck
     from dragrig.rig.preflight import Preflight, RunPreview
+
+PointT = TypeVar("PointT")
 
 
 def preflight_document(preflight: "Preflight") -> Document:
     """Lay out what a plan would do: each run with its range, speed and time."""
-    rows = tuple(
-        (
-            str(preview.run.index),
-            preview.run.protocol.summary(),
-            preview.run.capsule.name,
-            preview.lowest_mm,
-            preview.highest_mm,
-            preview.speed_mm_s,
-            preview.accel_mm_s2,
-            preview.run.wait_s,
-            preview.run.duration_s,
-            preview.size_bytes,
-            preview.run.prompt,
-        )
-        for preview in preflight.previews
-    )
     return Document(
-        title=f"{len(rows)} runs, {duration_text(preflight.duration_s)}, {size_text(preflight.size_bytes)} "
-        f"of {size_text(preflight.free_bytes)} free",
+        title=f"{len(preflight.previews)} runs, {duration_text(preflight.duration_s)}, "
+        f"{size_text(preflight.size_bytes)} of {size_text(preflight.free_bytes)} free",
         sections=(
             Section(
                 "runs",
@@ -70,6 +57,32 @@ def preflight_document(preflight: "Preflight") -> Document:
     )
 
 
+def rig_check_document(checks: "Sequence[RigCheck]") -> Document:
+    """Lay out the checks of a rig, with those that failed in the answer."""
+    failed = [check.name for check in checks if not check.passed]
+    return Document(
+        title="Check of the rig",
+        answer=f"The rig is not ready: {', '.join(failed)}." if failed else "The rig is ready: every check passed.",
+        sections=(
+            Section(
+                "checks",
+                "",
+                (
+                    Table.of(
+                        "checks",
+                        "",
+                        checks,
+                        Field("passed", "", lambda check: "ok" if check.passed else "FAILED"),
+                        Field("check", "check", lambda check: check.name),
+                        Field("detail", "result", lambda check: check.detail),
+                    ),
+                ),
+            ),
+        ),
+        data=[{"what": check.name, "fine": check.passed, "detail": check.detail} for check in checks],
+    )
+
+
 def force_calibration_document(
     entry: "Calibration", points: "Sequence[LoadReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
@@ -82,10 +95,7 @@ def force_calibration_document(
         summary,
         entry,
         points,
-        Table.of(
-            "points",
-            "",
-            points,
+        (
             Field("weight_g", "weight, g", lambda point: point.weight_g, shortest()),
             Field("load_mN", "load, mN", lambda point: point.load_mN, decimals(2)),
             Field("reading_V", "reading, V", lambda point: point.reading.force_V, decimals(5)),
@@ -112,10 +122,7 @@ def encoder_calibration_document(
         summary,
         entry,
         points,
-        Table.of(
-            "points",
-            "",
-            points,
+        (
             Field("travel_mm", "travel, mm", lambda point: point.travel_mm, shortest()),
             Field("counts", "counts", lambda point: point.counts, decimals(0)),
             Field(
@@ -130,11 +137,15 @@ def encoder_calibration_document(
 
 
 def _calibration_document(
-    summary: str, entry: "Calibration", points: Sequence[object], table: Table, notes: Sequence[str]
+    summary: str,
+    entry: "Calibration",
+    points: Sequence[PointT],
+    fields: tuple[Field[PointT], ...],
+    notes: Sequence[str],
 ) -> Document:
     return Document(
         title=f"{summary}; stored as {entry.id}",
-        sections=(Section("points", "", (table, Items(tuple(notes), remarks=True))),),
+        sections=(Section("points", "", (Table.of("points", "", points, *fields), Items(tuple(notes), remarks=True))),),
         data=to_json_object({"entry": entry.model_dump(), "points": points, "notes": notes}),
     )
 

@@ -1,6 +1,7 @@
-"""A run laid out for a reader: measures, checks, events, settings."""
+"""A run laid out for a reader: measures, checks, events, settings; and what several run files contain."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from dragrig.analysis.estimates import Estimate
@@ -17,7 +18,8 @@ from dragrig.present.document import (
     Section,
     Table,
 )
-from dragrig.present.numbers import decimals, range_text, shortest, value_with_error
+from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import decimals, duration_text, range_text, shortest, size_text, value_with_error
 from dragrig.present.run_titles import run_problem, run_title
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo
 
@@ -147,6 +149,88 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
                 ),
             ),
         ),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class InspectedFile:
+    """A run file without its samples.
+
+    Attributes
+    ----------
+    bad_reason
+        Why the run is marked bad; None for one that is not.
+    intact
+        Whether the samples match their checksum; None where that was not tested.
+    """
+
+    info: RunInfo
+    bad_reason: str | None = None
+    intact: bool | None = None
+
+
+def files_document(files: Sequence[InspectedFile]) -> Document:
+    """Lay out what run files contain, a section each."""
+    names = [str(file.info.path) for file in files]
+    alone = len(files) == 1
+    return Document(
+        title=names[0] if alone else f"{len(files)} run files",
+        sections=tuple(
+            Section(file.info.path.stem, "" if alone else name, (Facts(_file_texts(file)),))
+            for file, name in zip(files, names, strict=True)
+        ),
+        data=[_file_json(file) for file in files],
+    )
+
+
+def _file_texts(file: InspectedFile) -> dict[str, str]:
+    info, header = file.info, file.info.header
+    duration, size = duration_text(info.samples / header.sample_rate_hz), size_text(info.path.stat().st_size)
+    reason = f" ({info.reason})" if info.reason else ""
+    groups = {
+        "protocol": attribute_texts(header.protocol),
+        "capsule": attribute_texts(header.capsule),
+        "specimen": attribute_texts(header.specimen),
+        "checks": check_texts(info.checks),
+        "further": attribute_texts(header.entry),
+    }
+    return {
+        "run": f"{info.kind}, {info.status.value}{reason}",
+        "marked bad": file.bad_reason or "",
+        "checksum": "" if file.intact is None else "matches" if file.intact else "missing, or the samples differ",
+        "start": f"{header.start_time:{_TIME_FORMAT}}, order {header.order}, {header.backend}",
+        "samples": f"{info.samples} at {GENERAL(header.sample_rate_hz)} Hz, {duration}, {size}",
+        "channels": ", ".join(f"{channel.name} [{channel.units}]" for channel in header.channels),
+        **{name: ", ".join(f"{key} {text}" for key, text in texts.items()) for name, texts in groups.items()},
+    }
+
+
+def _file_json(file: InspectedFile) -> dict[str, object]:
+    info, header = file.info, file.info.header
+    return to_json_object(
+        {
+            "file": info.path,
+            "run_id": header.run_id,
+            "kind": info.kind,
+            "status": info.status,
+            "reason": info.reason,
+            "bad": file.bad_reason,
+            "start_time": header.start_time,
+            "end_time": info.end_time,
+            "order": header.order,
+            "backend": header.backend,
+            "sample_rate_hz": header.sample_rate_hz,
+            "samples": info.samples,
+            "duration_s": info.samples / header.sample_rate_hz,
+            "channels": {channel.name: channel.units for channel in header.channels},
+            "entry": header.entry,
+            "protocol": header.protocol,
+            "capsule": header.capsule,
+            "specimen": header.specimen,
+            "checks": info.checks,
+            "intact": file.intact,
+            "format_version": info.format_version,
+        }
     )
 
 

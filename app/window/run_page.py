@@ -72,10 +72,10 @@ class DevicesView(QWidget):
         """Show the result of a check."""
         self._checking = False
         fill_table(
-            self.devices, [("ok" if check.fine else "FAULT", check.what, check.detail) for check in result.devices]
+            self.devices, [("ok" if check.passed else "FAILED", check.name, check.detail) for check in result.devices]
         )
-        faults = sum(not check.fine for check in result.devices)
-        self.verdict = "NOT FOUND" if result.error else f"{faults} FAULTS" if faults else "all ok"
+        faults = sum(not check.passed for check in result.devices)
+        self.verdict = "NOT FOUND" if result.error else f"{faults} FAILED" if faults else "all ok"
         self._result_text = result.error or f"{len(result.devices)} checks, {self.verdict}."
         self._show_state()
 
