@@ -28,13 +28,14 @@ from dragrig.analysis.identification.identification import (
     ParameterEstimate,
     RunResidual,
 )
+from dragrig.analysis.identification.speed_dependence import r2_eq15, squared_correlation
 from dragrig.analysis.paper.findings import (
     all_findings,
     determination_examples,
     element_rows,
     offset_for_r2,
-    r2_by_correlation,
-    r2_by_eq15,
+    stress_by_eq4,
+    stress_by_superposition,
 )
 from dragrig.analysis.paper.published import (
     PAPER_CAPSULE,
@@ -45,7 +46,6 @@ from dragrig.analysis.paper.published import (
     percent,
     rounded,
 )
-from dragrig.analysis.paper.wall_findings import stress_by_eq4, stress_by_superposition
 from dragrig.api import report as reproducing
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
@@ -142,8 +142,8 @@ def test_the_offset_that_is_named_gives_the_r2_that_is_named(r2: float, forces: 
     model = np.array(forces)
     if np.ptp(model) > 1e-3:
         shifted = model + offset_for_r2(r2, model)
-        assert r2_by_eq15(model, shifted) == pytest.approx(r2, rel=1e-6)
-        assert r2_by_correlation(model, shifted) == pytest.approx(1)
+        assert r2_eq15(model, shifted) == pytest.approx(r2, rel=1e-6)
+        assert squared_correlation(model, shifted) == pytest.approx(1)
 
 
 def test_a_strains_history_matters_neither_to_relaxed_nor_to_fresh_wall() -> None:

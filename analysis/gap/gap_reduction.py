@@ -18,7 +18,6 @@ from dragrig.analysis.gap.run_data import RunData, commanded_phase, run_data_of
 from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.analysis.identification.speed_dependence import (
-    PAPER_BOUNDARY_MM_S,
     SPEED_TOLERANCE,
     r2_eq15,
     squared_correlation,
@@ -26,6 +25,7 @@ from dragrig.analysis.identification.speed_dependence import (
 from dragrig.analysis.inference.linear_gaussian import Whitening
 from dragrig.analysis.inference.noise import NoiseModel
 from dragrig.analysis.models.capsule_model import CapsuleModel
+from dragrig.analysis.paper.published import BOUNDARY_MM_S
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
@@ -147,7 +147,7 @@ def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
             interval = (min(low, closed), max(high, closed))
     duration, before, after, floor = rows.sum(axis=0).tolist()
     points = [(gap.run.condition[1], *gap.steady) for gap in gaps if gap.steady is not None]
-    highest = PAPER_BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
+    highest = BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
     sides = [point for point in points if point[0] <= highest], [point for point in points if point[0] > highest]
     on_both_sides = all(len(side) >= 1 for side in sides)
     return GapReduction(
@@ -156,7 +156,7 @@ def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
         noise_floor_mN=float(np.sqrt(floor / duration)),
         closed=closed,
         closed_95ci=interval,
-        boundary_mm_s=PAPER_BOUNDARY_MM_S if on_both_sides else None,
+        boundary_mm_s=BOUNDARY_MM_S if on_both_sides else None,
         r2_eq15=_r2_before_after(sides, "eq15"),
         r2_corr=_r2_before_after(sides, "corr"),
         runs=tuple(gap.run.file for gap in gaps),

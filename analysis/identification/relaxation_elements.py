@@ -18,14 +18,13 @@ from dragrig.analysis.identification.maxwell_fit import (
 from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
 from dragrig.analysis.models.capsule_model import STIFFNESS_SCATTER
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.paper.published import WALL_UNITS
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import WallPolynomials
 from dragrig.rig.arrays import FloatArray
 
-ELEMENT_UNITS = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
-"""The wall's elements, in the order of Table 1, with their units."""
-ELEMENT_NAMES = tuple(ELEMENT_UNITS)
+ELEMENT_NAMES = tuple(WALL_UNITS)
 TIME_CONSTANTS = ("tau1", "tau2")
 MAX_RELATIVE_ERROR = 0.25
 """Largest relative standard error with which a run supports an element."""
@@ -83,7 +82,7 @@ def _fit_relaxation(experiment: Experiment, noise: NoiseModel) -> RelaxationFit:
     return RelaxationFit(
         file=record.file,
         shear_strain=record.shear_strain,
-        elements=_lognormal(ELEMENT_UNITS.items(), logs, errors),
+        elements=_lognormal(WALL_UNITS.items(), logs, errors),
         times=_lognormal([(name, "s") for name in TIME_CONSTANTS], fit.values[4:], np.sqrt(np.diag(covariance)[4:])),
         correlation=element_covariance / np.outer(errors, errors),
         zero=Estimate(float(fit.values[0]), float(np.sqrt(covariance[0, 0]))),

@@ -20,6 +20,7 @@ import numpy as np
 
 from dragrig.analysis.estimates import EstimatedQuantity
 from dragrig.analysis.identification.identification import LogLaw, SpeedBandR2, SpeedBoundary, SpeedPoint
+from dragrig.analysis.paper.published import BOUNDARY_MM_S
 from dragrig.rig.arrays import FloatArray
 
 MIN_SPEEDS_FOR_LAW = 3
@@ -33,7 +34,6 @@ SIMULATION_NOTE = f"by {NULL_SIMULATIONS} simulated campaigns, seed {NULL_SEED}"
 SIGNIFICANCE = 0.05
 CHI2_95 = 3.8415
 """95 % quantile of χ² with one degree of freedom: the rise of χ² at the ends of a profile interval."""
-PAPER_BOUNDARY_MM_S = 20.0
 SPEED_TOLERANCE = 0.01
 """A stage faster than its set speed by up to this share counts as at that speed."""
 
@@ -266,7 +266,7 @@ def r2_by_band(
 ) -> tuple[SpeedBandR2, ...]:
     """Compare model and measurement over all speeds, and below and above the paper's and the estimated boundary."""
     bands = {"all speeds": list(points)}
-    limits = {"": PAPER_BOUNDARY_MM_S}
+    limits = {"": BOUNDARY_MM_S}
     if boundary is not None and boundary.speed_mm_s is not None:
         limits[" (estimated boundary)"] = boundary.speed_mm_s
     for note, limit in limits.items():

@@ -3,8 +3,8 @@
 | module | content |
 |---|---|
 | `published` | the numbers that the paper prints, and the form of a finding |
-| `wall_findings` | findings on the wall's parameters, on the contact and its pressure |
-| `findings` | all findings, those on friction and R² among them; Table 1 beside identified elements |
+| `findings.toml` | the findings in words: what the paper says, what its numbers show, what dragrig does |
+| `findings` | the values in them; Table 1 beside identified elements |
 
 Everything is computed from the model's equations on demand; no result is typed in.
 """

@@ -1,18 +1,29 @@
-"""All findings in the paper's order, those on friction and R² among them; Table 1 beside identified elements."""
+"""All findings about the paper: each of `findings.toml`, with the values that its function computes from the model.
 
-from collections.abc import Mapping
+The file holds what a reader reads; a function here returns the values that its sentences and numbers name.
+"""
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
 
 from dragrig.analysis.estimates import EstimatedQuantity
 from dragrig.analysis.identification.identification import RelaxationResult
-from dragrig.analysis.identification.relaxation_elements import ELEMENT_NAMES, ELEMENT_UNITS
-from dragrig.analysis.paper import published as printed
+from dragrig.analysis.identification.speed_dependence import r2_eq15, squared_correlation
 from dragrig.analysis.paper.published import (
     BOUNDARY_MM_S,
+    COULOMB_DIAMETER_MM,
+    COULOMB_FORCE_MN,
+    COULOMB_MASS_G,
+    COULOMB_SPEED_MM_S,
+    ELEMENT_SYMBOLS,
+    FRICTION_COEFFICIENT,
     HIGHEST_MM_S,
     LOWEST_MM_S,
     PAPER_CAPSULE,
@@ -22,275 +33,440 @@ from dragrig.analysis.paper.published import (
     SENSOR_ACCURACY_MN,
     SPEEDS_MM_S,
     WALL_THICKNESS_MM,
+    WALL_UNITS,
     FindingNumber,
     PaperFinding,
-    percent,
     rounded,
+    rounded_list,
 )
-from dragrig.analysis.paper.wall_findings import HIGH_SPEED_FINDINGS, WALL_FINDINGS
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.specimen import Capsule
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction import (
     ParameterSetDifference,
     SteadyFriction,
+    WallParameters,
     parameter_set_differences,
     steady_forces,
+    wall_parameters,
 )
 from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
-from dragrig.sim_backend.friction.wall import HemisphereContact, model_wall
+from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN, HemisphereContact, model_wall
 
+FINDINGS_FILE = Path(__file__).with_name("findings.toml")
 ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)
 SPEED_MM_S = 20.0
+"""Speed of the examples."""
+RAMP_MM_S = 20.0
+"""Speed of the ramp in the shipped plan; the paper prints none."""
+MIN_STRESS_SHARE = 0.9
+"""Share of the fast branch's stress that a good step keeps."""
+CONTACT_POINTS = 20_001
+DENSITY_G_MM3 = 1.0e-3
+"""Of soft tissue, close to water's."""
+SAME_STRAIN_TOLERANCE = 0.02
+"""Largest difference of strains that count as equal."""
+
+CONSTANTS = {
+    "lowest": LOWEST_MM_S,
+    "highest": HIGHEST_MM_S,
+    "boundary": BOUNDARY_MM_S,
+    "speed": SPEED_MM_S,
+    "ramp": RAMP_MM_S,
+    "least": 100 * MIN_STRESS_SHARE,
+    "accuracy": SENSOR_ACCURACY_MN,
+    "r2_below": R2_BELOW,
+    "r2_above": R2_ABOVE,
+}
+"""What every finding may name besides its own values."""
+
+Values = Mapping[str, float | str | Mapping[str, float]]
+"""What a finding names: numbers, words, or numbers by label."""
 
 
-def _steady_forces(*speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous) -> SteadyFriction:
+class _Value(float):
+    """A number in a sentence: rounded to three significant digits, or as the format says."""
+
+    def __format__(self, spec: str) -> str:
+        if spec[-1:].isalpha():
+            return super().__format__(spec)
+        sign = "+" if spec.startswith("+") and self > 0 else ""
+        return sign + rounded(self, int(spec.removeprefix("+") or 3))
+
+
+@cache
+def all_findings() -> tuple[PaperFinding, ...]:
+    """Compute all findings, by the model as printed."""
+    described = tomllib.loads(FINDINGS_FILE.read_text("utf-8"))["finding"]
+    return tuple(_finding(FINDINGS[description["key"]](), **description) for description in described)
+
+
+def _finding(values: Values, numbers: Sequence[Sequence[str]], key: str, **texts: str) -> PaperFinding:
+    words = {
+        name: _Value(value) if isinstance(value, float) else value for name, value in (CONSTANTS | {**values}).items()
+    }
+    computed = []
+    for name, quantity, unit, *form in numbers:
+        value, spec = values[name], form[0] if form else "3"
+        digits, signed = int(spec.removeprefix("+")), spec.startswith("+")
+        for label, number in value.items() if isinstance(value, Mapping) else [("", value)]:
+            computed.append(FindingNumber(quantity.format(label, **words), float(number), unit, digits, signed))
+    sentences = {name: text.format_map(words) for name, text in texts.items()}
+    return PaperFinding(key=key, numbers=tuple(computed), **sentences)
+
+
+def _steady_forces(
+    *speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous, capsule: Capsule = PAPER_CAPSULE
+) -> SteadyFriction:
     model = PAPER_MODEL.model_copy(update={"viscous": viscous})
-    return steady_forces(speeds_mm_s, model, PAPER_CAPSULE, WALL_THICKNESS_MM)
+    return steady_forces(speeds_mm_s, model, capsule, WALL_THICKNESS_MM)
 
 
-def _dimension() -> PaperFinding:
+def _contact(capsule: Capsule = PAPER_CAPSULE, model: FrictionModelSettings = PAPER_MODEL) -> HemisphereContact:
+    return HemisphereContact.of(capsule, WALL_THICKNESS_MM, model)
+
+
+def _inner_radius() -> float:
+    """Undisturbed radius of the gut for the dummy [mm], R cos α."""
+    return _contact().radius_mm * float(np.cos(_contact().angle_rad))
+
+
+# The wall's parameters and the relaxation test.
+
+
+def _eq14_against_table1() -> Values:
+    eq14, quadratic = dict[str, float](), dict[str, float]()
+    for row in parameter_set_differences():
+        name = ELEMENT_SYMBOLS[row.parameter]
+        for largest, miss in ((eq14, 100 * row.eq14_difference), (quadratic, 100 * row.quadratic_difference)):
+            largest[name] = max(largest.get(name, 0.0), miss, key=abs)
+    return {
+        "eq14": eq14,
+        "quadratic": quadratic,
+        "misses": ", ".join(f"{name} {_Value(miss):+2} %" for name, miss in eq14.items()),
+        "quadratic_sizes": rounded_list(map(abs, quadratic.values()), 2),
+    }
+
+
+def _damper_unit() -> Values:
+    table = np.array(TABLE1)
+    fast, slow = 1e3 * table[3] / table[0], 1e3 * table[4] / table[1]
+    return {"fast_min": fast.min(), "fast_max": fast.max(), "slow_min": slow.min(), "slow_max": slow.max()}
+
+
+def _stress_falls() -> Values:
+    table, strain = np.array(TABLE1), np.array(TABLE1_STRAIN)
+    values: dict[str, float | str | Mapping[str, float]] = {}
+    for name, stress in (("at_once", strain * table[:3].sum(axis=0)), ("at_last", strain * table[2])):
+        values[name] = {f"{100 * eps:g}": value for eps, value in zip(strain, stress, strict=True)}
+        values[f"{name}_list"] = rounded_list(stress)
+        values[f"rise_{name}"] = 100 * (stress[-1] / stress[-2] - 1)
+    return values
+
+
+def _shear_as_hoop() -> Values:
+    f_e = float(_steady_forces(SPEED_MM_S).f_e[0])
+    return {"f_e": f_e, "tripled": 3 * f_e}
+
+
+def _strain_range() -> Values:
+    contact = _contact()
+    radius, length = contact.radius_mm, contact.length_mm
+    x_first = length - float(np.sqrt(radius**2 - ((1 + min(TABLE1_STRAIN)) * _inner_radius()) ** 2))
+    x = np.linspace(0.0, length, CONTACT_POINTS)
+    load = contact.axial_load(x, x / SPEED_MM_S)
+    below = x <= x_first
+    return {
+        "at_equator": 100 * contact.strain_at_equator,
+        "largest": 100 * max(TABLE1_STRAIN),
+        "angle": np.degrees(np.arccos(1 / (1 + max(TABLE1_STRAIN)))),
+        "x_first": x_first,
+        "part": 100 * x_first / length,
+        "share": 100 * np.trapezoid(load[below], x[below]) / np.trapezoid(load, x),
+        "eta1_eq14": float(wall_parameters("eq14", 0.0).eta1),
+        "eta1_quadratic": float(wall_parameters("table1", 0.0).eta1),
+    }
+
+
+def _ramp_as_step() -> Values:
+    from scipy.optimize import brentq
+
+    strain, table = np.array(TABLE1_STRAIN), np.array(TABLE1)
+    travel, time = strain * WALL_THICKNESS_MM, table[3] / table[0]
+    lengths = travel / RAMP_MM_S / time
+    left = -100 * np.expm1(-lengths) / lengths
+    short = float(brentq(lambda length: -np.expm1(-length) / length - MIN_STRESS_SHARE, 1e-6, 10.0))
+    needed = travel / (short * time)
+    return {
+        "travel_first": travel[0],
+        "travel_last": travel[-1],
+        "left_first": left[0],
+        "left_last": left[-1],
+        "slowest": needed.min(),
+        "fastest": needed.max(),
+        "time_min": 1e3 * time.min(),
+        "time_max": 1e3 * time.max(),
+    }
+
+
+def _fixture_gap() -> Values:
+    return {
+        "opened": COULOMB_DIAMETER_MM,
+        "dummy": PAPER_CAPSULE.diameter_mm,
+        "gap": 1e3 * 0.5 * (COULOMB_DIAMETER_MM - PAPER_CAPSULE.diameter_mm),
+        "stretch": 100 * (COULOMB_DIAMETER_MM / (2 * _inner_radius()) - 1),
+    }
+
+
+# The contact and its pressure.
+
+
+def _thick_wall() -> Values:
+    return {
+        "undisturbed": WALL_THICKNESS_MM / _inner_radius(),
+        "equator": WALL_THICKNESS_MM / _contact().radius_mm,
+    }
+
+
+def _constant_thickness() -> Values:
+    inner, radius = _inner_radius(), _contact().radius_mm
+    section = (inner + WALL_THICKNESS_MM) ** 2 - inner**2
+    thinned = float(np.sqrt(radius**2 + section)) - radius
+    difference = 100 * (thinned / WALL_THICKNESS_MM - 1)
+    return {"thickness": WALL_THICKNESS_MM, "thinned": thinned, "difference": difference}
+
+
+def _two_capsules() -> Values:
+    capsules = (PAPER_CAPSULE, PAPER_CAPSULE.model_copy(update={"diameter_mm": COULOMB_DIAMETER_MM}))
+    narrow, wide = (float(_steady_forces(SPEED_MM_S, capsule=capsule).total[0]) for capsule in capsules)
+    gut = [2 * _inner_radius() * capsule.diameter_mm / PAPER_CAPSULE.diameter_mm for capsule in capsules]
+    difference = 100 * (wide / narrow - 1)
+    return {"narrow": narrow, "wide": wide, "narrow_gut": gut[0], "wide_gut": gut[1], "difference": difference}
+
+
+def _side_area() -> Values:
+    contact = _contact()
+    strip = 2 * np.pi * contact.radius_mm * PAPER_MODEL.side_contact_mm
+    side = float(_steady_forces(SPEED_MM_S).side_pressure_force[0])
+    weight, mu = PAPER_CAPSULE.mass_g * GRAVITY_M_S2, PAPER_MODEL.friction_coefficient
+    ratio = strip / contact.area_mm2
+    return {
+        "area": contact.area_mm2,
+        "strip": strip,
+        "ratio": ratio,
+        "f_c": mu * (weight + side),
+        "f_c_strip": mu * (weight + side * ratio),
+    }
+
+
+def _side_length() -> Values:
+    contact = _contact()
+    ends = np.array([contact.length_mm, contact.length_mm + PAPER_MODEL.side_contact_mm])
+    begin, end = contact.side_pressure().force(ends / SPEED_MM_S)
+    return {
+        "dummy": PAPER_CAPSULE.length_mm,
+        "contact": ends[1],
+        "slow": PAPER_MODEL.side_contact_mm / LOWEST_MM_S,
+        "quick": PAPER_MODEL.side_contact_mm / HIGHEST_MM_S,
+        "begin": begin,
+        "end": end,
+    }
+
+
+def _strain_along_contact() -> tuple[FloatArray, FloatArray]:
+    """Return x on the contact and the hoop strain there, shape `(POINTS,)`."""
+    x = np.linspace(0.0, _contact().length_mm, CONTACT_POINTS)
+    return x, _contact().strain(x)
+
+
+def _relaxing_stress(wall: WallParameters, strain: FloatArray, age_s: FloatArray) -> FloatArray:
+    """Return the stress [kPa] of a strain that was there at once (Eq. 3)."""
+    fast, slow = wall.rates
+    return np.asarray(strain * (wall.E1 * np.exp(-age_s * fast) + wall.E2 * np.exp(-age_s * slow) + wall.E3))
+
+
+def stress_by_superposition(speed_mm_s: float) -> float:
+    """Hoop stress at the equator [kPa] when each branch is integrated along the growing strain, parameters of ε(L)."""
+    x, strain = _strain_along_contact()
+    age = (x[-1] - x) / speed_mm_s
+    wall = model_wall(PAPER_MODEL, float(strain[-1]))
+    return float(_relaxing_stress(wall, np.diff(strain), 0.5 * (age[:-1] + age[1:])).sum())
+
+
+def stress_by_eq4(speed_mm_s: float) -> float:
+    """Hoop stress at the equator [kPa] by Eq. 4."""
+    x, strain = _strain_along_contact()
+    return float(_relaxing_stress(model_wall(PAPER_MODEL, strain[-1]), strain[-1], x[-1] / speed_mm_s))
+
+
+def _strain_history() -> Values:
+    stress, raised = dict[str, float](), list[str]()
+    for speed in (LOWEST_MM_S, SPEED_MM_S, HIGHEST_MM_S):
+        published, integrated = stress_by_eq4(speed), stress_by_superposition(speed)
+        stress[f"stress at the equator by Eq. 4, {speed:g}"] = published
+        stress[f"the same elements along the strain's history, {speed:g}"] = integrated
+        raised.append(f"{_Value(100 * (integrated / published - 1)):+2} % at {speed:g} mm/s")
+    return {"stress": stress, "raised": ", ".join(raised)}
+
+
+def _pointwise() -> Values:
+    contact = _contact()
+    x = np.linspace(0.0, contact.length_mm, CONTACT_POINTS)
+    point = contact.pressure(x, x / SPEED_MM_S) * contact.area_mm2 * (contact.length_mm - x) / contact.radius_mm
+    return {
+        "largest": point.max(),
+        "x": x[point.argmax()],
+        "equator": point[-1],
+        "mean": np.trapezoid(point, x) / x[-1],
+        "f_e": float(_steady_forces(SPEED_MM_S).f_e[0]),
+    }
+
+
+def _pressure_maximum() -> Values:
+    at = _steady_forces(*np.geomspace(LOWEST_MM_S, HIGHEST_MM_S, 200)).x_of_max_skew
+    x, strain = _strain_along_contact()
+    falling, constant = model_wall(PAPER_MODEL, strain), model_wall(PAPER_MODEL, 0.5)
+    fresh, relaxed, aged = np.zeros_like(x), np.full_like(x, np.inf), x / SPEED_MM_S
+
+    def position(wall: WallParameters, age_s: FloatArray) -> float:
+        return float(x[(_relaxing_stress(wall, strain, age_s) / (1 + strain)).argmax()])
+
+    return {
+        "length": _contact().length_mm,
+        "nearest": at.min(),
+        "farthest": at.max(),
+        "fresh": position(falling, fresh),
+        "relaxed": position(falling, relaxed),
+        "constant_fresh": position(constant, fresh),
+        "constant_relaxed": position(constant, relaxed),
+        "constant_aged": position(constant, aged),
+    }
+
+
+# Friction.
+
+
+def _dimension() -> Values:
     published, newtonian = (_steady_forces(*ENDS_MM_S, viscous=reading) for reading in ("published", "newtonian"))
-    numbers = [
-        FindingNumber(f"f_v read as {name}, {speed:g} mm/s", float(value), "mN")
-        for name, forces in (("δ v", published), ("δ (v/d) S", newtonian))
-        for speed, value in zip(ENDS_MM_S, forces.f_v, strict=True)
-    ]
-    share = [float(forces.f_v[-1] / forces.total[-1]) for forces in (published, newtonian)]
-    return PaperFinding(
-        "viscous-dimension",
-        "Eq. 10 is no force if δ is a viscosity",
-        "Eqs. 10 and 11",
-        "f_v = δ v, with the apparent viscosity δ of mucus against its shear rate v / d.",
-        (
-            *numbers,
-            FindingNumber(f"share of the total at {HIGHEST_MM_S:g} mm/s, δ v", 100 * share[0], "%", 2),
-            FindingNumber(f"share of the total at {HIGHEST_MM_S:g} mm/s, δ (v/d) S", 100 * share[1], "%", 2),
-        ),
-        f"Read with v in mm/s and δ in mN·s/mm it gives {rounded(published.f_v[0], 2)} to "
-        f"{rounded(published.f_v[1], 2)} mN, the small share that the text speaks of. With δ in Pa·s the shear "
-        f"stress δ v / d on S gives {rounded(newtonian.f_v[0], 2)} to {rounded(newtonian.f_v[1], 2)} mN, "
-        f"{rounded(100 * share[1], 2)} % of the total at {HIGHEST_MM_S:g} mm/s.",
-        "viscous = published is the default, newtonian the dimensionally consistent reading.",
-    )
+    return {
+        "slow": published.f_v[0],
+        "quick": published.f_v[1],
+        "newtonian_slow": newtonian.f_v[0],
+        "newtonian_quick": newtonian.f_v[1],
+        "share": 100 * (published.f_v[1] / published.total[1]),
+        "newtonian_share": 100 * (newtonian.f_v[1] / newtonian.total[1]),
+    }
 
 
-def _lubrication() -> PaperFinding:
+def _lubrication() -> Values:
+    forces, mu = _steady_forces(SPEED_MM_S), PAPER_MODEL.friction_coefficient
+    film = float(forces.f_v[0]) / (PAPER_CAPSULE.mass_g * GRAVITY_M_S2 + float(forces.side_pressure_force[0]))
+    return {"film": film, "mu": mu, "ratio": mu / film}
+
+
+def _weight() -> Values:
     forces = _steady_forces(SPEED_MM_S)
-    normal = PAPER_CAPSULE.mass_g * GRAVITY_M_S2 + float(forces.side_pressure_force[0])
-    film = float(forces.f_v[0]) / normal
-    return PaperFinding(
-        "lubrication",
-        "Full lubrication and dry friction at once",
-        "Sections 2.2 and 2.3",
-        "The capsule is said to be nearly completely lubricated, by a film of 30 µm; Coulomb friction of the villi "
-        "is added in full.",
-        (
-            FindingNumber(f"friction coefficient of the film alone, {SPEED_MM_S:g} mm/s", film, "", 2),
-            FindingNumber("friction coefficient used", PAPER_MODEL.friction_coefficient, "", 2),
-        ),
-        f"The film alone would make a coefficient of {rounded(film, 2)} at {SPEED_MM_S:g} mm/s; the model adds "
-        f"{rounded(PAPER_MODEL.friction_coefficient / film, 2)} times as much for the contact that a film excludes.",
-        "Both are added, as printed; the joint fit gives each its own scale and says whether the runs separate them.",
-    )
+    side = float(forces.side_pressure_force[0])
+    return {
+        "weight": PAPER_CAPSULE.mass_g * GRAVITY_M_S2,
+        "side": side,
+        "without": PAPER_MODEL.friction_coefficient * side,
+        "f_c": forces.f_c[0],
+    }
 
 
-def _weight() -> PaperFinding:
-    forces = _steady_forces(SPEED_MM_S)
-    side, weight = float(forces.side_pressure_force[0]), PAPER_CAPSULE.mass_g * GRAVITY_M_S2
-    without = PAPER_MODEL.friction_coefficient * side
-    return PaperFinding(
-        "weight",
-        "The weight is in the text and not in the equation",
-        "Section 2.3, Eqs. 12 and 13",
-        "N is called a local contact pressure that consists of the weight's normal force and the radial pressure; "
-        "Eq. 13 holds the latter alone.",
-        (
-            FindingNumber("m g", weight, "mN", 4),
-            FindingNumber(f"P(L) S at {SPEED_MM_S:g} mm/s", side, "mN", 4),
-            FindingNumber("f_c without the weight", without, "mN"),
-            FindingNumber("f_c with the weight", float(forces.f_c[0]), "mN"),
-        ),
-        f"By Eq. 13 alone f_c at {SPEED_MM_S:g} mm/s is {rounded(without)} mN; with the weight it is "
-        f"{rounded(forces.f_c[0])} mN. N is a force in both, not a pressure.",
-        "N = m g + P(L) S.",
-    )
-
-
-def _coulomb_and_speed() -> PaperFinding:
+def _coulomb_and_speed() -> Values:
     forces = _steady_forces(*ENDS_MM_S)
-    rise = [float(part[1] - part[0]) for part in (forces.f_c, forces.f_v, forces.f_e)]
-    return PaperFinding(
-        "coulomb-speed",
-        "Coulomb friction depends on speed nearly as much as viscous friction",
-        "Section 3.3, Fig. 9, Eqs. 12 and 13",
-        "Viscous friction is said to depend on the speed, Coulomb friction hardly.",
-        tuple(
-            FindingNumber(f"{name} rises from {LOWEST_MM_S:g} to {HIGHEST_MM_S:g} mm/s by", value, "mN")
-            for name, value in zip(("f_c", "f_v", "f_e"), rise, strict=True)
-        ),
-        f"Through P(L) f_c rises by {rounded(rise[0])} mN, {percent(rise[0] / float(forces.f_c[0]))} of itself, from "
-        f"{LOWEST_MM_S:g} to {HIGHEST_MM_S:g} mm/s, and f_v by {rounded(rise[1])} mN.",
-        "f_c follows the side pressure at its age, at every sample.",
-    )
+    f_c, f_v, f_e = (float(part[1] - part[0]) for part in (forces.f_c, forces.f_v, forces.f_e))
+    return {"f_c": f_c, "f_v": f_v, "f_e": f_e, "relative": 100 * (f_c / float(forces.f_c[0]))}
 
 
-def _major_share() -> PaperFinding:
+def _major_share() -> Values:
     from scipy.optimize import brentq
 
     forces = _steady_forces(*ENDS_MM_S)
-    shares = (forces.f_e / forces.total).tolist()
+    slow, quick = 100 * (forces.f_e / forces.total)
 
     def ahead(speed: float) -> float:
         there = _steady_forces(speed)
         return float(there.f_e[0] - there.f_c[0])
 
-    equal = float(brentq(ahead, *ENDS_MM_S))
-    return PaperFinding(
-        "major-share",
-        "The environmental resistance is not the largest part everywhere",
-        "Section 3.3, Fig. 9",
-        "Environmental resistance is said to hold the major share of the friction.",
-        (
-            FindingNumber(f"share of f_e at {LOWEST_MM_S:g} mm/s", 100 * shares[0], "%", 2),
-            FindingNumber(f"share of f_e at {HIGHEST_MM_S:g} mm/s", 100 * shares[1], "%", 2),
-            FindingNumber("speed at which f_e = f_c", equal, "mm/s", 2),
-        ),
-        f"Its share is {rounded(100 * shares[0], 2)} % at {LOWEST_MM_S:g} mm/s and {rounded(100 * shares[1], 2)} % "
-        f"at {HIGHEST_MM_S:g} mm/s; below {rounded(equal, 2)} mm/s Coulomb friction is larger.",
-        "The parts are given for every speed.",
-    )
+    return {"slow": slow, "quick": quick, "equal": float(brentq(ahead, *ENDS_MM_S))}
 
 
-def _logarithm() -> PaperFinding:
-    total = _steady_forces(*SPEEDS_MM_S).total
-    log_speed = np.log(SPEEDS_MM_S)
+def _logarithm() -> Values:
+    total, log_speed = model_forces(np.array(SPEEDS_MM_S)), np.log(SPEEDS_MM_S)
     slope, intercept = np.polyfit(log_speed, total, 1)
     miss = total - (intercept + slope * log_speed)
-    r2 = 1 - float(miss @ miss) / float(((total - total.mean()) ** 2).sum())
-    near = np.array([LOWEST_MM_S, 1.01 * LOWEST_MM_S, HIGHEST_MM_S / 1.01, HIGHEST_MM_S])
-    local = _steady_forces(*near).total
-    slopes = [float((local[i + 1] - local[i]) / np.log(1.01)) for i in (0, 2)]
-    worst = float(np.abs(miss).max())
-    return PaperFinding(
-        "logarithm",
-        "The sum does not grow as the logarithm of the speed",
-        "Section 3.3, Fig. 9",
-        "The frictional resistance is said to increase logarithmically with velocity.",
-        (
-            FindingNumber("slope of the best law a + b ln v", float(slope), "mN"),
-            FindingNumber("a at 1 mm/s", float(intercept), "mN"),
-            FindingNumber("R² of that law for the model's own curve", r2),
-            FindingNumber("its largest miss", worst, "mN"),
-            FindingNumber(f"the model's own slope at {LOWEST_MM_S:g} mm/s", slopes[0], "mN", 2),
-            FindingNumber(f"the model's own slope at {HIGHEST_MM_S:g} mm/s", slopes[1], "mN", 2),
-        ),
-        f"The best law {rounded(intercept)} + {rounded(slope)} ln(v / 1 mm/s) mN misses the model's own curve, "
-        f"without any noise, by up to {rounded(worst, 2)} mN, more than the sensor's {SENSOR_ACCURACY_MN:g} mN. The "
-        f"model's slope against ln v grows from {rounded(slopes[0], 2)} to {rounded(slopes[1], 2)} mN; that of a "
-        "logarithm would be constant.",
-        "The law is fitted with the chance of its lack of fit beside it, and never taken for the model.",
-    )
+    slow, above_slow, below_quick, quick = _steady_forces(
+        LOWEST_MM_S, 1.01 * LOWEST_MM_S, HIGHEST_MM_S / 1.01, HIGHEST_MM_S
+    ).total
+    return {
+        "slope": slope,
+        "intercept": intercept,
+        "r2": 1 - float(miss @ miss) / float(((total - total.mean()) ** 2).sum()),
+        "worst": np.abs(miss).max(),
+        "slope_slow": (above_slow - slow) / np.log(1.01),
+        "slope_quick": (quick - below_quick) / np.log(1.01),
+    }
 
 
 def coulomb_weight_mN() -> float:
     """Weight of the Coulomb test's capsule."""
-    return printed.COULOMB_MASS_G * GRAVITY_M_S2
+    return COULOMB_MASS_G * GRAVITY_M_S2
 
 
 def coulomb_viscous_mN(reading: str = "published") -> float:
     """Viscous friction of the Coulomb test by Eqs. 10 and 11; `newtonian` is the other reading."""
     model = PAPER_MODEL.model_copy(update={"viscous": reading})
-    wide = PAPER_CAPSULE.model_copy(update={"diameter_mm": printed.COULOMB_DIAMETER_MM})
-    area = HemisphereContact.of(wide, WALL_THICKNESS_MM, model).area_mm2
-    return float(viscous_force(np.array(printed.COULOMB_SPEED_MM_S), model, area))
+    area = _contact(PAPER_CAPSULE.model_copy(update={"diameter_mm": COULOMB_DIAMETER_MM}), model).area_mm2
+    return float(viscous_force(np.array(COULOMB_SPEED_MM_S), model, area))
 
 
 def coulomb_coefficient(viscous_part_mN: float = 0.0) -> float:
     """Friction coefficient from the printed force with a viscous part taken off."""
-    return (printed.COULOMB_FORCE_MN - viscous_part_mN) / coulomb_weight_mN()
+    return (COULOMB_FORCE_MN - viscous_part_mN) / coulomb_weight_mN()
 
 
-def _coefficient_finding() -> PaperFinding:
-    whole, published, newtonian = (
-        coulomb_coefficient(),
-        coulomb_coefficient(coulomb_viscous_mN()),
-        coulomb_coefficient(coulomb_viscous_mN("newtonian")),
-    )
-    return PaperFinding(
-        "coefficient",
-        "0.082 is rounded, and holds the viscous friction too",
-        "Section 3.3, Fig. 8",
-        "40.07 mN at 0.5 mm/s with 50.1 g gives μ = 0.082, all of it taken for Coulomb friction.",
-        (
-            FindingNumber("weight", coulomb_weight_mN(), "mN", 4),
-            FindingNumber("μ from the whole force", whole),
-            FindingNumber("f_v at 0.5 mm/s", coulomb_viscous_mN(), "mN", 2),
-            FindingNumber("μ without f_v", published),
-            FindingNumber("μ without f_v read as δ (v/d) S", newtonian),
-        ),
-        f"The force over the weight is {rounded(whole)}; without the model's own viscous friction of "
-        f"{rounded(coulomb_viscous_mN(), 2)} mN it is {rounded(published)} ({percent(published / whole - 1)}), and "
-        f"{rounded(newtonian)} with the dimensionally consistent one. The model then adds f_v to f_c once more.",
-        "The model's default is the printed 0.082; the identification gives μ with and without the viscous share.",
-    )
+def _coefficient() -> Values:
+    whole, published = coulomb_coefficient(), coulomb_coefficient(coulomb_viscous_mN())
+    return {
+        "weight": coulomb_weight_mN(),
+        "whole": whole,
+        "f_v": coulomb_viscous_mN(),
+        "published": published,
+        "newtonian": coulomb_coefficient(coulomb_viscous_mN("newtonian")),
+        "difference": 100 * (published / whole - 1),
+    }
 
 
-def _not_returned() -> PaperFinding:
-    f_c = printed.FRICTION_COEFFICIENT * coulomb_weight_mN()
-    force = f_c + coulomb_viscous_mN()
-    return PaperFinding(
-        "not-returned",
-        "The model does not return the force that its μ came from",
-        "Section 3.3, Fig. 8, Eqs. 1, 10 and 12",
-        "μ is taken from a mean force of 40.07 mN.",
-        (
-            FindingNumber("f_c with μ = 0.082", f_c, "mN", 4),
-            FindingNumber("f_v at 0.5 mm/s", coulomb_viscous_mN(), "mN", 2),
-            FindingNumber("the model's force", force, "mN", 4),
-            FindingNumber("printed force", printed.COULOMB_FORCE_MN, "mN", 4),
-        ),
-        f"For the same run the model with μ = 0.082 says {rounded(force, 4)} mN, "
-        f"{rounded(100 * force / printed.COULOMB_FORCE_MN - 100, 2)} % more than was measured: rounding and the "
-        "viscous friction that is counted twice.",
-        "The simulated run shows that force; what was put in comes back as μ without the viscous share.",
-    )
+def _not_returned() -> Values:
+    f_c, f_v = FRICTION_COEFFICIENT * coulomb_weight_mN(), coulomb_viscous_mN()
+    excess = 100 * (f_c + f_v) / COULOMB_FORCE_MN - 100
+    return {"f_c": f_c, "f_v": f_v, "force": f_c + f_v, "printed": COULOMB_FORCE_MN, "excess": excess}
 
 
-def _accuracy() -> PaperFinding:
+def _accuracy() -> Values:
     from scipy.optimize import brentq
 
-    accuracy = printed.SENSOR_ACCURACY_MN
-    total = steady_forces(printed.SPEEDS_MM_S, PAPER_MODEL, PAPER_CAPSULE, WALL_THICKNESS_MM).total
-    steps = np.diff(total)
-    within = int(np.searchsorted(total - total[0], accuracy))
-    slowest = " and ".join(f"{speed:g}" for speed in printed.SPEEDS_MM_S[:within])
+    total = model_forces(np.array(SPEEDS_MM_S))
+    within = int(np.searchsorted(total - total[0], SENSOR_ACCURACY_MN))
+    spans = (f"{low:g} to {high:g}" for low, high in pairwise(SPEEDS_MM_S))
 
     def lacking(speed: float) -> float:
-        return float(viscous_force(np.array(speed), PAPER_MODEL, 1.0)) - accuracy
+        return float(viscous_force(np.array(speed), PAPER_MODEL, 1.0)) - SENSOR_ACCURACY_MN
 
-    enough = float(brentq(lacking, 1e-3, 1e3))
-    return PaperFinding(
-        "accuracy",
-        "The sensor's accuracy is as large as the differences that are interpreted",
-        "Sections 3.1 and 3.3, Figs. 8, 9 and 11",
-        "The force sensor is accurate to 5 mN; forces are given to 0.01 mN, and the parts of the model are compared.",
-        (
-            FindingNumber("accuracy over the Coulomb force", 100 * accuracy / printed.COULOMB_FORCE_MN, "%", 2),
-            FindingNumber("accuracy as a friction coefficient", accuracy / coulomb_weight_mN(), "", 2),
-            FindingNumber("f_v at 0.5 mm/s", coulomb_viscous_mN(), "mN", 2),
-            FindingNumber("speed at which f_v reaches the accuracy", enough, "mm/s", 2),
-            *(
-                FindingNumber(f"the model from {low:g} to {high:g} mm/s", float(step), "mN")
-                for low, high, step in zip(printed.SPEEDS_MM_S, printed.SPEEDS_MM_S[1:], steps, strict=False)
-            ),
-        ),
-        f"5 mN are {rounded(100 * accuracy / printed.COULOMB_FORCE_MN, 2)} % of 40.07 mN, or "
-        f"±{rounded(accuracy / coulomb_weight_mN(), 2)} in μ. f_v stays below them up to {rounded(enough, 2)} mm/s, "
-        f"and the model's whole rise over the slowest speeds ({slowest} mm/s) is smaller. A mean over many samples "
-        "is more precise than that, but a zero that is off by 5 mN is not averaged out.",
-        "Each run has a zero of its own in the joint fit, means carry errors that know of correlated noise, and a "
-        "tare can be planned before each run.",
-    )
+    return {
+        "over_force": 100 * SENSOR_ACCURACY_MN / COULOMB_FORCE_MN,
+        "as_mu": SENSOR_ACCURACY_MN / coulomb_weight_mN(),
+        "f_v": coulomb_viscous_mN(),
+        "enough": float(brentq(lacking, 1e-3, 1e3)),
+        "steps": dict(zip(spans, np.diff(total), strict=True)),
+        "slowest": " and ".join(f"{speed:g}" for speed in SPEEDS_MM_S[:within]),
+    }
+
+
+# R² (Eq. 15).
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,26 +479,15 @@ class DeterminationExample:
     correlation: float
 
 
-def r2_by_eq15(model: FloatArray, measured: FloatArray) -> float:
-    """R² as the paper computes it: sums of squares about the model's mean, model over measurement."""
-    mean = model.mean()
-    return float(((model - mean) ** 2).sum() / ((measured - mean) ** 2).sum())
-
-
-def r2_by_correlation(model: FloatArray, measured: FloatArray) -> float:
-    """Square of the correlation, as the paper describes it."""
-    return float(np.corrcoef(model, measured)[0, 1] ** 2)
-
-
 def band_speeds(above: bool) -> FloatArray:
     """Return the programme's speeds above the paper's boundary, or up to it [mm/s]."""
-    speeds = np.array(printed.SPEEDS_MM_S)
+    speeds = np.array(SPEEDS_MM_S)
     return np.asarray(speeds[(speeds > BOUNDARY_MM_S) == above])
 
 
 def model_forces(speeds_mm_s: FloatArray) -> FloatArray:
     """Return the model's steady force [mN]."""
-    return steady_forces(speeds_mm_s, PAPER_MODEL, PAPER_CAPSULE, WALL_THICKNESS_MM).total
+    return _steady_forces(*speeds_mm_s).total
 
 
 def determination_examples() -> tuple[DeterminationExample, ...]:
@@ -332,12 +497,12 @@ def determination_examples() -> tuple[DeterminationExample, ...]:
     made_up = {
         "half as steep": mean + (model - mean) / 2,
         "mirrored: falls where the model rises": 2 * mean - model,
-        "shifted by 5 mN": model + printed.SENSOR_ACCURACY_MN,
+        "shifted by 5 mN": model + SENSOR_ACCURACY_MN,
         f"shifted so far that Eq. 15 gives {R2_ABOVE:g}": model + offset_for_r2(R2_ABOVE, model),
     }
     return tuple(
         DeterminationExample(
-            name, tuple(map(float, forces)), r2_by_eq15(model, forces), r2_by_correlation(model, forces)
+            name, tuple(map(float, forces)), r2_eq15(model, forces) or 0.0, squared_correlation(model, forces) or 0.0
         )
         for name, forces in made_up.items()
     )
@@ -348,60 +513,97 @@ def offset_for_r2(r2: float, model: FloatArray) -> float:
     return float(model.std()) * sqrt(1 / r2 - 1)
 
 
-def _no_correlation() -> PaperFinding:
-    made_up = determination_examples()
-    flat, mirrored = made_up[0], made_up[1]
-    numbers = [
-        number
-        for example in made_up
-        for number in (
-            FindingNumber(f"Eq. 15, {example.name}", example.eq15, "", 4),
-            FindingNumber(f"squared correlation, {example.name}", example.correlation, "", 4),
-        )
-    ]
-    return PaperFinding(
-        "eq15",
-        "Eq. 15 is not the square of the correlation",
-        "Section 4, Eq. 15",
-        "R² is called the square of the correlation; its formula divides the model's sum of squares about the "
-        "model's mean by the measurement's about the same mean.",
-        tuple(numbers),
-        "The ratio can exceed 1 and does not see the sign: a measurement half as steep as the model gets "
-        f"{rounded(flat.eq15)}, one that falls where the model rises {rounded(mirrored.eq15)}; both have a squared "
-        f"correlation of {rounded(flat.correlation)}.",
-        "Both forms are reported, under names of their own.",
-    )
+def _no_correlation() -> Values:
+    examples = determination_examples()
+    r2: dict[str, float] = {}
+    for example in examples:
+        r2[f"Eq. 15, {example.name}"] = example.eq15
+        r2[f"squared correlation, {example.name}"] = example.correlation
+    flat, mirrored = examples[:2]
+    return {"r2": r2, "flat": flat.eq15, "mirrored": mirrored.eq15, "correlation": flat.correlation}
 
 
-def _offset_finding() -> PaperFinding:
-    below, above = model_forces(band_speeds(above=False)), model_forces(band_speeds(above=True))
+def _offset() -> Values:
+    below, above = (model_forces(band_speeds(above=is_above)) for is_above in (False, True))
     low, high = offset_for_r2(R2_BELOW, below), offset_for_r2(R2_ABOVE, above)
-    same = 1 / (1 + (low / float(above.std())) ** 2)
-    return PaperFinding(
-        "offset",
-        "A constant offset and a narrow band lower Eq. 15 by themselves",
-        "Section 4, Eq. 15, Fig. 11",
-        f"R² is {R2_BELOW:g} below {BOUNDARY_MM_S:g} mm/s and {R2_ABOVE:g} above, from which the model is said to "
-        "fail above.",
-        (
-            FindingNumber(f"spread of the model's forces up to {BOUNDARY_MM_S:g} mm/s", float(below.std()), "mN"),
-            FindingNumber(f"spread of the model's forces above {BOUNDARY_MM_S:g} mm/s", float(above.std()), "mN"),
-            FindingNumber(f"offset that alone gives {R2_BELOW:g} below", low, "mN", 2),
-            FindingNumber(f"offset that alone gives {R2_ABOVE:g} above", high, "mN", 2),
-            FindingNumber("Eq. 15 above with the offset that gives 0.8769 below", same, "", 2),
-            FindingNumber("the larger offset over the model's mean above", 100 * high / float(above.mean()), "%", 2),
-        ),
-        f"On the speeds of our programme an offset of {rounded(low, 2)} mN, with everything else perfect, makes "
-        f"{R2_BELOW:g} below; the same offset makes {rounded(same, 2)} above, where the model's forces spread less "
-        f"({rounded(above.std())} against {rounded(below.std())} mN). {R2_ABOVE:g} needs {rounded(high, 2)} mN, "
-        f"{rounded(100 * high / float(above.mean()), 2)} % of the model's mean there. How much of the paper's "
-        "difference is of this kind is unknown without its data.",
-        "R² stands beside the differences themselves, with their errors, and the boundary is estimated from these.",
-    )
+    return {
+        "spread_below": below.std(),
+        "spread_above": above.std(),
+        "low": low,
+        "high": high,
+        "same": 1 / (1 + (low / float(above.std())) ** 2),
+        "relative": 100 * high / float(above.mean()),
+    }
 
 
-SAME_STRAIN_TOLERANCE = 0.02
-"""Largest difference of strains that count as equal."""
+# Speeds above the boundary.
+
+
+def inertial_pressure(x_mm: FloatArray, speed_mm_s: float) -> FloatArray:
+    """Pressure [kPa] that the wall's inertia takes off the contact at x, at constant speed.
+
+    The wall follows r(x), so that its acceleration is v² r″ with r″ = −R² / r³; all of its thickness is taken
+    to move so.
+    """
+    contact = _contact()
+    curvature = contact.radius_mm**2 / contact.local_radius(x_mm) ** 3
+    # g/mm³ · mm · mm/s² is 1e-6 N/mm², and a kPa is 1e-3 N/mm².
+    return np.asarray(1e-3 * DENSITY_G_MM3 * WALL_THICKNESS_MM * speed_mm_s**2 * curvature)
+
+
+def _inertia() -> Values:
+    x = np.linspace(0.0, _contact().length_mm, 200_001)
+    pressure, inertial = _contact().pressure(x, x / HIGHEST_MM_S), inertial_pressure(x, HIGHEST_MM_S)
+    most, contact = 1e3 * float(inertial.max()), 1e3 * float(pressure.max())
+    return {
+        "slower": 1e3 * inertial_pressure(x, BOUNDARY_MM_S).max(),
+        "most": most,
+        "contact": contact,
+        "ratio": 100 * most / contact,
+        "lifted": 1e3 * x[(pressure > inertial).argmax()],
+    }
+
+
+def _model_speeds() -> Values:
+    contact = _contact()
+    fast, slow = model_wall(PAPER_MODEL, contact.strain_at_equator).rates
+    return {"slow": float(slow) * contact.length_mm, "fast": float(fast) * contact.length_mm}
+
+
+FINDINGS: Mapping[str, Callable[[], Values]] = {
+    "eq14-table1": _eq14_against_table1,
+    "eta-unit": _damper_unit,
+    "stress-falls": _stress_falls,
+    "shear-as-hoop": _shear_as_hoop,
+    "strain-range": _strain_range,
+    "ramp": _ramp_as_step,
+    "fixture-gap": _fixture_gap,
+    "thick-wall": _thick_wall,
+    "constant-thickness": _constant_thickness,
+    "two-capsules": _two_capsules,
+    "side-area": _side_area,
+    "side-length": _side_length,
+    "strain-history": _strain_history,
+    "pointwise": _pointwise,
+    "maximum": _pressure_maximum,
+    "viscous-dimension": _dimension,
+    "lubrication": _lubrication,
+    "weight": _weight,
+    "coulomb-speed": _coulomb_and_speed,
+    "major-share": _major_share,
+    "logarithm": _logarithm,
+    "coefficient": _coefficient,
+    "not-returned": _not_returned,
+    "accuracy": _accuracy,
+    "eq15": _no_correlation,
+    "offset": _offset,
+    "inertia": _inertia,
+    "boundary": _model_speeds,
+}
+"""What computes the values of each finding, by its key."""
+
+
+# Table 1 beside identified elements.
 
 
 @dataclass(frozen=True, slots=True)
@@ -425,7 +627,7 @@ class ElementRow:
     @property
     def unit(self) -> str:
         """Unit of the element."""
-        return ELEMENT_UNITS[self.published.parameter]
+        return WALL_UNITS[self.published.parameter]
 
     @property
     def difference(self) -> float | None:
@@ -459,7 +661,7 @@ def element_rows(
         The model of each run, by its file's name.
     """
     fits = () if relaxation is None else [fit for fit in relaxation.fits if fit.elements]
-    rows = []
+    order, rows = list(WALL_UNITS), []
     for published in parameter_set_differences():
         near = (fit for fit in fits if abs(fit.shear_strain - published.strain) <= SAME_STRAIN_TOLERANCE)
         fit = next(near, None)
@@ -467,25 +669,4 @@ def element_rows(
         wall = model_wall(model if fit is None else of_run.get(fit.file, model), published.strain)
         simulated = float(getattr(wall, published.parameter))
         rows.append(ElementRow(published, elements.get(published.parameter), simulated))
-    return tuple(sorted(rows, key=lambda row: (ELEMENT_NAMES.index(row.published.parameter), row.published.strain)))
-
-
-FRICTION_FINDINGS = (
-    _dimension,
-    _lubrication,
-    _weight,
-    _coulomb_and_speed,
-    _major_share,
-    _logarithm,
-    _coefficient_finding,
-    _not_returned,
-    _accuracy,
-    _no_correlation,
-    _offset_finding,
-)
-
-
-@cache
-def all_findings() -> tuple[PaperFinding, ...]:
-    """Compute all findings, by the model as printed."""
-    return tuple(finding() for finding in (*WALL_FINDINGS, *FRICTION_FINDINGS, *HIGH_SPEED_FINDINGS))
+    return tuple(sorted(rows, key=lambda row: (order.index(row.published.parameter), row.published.strain)))

@@ -30,6 +30,8 @@ SKEW_SPEEDS_MM_S: Final = (0.5, 2.0, 5.0, 10.0, 20.0, 60.0)
 """Speeds of the curves of skew resistance, Fig. 7."""
 WALL_UNITS: Final = {"E1": "kPa", "E2": "kPa", "E3": "kPa", "eta1": "kPa·s", "eta2": "kPa·s"}
 """Units of the wall's five elements, Table 1."""
+ELEMENT_SYMBOLS: Final = {"E1": "E1", "E2": "E2", "E3": "E3", "eta1": "η1", "eta2": "η2"}
+"""Elements by their name in the model's settings."""
 PAPER_MODEL: Final = FrictionModelSettings()
 """The model as printed: Eq. 14, mucus as published, μ = 0.082."""
 PAPER_CAPSULE: Final = Capsule(name="drag", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=COULOMB_MASS_G)

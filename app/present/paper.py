@@ -22,8 +22,7 @@ from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARI
 from dragrig.analysis.paper import findings as paper_findings
 from dragrig.analysis.paper import published
 from dragrig.analysis.paper.findings import ElementRow, determination_examples
-from dragrig.analysis.paper.published import PaperFinding
-from dragrig.analysis.paper.wall_findings import ELEMENT_SYMBOLS
+from dragrig.analysis.paper.published import ELEMENT_SYMBOLS, PaperFinding
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule
