@@ -3,10 +3,9 @@
 Also the linear systems and the rate-independent hysteresis that several share, sampled with the record.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
-from types import MappingProxyType
-from typing import Annotated, ClassVar, Self, dataclass_transform, get_type_hints
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
 from zlib import crc32
 
 import numpy as np
@@ -37,7 +36,17 @@ class DrawnFrom:
         return float(value * (random.choice([-1.0, 1.0]) if self.signed else 1.0))
 
 
-DrawnPhase = Annotated[float, DrawnFrom(0.0, 2 * np.pi)]
+def in_log(low: float, high: float) -> DrawnFrom:
+    """Return a range that a parameter is drawn from uniformly in its logarithm."""
+    return DrawnFrom(low, high, log=True)
+
+
+def signed(low: float, high: float) -> DrawnFrom:
+    """Return a range of absolute values; the sign is drawn too."""
+    return DrawnFrom(low, high, signed=True)
+
+
+PHASE = DrawnFrom(0.0, 2 * np.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +88,15 @@ class CapsuleForces:
     normal: Floats
 
 
-@dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class HiddenEffect:
-    """A hidden effect; subclasses, frozen dataclasses themselves, override the hooks of the location where it acts.
+    """A hidden effect: a form, which overrides the hooks of the location where it acts, with values of its parameters.
 
     `name` is an id of the catalogue, or another for an effect outside it; `form` is the functional form. Parameters are
-    fields annotated with the `DrawnFrom` that they are drawn from; the size scales `amplitude` alone.
+    attributes, drawn from `ranges` in their order; the size scales `amplitude` alone.
     """
 
-    amplitude: float
+    parameters: Mapping[str, float]
 
     name: ClassVar[str]
     form: ClassVar[str]
@@ -96,9 +104,12 @@ class HiddenEffect:
     rank: ClassVar[int] = 0
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
+    ranges: ClassVar[Mapping[str, DrawnFrom]]
 
-    def __init_subclass__(cls) -> None:
-        dataclass(frozen=True)(cls)
+    def __getattr__(self, name: str) -> float:
+        if name == "parameters" or name not in self.parameters:
+            raise AttributeError(f"{type(self).__name__} has no parameter {name}")
+        return self.parameters[name]
 
     def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         """Return the true motion of the stage, from the commanded one."""
@@ -152,23 +163,38 @@ class HiddenEffect:
     @classmethod
     def drawn(cls, random: np.random.Generator, size: float) -> Self:
         """Draw an effect of this form; `size` scales its amplitude alone."""
-        hints = get_type_hints(cls, include_extras=True)
-        ranges = {field.name: _range(cls, field.name, hints[field.name]) for field in fields(cls)}
-        values = {name: drawn_from(random) for name, drawn_from in ranges.items()}
+        values = {name: drawn_from(random) for name, drawn_from in cls.ranges.items()}
         values["amplitude"] *= size
-        return cls(**values)
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """Names and values of the parameters, the amplitude among them."""
-        return MappingProxyType({field.name: float(getattr(self, field.name)) for field in fields(self)})
+        return cls(values)
 
 
-def _range(cls: type[HiddenEffect], name: str, hint: object) -> DrawnFrom:
-    for extra in getattr(hint, "__metadata__", ()):
-        if isinstance(extra, DrawnFrom):
-            return extra
-    raise TypeError(f"{cls.__name__}.{name} has no DrawnFrom; annotate it with the range that it is drawn from")
+def drawn(**ranges: DrawnFrom | tuple[float, float]) -> Callable[[type[HiddenEffect]], type[HiddenEffect]]:
+    """Give a form the ranges of its parameters, in the order of drawing; a pair of numbers is drawn from uniformly."""
+
+    def give(form: type[HiddenEffect]) -> type[HiddenEffect]:
+        form.ranges = {name: DrawnFrom(*ends) if isinstance(ends, tuple) else ends for name, ends in ranges.items()}
+        return form
+
+    return give
+
+
+def hidden_form(
+    hook: str, name: str, form: str, kinds: frozenset[str] = ALL_RUNS, *, rank: int = 0, channel: str = "force"
+) -> Callable[[Callable[..., object]], type[HiddenEffect]]:
+    """Make a form of a function: a hidden effect whose only hook, of this name, it is."""
+
+    def make(law: Callable[..., object]) -> type[HiddenEffect]:
+        class Form(HiddenEffect):
+            __doc__ = law.__doc__
+
+        described = {"name": name, "form": form, "kinds": kinds, "rank": rank, "channel": channel, hook: law}
+        for attribute, value in described.items():
+            setattr(Form, attribute, value)
+        Form.__name__ = Form.__qualname__ = law.__name__
+        Form.__module__ = law.__module__
+        return Form
+
+    return make
 
 
 def second_order(values: Floats, natural: float, damping: float, t: Floats) -> Floats:

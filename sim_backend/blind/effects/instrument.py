@@ -1,365 +1,255 @@
 """Hidden effects of force sensor, payload, motor and acquisition."""
 
-from typing import Annotated
-
 import numpy as np
 
 from dragrig.sim_backend.blind.effects.hidden_effect import (
+    PHASE,
     DrawnFrom,
-    DrawnPhase,
     HiddenEffect,
     RunConditions,
+    dahl_operator,
     delayed,
+    drawn,
     first_order,
+    hidden_form,
+    in_log,
     low_pass,
+    play_operator,
+    resonance,
+    signed,
 )
 from dragrig.sim_backend.blind.run_plans import Floats, SampledMotion
 
 
-class DriftRoot(HiddenEffect):
+@drawn(amplitude=signed(5.0, 14.0))
+@hidden_form("sensor", "force_drift", "root of time", rank=2)
+def drift_root(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Zero that drifts with the root of the run's time, somewhat differently in every run."""
-
-    name, form, rank = "force_drift", "root of time", 2
-    amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        own = 1 + 0.2 * run.random("drift").standard_normal()
-        return force + self.amplitude * own * np.sqrt(run.motion.t / 20.0)
+    own = 1 + 0.2 * run.random("drift").standard_normal()
+    return force + effect.amplitude * own * np.sqrt(run.motion.t / 20.0)
 
 
-class DriftBent(HiddenEffect):
+@drawn(amplitude=signed(5.0, 14.0), time_s=in_log(3.0, 15.0))
+@hidden_form("sensor", "force_drift", "bent line", rank=2)
+def drift_bent(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Zero that drifts at a rate which falls by half over some seconds."""
-
-    name, form, rank = "force_drift", "bent line", 2
-    amplitude: Annotated[float, DrawnFrom(5.0, 14.0, signed=True)]
-    time_s: Annotated[float, DrawnFrom(3.0, 15.0, log=True)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        own = 1 + 0.3 * run.random("drift").standard_normal()
-        grown = np.log1p(run.motion.t / self.time_s) / np.log1p(20.0 / self.time_s)
-        return np.asarray(force + self.amplitude * own * grown)
+    own = 1 + 0.3 * run.random("drift").standard_normal()
+    grown = np.log1p(run.motion.t / effect.time_s) / np.log1p(20.0 / effect.time_s)
+    return np.asarray(force + effect.amplitude * own * grown)
 
 
-class NonlinearCubic(HiddenEffect):
+@drawn(amplitude=signed(0.1, 0.2), load_mN=(220.0, 450.0))
+@hidden_form("sensor", "force_nonlinearity", "kink", rank=2)
+def nonlinear_cubic(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Gain that changes beyond a load, as where an overload stop begins to touch."""
-
-    name, form, rank = "force_nonlinearity", "kink", 2
-    amplitude: Annotated[float, DrawnFrom(0.1, 0.2, signed=True)]
-    load_mN: Annotated[float, DrawnFrom(220.0, 450.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        beyond = np.maximum(np.abs(force) - self.load_mN, 0.0)
-        return np.asarray(force + self.amplitude * np.sign(force) * beyond)
+    beyond = np.maximum(np.abs(force) - effect.load_mN, 0.0)
+    return np.asarray(force + effect.amplitude * np.sign(force) * beyond)
 
 
-class NonlinearSoft(HiddenEffect):
+@drawn(amplitude=signed(0.03, 0.08), full_mN=(1400.0, 2000.0))
+@hidden_form("sensor", "force_nonlinearity", "bow between two true loads", rank=2)
+def nonlinear_soft(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Gain that is correct at zero and at full load, with the largest error between."""
-
-    name, form, rank = "force_nonlinearity", "bow between two true loads", 2
-    amplitude: Annotated[float, DrawnFrom(0.03, 0.08, signed=True)]
-    full_mN: Annotated[float, DrawnFrom(1400.0, 2000.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        return np.asarray(force * (1 + self.amplitude * np.sin(np.pi * force / self.full_mN)))
+    return np.asarray(force * (1 + effect.amplitude * np.sin(np.pi * force / effect.full_mN)))
 
 
-class HysteresisDahl(HiddenEffect):
+@drawn(amplitude=(5.0, 12.0), width_mN=in_log(6.0, 30.0), creeps=(0.4, 0.6), time_s=(2.0, 6.0))
+@hidden_form("sensor", "force_hysteresis", "Dahl with creep", rank=1)
+def hysteresis_dahl(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Hysteresis whose branches approach a band exponentially in the load, and which partly creeps off."""
-
-    name, form, rank = "force_hysteresis", "Dahl with creep", 1
-    amplitude: Annotated[float, DrawnFrom(5.0, 12.0)]
-    width_mN: Annotated[float, DrawnFrom(6.0, 30.0, log=True)]
-    creeps: Annotated[float, DrawnFrom(0.4, 0.6)]
-    time_s: Annotated[float, DrawnFrom(2.0, 6.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.hidden_effect import dahl_operator, first_order
-
-        state = dahl_operator(force, self.width_mN)
-        return force - self.amplitude * (state - self.creeps * first_order(state, self.time_s, run.motion.t))
+    state = dahl_operator(force, effect.width_mN)
+    return force - effect.amplitude * (state - effect.creeps * first_order(state, effect.time_s, run.motion.t))
 
 
-class HysteresisStack(HiddenEffect):
+@drawn(amplitude=(4.0, 10.0), spread=(0.2, 0.7), load_mN=(250.0, 500.0))
+@hidden_form("sensor", "force_hysteresis", "Prandtl stack, widens", rank=1)
+def hysteresis_stack(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """A stack of four plays of different widths, wider under load."""
-
-    name, form, rank = "force_hysteresis", "Prandtl stack, widens", 1
-    amplitude: Annotated[float, DrawnFrom(4.0, 10.0)]
-    spread: Annotated[float, DrawnFrom(0.2, 0.7)]
-    load_mN: Annotated[float, DrawnFrom(250.0, 500.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.hidden_effect import play_operator
-
-        load = np.arcsinh(force / self.load_mN)
-        halves = self.amplitude / self.load_mN * (1 + self.spread * np.array([-1.0, -0.4, 0.4, 1.0]))
-        held = np.mean([play_operator(load, half) for half in halves.tolist()], axis=0)
-        return np.asarray(self.load_mN * np.sinh(held))
+    load = np.arcsinh(force / effect.load_mN)
+    halves = effect.amplitude / effect.load_mN * (1 + effect.spread * np.array([-1.0, -0.4, 0.4, 1.0]))
+    held = np.mean([play_operator(load, half) for half in halves.tolist()], axis=0)
+    return np.asarray(effect.load_mN * np.sinh(held))
 
 
-class HumHarmonics(HiddenEffect):
+@drawn(amplitude=(2.5, 6.0), mains=(0.0, 1.0), third=(0.1, 0.4))
+@hidden_form("sensor", "mains_hum", "third harmonic", rank=2)
+def hum_harmonics(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Mains pick-up with a third harmonic, with a random phase in every run."""
-
-    name, form, rank = "mains_hum", "third harmonic", 2
-    amplitude: Annotated[float, DrawnFrom(2.5, 6.0)]
-    mains: Annotated[float, DrawnFrom(0.0, 1.0)]
-    third: Annotated[float, DrawnFrom(0.1, 0.4)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        random = run.random("hum")
-        hertz = (50.0 if self.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
-        turn = 2 * np.pi * hertz * run.motion.t + random.uniform(0, 2 * np.pi)
-        return force + self.amplitude * (np.sin(turn) + self.third * np.sin(3 * turn + 1.0))
+    random = run.random("hum")
+    hertz = (50.0 if effect.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
+    turn = 2 * np.pi * hertz * run.motion.t + random.uniform(0, 2 * np.pi)
+    return force + effect.amplitude * (np.sin(turn) + effect.third * np.sin(3 * turn + 1.0))
 
 
-class HumBeating(HiddenEffect):
+@drawn(amplitude=(2.5, 6.0), mains=(0.0, 1.0), swell=(0.2, 0.5))
+@hidden_form("sensor", "mains_hum", "beating", rank=2)
+def hum_beating(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Mains pick-up whose strength swells slowly."""
-
-    name, form, rank = "mains_hum", "beating", 2
-    amplitude: Annotated[float, DrawnFrom(2.5, 6.0)]
-    mains: Annotated[float, DrawnFrom(0.0, 1.0)]
-    swell: Annotated[float, DrawnFrom(0.2, 0.5)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        random, t = run.random("hum"), run.motion.t
-        hertz = (50.0 if self.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
-        first, second = random.uniform(0, 2 * np.pi, 2)
-        slow = 1 + self.swell * np.sin(2 * np.pi * t * 0.15 + second)
-        return np.asarray(force + self.amplitude * slow * np.sin(2 * np.pi * hertz * t + first))
+    random, t = run.random("hum"), run.motion.t
+    hertz = (50.0 if effect.mains < 0.7 else 60.0) + 0.03 * random.standard_normal()
+    first, second = random.uniform(0, 2 * np.pi, 2)
+    slow = 1 + effect.swell * np.sin(2 * np.pi * t * 0.15 + second)
+    return np.asarray(force + effect.amplitude * slow * np.sin(2 * np.pi * hertz * t + first))
 
 
-class InertiaSoft(HiddenEffect):
+@drawn(amplitude=(15.0, 40.0), time_s=(0.003, 0.006))
+@hidden_form("sensor", "payload_inertia", "coupling soft one way")
+def inertia_soft(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Mass times acceleration [g], through a coupling that is stiff when pushed and soft when pulled."""
-
-    name, form = "payload_inertia", "coupling soft one way"
-    amplitude: Annotated[float, DrawnFrom(15.0, 40.0)]
-    time_s: Annotated[float, DrawnFrom(0.003, 0.006)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.hidden_effect import low_pass
-
-        a, t = run.motion.a, run.motion.t
-        slow = low_pass(np.minimum(a, 0.0), self.time_s, 1.0, t)
-        return force + self.amplitude / 1000 * (np.maximum(a, 0.0) + slow)
+    a, t = run.motion.a, run.motion.t
+    slow = low_pass(np.minimum(a, 0.0), effect.time_s, 1.0, t)
+    return force + effect.amplitude / 1000 * (np.maximum(a, 0.0) + slow)
 
 
-class InertiaUneven(HiddenEffect):
+@drawn(amplitude=(15.0, 40.0), missing=(0.1, 0.4))
+@hidden_form("sensor", "payload_inertia", "uneven")
+def inertia_uneven(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Mass times acceleration [g], part of it missing while slowing down."""
-
-    name, form = "payload_inertia", "uneven"
-    amplitude: Annotated[float, DrawnFrom(15.0, 40.0)]
-    missing: Annotated[float, DrawnFrom(0.1, 0.4)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        a = run.motion.a
-        return force + self.amplitude / 1000 * np.where(a > 0, a, (1 - self.missing) * a)
+    a = run.motion.a
+    return force + effect.amplitude / 1000 * np.where(a > 0, a, (1 - effect.missing) * a)
 
 
-class ComplianceMode(HiddenEffect):
+@drawn(amplitude=(15.0, 45.0), hertz=in_log(12.0, 40.0), damping=(0.03, 0.07), ratio=(1.6, 2.4))
+@hidden_form("sensor", "arm_compliance", "one mode, unequally damped")
+def compliance_mode(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """An arm that rings after every change of acceleration, longer when speeding up; the amplitude is its mass [g]."""
-
-    name, form = "arm_compliance", "one mode, unequally damped"
-    amplitude: Annotated[float, DrawnFrom(15.0, 45.0)]
-    hertz: Annotated[float, DrawnFrom(12.0, 40.0, log=True)]
-    damping: Annotated[float, DrawnFrom(0.03, 0.07)]
-    ratio: Annotated[float, DrawnFrom(1.6, 2.4)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.hidden_effect import resonance
-
-        a, t = run.motion.a, run.motion.t
-        faster = resonance(np.maximum(a, 0.0), self.hertz, self.damping, t)
-        slower = resonance(np.minimum(a, 0.0), self.hertz, self.damping * self.ratio, t)
-        return force + self.amplitude / 1000 * (faster + slower)
+    a, t = run.motion.a, run.motion.t
+    faster = resonance(np.maximum(a, 0.0), effect.hertz, effect.damping, t)
+    slower = resonance(np.minimum(a, 0.0), effect.hertz, effect.damping * effect.ratio, t)
+    return force + effect.amplitude / 1000 * (faster + slower)
 
 
-class ComplianceTwoModes(HiddenEffect):
+@drawn(amplitude=(15.0, 45.0), hertz=in_log(10.0, 25.0), damping=(0.03, 0.10), ratio=(1.6, 2.8), second=(0.15, 0.3))
+@hidden_form("sensor", "arm_compliance", "two modes")
+def compliance_two_modes(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """An arm that rings in two modes, bending and twisting."""
-
-    name, form = "arm_compliance", "two modes"
-    amplitude: Annotated[float, DrawnFrom(15.0, 45.0)]
-    hertz: Annotated[float, DrawnFrom(10.0, 25.0, log=True)]
-    damping: Annotated[float, DrawnFrom(0.03, 0.10)]
-    ratio: Annotated[float, DrawnFrom(1.6, 2.8)]
-    second: Annotated[float, DrawnFrom(0.15, 0.3)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        from dragrig.sim_backend.blind.effects.hidden_effect import resonance
-
-        a, t = run.motion.a, run.motion.t
-        first = resonance(a, self.hertz, self.damping, t)
-        other = resonance(a, self.hertz * self.ratio, self.damping, t)
-        return force + self.amplitude / 1000 * ((1 - self.second) * first + self.second * other)
+    a, t = run.motion.a, run.motion.t
+    first = resonance(a, effect.hertz, effect.damping, t)
+    other = resonance(a, effect.hertz * effect.ratio, effect.damping, t)
+    return force + effect.amplitude / 1000 * ((1 - effect.second) * first + effect.second * other)
 
 
-class LagSecondOrder(HiddenEffect):
+@drawn(amplitude=in_log(0.030, 0.110), damping=(0.9, 1.3), integral_s=in_log(0.5, 1.5), share=(0.45, 0.7))
+@hidden_form("motion", "servo_lag", "second order, integrated away", channel="position")
+def lag_second_order(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """A stage that follows as a damped second-order system; an integrator removes a share of its lag [s]."""
+    if not effect.amplitude:
+        return motion
+    time_s = effect.amplitude / (2 * effect.damping)
 
-    name, form, channel = "servo_lag", "second order, integrated away", "position"
-    amplitude: Annotated[float, DrawnFrom(0.030, 0.110, log=True)]
-    damping: Annotated[float, DrawnFrom(0.9, 1.3)]
-    integral_s: Annotated[float, DrawnFrom(0.5, 1.5, log=True)]
-    share: Annotated[float, DrawnFrom(0.45, 0.7)]
+    def follow(values: Floats) -> Floats:
+        behind = values - low_pass(values, time_s, effect.damping, motion.t)
+        return values - behind + effect.share * first_order(behind, effect.integral_s, motion.t)
 
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        if not self.amplitude:
-            return motion
-        time_s = self.amplitude / (2 * self.damping)
-
-        def follow(values: Floats) -> Floats:
-            behind = values - low_pass(values, time_s, self.damping, motion.t)
-            return values - behind + self.share * first_order(behind, self.integral_s, motion.t)
-
-        return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
+    return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
-class LagDeadTime(HiddenEffect):
+@drawn(amplitude=in_log(0.030, 0.110), dead=(0.2, 0.5), grows=(0.6, 1.0))
+@hidden_form("motion", "servo_lag", "dead time, grows with speed", channel="position")
+def lag_dead_time(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """A stage that starts late and follows through two poles, later at speed as its voltage runs out."""
-
-    name, form, channel = "servo_lag", "dead time, grows with speed", "position"
-    amplitude: Annotated[float, DrawnFrom(0.030, 0.110, log=True)]
-    dead: Annotated[float, DrawnFrom(0.2, 0.5)]
-    grows: Annotated[float, DrawnFrom(0.6, 1.0)]
-
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        if not self.amplitude:
-            return motion
-        lag = self.amplitude * (run.plan.peak_mm_s / 40.0) ** self.grows
-        late, time_s = self.dead * lag, (1 - self.dead) * lag / 2
-        p, v, a = (
-            low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a)
-        )
-        return SampledMotion(motion.t, p, v, a)
+    if not effect.amplitude:
+        return motion
+    lag = effect.amplitude * (run.plan.peak_mm_s / 40.0) ** effect.grows
+    late, time_s = effect.dead * lag, (1 - effect.dead) * lag / 2
+    p, v, a = (low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a))
+    return SampledMotion(motion.t, p, v, a)
 
 
-class LagTwoTimes(HiddenEffect):
+@drawn(amplitude=in_log(0.030, 0.110), share_1_s=(0.15, 0.3), creep_s=(1.5, 3.0))
+@hidden_form("motion", "servo_lag", "fast, with a creeping rest", channel="position")
+def lag_two_times(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """A stage that follows fast for most of the way and creeps the rest within seconds; amplitude: the fast lag [s].
 
     `share_1_s` is the share that creeps over the fast lag.
     """
+    if not effect.amplitude:
+        return motion
+    slow = effect.share_1_s * effect.amplitude
 
-    name, form, channel = "servo_lag", "fast, with a creeping rest", "position"
-    amplitude: Annotated[float, DrawnFrom(0.030, 0.110, log=True)]
-    share_1_s: Annotated[float, DrawnFrom(0.15, 0.3)]
-    creep_s: Annotated[float, DrawnFrom(1.5, 3.0)]
+    def follow(values: Floats) -> Floats:
+        fast = low_pass(values, effect.amplitude / 2, 1.0, motion.t)
+        return (1 - slow) * fast + slow * first_order(values, effect.creep_s, motion.t)
 
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        if not self.amplitude:
-            return motion
-        slow = self.share_1_s * self.amplitude
-
-        def follow(values: Floats) -> Floats:
-            fast = low_pass(values, self.amplitude / 2, 1.0, motion.t)
-            return (1 - slow) * fast + slow * first_order(values, self.creep_s, motion.t)
-
-        return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
+    return SampledMotion(motion.t, follow(motion.p), follow(motion.v), follow(motion.a))
 
 
-class RippleHarmonics(HiddenEffect):
+@drawn(
+    amplitude=in_log(0.02, 0.08),
+    period_mm=in_log(1.5, 6.0),
+    phase=PHASE,
+    second=(0.2, 0.4),
+    second_phase=PHASE,
+)
+@hidden_form("motion", "velocity_ripple", "two harmonics", channel="position")
+def ripple_harmonics(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """Position error periodic in position, with two harmonics [mm]."""
-
-    name, form, channel = "velocity_ripple", "two harmonics", "position"
-    amplitude: Annotated[float, DrawnFrom(0.02, 0.08, log=True)]
-    period_mm: Annotated[float, DrawnFrom(1.5, 6.0, log=True)]
-    phase: DrawnPhase
-    second: Annotated[float, DrawnFrom(0.2, 0.4)]
-    second_phase: DrawnPhase
-
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        k = 2 * np.pi / self.period_mm
-        terms = ((k, self.phase, 1.0), (2 * k, self.second_phase, self.second))
-        return _rippled(motion, self.amplitude, terms)
+    k = 2 * np.pi / effect.period_mm
+    terms = ((k, effect.phase, 1.0), (2 * k, effect.second_phase, effect.second))
+    return _rippled(motion, effect.amplitude, terms)
 
 
-class RippleSaw(HiddenEffect):
+@drawn(amplitude=in_log(0.02, 0.07), period_mm=in_log(2.0, 6.0), phase=PHASE, decay=(0.35, 0.6))
+@hidden_form("motion", "velocity_ripple", "rounded saw", channel="position")
+def ripple_saw(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """Position error that rises slowly and falls fast within each period, as teeth do."""
-
-    name, form, channel = "velocity_ripple", "rounded saw", "position"
-    amplitude: Annotated[float, DrawnFrom(0.02, 0.07, log=True)]
-    period_mm: Annotated[float, DrawnFrom(2.0, 6.0, log=True)]
-    phase: DrawnPhase
-    decay: Annotated[float, DrawnFrom(0.35, 0.6)]
-
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        k = 2 * np.pi / self.period_mm
-        terms = tuple((n * k, n * self.phase, self.decay ** (n - 1) / n) for n in (1, 2, 3, 4))
-        return _rippled(motion, self.amplitude, terms)
+    k = 2 * np.pi / effect.period_mm
+    terms = tuple((n * k, n * effect.phase, effect.decay ** (n - 1) / n) for n in (1, 2, 3, 4))
+    return _rippled(motion, effect.amplitude, terms)
 
 
-class RippleTwoPeriods(HiddenEffect):
+@drawn(
+    amplitude=in_log(0.02, 0.06),
+    period_mm=in_log(1.5, 4.0),
+    phase=PHASE,
+    ratio=(1.3, 2.7),
+    second=(0.2, 0.35),
+)
+@hidden_form("motion", "velocity_ripple", "two periods", channel="position")
+def ripple_two_periods(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """Position error of two incommensurable periods, of the poles and of the screw."""
-
-    name, form, channel = "velocity_ripple", "two periods", "position"
-    amplitude: Annotated[float, DrawnFrom(0.02, 0.06, log=True)]
-    period_mm: Annotated[float, DrawnFrom(1.5, 4.0, log=True)]
-    phase: DrawnPhase
-    ratio: Annotated[float, DrawnFrom(1.3, 2.7)]
-    second: Annotated[float, DrawnFrom(0.2, 0.35)]
-
-    def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
-        k = 2 * np.pi / self.period_mm
-        return _rippled(motion, self.amplitude, ((k, self.phase, 1.0), (k / self.ratio, 0.0, self.second)))
+    k = 2 * np.pi / effect.period_mm
+    return _rippled(motion, effect.amplitude, ((k, effect.phase, 1.0), (k / effect.ratio, 0.0, effect.second)))
 
 
-class LatencySpread(HiddenEffect):
+@drawn(amplitude=DrawnFrom(0.006, 0.020, log=True, signed=True), spread=(0.3, 0.55))
+@hidden_form("sensor", "channel_latency", "another in every run", rank=3, channel="either")
+def latency_spread(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Force that lags or leads the position, by a time that varies from run to run [s]."""
-
-    name, form, channel, rank = "channel_latency", "another in every run", "either", 3
-    amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True, signed=True)]
-    spread: Annotated[float, DrawnFrom(0.3, 0.55)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        own = 1 + self.spread * run.random("latency").uniform(-1.0, 1.0)
-        return delayed(force, self.amplitude * own, run.motion.t)
+    own = 1 + effect.spread * run.random("latency").uniform(-1.0, 1.0)
+    return delayed(force, effect.amplitude * own, run.motion.t)
 
 
-class LatencyAveraged(HiddenEffect):
+@drawn(amplitude=in_log(0.006, 0.020), width=(0.5, 1.0))
+@hidden_form("sensor", "channel_latency", "moving average", rank=3, channel="either")
+def latency_averaged(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Force that lags the position because the converter averages over preceding samples [s]."""
-
-    name, form, channel, rank = "channel_latency", "moving average", "either", 3
-    amplitude: Annotated[float, DrawnFrom(0.006, 0.020, log=True)]
-    width: Annotated[float, DrawnFrom(0.5, 1.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        taps = np.linspace(-self.width, self.width, 9) * self.amplitude
-        late = [delayed(force, self.amplitude + tap, run.motion.t) for tap in taps.tolist()]
-        return np.asarray(np.mean(late, axis=0))
+    taps = np.linspace(-effect.width, effect.width, 9) * effect.amplitude
+    late = [delayed(force, effect.amplitude + tap, run.motion.t) for tap in taps.tolist()]
+    return np.asarray(np.mean(late, axis=0))
 
 
-class LatencyGrows(HiddenEffect):
+@drawn(amplitude=in_log(0.006, 0.018), time_s=(2.0, 10.0))
+@hidden_form("sensor", "channel_latency", "growing", rank=3, channel="either")
+def latency_grows(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Force that lags the position more and more during a run, as through a filling buffer."""
-
-    name, form, channel, rank = "channel_latency", "growing", "either", 3
-    amplitude: Annotated[float, DrawnFrom(0.006, 0.018, log=True)]
-    time_s: Annotated[float, DrawnFrom(2.0, 10.0)]
-
-    def sensor(self, force: Floats, run: RunConditions) -> Floats:
-        t = run.motion.t
-        return delayed(force, self.amplitude * (1.5 - np.exp(-t / self.time_s)), t)
+    t = run.motion.t
+    return delayed(force, effect.amplitude * (1.5 - np.exp(-t / effect.time_s)), t)
 
 
-class ScaleBent(HiddenEffect):
+@drawn(amplitude=DrawnFrom(0.002, 0.012, log=True, signed=True), swing=(0.3, 0.5), period_mm=(9.0, 25.0), phase=PHASE)
+@hidden_form("position", "encoder_scale", "uneven band", channel="position")
+def scale_bent(effect: HiddenEffect, position: Floats, force: Floats, run: RunConditions) -> Floats:
     """Counts with a relative error that varies along the scale, as of an unevenly bonded tape."""
-
-    name, form, channel = "encoder_scale", "uneven band", "position"
-    amplitude: Annotated[float, DrawnFrom(0.002, 0.012, log=True, signed=True)]
-    swing: Annotated[float, DrawnFrom(0.3, 0.5)]
-    period_mm: Annotated[float, DrawnFrom(9.0, 25.0)]
-    phase: DrawnPhase
-
-    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
-        swung = np.sin(2 * np.pi * position / self.period_mm + self.phase)
-        return np.asarray(position * (1 + self.amplitude * (1 + self.swing * swung)))
+    swung = np.sin(2 * np.pi * position / effect.period_mm + effect.phase)
+    return np.asarray(position * (1 + effect.amplitude * (1 + effect.swing * swung)))
 
 
-class ScaleWarm(HiddenEffect):
+@drawn(amplitude=DrawnFrom(0.002, 0.012, log=True, signed=True), warming=(0.7, 0.95))
+@hidden_form("position", "encoder_scale", "warming", channel="position")
+def scale_warm(effect: HiddenEffect, position: Floats, force: Floats, run: RunConditions) -> Floats:
     """Counts with a relative error that grows as the scale warms up during the session."""
-
-    name, form, channel = "encoder_scale", "warming", "position"
-    amplitude: Annotated[float, DrawnFrom(0.002, 0.012, log=True, signed=True)]
-    warming: Annotated[float, DrawnFrom(0.7, 0.95)]
-
-    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
-        return position * (1 + self.amplitude * (1 - self.warming * np.exp(-run.session_s / 900.0)))
+    return position * (1 + effect.amplitude * (1 - effect.warming * np.exp(-run.session_s / 900.0)))
 
 
 def _rippled(motion: SampledMotion, amplitude: float, terms: tuple[tuple[float, float, float], ...]) -> SampledMotion:

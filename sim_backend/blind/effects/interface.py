@@ -1,16 +1,16 @@
 """Hidden effects between mucosa and capsule: friction coefficient, tack, and the first slip."""
 
-from typing import Annotated
-
 import numpy as np
 
 from dragrig.sim_backend.blind.effects.hidden_effect import (
     DRAG_RUNS,
     SLIDING_RUNS,
     CapsuleForces,
-    DrawnFrom,
     HiddenEffect,
     RunConditions,
+    drawn,
+    hidden_form,
+    in_log,
 )
 from dragrig.sim_backend.blind.run_plans import Floats
 
@@ -18,195 +18,125 @@ REFERENCE_MN = 1000.0
 """Normal force that speeds refer to."""
 
 
-class StribeckRational(HiddenEffect):
+@drawn(amplitude=(0.4, 0.9), speed_mm_s=in_log(1.5, 6.0), power=(1.0, 2.2), distance_mm=(1.1, 2.6))
+@hidden_form("friction", "stribeck", "rational, film drawn in", SLIDING_RUNS)
+def stribeck_rational(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """μ falls as a rational function of speed, once the capsule has drawn in its film over a distance."""
-
-    name, form, kinds = "stribeck", "rational, film drawn in", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 0.9)]
-    speed_mm_s: Annotated[float, DrawnFrom(1.5, 6.0, log=True)]
-    power: Annotated[float, DrawnFrom(1.0, 2.2)]
-    distance_mm: Annotated[float, DrawnFrom(1.1, 2.6)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        film = -np.expm1(-np.maximum(run.motion.p, 0.0) / self.distance_mm)
-        return np.asarray(self.amplitude / (1 + film * (run.speed / self.speed_mm_s) ** self.power))
+    film = -np.expm1(-np.maximum(run.motion.p, 0.0) / effect.distance_mm)
+    return np.asarray(effect.amplitude / (1 + film * (run.speed / effect.speed_mm_s) ** effect.power))
 
 
-class StribeckLogNormal(HiddenEffect):
+@drawn(amplitude=(0.4, 0.9), speed_mm_s=in_log(1.5, 5.0), width=(0.5, 1.3), dip=(0.25, 0.45))
+@hidden_form("friction", "stribeck", "error function with minimum", SLIDING_RUNS)
+def stribeck_log_normal(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """μ falls as the error function of the logarithm of speed, through a minimum, and rises again."""
+    from scipy.special import erfc
 
-    name, form, kinds = "stribeck", "error function with minimum", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 0.9)]
-    speed_mm_s: Annotated[float, DrawnFrom(1.5, 5.0, log=True)]
-    width: Annotated[float, DrawnFrom(0.5, 1.3)]
-    dip: Annotated[float, DrawnFrom(0.25, 0.45)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        from scipy.special import erfc
-
-        decades = np.log(np.maximum(run.speed, 1e-6) / self.speed_mm_s)
-        risen = np.maximum(run.speed - 12.0, 0.0) / 30.0
-        return np.asarray(self.amplitude * (erfc(decades / self.width) / 2 * (1 + self.dip) + self.dip * (risen - 1)))
+    decades = np.log(np.maximum(run.speed, 1e-6) / effect.speed_mm_s)
+    risen = np.maximum(run.speed - 12.0, 0.0) / 30.0
+    return np.asarray(
+        effect.amplitude * (erfc(decades / effect.width) / 2 * (1 + effect.dip) + effect.dip * (risen - 1))
+    )
 
 
-class StribeckRamp(HiddenEffect):
+@drawn(amplitude=(0.4, 0.9), low_mm_s=in_log(0.3, 1.0), ratio=in_log(6.0, 20.0), load=(2.2, 3.2))
+@hidden_form("pull", "stribeck", "log v over load", SLIDING_RUNS)
+def stribeck_ramp(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """μ falls with the logarithm of speed between two speeds, which the normal force raises (Hersey's number)."""
-
-    name, form, kinds = "stribeck", "log v over load", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 0.9)]
-    low_mm_s: Annotated[float, DrawnFrom(0.3, 1.0, log=True)]
-    ratio: Annotated[float, DrawnFrom(6.0, 20.0, log=True)]
-    load: Annotated[float, DrawnFrom(2.2, 3.2)]
-
-    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
-        hersey = np.maximum(run.speed, 1e-6) * (REFERENCE_MN / forces.normal) ** self.load
-        part = np.log(hersey / self.low_mm_s) / np.log(self.ratio)
-        return np.asarray(forces.coulomb * self.amplitude * np.clip(1 - part, 0.0, 1.0))
+    hersey = np.maximum(run.speed, 1e-6) * (REFERENCE_MN / forces.normal) ** effect.load
+    part = np.log(hersey / effect.low_mm_s) / np.log(effect.ratio)
+    return np.asarray(forces.coulomb * effect.amplitude * np.clip(1 - part, 0.0, 1.0))
 
 
-class AdhesionRoot(HiddenEffect):
+@drawn(amplitude=(11.0, 27.0), speed_mm_s=in_log(2.0, 10.0), aged=(0.36, 0.62), slip_mm=(4.0, 10.0))
+@hidden_form("pull", "adhesion", "inverse root, aged at rest", DRAG_RUNS)
+def adhesion_root(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Tack that falls as the inverse root of one plus speed squared, stronger where the contact has aged at rest."""
-
-    name, form, kinds = "adhesion", "inverse root, aged at rest", DRAG_RUNS
-    amplitude: Annotated[float, DrawnFrom(11.0, 27.0)]
-    speed_mm_s: Annotated[float, DrawnFrom(2.0, 10.0, log=True)]
-    aged: Annotated[float, DrawnFrom(0.36, 0.62)]
-    slip_mm: Annotated[float, DrawnFrom(4.0, 10.0)]
-
-    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
-        more = 1 + self.aged * np.exp(-np.maximum(run.motion.p, 0.0) / self.slip_mm)
-        return np.asarray(self.amplitude * more * run.direction / np.sqrt(1 + (run.speed / self.speed_mm_s) ** 2))
+    more = 1 + effect.aged * np.exp(-np.maximum(run.motion.p, 0.0) / effect.slip_mm)
+    return np.asarray(effect.amplitude * more * run.direction / np.sqrt(1 + (run.speed / effect.speed_mm_s) ** 2))
 
 
-class AdhesionLog(HiddenEffect):
+@drawn(amplitude=(16.0, 38.0), speed_mm_s=in_log(0.5, 3.0), end_mm_s=(40.0, 120.0), length_mm=(110.0, 200.0))
+@hidden_form("pull", "adhesion", "logarithm, used up", DRAG_RUNS)
+def adhesion_log(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Tack that falls with the logarithm of speed up to a highest speed, and with the distance that uses it up."""
-
-    name, form, kinds = "adhesion", "logarithm, used up", DRAG_RUNS
-    amplitude: Annotated[float, DrawnFrom(16.0, 38.0)]
-    speed_mm_s: Annotated[float, DrawnFrom(0.5, 3.0, log=True)]
-    end_mm_s: Annotated[float, DrawnFrom(40.0, 120.0)]
-    length_mm: Annotated[float, DrawnFrom(110.0, 200.0)]
-
-    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
-        fall = np.log1p(run.speed / self.speed_mm_s) / np.log1p(self.end_mm_s / self.speed_mm_s)
-        left = np.exp(-np.maximum(run.motion.p, 0.0) / self.length_mm)
-        return np.asarray(self.amplitude * left * run.direction * np.maximum(1 - fall, 0.0))
+    fall = np.log1p(run.speed / effect.speed_mm_s) / np.log1p(effect.end_mm_s / effect.speed_mm_s)
+    left = np.exp(-np.maximum(run.motion.p, 0.0) / effect.length_mm)
+    return np.asarray(effect.amplitude * left * run.direction * np.maximum(1 - fall, 0.0))
 
 
-class AdhesionBend(HiddenEffect):
+@drawn(amplitude=(14.0, 34.0), speed_mm_s=in_log(2.0, 8.0), power=(0.8, 1.4))
+@hidden_form("pull", "adhesion", "plateau and inverse", DRAG_RUNS)
+def adhesion_bend(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Tack that holds at low speed and falls inversely with speed beyond a bend."""
-
-    name, form, kinds = "adhesion", "plateau and inverse", DRAG_RUNS
-    amplitude: Annotated[float, DrawnFrom(14.0, 34.0)]
-    speed_mm_s: Annotated[float, DrawnFrom(2.0, 8.0, log=True)]
-    power: Annotated[float, DrawnFrom(0.8, 1.4)]
-
-    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
-        return np.asarray(self.amplitude * run.direction * np.maximum(run.speed / self.speed_mm_s, 1.0) ** -self.power)
+    return np.asarray(
+        effect.amplitude * run.direction * np.maximum(run.speed / effect.speed_mm_s, 1.0) ** -effect.power
+    )
 
 
-class FilmPower(HiddenEffect):
+@drawn(amplitude=(0.35, 0.9), power=(1.3, 2.2))
+@hidden_form("friction", "film_depletion", "power of distance", SLIDING_RUNS)
+def film_power(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """μ grows with a power of the distance."""
-
-    name, form, kinds = "film_depletion", "power of distance", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.35, 0.9)]
-    power: Annotated[float, DrawnFrom(1.3, 2.2)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        return np.asarray(self.amplitude * (np.maximum(run.motion.p, 0.0) / 40.0) ** self.power)
+    return np.asarray(effect.amplitude * (np.maximum(run.motion.p, 0.0) / 40.0) ** effect.power)
 
 
-class FilmStep(HiddenEffect):
+@drawn(amplitude=(0.35, 0.9), middle_mm=(10.0, 25.0), width_mm=(2.5, 4.5))
+@hidden_form("friction", "film_depletion", "logistic in distance", SLIDING_RUNS)
+def film_step(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """μ grows smoothly from a wet to a wiped state about one distance."""
-
-    name, form, kinds = "film_depletion", "logistic in distance", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.35, 0.9)]
-    middle_mm: Annotated[float, DrawnFrom(10.0, 25.0)]
-    width_mm: Annotated[float, DrawnFrom(2.5, 4.5)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        lower = 1 / (1 + np.exp(self.middle_mm / self.width_mm))
-        grown = 1 / (1 + np.exp(-(run.motion.p - self.middle_mm) / self.width_mm))
-        return np.asarray(self.amplitude * (grown - lower))
+    lower = 1 / (1 + np.exp(effect.middle_mm / effect.width_mm))
+    grown = 1 / (1 + np.exp(-(run.motion.p - effect.middle_mm) / effect.width_mm))
+    return np.asarray(effect.amplitude * (grown - lower))
 
 
-class BreakawayBump(HiddenEffect):
+@drawn(amplitude=(0.4, 1.0), slip_mm=in_log(0.12, 0.5))
+@hidden_form("friction", "breakaway", "Gaussian in slip", SLIDING_RUNS)
+def breakaway_bump(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """Extra friction of an aged contact that fades as a Gaussian of the slip."""
-
-    name, form, kinds = "breakaway", "Gaussian in slip", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 1.0)]
-    slip_mm: Annotated[float, DrawnFrom(0.12, 0.5, log=True)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        return np.asarray(self.amplitude * np.exp(-((run.motion.p / self.slip_mm) ** 2)))
+    return np.asarray(effect.amplitude * np.exp(-((run.motion.p / effect.slip_mm) ** 2)))
 
 
-class BreakawayRamp(HiddenEffect):
+@drawn(amplitude=(0.4, 1.0), slip_mm=in_log(0.25, 0.9))
+@hidden_form("friction", "breakaway", "linear decay", SLIDING_RUNS)
+def breakaway_ramp(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """Extra friction of an aged contact that falls in a straight line with slip."""
-
-    name, form, kinds = "breakaway", "linear decay", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 1.0)]
-    slip_mm: Annotated[float, DrawnFrom(0.25, 0.9, log=True)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        return np.asarray(self.amplitude * np.clip(1 - run.motion.p / self.slip_mm, 0.0, 1.0))
+    return np.asarray(effect.amplitude * np.clip(1 - run.motion.p / effect.slip_mm, 0.0, 1.0))
 
 
-class BreakawayPlateau(HiddenEffect):
+@drawn(amplitude=(0.4, 1.0), plateau_mm=(0.03, 0.15), slip_mm=in_log(0.15, 0.5))
+@hidden_form("friction", "breakaway", "plateau and half cosine", SLIDING_RUNS)
+def breakaway_plateau(effect: HiddenEffect, run: RunConditions) -> Floats | float:
     """Extra friction of an aged contact that holds for a while of slip and then goes along half a cosine."""
-
-    name, form, kinds = "breakaway", "plateau and half cosine", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.4, 1.0)]
-    plateau_mm: Annotated[float, DrawnFrom(0.03, 0.15)]
-    slip_mm: Annotated[float, DrawnFrom(0.15, 0.5, log=True)]
-
-    def friction(self, run: RunConditions) -> Floats | float:
-        part = np.clip((run.motion.p - self.plateau_mm) / self.slip_mm, 0.0, 1.0)
-        return np.asarray(self.amplitude * (1 + np.cos(np.pi * part)) / 2)
+    part = np.clip((run.motion.p - effect.plateau_mm) / effect.slip_mm, 0.0, 1.0)
+    return np.asarray(effect.amplitude * (1 + np.cos(np.pi * part)) / 2)
 
 
-class PreslidingHyperbola(HiddenEffect):
+@drawn(amplitude=(0.35, 0.9), slip_mm=in_log(0.03, 0.2), power=(0.8, 2.0), half_s=in_log(1.0, 4.0))
+@hidden_form("grip", "presliding", "hyperbola both ways", SLIDING_RUNS)
+def presliding_hyperbola(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up as s / (s + l), to a power; at standstill it fades inversely with time."""
-
-    name, form, kinds = "presliding", "hyperbola both ways", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.35, 0.9)]
-    slip_mm: Annotated[float, DrawnFrom(0.03, 0.2, log=True)]
-    power: Annotated[float, DrawnFrom(0.8, 2.0)]
-    half_s: Annotated[float, DrawnFrom(1.0, 4.0, log=True)]
-
-    def grip(self, direction: Floats, run: RunConditions) -> Floats:
-        slip = np.maximum(run.motion.p, 0.0)
-        built = (slip / (slip + self.slip_mm)) ** self.power
-        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-        return (1 - self.amplitude) * direction + self.amplitude * built / (1 + held / self.half_s)
+    slip = np.maximum(run.motion.p, 0.0)
+    built = (slip / (slip + effect.slip_mm)) ** effect.power
+    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
+    return (1 - effect.amplitude) * direction + effect.amplitude * built / (1 + held / effect.half_s)
 
 
-class PreslidingCreep(HiddenEffect):
+@drawn(amplitude=(0.35, 0.9), slip_mm=in_log(0.08, 0.4), creep=(0.12, 0.19))
+@hidden_form("grip", "presliding", "straight line with creep", SLIDING_RUNS)
+def presliding_creep(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up in a straight line over the slip, stays at standstill, and creeps off."""
-
-    name, form, kinds = "presliding", "straight line with creep", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.35, 0.9)]
-    slip_mm: Annotated[float, DrawnFrom(0.08, 0.4, log=True)]
-    creep: Annotated[float, DrawnFrom(0.12, 0.19)]
-
-    def grip(self, direction: Floats, run: RunConditions) -> Floats:
-        built = np.clip(run.motion.p / self.slip_mm, 0.0, 1.0)
-        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-        return (1 - self.amplitude) * direction + self.amplitude * built * (1 - self.creep * np.log1p(held / 0.05))
+    built = np.clip(run.motion.p / effect.slip_mm, 0.0, 1.0)
+    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
+    return (1 - effect.amplitude) * direction + effect.amplitude * built * (1 - effect.creep * np.log1p(held / 0.05))
 
 
-class PreslidingRelease(HiddenEffect):
+@drawn(amplitude=(0.45, 0.95), slip_mm=in_log(0.06, 0.3), stays=(0.4, 0.7), release_s=(0.3, 0.9))
+@hidden_form("grip", "presliding", "root with release", SLIDING_RUNS)
+def presliding_release(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up as s / √(s² + l²); at standstill part of it springs back and the rest stays."""
-
-    name, form, kinds = "presliding", "root with release", SLIDING_RUNS
-    amplitude: Annotated[float, DrawnFrom(0.45, 0.95)]
-    slip_mm: Annotated[float, DrawnFrom(0.06, 0.3, log=True)]
-    stays: Annotated[float, DrawnFrom(0.4, 0.7)]
-    release_s: Annotated[float, DrawnFrom(0.3, 0.9)]
-
-    def grip(self, direction: Floats, run: RunConditions) -> Floats:
-        slip = np.maximum(run.motion.p, 0.0)
-        built = slip / np.hypot(slip, self.slip_mm)
-        held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-        left = self.stays + (1 - self.stays) * np.exp(-held / self.release_s)
-        return (1 - self.amplitude) * direction + self.amplitude * built * left
+    slip = np.maximum(run.motion.p, 0.0)
+    built = slip / np.hypot(slip, effect.slip_mm)
+    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
+    left = effect.stays + (1 - effect.stays) * np.exp(-held / effect.release_s)
+    return (1 - effect.amplitude) * direction + effect.amplitude * built * left
