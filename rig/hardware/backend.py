@@ -7,7 +7,7 @@ import re
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from dragrig.config.errors import DeviceError, DragrigError, reason_of
 from dragrig.config.hardware import HardwareSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock
+from dragrig.rig.devices import Acquisition, BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock
 from dragrig.rig.engine import attempt
 from dragrig.rig.hardware.card.connection import Connection, driver_errors_wrapped
 from dragrig.rig.hardware.card.sampler import MAX_AGGREGATE_RATE_HZ, CardSampler
@@ -229,12 +229,20 @@ class HardwareBackend:
     ----------
     clock
         The rig's time; default: the wall clock.
+    on_arm
+        Called with each acquisition before the sampler prepares it.
     """
 
-    def __init__(self, request: BackendRequest, clock: Clock | None = None) -> None:
+    def __init__(
+        self,
+        request: BackendRequest,
+        clock: Clock | None = None,
+        on_arm: Callable[[Acquisition], None] = lambda _: None,
+    ) -> None:
         self._rig: RigSettings = request.rig
         self._calibrations = request.calibrations
         self._clock = clock or WallClock(request.origin)
+        self._on_arm = on_arm
         self._sync, self._watchdog = MotionSamplingSync(), Watchdog()
         self._open = ExitStack()
         self._closed = False
@@ -342,7 +350,13 @@ class HardwareBackend:
             self._open.callback(attempt, self._lines.close)
         if self._sampler is None:
             self._sampler = CardSampler(
-                self._connection, self._rig, self._calibrations, self._sync, self._clock, self._watchdog.feed
+                self._connection,
+                self._rig,
+                self._calibrations,
+                self._sync,
+                self._clock,
+                self._watchdog.feed,
+                self._on_arm,
             )
         return self._lines
 

@@ -11,6 +11,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_uint32, c_uint64, c_void_p
+from dataclasses import dataclass
+from itertools import compress
 from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
@@ -103,65 +105,45 @@ class _ResultPointer(Protocol):
     def __setitem__(self, index: int, value: object, /) -> None: ...
 
 
+@dataclass(frozen=True, slots=True)
+class _Unused:
+    """An argument of a C function that the double does without."""
+
+    type: type
+
+
 def _task_functions(card: Card) -> Mapping[str, CFunction]:
     def create(name: bytes, handle: _ResultPointer) -> None:
         handle[0] = c_void_p(card.create_task(_decoded(name)))
 
-    def set_clock(task: int, source: bytes, rate_hz: float, _edge: int, mode: int, samples: int) -> None:
-        card.cfg_samp_clk_timing(task, _decoded(source), rate_hz, mode, samples)
+    def passed(method: Callable[..., None], *arguments: type | _Unused) -> CFunction:
+        """Return a function that passes a task and its other arguments to a method, except unused ones."""
+        types = tuple(kind.type if isinstance(kind, _Unused) else kind for kind in arguments)
+        used = [not isinstance(kind, _Unused) for kind in arguments]
 
-    def analog_input(
-        task: int, place: bytes, name: bytes, terminals: int, low: float, high: float, _units: int, _scale: bytes
-    ) -> None:
-        card.create_ai_voltage_chan(task, _decoded(place), _decoded(name), terminals, low, high)
+        def call(task: int, *values: bytes | float | None) -> None:
+            decoded = (_decoded(value) if isinstance(value, bytes | None) else value for value in values)
+            method(task, *compress(decoded, used))
 
-    def analog_output(
-        task: int, place: bytes, name: bytes, low: float, high: float, _units: int, _scale: bytes
-    ) -> None:
-        card.create_ao_voltage_chan(task, _decoded(place), _decoded(name), low, high)
+        return (c_void_p, *types), call
 
-    def encoder(
-        task: int,
-        counter: bytes,
-        name: bytes,
-        _decoding: int,
-        z_enable: int,
-        z_value: float,
-        _z_phase: int,
-        _units: int,
-        distance: float,
-        start: float,
-        _scale: bytes,
-    ) -> None:
-        names = _decoded(counter), _decoded(name)
-        card.create_ci_lin_encoder_chan(task, *names, bool(z_enable), z_value, distance, start)
-
-    def lines_in(task: int, lines: bytes, name: bytes, grouping: int) -> None:
-        card.create_di_chan(task, _decoded(lines), _decoded(name), grouping)
-
-    def lines_out(task: int, lines: bytes, name: bytes, grouping: int) -> None:
-        card.create_do_chan(task, _decoded(lines), _decoded(name), grouping)
-
-    def set_trigger(task: int, source: bytes, _edge: int) -> None:
-        card.cfg_dig_edge_start_trig(task, _decoded(source))
-
-    named = (c_void_p, c_char_p, c_char_p)
+    named = (c_char_p, c_char_p)
+    unused_number, unused_text = _Unused(c_int32), _Unused(c_char_p)
+    encoder = (unused_number, c_uint32, c_double, unused_number, unused_number, c_double, c_double, unused_text)
+    volts = (c_double, c_double, unused_number, unused_text)
     return {
         "CreateTask": ((c_char_p, POINTER(c_void_p)), create),
-        "ClearTask": ((c_void_p,), card.clear_task),
-        "StartTask": ((c_void_p,), card.start),
-        "StopTask": ((c_void_p,), card.stop),
-        "TaskControl": ((c_void_p, c_int32), card.control),
-        "CfgSampClkTiming": ((c_void_p, c_char_p, c_double, c_int32, c_int32, c_uint64), set_clock),
-        "CfgDigEdgeStartTrig": ((c_void_p, c_char_p, c_int32), set_trigger),
-        "CreateAIVoltageChan": ((*named, c_int32, c_double, c_double, c_int32, c_char_p), analog_input),
-        "CreateAOVoltageChan": ((*named, c_double, c_double, c_int32, c_char_p), analog_output),
-        "CreateCILinEncoderChan": (
-            (*named, c_int32, c_uint32, c_double, c_int32, c_int32, c_double, c_double, c_char_p),
-            encoder,
-        ),
-        "CreateDIChan": ((*named, c_int32), lines_in),
-        "CreateDOChan": ((*named, c_int32), lines_out),
+        "ClearTask": passed(card.clear_task),
+        "StartTask": passed(card.start),
+        "StopTask": passed(card.stop),
+        "TaskControl": passed(card.control, c_int32),
+        "CfgSampClkTiming": passed(card.cfg_samp_clk_timing, c_char_p, c_double, unused_number, c_int32, c_uint64),
+        "CfgDigEdgeStartTrig": passed(card.cfg_dig_edge_start_trig, c_char_p, unused_number),
+        "CreateAIVoltageChan": passed(card.create_ai_voltage_chan, *named, c_int32, *volts),
+        "CreateAOVoltageChan": passed(card.create_ao_voltage_chan, *named, *volts),
+        "CreateCILinEncoderChan": passed(card.create_ci_lin_encoder_chan, *named, *encoder),
+        "CreateDIChan": passed(card.create_di_chan, *named, c_int32),
+        "CreateDOChan": passed(card.create_do_chan, *named, c_int32),
     }
 
 

@@ -328,6 +328,8 @@ class CardSampler:
         Shared with the stage: motion state and time of the first sample, and the rig's clock.
     feed_watchdog
         Called whenever the program waits for samples or takes them.
+    on_arm
+        Called with each acquisition before it is prepared.
 
     Raises
     ------
@@ -343,10 +345,11 @@ class CardSampler:
         sync: MotionSamplingSync,
         clock: Clock,
         feed_watchdog: Callable[[], None] = lambda: None,
+        on_arm: Callable[[Acquisition], None] = lambda _: None,
     ) -> None:
         _refuse_excessive_rate(rig)
         self._connection, self._rig, self._sync, self._clock = connection, rig, sync, clock
-        self._feed_watchdog = feed_watchdog
+        self._feed_watchdog, self._on_arm = feed_watchdog, on_arm
         self._scaling = Scaling.from_settings(rig, calibrations)
         self._rate_hz = rig.sampling.rate_hz
         # At most half of what counts as stale, so that a healthy card cannot look stale.
@@ -380,6 +383,7 @@ class CardSampler:
         DeviceError
             When the previous acquisition was not ended with `stop`, the stage moves, or the card refuses.
         """
+        self._on_arm(acquisition)
         if self._acquisition is not None:
             raise DeviceError("the sampler is still armed for the previous acquisition: stop it first.")
         if self._sync.moving:

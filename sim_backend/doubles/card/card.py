@@ -113,7 +113,7 @@ class Card:
         with self._changed:
             added = self._engine.add(task, [pci6229.encoder_counter(self._device, counter, name)])
             count_m = distance_per_pulse_m / _PULSES_PER_PERIOD
-            added.encoder = EncoderChannel(count_m, initial_position_m, z_enable, z_value_m)
+            added.encoder = EncoderChannel(count_m, initial_position_m, bool(z_enable), z_value_m)
 
     def create_di_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital inputs."""
