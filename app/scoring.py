@@ -349,6 +349,8 @@ class ReliabilityBin:
         Mean stated probability.
     band
         Share of right verdicts in 95 % of exams like this if every probability were true (binomial).
+    share
+        Share that is right.
     """
 
     low: float
@@ -357,11 +359,7 @@ class ReliabilityBin:
     right: int
     probability: float
     band: tuple[float, float]
-
-    @property
-    def share(self) -> float:
-        """Share that is right."""
-        return self.right / self.count
+    share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,23 +368,23 @@ class ProbabilityCalibration:
 
     Attributes
     ----------
-    brier, brier_base, skill
+    brier, brier_base_rate, brier_skill
         Brier score over all hypotheses; that of always stating how often each hypothesis is true in this exam; and
-        `1 - brier / brier_base`. NaN where there is nothing to compare.
-    verdict_brier, verdict_base, verdict_skill
+        `1 - brier / brier_base_rate`. NaN where there is nothing to compare.
+    verdict_brier, verdict_brier_base_rate, verdict_brier_skill
         The same of the verdict's own probability against always stating the share of right verdicts, which is the
         harder to beat the better a diagnosis is.
-    bins
+    reliability
         The reliability diagram.
     """
 
     brier: float
-    brier_base: float
-    skill: float
+    brier_base_rate: float
+    brier_skill: float
     verdict_brier: float
-    verdict_base: float
-    verdict_skill: float
-    bins: tuple[ReliabilityBin, ...]
+    verdict_brier_base_rate: float
+    verdict_brier_skill: float
+    reliability: tuple[ReliabilityBin, ...]
 
 
 def probability_calibration(cases: Sequence[ScoredCase]) -> ProbabilityCalibration:
@@ -433,7 +431,8 @@ def _reliability_bins(probabilities: Sequence[float], right: Sequence[bool]) -> 
         if inside:
             count, mean = len(inside), _mean([probability for probability, _ in inside])
             band = (float(binom.ppf(0.025, count, mean)) / count, float(binom.ppf(0.975, count, mean)) / count)
-            yield ReliabilityBin(low, high, count, sum(holds for _, holds in inside), mean, band)
+            right_count = sum(holds for _, holds in inside)
+            yield ReliabilityBin(low, high, count, right_count, mean, band, right_count / count)
 
 
 def _mean(values: Sequence[float]) -> float:

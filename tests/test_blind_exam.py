@@ -207,7 +207,7 @@ def test_the_diagnosis_is_as_right_as_it_was() -> None:
     assert len(found.missed) <= 3
     assert found["all, wrong above 0.8"].held <= 1
     assert found["full size, right name"].held >= 3
-    assert found.calibration.skill > 0.5
+    assert found.calibration.brier_skill > 0.5
     assert found.promises.difference < 0.1
 
 

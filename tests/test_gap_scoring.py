@@ -152,8 +152,8 @@ def test_probabilities_that_are_true_have_skill_and_lie_in_their_bands() -> None
     [top] = found.bins
     assert (top.low, top.high, top.count, top.right, top.band) == (0.95, 1.0, 20, 20, (1.0, 1.0))
     guesses = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds", p=0.5)) for at in range(20)]
-    assert score_exam(guesses).calibration.skill < 0.5
-    [middle] = score_exam(guesses).calibration.bins
+    assert score_exam(guesses).calibration.brier_skill < 0.5
+    [middle] = score_exam(guesses).calibration.reliability
     assert middle.band[0] <= middle.share <= middle.band[1]
 
 

@@ -217,11 +217,7 @@ def _calibration_section(score: ExamScore) -> Section:
 
         return exam_reliability_figure(score.calibration)
 
-    rows = tuple(
-        (_range(verdicts.low, verdicts.high), verdicts.count, verdicts.share, _interval(*verdicts.band))
-        for verdicts in score.calibration.bins
-    )
-    if not rows:
+    if not score.calibration.reliability:
         return Section("calibration", "", ())
     return Section(
         "calibration",
@@ -237,7 +233,7 @@ def _calibration_section(score: ExamScore) -> Section:
             Table.of(
                 "reliability",
                 "Verdicts by their probability",
-                score.calibration.bins,
+                score.calibration.reliability,
                 Field("probability", "probability", lambda verdicts: _range(verdicts.low, verdicts.high)),
                 Field("count", "verdicts", lambda verdicts: verdicts.count, shortest()),
                 Field("share", "right", lambda verdicts: verdicts.share, decimals(2)),
@@ -248,16 +244,16 @@ def _calibration_section(score: ExamScore) -> Section:
 
 
 def _calibration_sentences(calibration: ProbabilityCalibration) -> Iterator[str]:
-    if isfinite(calibration.skill):
+    if isfinite(calibration.brier_skill):
         yield (
-            f"Brier score of all hypotheses {calibration.brier:.3f}, against {calibration.brier_base:.3f} for always "
-            f"stating the base rates of this exam: skill {calibration.skill:.2f}."
+            f"Brier score of all hypotheses {calibration.brier:.3f}, against {calibration.brier_base_rate:.3f} for always "
+            f"stating the base rates of this exam: skill {calibration.brier_skill:.2f}."
         )
-    if isfinite(calibration.verdict_skill):
+    if isfinite(calibration.verdict_brier_skill):
         yield (
             f"Brier score of the verdict's probability {calibration.verdict_brier:.3f}, against "
-            f"{calibration.verdict_base:.3f} for always stating the share of right verdicts: skill "
-            f"{calibration.verdict_skill:.2f}. The more verdicts are right, the less skill can be gained here."
+            f"{calibration.verdict_brier_base_rate:.3f} for always stating the share of right verdicts: skill "
+            f"{calibration.verdict_brier_skill:.2f}. The more verdicts are right, the less skill can be gained here."
         )
 
 
@@ -304,48 +300,20 @@ def _promise_sentences(promises: PromiseScore) -> Iterator[str]:
 
 def score_json(score: ExamScore) -> Mapping[str, object]:
     """Return the score as JSON, without any NaN or infinity."""
-    calibration, promises, confusion = score.calibration, score.promises, score.confusion
+    promises = score.promises
     return to_json_object(
         {
             "rates": [rate_json(rate) for rate in score.rates],
             "withheld": [rate_json(rate) for rate in score.withheld],
             "detection": [_detection_json(size) for size in score.detection],
-            "confusion": {"hidden": confusion.hidden, "said": confusion.said, "counts": confusion.counts},
-            "calibration": {
-                "brier": calibration.brier,
-                "brier_base_rate": calibration.brier_base,
-                "brier_skill": calibration.skill,
-                "verdict_brier": calibration.verdict_brier,
-                "verdict_brier_base_rate": calibration.verdict_base,
-                "verdict_brier_skill": calibration.verdict_skill,
-                "reliability": [
-                    {
-                        "low": verdicts.low,
-                        "high": verdicts.high,
-                        "count": verdicts.count,
-                        "right": verdicts.right,
-                        "probability": verdicts.probability,
-                        "band": verdicts.band,
-                        "share": verdicts.share,
-                    }
-                    for verdicts in calibration.bins
-                ],
-            },
+            "confusion": score.confusion,
+            "calibration": score.calibration,
             "promises": {
                 "median_absolute_difference": promises.difference,
                 "median_absolute_difference_right": promises.right_difference,
                 "within_interval": rate_json(promises.within),
                 "closed_90": rate_json(promises.closed),
-                "campaigns": [
-                    {
-                        "case": outcome.case,
-                        "promised": outcome.promised,
-                        "interval": outcome.interval,
-                        "achieved": outcome.achieved,
-                        "right": outcome.right,
-                    }
-                    for outcome in promises.outcomes
-                ],
+                "campaigns": promises.outcomes,
             },
             "not_right": [
                 {

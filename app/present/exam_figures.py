@@ -194,7 +194,7 @@ def exam_reliability_figure(calibration: ProbabilityCalibration) -> Figure:
         )  # fmt: skip
         axes = add_panel(figure, PanelBox(1.1, 0.8, RELIABILITY_WIDTH_IN - 1.6, RELIABILITY_SIDE_IN - 0.3))
         axes.plot([0, 1], [0, 1], color=GREY, linewidth=1.2, linestyle=(0, (5, 3)))
-        for one in calibration.bins:
+        for one in calibration.reliability:
             axes.plot([one.probability] * 2, one.band, color=PALE, linewidth=11, alpha=0.6, solid_capstyle="butt")
             axes.plot(one.probability, one.share, "o", color=BLUE, markersize=9, clip_on=False)
             words = f"{one.right} of {one.count}"
