@@ -246,8 +246,8 @@ def _calibration_section(score: ExamScore) -> Section:
 def _calibration_sentences(calibration: ProbabilityCalibration) -> Iterator[str]:
     if isfinite(calibration.brier_skill):
         yield (
-            f"Brier score of all hypotheses {calibration.brier:.3f}, against {calibration.brier_base_rate:.3f} for always "
-            f"stating the base rates of this exam: skill {calibration.brier_skill:.2f}."
+            f"Brier score of all hypotheses {calibration.brier:.3f}, against {calibration.brier_base_rate:.3f} for "
+            f"always stating the base rates of this exam: skill {calibration.brier_skill:.2f}."
         )
     if isfinite(calibration.verdict_brier_skill):
         yield (

@@ -129,10 +129,7 @@ _MAX_JITTER_COUNTS = 2
 def identify_card(connection: Connection) -> dict[str, str]:
     """Return what run files say of the card: its name, product and serial number.
 
-    Raises
-    ------
-    DeviceError
-        When the driver or the card is not there.
+    Raises `DeviceError` when the driver or the card is not there.
     """
     card = connection.card
     with driver_errors_wrapped(card, "it is looked up"):
@@ -293,10 +290,8 @@ class HardwareBackend:
     def connect(self) -> None:
         """Take the rig, and open card and drive.
 
-        Raises
-        ------
-        SettingsError, DeviceError
-            When another program is at the rig, or a device is missing or faulty; everything is closed then.
+        Raises `SettingsError` or `DeviceError` when another program is at the rig, or a device is missing or faulty;
+        everything is closed then.
         """
         try:
             self._take_rig()
@@ -391,10 +386,7 @@ class HardwareBackend:
 def open_backend(request: BackendRequest) -> HardwareBackend:
     """Return the real rig, connected if the request asks for it.
 
-    Raises
-    ------
-    SettingsError, DeviceError
-        When another program is at the rig, or a device is missing or faulty.
+    Raises `SettingsError` or `DeviceError` when another program is at the rig, or a device is missing or faulty.
     """
     backend = HardwareBackend(request)
     if request.connect:

@@ -61,10 +61,7 @@ class DigitalLines(Protocol):
 class CardLines:
     """Implements `DigitalLines` on the card. All tasks are reserved in the constructor; the caller closes them.
 
-    Raises
-    ------
-    DeviceError
-        When the card refuses.
+    Raises `DeviceError` when the card refuses.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -104,10 +101,7 @@ class CardLines:
     def close(self) -> None:
         """Clear the enable line and release all lines. Safe to call twice.
 
-        Raises
-        ------
-        DeviceError
-            When the card refuses; it is released all the same.
+        Raises `DeviceError` when the card refuses; it is released all the same.
         """
         with self._lock:
             tasks, self._tasks = self._tasks, ExitStack()

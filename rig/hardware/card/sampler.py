@@ -215,10 +215,7 @@ class ReaderThread:
     def end(self, timeout_s: float) -> bool:
         """Have the tasks closed; return False when the driver does not return within `timeout_s`.
 
-        Raises
-        ------
-        DeviceError
-            When the tasks could not be closed properly.
+        Raises `DeviceError` when the tasks could not be closed properly.
         """
         self._end_requested.set()
         self._thread.join(timeout_s)
@@ -378,10 +375,8 @@ class CardSampler:
     def arm(self, acquisition: Acquisition) -> None:
         """Reserve and program the card for an acquisition of the profile's length.
 
-        Raises
-        ------
-        DeviceError
-            When the previous acquisition was not ended with `stop`, the stage moves, or the card refuses.
+        Raises `DeviceError` when the previous acquisition was not ended with `stop`, the stage moves, or the card
+        refuses.
         """
         self._on_arm(acquisition)
         if self._acquisition is not None:
@@ -396,10 +391,7 @@ class CardSampler:
     def start(self) -> None:
         """Take the first sample now, and pass its time to the stage.
 
-        Raises
-        ------
-        DeviceError
-            When the sampler is not armed, was started already, or the card refuses.
+        Raises `DeviceError` when the sampler is not armed, was started already, or the card refuses.
         """
         armed = self._acquisition
         if armed is None or armed.started:
@@ -441,10 +433,7 @@ class CardSampler:
     def stop(self) -> None:
         """End the acquisition and release the card, waiting for a hung driver only for a limited time.
 
-        Raises
-        ------
-        DeviceError
-            When the driver does not return, or does not release the card.
+        Raises `DeviceError` when the driver does not return, or does not release the card.
         """
         with self._lock:
             armed, self._acquisition = self._acquisition, None

@@ -84,10 +84,7 @@ class BufferedInput:
 
         A short read leaves them contiguous at the beginning of `into`, channel after channel.
 
-        Raises
-        ------
-        OverwrittenError
-            When the next sample was overwritten: call `skip_to`.
+        Raises `OverwrittenError` when the next sample was overwritten: call `skip_to`.
         """
         try:
             arrived = self._stream_read(into, samples, timeout_s)
@@ -244,10 +241,7 @@ class PositionCounter:
     def begin(self, position_mm: float, *, index: bool = False) -> None:
         """Start counting from the stage's present position; with `index`, the index pulse sets the position to 0.
 
-        Raises
-        ------
-        DeviceError
-            When the card refuses.
+        Raises `DeviceError` when the card refuses.
         """
         self.close()
         card = self._connection.card
@@ -381,10 +375,7 @@ class VoltageOutput:
     def zero(self) -> None:
         """End the waveform and put out 0 V now.
 
-        Raises
-        ------
-        DeviceError
-            When the card refuses: then the voltage is unknown.
+        Raises `DeviceError` when the card refuses: then the voltage is unknown.
         """
         # An error of the waveform is reported elsewhere, or does not matter: 0 V does.
         with suppress(DeviceError):

@@ -187,10 +187,7 @@ class Dialect(Protocol):
 def find_dialect(name: str) -> Dialect:
     """Return the `DIALECT` of a module: of one beside this, or of any other that Python can import.
 
-    Raises
-    ------
-    SettingsError
-        When there is no such module, or it holds no dialect.
+    Raises `SettingsError` when there is no such module, or it holds no dialect.
     """
     if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name):
         raise SettingsError(f"drive.dialect = '{name}' is no module's name: use nikki, or a module of your own.")

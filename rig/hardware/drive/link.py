@@ -56,10 +56,7 @@ class NoReplyError(DeviceError):
 class DriveLink:
     """A drive on a serial port, opened at once. Any thread may call any method.
 
-    Raises
-    ------
-    DeviceError
-        When the port cannot be opened.
+    Raises `DeviceError` when the port cannot be opened.
     """
 
     def __init__(self, settings: DriveSettings, dialect: Dialect) -> None:

@@ -57,10 +57,7 @@ class Stroke:
 def split_into_strokes(profile: MotionProfile) -> tuple[Stroke, ...]:
     """Split a profile at its standstills.
 
-    Raises
-    ------
-    DeviceError
-        When the motion between two standstills is no trapezoid with ramps of one acceleration.
+    Raises `DeviceError` when the motion between two standstills is no trapezoid with ramps of one acceleration.
     """
     pieces = profile.pieces()
     starts, speeds = profile.start_s.tolist(), profile.velocity_mm_s.tolist()
@@ -250,10 +247,7 @@ _HOMING_OVERTRAVEL_MM = 50.0
 class PositionModeStage(MonitoredStage):
     """One axis in position mode. It monitors drive and switches from its construction until `close`.
 
-    Raises
-    ------
-    DeviceError
-        When the drive does not answer.
+    Raises `DeviceError` when the drive does not answer.
     """
 
     def __init__(self, devices: StageDevices) -> None:

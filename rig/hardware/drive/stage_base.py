@@ -235,10 +235,7 @@ class DriveTracker:
 def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
     """Write thrust limit, silence timeout and the deceleration of a stop to the drive, and read each back.
 
-    Raises
-    ------
-    DeviceError
-        When the drive holds another value than the one that was written, refuses, or does not answer.
+    Raises `DeviceError` when the drive holds another value than the one that was written, refuses, or does not answer.
     """
     drive = settings.hardware.drive
     for parameter, value, key in (
@@ -326,13 +323,7 @@ class MonitoredStage(ABC):
         """Uncertainty of the last motion's time 0 against the first sample."""
 
     def state(self) -> StageState:
-        """Poll drive, switches and position now.
-
-        Raises
-        ------
-        DeviceError
-            When drive or card do not answer.
-        """
+        """Poll drive, switches and position now; raises `DeviceError` when drive or card do not answer."""
         fault = self._monitor.poll()
         was_moving, position_mm = self._sync.moving, self._position_mm()
         if was_moving and not self._sync.moving:
@@ -344,10 +335,8 @@ class MonitoredStage(ABC):
     def enable(self) -> None:
         """Switch the drive on and hold the position.
 
-        Raises
-        ------
-        DeviceError
-            When something forbids motion: remove the cause, then `disable`; or when drive or card refuse or are silent.
+        Raises `DeviceError` when something forbids motion: remove the cause, then `disable`; or when drive or card
+        refuse or are silent.
         """
 
     def home(self) -> None:
@@ -370,12 +359,9 @@ class MonitoredStage(ABC):
     def move(self, profile: MotionProfile) -> None:
         """Begin to follow a profile: now, or with the first sample when the sampler is armed.
 
-        Raises
-        ------
-        DeviceError
-            When the drive is off, not homed, moving, has a fault, refuses or does not answer; when the first sample is
-            too long past; when the profile leaves the stage's limits, does not end at a standstill, or cannot be made
-            in the drive's mode; and when the drive does not hold a limit that was written to it.
+        Raises `DeviceError` when the drive is off, not homed, moving, has a fault, refuses or does not answer; when the
+        first sample is too long past; when the profile leaves the stage's limits, does not end at a standstill, or
+        cannot be made in the drive's mode; and when the drive does not hold a limit that was written to it.
         """
         planned_at = self._stop_count
         with self._commands:
@@ -433,10 +419,7 @@ class MonitoredStage(ABC):
     def disable(self) -> None:
         """Stop, switch the drive off, and clear its alarm and whatever was latched.
 
-        Raises
-        ------
-        DeviceError
-            When the drive does not answer; its enable line is cleared all the same.
+        Raises `DeviceError` when the drive does not answer; its enable line is cleared all the same.
         """
         self.stop()
         with self._commands:

@@ -251,10 +251,7 @@ class StandstillDetector:
     def is_standing(self, generated: int, zero_from: int, position_mm: float) -> bool:
         """Whether the stage stands, by its position when `generated` samples were put out, those from `zero_from` 0.
 
-        Raises
-        ------
-        DeviceError
-            When it does not stand after `STANDSTILL_TIMEOUT_S`.
+        Raises `DeviceError` when it does not stand after `STANDSTILL_TIMEOUT_S`.
         """
         if self._before_mm is None:
             self._since = self._read_at = zero_from
@@ -399,10 +396,7 @@ class VelocityLoop:
     def reset_counter(self, position_mm: float, *, index: bool) -> None:
         """Restart the counter at a position and hold that; with `index`, the index pulse sets it to 0.
 
-        Raises
-        ------
-        DeviceError
-            When the card refuses.
+        Raises `DeviceError` when the card refuses.
         """
         with self._busy:
             self._counter.begin(position_mm, index=index)
