@@ -147,9 +147,9 @@ def test_probabilities_that_are_true_have_skill_and_lie_in_their_bands() -> None
             for at in range(20)]  # fmt: skip
     found = score_exam(sure).calibration
     assert found.brier == pytest.approx(0.0)
-    assert found.brier_base == pytest.approx(0.5)
-    assert found.skill == pytest.approx(1.0)
-    [top] = found.bins
+    assert found.brier_base_rate == pytest.approx(0.5)
+    assert found.brier_skill == pytest.approx(1.0)
+    [top] = found.reliability
     assert (top.low, top.high, top.count, top.right, top.band) == (0.95, 1.0, 20, 20, (1.0, 1.0))
     guesses = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds", p=0.5)) for at in range(20)]
     assert score_exam(guesses).calibration.brier_skill < 0.5
