@@ -102,7 +102,7 @@ class EstimatedQuantity:
 class Exclusion:
     """A run, or a part of the result, that is not used, and why."""
 
-    what: str
+    item: str
     reason: str
 
 
@@ -110,7 +110,7 @@ def summarise_exclusions(left_out: Iterable[Exclusion]) -> str:
     """Name each reason once, with its first run and the number of further ones."""
     reasons: dict[str, list[str]] = {}
     for exclusion in left_out:
-        reasons.setdefault(exclusion.reason, []).append(exclusion.what)
+        reasons.setdefault(exclusion.reason, []).append(exclusion.item)
     clauses = [
         f"{files[0]}{f' and {len(files) - 1} more' if len(files) > 1 else ''}: {reason}"
         for reason, files in reasons.items()

@@ -44,14 +44,14 @@ class AnswerKey(_Record):
     nominal_slightly_wrong: bool = False
 
     @property
-    def least(self) -> float:
+    def smallest_size(self) -> float:
         """The smallest size of its effects; 1 where sizes are not known."""
         return min(self.size, default=1.0)
 
     @property
     def detectable(self) -> bool:
         """Whether every effect is large enough to be seen."""
-        return self.least >= MIN_DETECTABLE_SIZE
+        return self.smallest_size >= MIN_DETECTABLE_SIZE
 
     @property
     def accepted(self) -> frozenset[str]:
@@ -225,7 +225,9 @@ _Condition = Callable[[ScoredCase], bool]
 
 def _hidden(low: float, high: float = inf, *, rough: bool = False) -> _Condition:
     """Select single effects of a size from `low` to below `high`."""
-    return lambda case: case.single and low <= case.answer.least < high and case.answer.nominal_slightly_wrong == rough
+    return lambda case: (
+        case.single and low <= case.answer.smallest_size < high and case.answer.nominal_slightly_wrong == rough
+    )
 
 
 def _answer(verdict: VerdictName, *, rough: bool = False) -> _Condition:
@@ -397,9 +399,11 @@ def probability_calibration(cases: Sequence[ScoredCase]) -> ProbabilityCalibrati
     brier = _mean([_brier_error(probabilities, truth) for probabilities, truth in zip(stated, truths, strict=True)])
     brier_base = _mean([_brier_error(base_rates, truth) for truth in truths])
     right = [case.right for case in cases]
-    of_verdict = [case.diagnosis.stated_probability for case in cases]
+    verdict_probabilities = [case.diagnosis.stated_probability for case in cases]
     share = _mean([float(holds) for holds in right])
-    verdict_brier = _mean([(probability - holds) ** 2 for probability, holds in zip(of_verdict, right, strict=True)])
+    verdict_brier = _mean(
+        [(probability - holds) ** 2 for probability, holds in zip(verdict_probabilities, right, strict=True)]
+    )
     verdict_base = _mean([(share - holds) ** 2 for holds in right])
     return ProbabilityCalibration(
         brier,
@@ -408,15 +412,15 @@ def probability_calibration(cases: Sequence[ScoredCase]) -> ProbabilityCalibrati
         verdict_brier,
         verdict_base,
         1.0 - verdict_brier / verdict_base if verdict_base > 0 else nan,
-        tuple(_reliability_bins(of_verdict, right)),
+        tuple(_reliability_bins(verdict_probabilities, right)),
     )
 
 
 def _brier_error(probabilities: Mapping[str, float], truth: frozenset[str]) -> float:
     """Return the squared error over all hypotheses; those that are right count as one."""
-    of_truth = sum(probability for name, probability in probabilities.items() if name in truth)
-    of_others = sum(probability**2 for name, probability in probabilities.items() if name not in truth)
-    return (1.0 - of_truth) ** 2 + of_others
+    true_probability = sum(probability for name, probability in probabilities.items() if name in truth)
+    false_squares = sum(probability**2 for name, probability in probabilities.items() if name not in truth)
+    return (1.0 - true_probability) ** 2 + false_squares
 
 
 def _reliability_bins(probabilities: Sequence[float], right: Sequence[bool]) -> Iterable[ReliabilityBin]:
@@ -603,13 +607,13 @@ def score_exam(
 RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredShrink)
 
 
-def _parse(kind: type[RecordT], content: object, name: str, what: str) -> RecordT:
+def _parse(kind: type[RecordT], content: object, name: str, noun: str) -> RecordT:
     try:
         return kind.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise AnalysisError(
-            f"{name}: the {what} cannot be scored because {place} is not as the report's format has it "
+            f"{name}: the {noun} cannot be scored because {place} is not as the report's format has it "
             f"({first['msg'].lower()}); make it anew"
         ) from error

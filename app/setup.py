@@ -260,31 +260,31 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
 
 
 def load_settings(
-    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None
+    model: type[SettingsT], kind: str, choice: str | Path | SettingsT | None
 ) -> tuple[SettingsT, Path | None]:
     """Return settings by file or shipped name, or the default ones, and the folder of their file."""
-    if isinstance(given, model):
-        return given, None
-    data, source = find_table(kind, str(given or DEFAULT_SETTINGS[kind]))
+    if isinstance(choice, model):
+        return choice, None
+    data, source = find_table(kind, str(choice or DEFAULT_SETTINGS[kind]))
     return parse(model, data, source), settings_folder(source)
 
 
-def friction_model(given: str | Path | FrictionModelSettings) -> FrictionModelSettings:
+def friction_model(choice: str | Path | FrictionModelSettings) -> FrictionModelSettings:
     """Return a friction model by name or file, or the model itself; raises `SettingsError`."""
-    return load_settings(FrictionModelSettings, "model", given)[0]
+    return load_settings(FrictionModelSettings, "model", choice)[0]
 
 
 def choose_settings(
-    model: type[SettingsT], kind: str, given: str | Path | SettingsT | None, before: SettingsT | None
+    model: type[SettingsT], kind: str, choice: str | Path | SettingsT | None, before: SettingsT | None
 ) -> SettingsT:
     """Return the settings chosen, else those of an earlier session, else the default ones."""
-    return before if before is not None and not given else load_settings(model, kind, given)[0]
+    return before if before is not None and not choice else load_settings(model, kind, choice)[0]
 
 
 def contact_position(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
     """Return the absolute position of the lab's contact, else the position known before."""
-    kept = read_contact(rig_folder) if rig_folder is not None else None
-    return before_mm if kept is None else kept.position_mm
+    contact = read_contact(rig_folder) if rig_folder is not None else None
+    return before_mm if contact is None else contact.position_mm
 
 
 def settings_folder(source: str) -> Path | None:

@@ -108,7 +108,7 @@ class PlanForm:
             For an invalid value.
         """
         steps = [
-            {"kind": form.kind, **_parse_values(form, given)} for form, given in zip(self.steps, values, strict=True)
+            {"kind": form.kind, **_parse_values(form, texts)} for form, texts in zip(self.steps, values, strict=True)
         ]
         data = self.plan.model_dump(mode="json", exclude_unset=True)
         return parse(Plan, {**data, "steps": steps}, self.plan.name)
@@ -218,8 +218,8 @@ def _value_text(value: object) -> str:
     return str(value)
 
 
-def _parse_values(form: StepForm, given: Mapping[str, str]) -> dict[str, object]:
-    values = {field.key: _parse_field(field, given.get(field.key, "").strip(), form.kind) for field in form.fields}
+def _parse_values(form: StepForm, texts: Mapping[str, str]) -> dict[str, object]:
+    values = {field.key: _parse_field(field, texts.get(field.key, "").strip(), form.kind) for field in form.fields}
     return {key: value for key, value in values.items() if value is not None}
 
 
@@ -361,8 +361,8 @@ class ShownTrace:
 
 def campaigns_below(folder: Path) -> tuple[Path, ...]:
     """Return this folder and those below that hold run files, in descending order of name."""
-    found = {path.parent for depth in range(_MAX_DEPTH) for path in folder.glob("*/" * depth + "*.h5")}
-    return tuple(sorted(found, reverse=True))
+    folders = {path.parent for depth in range(_MAX_DEPTH) for path in folder.glob("*/" * depth + "*.h5")}
+    return tuple(sorted(folders, reverse=True))
 
 
 def shown_campaign(folder: Path) -> ShownCampaign:
@@ -468,7 +468,7 @@ class DiagnosisProgress:
     """How much is done, and of how much."""
 
     done: int
-    of: int
+    total: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -533,8 +533,8 @@ def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
 def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
     from dragrig.api.diagnose import diagnose
 
-    def progress(done: int, of: int) -> None:
-        connection.send(DiagnosisProgress(done, of))
+    def progress(done: int, total: int) -> None:
+        connection.send(DiagnosisProgress(done, total))
 
     # Ctrl-C in the terminal goes to the window too, which then cancels this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

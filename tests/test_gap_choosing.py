@@ -28,7 +28,7 @@ def test_of_two_specimens_the_one_with_most_runs_is_diagnosed(campaign: Path) ->
     name = changed(campaign / "010-drag.h5", "entry/specimen", name="ileum")
     selection = choose_runs(campaign)
     assert selection.specimen == "jejunum"
-    assert {exclusion.what: exclusion.reason for exclusion in selection.left_out}[name].startswith(
+    assert {exclusion.item: exclusion.reason for exclusion in selection.left_out}[name].startswith(
         "it is of specimen ileum; most runs"
     )
     assert [experiment.file for experiment in choose_runs(campaign, "ileum").experiments] == [name]
@@ -39,7 +39,7 @@ def test_runs_of_another_sensor_are_left_out_and_told(campaign: Path) -> None:
     for place, path in enumerate(paths):
         changed(path, "entry", sensor_serial="old" if place < 3 else "new", calibration_id=f"c{place % 2}")
     selection = choose_runs(campaign)
-    reasons = {exclusion.what: exclusion.reason for exclusion in selection.left_out}
+    reasons = {exclusion.item: exclusion.reason for exclusion in selection.left_out}
     assert set(reasons) == {path.name for path in paths[:3]}
     assert set(reasons.values()) == {"it was measured with force sensor old, most runs with new"}
     assert any("calibration changes during the campaign (c0, c1)" in name for name in selection.remarks)

@@ -36,7 +36,7 @@ def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> Non
     shown = {visibility.effect for visibility in blanks.effects if visibility.smallest is not None}
     assert {"payload_inertia", "arm_compliance", "force_drift", "mains_hum", "servo_lag"} <= shown
     assert {"stribeck", "folds", "extra_relaxation", "wall_lift_off"} <= set(blanks.invisible)
-    assert {"stribeck", "folds", "wall_lift_off"} <= {visibility.effect for visibility in drags.of_channel("force")}
+    assert {"stribeck", "folds", "wall_lift_off"} <= {visibility.effect for visibility in drags.visible_in("force")}
     assert blanks.pair("payload_inertia", "stribeck") is None
     assert blanks.pair("payload_inertia", "servo_lag") is None
 
@@ -57,7 +57,7 @@ def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
 def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
     twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=SLOW)
     before, after = (
-        {visibility.effect: visibility for visibility in isolability.of_channel("force")}
+        {visibility.effect: visibility for visibility in isolability.visible_in("force")}
         for isolability in (drags, twice)
     )
     for name in ("stribeck", "wall_lift_off", "adhesion"):

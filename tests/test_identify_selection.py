@@ -32,7 +32,7 @@ def change(path: Path, channel: str, how: Callable[[FloatArray], npt.ArrayLike])
 
 
 def reasons(folder: Path) -> dict[str, str]:
-    return {one.what: one.reason for one in select_runs(folder).left_out}
+    return {one.item: one.reason for one in select_runs(folder).left_out}
 
 
 @pytest.mark.parametrize("channel", ["force", "position"])

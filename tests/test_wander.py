@@ -160,7 +160,7 @@ def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, e
     assert len(straying) > len(before) / 2
     for one, other in straying:
         assert other.motion.breaks_s.size <= one.motion.breaks_s.size + 4
-        assert other.motion.fine.breaks_s.size <= one.motion.fine.breaks_s.size + 4
+        assert other.motion.profile.breaks_s.size <= one.motion.profile.breaks_s.size + 4
         assert rests_of(other) == pytest.approx(rests_of(one), abs=0.3)
 
 

@@ -85,7 +85,7 @@ def compare_sides(a: ComparedSide, b: ComparedSide, progress: Progress = no_prog
         pairing = pair_runs(_candidates(runs_a), _candidates(runs_b))
     if not pairing.pairs:
         unused = (*pairing.alone_a, *a.left_out, *b.left_out)[:3]
-        reasons = "; ".join(f"{exclusion.what}: {exclusion.reason}" for exclusion in unused) or "nothing was recorded"
+        reasons = "; ".join(f"{exclusion.item}: {exclusion.reason}" for exclusion in unused) or "nothing was recorded"
         raise AnalysisError(f"{a.name} and {b.name}: no run of either has a partner in the other ({reasons}).")
     force_free = [
         run.measures.rest_offset.value

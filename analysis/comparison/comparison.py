@@ -271,25 +271,25 @@ class RunCondition:
         back = " back" if (self.travel_mm or 0.0) < 0 else ""
         return self.kind if self.speed_mm_s is None else f"{self.kind} at {self.speed_mm_s:.3g} mm/s{back}"
 
-    def differs_from(self, other: "RunCondition") -> tuple[str, ...]:
+    def differs_from(self, condition: "RunCondition") -> tuple[str, ...]:
         """Return in words what differs between two conditions; empty where the runs may be compared."""
         differences = [
             f"{name} {own or 'not stated'} against {others or 'not stated'}"
             for name, own, others in (
-                ("kind", self.kind, other.kind),
-                ("signal", self.signal, other.signal),
-                ("fixture", self.fixture, other.fixture),
+                ("kind", self.kind, condition.kind),
+                ("signal", self.signal, condition.signal),
+                ("fixture", self.fixture, condition.fixture),
             )
             if own != others
         ]
-        tolerance = SAME_MEASURED_TOLERANCE if self.measured or other.measured else SAME_SETTING_TOLERANCE
+        tolerance = SAME_MEASURED_TOLERANCE if self.measured or condition.measured else SAME_SETTING_TOLERANCE
         for a, b, factor, unit in (
-            (self.speed_mm_s, other.speed_mm_s, 1.0, "mm/s"),
-            (self.shear_strain, other.shear_strain, 100.0, "% strain"),
-            (self.travel_mm, other.travel_mm, 1.0, "mm of travel"),
+            (self.speed_mm_s, condition.speed_mm_s, 1.0, "mm/s"),
+            (self.shear_strain, condition.shear_strain, 100.0, "% strain"),
+            (self.travel_mm, condition.travel_mm, 1.0, "mm of travel"),
             *(
                 (a, b, 1.0, unit)
-                for a, b, unit in zip(self.capsule, other.capsule, CAPSULE_SIZES.values(), strict=True)
+                for a, b, unit in zip(self.capsule, condition.capsule, CAPSULE_SIZES.values(), strict=True)
             ),
         ):
             if not _agree(a, b, tolerance):

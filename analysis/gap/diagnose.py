@@ -70,7 +70,7 @@ def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: Spe
 
     Hum treated as white noise would make short blocks too noisy and long ones too quiet.
     """
-    if not mains_hum_present(lines.mains.llr, lines.other.llr):
+    if not mains_hum_present(lines.mains.llr, lines.non_mains.llr):
         return study
     noise = estimate_noise(experiments, study.channel, lines.mains.amplitude, lines.mains.frequency_hz)
     noises = tuple(noise for _ in study.problem.noises)
@@ -100,7 +100,7 @@ def decision_inputs(
         chi2=search.chi2,
         hypotheses=tuple(hypotheses),
         mains_llr=lines.mains.llr,
-        line_llr=lines.other.llr,
+        line_llr=lines.non_mains.llr,
         position=tuple((model_class.effect, model_class.held_out_share) for model_class in position.model_classes)
         if position.has_position_error
         else (),
@@ -356,8 +356,8 @@ def diagnose(
 
 def _without_slow_lines(lines: SpectralLines) -> SpectralLines:
     """Drop lines that may be slow noise."""
-    slow = lines.other.frequency_hz <= SLOW_LINE_HZ and lines.other.llr < MIN_SLOW_LINE_LLR
-    return SpectralLines(lines.mains, replace(lines.other, llr=0.0) if slow else lines.other)
+    slow = lines.non_mains.frequency_hz <= SLOW_LINE_HZ and lines.non_mains.llr < MIN_SLOW_LINE_LLR
+    return SpectralLines(lines.mains, replace(lines.non_mains, llr=0.0) if slow else lines.non_mains)
 
 
 def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) -> RunSelection:
@@ -394,17 +394,17 @@ def _assembled_diagnosis(
 ) -> Diagnosis:
     fit = _named_fit(search, classification)
     hum = lines.mains if hum_effect().id in classification.effects else replace(lines.mains, amplitude=0.0)
-    line = lines.other if unknown_because_of_line(inputs, classification) else None
+    line = lines.non_mains if unknown_because_of_line(inputs, classification) else None
     blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, line or hum)]
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
     where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
     reduction, traces = _held_out_reduction(study, search, fit, position, classification)
     files = tuple(run.file for run in study.runs)
-    of_force = classify(
+    force_classification = classify(
         replace(inputs, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
     )
-    next_run = recommend_next_run(study, search, position, classification, of_force, options.next_runs)
+    next_run = recommend_next_run(study, search, position, classification, force_classification, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
         nominal=nominal.name,

@@ -289,8 +289,8 @@ def run_text(step: PlanStep) -> str:
             first = strokes[0]
             text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
         case kind:
-            what = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            text = f"{what} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
+            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
+            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
             if settings.get("accel_mm_s2", 400.0) != 400.0:
                 text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
     if step.kind == "drag" and step.wait_s != 60.0:

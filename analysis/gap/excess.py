@@ -167,7 +167,7 @@ def band_excess(blocks: ResidualBlocks) -> FloatArray:
 
 CHANNELS = ("force", "position")
 PROTOCOLS = ("drag", "coulomb", "relaxation", "blank")
-PHASE_NAMES = tuple(one.name.lower() for one in Phase)
+PHASE_NAMES = tuple(phase.name.lower() for phase in Phase)
 POSITION_BINS, SESSION_BINS = 10, 8
 
 
@@ -380,7 +380,7 @@ class Significance:
     windows: npt.NDArray[np.intp]
     p: FloatArray
 
-    def of_window(self, first: int, last: int) -> float:
+    def window_p(self, first: int, last: int) -> float:
         """Return the p-value of a window; 1 for the whole axis."""
         index = np.flatnonzero((self.windows == (first, last)).all(axis=1))
         return float(self.p[index[0]]) if index.size else 1.0

@@ -442,14 +442,14 @@ def _capsule_study(selection: RunSelection, settings: FrictionModelSettings) -> 
     return CapsuleStudy.of(selection, CapsuleModel(settings), ())
 
 
-def _on_same_blocks(study: CapsuleStudy, other: CapsuleStudy) -> CapsuleStudy:
+def _on_same_blocks(study: CapsuleStudy, reference: CapsuleStudy) -> CapsuleStudy:
     """Return a study with the blocks of another one, whose model bends at other times."""
-    pairs = zip(study.problem.channels, other.problem.channels, strict=True)
+    pairs = zip(study.problem.channels, reference.problem.channels, strict=True)
     channels = tuple(replace(data, blocks=other_data.blocks) for data, other_data in pairs)
     problem = replace(
         study.problem,
         channels=channels,
-        noises=other.problem.noises,
-        zero_sds=other.problem.zero_sds,
+        noises=reference.problem.noises,
+        zero_sds=reference.problem.zero_sds,
     )
     return replace(study, problem=problem, runs=run_data_of(channels))

@@ -54,12 +54,12 @@ def free_phase_llr(design: Design, nuisances: LeastSquaresFit, pair: Sequence[in
     columns = 1 + nuisances.columns
     llr, runs = 0.0, 0
     for gram in design.grams:
-        of_pair = gram[rows]
-        gram_of_pair = of_pair[:, rows]
+        pair_rows = gram[rows]
+        gram_of_pair = pair_rows[:, rows]
         strength = float(np.trace(gram_of_pair))
         if strength <= 1.0:
             continue
-        moment = of_pair[:, 0] - of_pair[:, columns] @ nuisances.coefficients
+        moment = pair_rows[:, 0] - pair_rows[:, columns] @ nuisances.coefficients
         llr += 0.5 * float(moment @ np.linalg.solve(gram_of_pair + 1e-6 * strength * np.eye(2), moment))
         runs += 1
     return llr, runs

@@ -299,7 +299,7 @@ class Isolability:
     pairs: tuple[EffectPair, ...]
     remarks: tuple[str, ...] = ()
 
-    def of_channel(self, channel: str) -> tuple[Visibility, ...]:
+    def visible_in(self, channel: str) -> tuple[Visibility, ...]:
         """Return the visible effects of a channel, in order."""
         return tuple(
             visibility
@@ -328,7 +328,7 @@ class Isolability:
     def summary(self) -> Mapping[str, float]:
         """Return the figures by which plans are compared, of effects on the force."""
         pairs = [pair for pair in self.pairs if pair.channel == "force"]
-        seen = self.of_channel("force")
+        seen = self.visible_in("force")
         ratios = [visibility.smallest / abs(visibility.usual) for visibility in seen if visibility.smallest is not None]
         return {
             "pairs": len(pairs),
@@ -590,7 +590,7 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
         yield f"{capitalise(names)} would not be detected at the usual size."
-    visible = [visibility for visibility in isolability.of_channel("force") if visibility.smallest is not None]
+    visible = [visibility for visibility in isolability.visible_in("force") if visibility.smallest is not None]
     if visible:
         weakest = max(visible, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
         yield (

@@ -35,7 +35,7 @@ class LeastSquaresFit:
     covariance: FloatArray
     chi2: float
 
-    def of_columns(self, columns: IndexArray) -> FloatArray:
+    def coefficients_of(self, columns: IndexArray) -> FloatArray:
         """Return the coefficients of some of the columns."""
         return self.coefficients[np.searchsorted(self.columns, columns)]
 

@@ -347,12 +347,12 @@ def _axis_location(
     low, high = float(axis.edges[first, 0]), float(axis.edges[last, 1])
     share = float(shares[first : last + 1].sum())
     return AxisLocation(
-        axis.name, bins, covered, low, high, share, significance.of_window(first, last), significance.min_p
+        axis.name, bins, covered, low, high, share, significance.window_p(first, last), significance.min_p
     )
 
 
 def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, significance: Significance) -> AxisBin:
-    p = significance.of_window(number, number)
+    p = significance.window_p(number, number)
     if not axis.ordered:
         return AxisBin(axis.labels[number], None, None, share, rms, p)
     low, high = axis.edges[number].tolist()

@@ -165,11 +165,8 @@ class ForceSeparation:
     def separations(self) -> tuple[PairSeparation, ...]:
         """Return the separation of each pair."""
         gram = self.information.projected_gram()
-        pairs = [separate_pair(self.information, gram, question) for question in self.questions]
-        return tuple(
-            PairSeparation(pair, expected_log_odds(pair), asked.weight)
-            for pair, asked in zip(pairs, self.questions, strict=True)
-        )
+        pairs = [(separate_pair(self.information, gram, question), question.weight) for question in self.questions]
+        return tuple(PairSeparation(pair, expected_log_odds(pair), weight) for pair, weight in pairs)
 
 
 def search_force_runs(

@@ -316,20 +316,20 @@ def recommend_next_run(
     search: ForceSearchResult,
     position: PositionAnalysis,
     classification: Classification,
-    of_force: Classification,
+    force_classification: Classification,
     budget: ExperimentBudget,
 ) -> NextExperiment | None:
-    """Recommend the next run; `of_force` is the verdict without the position channel.
+    """Recommend the next run; `force_classification` is the verdict without the position channel.
 
     With effects on both channels, the run is for the less certain one.
     """
     if position.has_position_error:
-        force_effects = set(classification.effects) & set(of_force.effects) - {hum_effect().id}
-        if not force_effects or 1.0 - of_force.probabilities["+".join(of_force.effects)] <= _position_doubt(
-            classification, position
-        ):
+        force_effects = set(classification.effects) & set(force_classification.effects) - {hum_effect().id}
+        if not force_effects or 1.0 - force_classification.probabilities[
+            "+".join(force_classification.effects)
+        ] <= _position_doubt(classification, position):
             return recommend_position_run(study, position, classification.probabilities, budget)
-        classification = of_force
+        classification = force_classification
     gap = classification.verdict is not Verdict.NO_GAP
     return recommend_force_run(study, search.nominal, search.ranked, classification.probabilities, budget, gap=gap)
 

@@ -66,7 +66,7 @@ class SpectralLines:
     """The strongest mains line and the strongest other line; `llr` 0 for none."""
 
     mains: SpectralLine
-    other: SpectralLine
+    non_mains: SpectralLine
 
 
 def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> SpectralLines:
@@ -80,8 +80,8 @@ def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> Spec
     amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / spectrum.segment_samples)
     lines = [SpectralLine(float(f), float(a), float(g)) for f, a, g in zip(frequency, amplitude, llr, strict=True)]
     mains = max((line for line in lines if line.is_mains), key=lambda line: line.llr, default=NO_LINE)
-    other = max((line for line in lines if not line.is_mains), key=lambda line: line.llr, default=NO_LINE)
-    return SpectralLines(mains, other)
+    non_mains = max((line for line in lines if not line.is_mains), key=lambda line: line.llr, default=NO_LINE)
+    return SpectralLines(mains, non_mains)
 
 
 def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, llr: float) -> float | None:
@@ -203,8 +203,8 @@ def lines_beyond_known(lines: SpectralLines, chain: EffectChain) -> SpectralLine
     for amplitude, frequency_hz in _known_lines(chain):
         same_frequency = abs(frequency_hz - lines.mains.frequency_hz) <= MAINS_TOLERANCE_HZ
         if same_frequency and lines.mains.amplitude <= NEW_HUM_FACTOR * amplitude:
-            other = replace(lines.other, llr=max(lines.other.llr - LEAKAGE_SHARE * lines.mains.llr, 0.0))
-            return SpectralLines(replace(lines.mains, llr=0.0, amplitude=0.0), other)
+            non_mains = replace(lines.non_mains, llr=max(lines.non_mains.llr - LEAKAGE_SHARE * lines.mains.llr, 0.0))
+            return SpectralLines(replace(lines.mains, llr=0.0, amplitude=0.0), non_mains)
     return lines
 
 

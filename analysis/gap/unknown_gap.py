@@ -208,7 +208,7 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
         return None
     in_travel = _best_decay(runs, [_distance_from_start(blocks, np.abs(blocks.position_mm)) for blocks in runs])
     in_time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
-    fit, other, along_way = (
+    fit, alternative, along_way = (
         (in_travel, in_time, True)
         if in_travel.share >= in_time.share - MIN_SHARE_DIFFERENCE
         else (in_time, in_travel, False)
@@ -218,7 +218,7 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     return ExponentialDecay(
         length=fit.length,
         along_way=along_way,
-        alternative_length=other.length if fit.share - other.share < MIN_SHARE_DIFFERENCE else None,
+        alternative_length=alternative.length if fit.share - alternative.share < MIN_SHARE_DIFFERENCE else None,
         start=region.unit_factor * float(np.median(fit.starts)),
         share=fit.share,
         before=region.unit_factor * float(np.sqrt(fit.before / len(runs))),
@@ -458,8 +458,8 @@ def _single_run_text(blocks: Sequence[ResidualBlocks]) -> str:
     if len(excess) == 1:
         return ""
     total = sum(max(value, 0.0) for value in excess.values())
-    most = max(excess, key=lambda name: excess[name])
-    return f" Nearly all of it is in one run, {most}." if excess[most] >= DOMINANT_SHARE * total > 0 else ""
+    largest = max(excess, key=lambda name: excess[name])
+    return f" Nearly all of it is in one run, {largest}." if excess[largest] >= DOMINANT_SHARE * total > 0 else ""
 
 
 MIN_NONPARAMETRIC_SHARE = 0.5

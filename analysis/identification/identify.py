@@ -280,11 +280,11 @@ def _with_parts(
     """Add the relaxations, the Coulomb test and the drag, evaluated on their own."""
     remarks = [remark for kind, remark in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind)]
 
-    def attempt(evaluate: Callable[[], ResultT], what: str) -> ResultT | None:
+    def attempt(evaluate: Callable[[], ResultT], subject: str) -> ResultT | None:
         try:
             return evaluate()
         except (AnalysisError, SettingsError) as error:
-            remarks.append(f"{what}: {error}")
+            remarks.append(f"{subject}: {error}")
             return None
 
     model = identified_settings(nominal, joint)

@@ -267,7 +267,9 @@ def _start_values(whitened: WhitenedRecord) -> list[FloatArray]:
     gain = (solved * right[pairs]).sum(axis=1)
     gain[(solved[:, 1:] <= 0).any(axis=1)] = -np.inf
     apart = pairs[:, 3] - pairs[:, 2]
-    best = {int(np.where(apart >= least, gain, -np.inf).argmax()) for least in (2, GRID_POINTS // 8, GRID_POINTS // 3)}
+    best = {
+        int(np.where(apart >= distance, gain, -np.inf).argmax()) for distance in (2, GRID_POINTS // 8, GRID_POINTS // 3)
+    }
     best = {pair for pair in best if np.isfinite(gain[pair])}
     if not best:
         raise AnalysisError(

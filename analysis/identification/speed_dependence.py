@@ -163,14 +163,14 @@ class _HingeSearch:
         return float((1 + np.count_nonzero(improvements >= improvement)) / (1 + NULL_SIMULATIONS))
 
 
-def find_boundary(deviation: ForceDeviation, what: str = "measurement and model") -> SpeedBoundary:
+def find_boundary(deviation: ForceDeviation, subject: str = "measurement and model") -> SpeedBoundary:
     """Estimate the boundary and its interval by profile likelihood, and the probability of such a bend by errors alone.
 
     Where the hinge leaves more than the errors explain, improvements count relative to what it leaves.
 
     Parameters
     ----------
-    what
+    subject
         The two that are compared, for the sentence.
     """
     speeds = len(deviation.speed_mm_s)
@@ -189,27 +189,27 @@ def find_boundary(deviation: ForceDeviation, what: str = "measurement and model"
     misfit = float(search.misfit(whitened @ whitened, drop[best]))
     probability = search.null_probability(float(drop[best]) / misfit)
     if probability >= SIGNIFICANCE:
-        return SpeedBoundary(None, None, probability, _no_boundary_sentence(deviation, what, probability))
+        return SpeedBoundary(None, None, probability, _no_boundary_sentence(deviation, subject, probability))
     at_mm_s = float(search.at_mm_s[best])
     inside = search.at_mm_s[drop[best] - drop <= CHI2_95 * misfit]
     # Never narrower than the two measured speeds next to the boundary.
     slower = deviation.speed_mm_s[deviation.speed_mm_s <= at_mm_s]
     faster = deviation.speed_mm_s[deviation.speed_mm_s >= at_mm_s]
     interval = min(float(inside.min()), float(slower[-1])), max(float(inside.max()), float(faster[0]))
-    sentence = _boundary_sentence(deviation, search, best, interval, probability, what)
+    sentence = _boundary_sentence(deviation, search, best, interval, probability, subject)
     return SpeedBoundary(at_mm_s, interval, probability, sentence)
 
 
-def _no_boundary_sentence(deviation: ForceDeviation, what: str, probability: float) -> str:
+def _no_boundary_sentence(deviation: ForceDeviation, subject: str, probability: float) -> str:
     from scipy.special import chdtrc
 
     chi2 = deviation.force_mN @ np.linalg.solve(deviation.covariance, deviation.force_mN)
     equal_p = float(chdtrc(len(deviation.force_mN), chi2))
     besides = ""
     if equal_p < SIGNIFICANCE:
-        besides = f" Yet {what} differ (p {_p_text(equal_p)}), with no speed at which that begins."
+        besides = f" Yet {subject} differ (p {_p_text(equal_p)}), with no speed at which that begins."
     return (
-        f"No boundary is supported: the difference between {what} bends no more than errors allow "
+        f"No boundary is supported: the difference between {subject} bends no more than errors allow "
         f"(p {_p_text(probability)} {SIMULATION_NOTE}); a boundary is reported for about 5 in 100 campaigns that have "
         f"none.{besides}"
     )
@@ -221,7 +221,7 @@ def _boundary_sentence(
     best: int,
     interval: tuple[float, float],
     probability: float,
-    what: str,
+    subject: str,
 ) -> str:
     speed, (low, high) = deviation.speed_mm_s, interval
     design = np.column_stack((deviation.trend, search.hinge[best]))
@@ -232,15 +232,15 @@ def _boundary_sentence(
     size = change * abs(np.log(far / search.at_mm_s[best]))
     at_end = "" if speed[1] < low and high < speed[-2] else ", limited by the range of speeds"
     return (
-        f"{what[:1].upper()}{what[1:]} differ {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
+        f"{subject[:1].upper()}{subject[1:]} differ {'above' if above else 'below'} {search.at_mm_s[best]:.3g} mm/s "
         f"(95 %: {low:.3g} to {high:.3g} mm/s{at_end}; p {_p_text(probability)} {SIMULATION_NOTE}): at {far:.3g} mm/s "
         f"the force is {abs(size):.2g} mN {'higher' if size > 0 else 'lower'} than expected from the other speeds."
     )
 
 
 def _p_text(probability: float) -> str:
-    least = 2 / NULL_SIMULATIONS
-    return f"< {least:g}" if probability < least else f"= {probability:.2g}"
+    min_p = 2 / NULL_SIMULATIONS
+    return f"< {min_p:g}" if probability < min_p else f"= {probability:.2g}"
 
 
 def r2_eq15(model: FloatArray, measured: FloatArray) -> float | None:

@@ -140,7 +140,7 @@ def identify_drag(
         if run.setup != usual_setup
     ]
     runs = [run for run in measured if run.setup == usual_setup]
-    remarks = [f"{exclusion.what} is left out of the drag: {exclusion.reason}" for exclusion in left_out]
+    remarks = [f"{exclusion.item} is left out of the drag: {exclusion.reason}" for exclusion in left_out]
     if not runs:
         return DragResult((), None, None, remarks=tuple(remarks))
     groups, scatter_factor = _group_by_speed(runs, model)
@@ -288,7 +288,7 @@ def _model_deviation(groups: Sequence[SpeedGroup], model: FrictionModelSettings)
     steady = SteadyForces.of([group.point for group in groups])
     ages = [[run.rest_age_s for run in group.runs if run.rest_age_s is not None] for group in groups]
     rest_shares = np.array([len(known) / len(group.runs) for known, group in zip(ages, groups, strict=True)])
-    known_ages = [age for of_group in ages for age in of_group]
+    known_ages = [age for group_ages in ages for age in group_ages]
 
     def expected(varied: FrictionModelSettings) -> FloatArray:
         # The resting force was subtracted from the measurement with the rest, so here too.

@@ -545,8 +545,8 @@ def _array_column(array: _NamedArray) -> ForeignColumn:
     return ForeignColumn(array.name, units, np.asarray(array.values, dtype=np.float64))
 
 
-def _damaged_file(path: Path, what: str, error: Exception) -> ImportDataError:
+def _damaged_file(path: Path, file_kind: str, error: Exception) -> ImportDataError:
     if isinstance(error, OSError) and error.strerror:
         return ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.")
     reason = (str(error).splitlines() or [type(error).__name__])[0]
-    return ImportDataError(f"{path}: is damaged or no {what} file ({reason:.100}); export it anew or as CSV.")
+    return ImportDataError(f"{path}: is damaged or no {file_kind} file ({reason:.100}); export it anew or as CSV.")

@@ -328,8 +328,8 @@ class JointProblem:
         return Whitening.of(near.noise_root, _effect_signatures(varying, self.variation_sds, self.zero_sds[number]))
 
     def _require_finite(self, arrays: Sequence[tuple[FloatArray, ...]]) -> None:
-        for blocks, of_channel in zip(self.channels, arrays, strict=True):
-            if not all(np.isfinite(values).all() for values in of_channel):
+        for blocks, channel_arrays in zip(self.channels, arrays, strict=True):
+            if not all(np.isfinite(values).all() for values in channel_arrays):
                 raise AnalysisError(
                     f"the model {self.nominal.name} gives NaN or infinity for {blocks.channel} of "
                     f"{blocks.experiment.file} at values within the fit's bounds; give its parameters narrower priors, "

@@ -126,13 +126,13 @@ def _load_file(path: Path) -> object:
 def _describe_error(error: Exception, file: Path | None) -> str:
     """Line and message of an error in a user's code; the line is the last one in their file, if there is one."""
     if isinstance(error, SyntaxError) and error.filename:
-        where, line, what = error.filename, error.lineno, error.msg
+        where, line, fault = error.filename, error.lineno, error.msg
     else:
         frames = extract_tb(error.__traceback__)
         frame = ([frame for frame in frames if file is not None and Path(frame.filename) == file] or frames)[-1]
-        where, line, what = frame.filename, frame.lineno, f"{type(error).__name__}: {str(error) or 'no message'}"
+        where, line, fault = frame.filename, frame.lineno, f"{type(error).__name__}: {str(error) or 'no message'}"
     in_file = file is not None and Path(where) == file
-    return f"line {line}: {what}" if in_file else f"{where}, line {line}: {what}"
+    return f"line {line}: {fault}" if in_file else f"{where}, line {line}: {fault}"
 
 
 @dataclass(frozen=True)
@@ -220,10 +220,10 @@ class CheckedModel(NominalModel):
         with self.reported():
             return self.own.document(values)
 
-    def error(self, experiment: Experiment | None, what: str) -> AnalysisError:
+    def error(self, experiment: Experiment | None, fault: str) -> AnalysisError:
         """Return an error that names the model and the run."""
         where = f" at {experiment.file}" if experiment is not None else ""
-        return AnalysisError(f"{self.source}: the model {self.name!s} fails{where}: {what}.")
+        return AnalysisError(f"{self.source}: the model {self.name!s} fails{where}: {fault}.")
 
     @contextmanager
     def reported(self, experiment: Experiment | None = None) -> Iterator[None]:
@@ -331,9 +331,9 @@ def _value_errors(model: NominalModel) -> Iterator[str]:
             yield f"zero_sd of {channel} is {sd!r}, and must be above 0"
 
 
-def _duplicate_errors(what: str, names: Sequence[str]) -> Iterator[str]:
+def _duplicate_errors(noun: str, names: Sequence[str]) -> Iterator[str]:
     for name in dict.fromkeys(name for name in names if names.count(name) > 1):
-        yield f"{what} {name} is there {names.count(name)} times; each name may be used once"
+        yield f"{noun} {name} is there {names.count(name)} times; each name may be used once"
 
 
 def _parameter_errors(parameter: Parameter) -> Iterator[str]:

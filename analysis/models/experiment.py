@@ -222,7 +222,7 @@ class Experiment:
         encoder.
         """
         if self.follows_command:
-            return self.motion.fine
+            return self.motion.profile
         return measured_motion(self.motion, *self._recorded)
 
     @cached_property

@@ -264,7 +264,7 @@ class Kinematics:
         error = change / length * np.minimum(stretched, 1.0) * np.sqrt(np.maximum(length / self.step_s, 1.0))
         return np.asarray(error[self._piece(time_s)])
 
-    def joint_uncertainty(self, of: Callable[[FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
+    def joint_uncertainty(self, quantity: Callable[[FloatArray], FloatArray], time_s: FloatArray) -> FloatArray:
         """Return the uncertainty near the joints of a quantity computed from this motion, 0 elsewhere, shape `(n,)`.
 
         The side of a joint on which a sample lies is known only up to the time in which the stage moves by the
@@ -272,7 +272,7 @@ class Kinematics:
 
         Parameters
         ----------
-        of
+        quantity
             The quantity, at rising times.
         time_s
             Rising times.
@@ -283,9 +283,9 @@ class Kinematics:
         nearest = np.searchsorted(0.5 * (self.joints_s[1:] + self.joints_s[:-1]), time_s)
         shift = timing[nearest]
         change = np.zeros(len(time_s))
-        unshifted = of(time_s)
+        unshifted = quantity(time_s)
         for shifted_s in (np.maximum.accumulate(time_s - shift), np.maximum.accumulate(time_s + shift)):
-            shifted = of(np.clip(shifted_s, self.joints_s[0], self.joints_s[-1]))
+            shifted = quantity(np.clip(shifted_s, self.joints_s[0], self.joints_s[-1]))
             change = np.maximum(change, np.abs(shifted - unshifted))
         return np.where(np.abs(time_s - self.joints_s[nearest]) <= shift, change, 0.0)
 

@@ -649,7 +649,7 @@ class ElementRow:
 
 
 def element_rows(
-    relaxation: RelaxationResult | None, model: FrictionModelSettings, of_run: Mapping[str, FrictionModelSettings]
+    relaxation: RelaxationResult | None, model: FrictionModelSettings, run_models: Mapping[str, FrictionModelSettings]
 ) -> tuple[ElementRow, ...]:
     """Compare an identification of simulated relaxations with the published elements.
 
@@ -657,7 +657,7 @@ def element_rows(
     ----------
     model
         The simulated model, before a run's own variation.
-    of_run
+    run_models
         The model of each run, by its file's name.
     """
     fits = () if relaxation is None else [fit for fit in relaxation.fits if fit.elements]
@@ -666,7 +666,7 @@ def element_rows(
         near = (fit for fit in fits if abs(fit.shear_strain - published.strain) <= SAME_STRAIN_TOLERANCE)
         fit = next(near, None)
         elements = {} if fit is None else {element.name: element for element in fit.elements}
-        wall = model_wall(model if fit is None else of_run.get(fit.file, model), published.strain)
+        wall = model_wall(model if fit is None else run_models.get(fit.file, model), published.strain)
         simulated = float(getattr(wall, published.parameter))
         rows.append(ElementRow(published, elements.get(published.parameter), simulated))
     return tuple(sorted(rows, key=lambda row: (order.index(row.published.parameter), row.published.strain)))

@@ -113,8 +113,8 @@ def write_comparison(
 def comparison_folder(comparison: Comparison, a: str | Path) -> Path:
     """Return the default folder of a comparison, beside the runs of A."""
     beside = Path(a) if Path(a).is_dir() else Path(a).parent
-    other = comparison.b.name.removesuffix(".h5").replace(" ", "-")
-    return beside / f"compared-with-{other}"
+    b_name = comparison.b.name.removesuffix(".h5").replace(" ", "-")
+    return beside / f"compared-with-{b_name}"
 
 
 def _comparison_side(runs: Comparable, specimen: str | None, name: str) -> ComparedSide:

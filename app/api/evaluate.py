@@ -238,7 +238,7 @@ def model(
 
 
 def import_settings(
-    assignments: Sequence[str], given: Mapping[str, object], file: str | Path | None = None
+    assignments: Sequence[str], values: Mapping[str, object], file: str | Path | None = None
 ) -> ImportSettings:
     """Return the settings of an import.
 
@@ -246,7 +246,7 @@ def import_settings(
     ----------
     assignments
         Column and unit of each quantity, as `force=Load:N`.
-    given
+    values
         Further keys of `ImportSettings`, as `decimal` or `sample_rate_hz`.
     file
         TOML file with the same keys, which the other arguments override.
@@ -258,7 +258,7 @@ def import_settings(
     """
     base: Table = read_toml(Path(file)) if file is not None else {}
     columns: ColumnMap = parse_map(assignments)
-    changes: Table = {**given, "columns": columns.model_dump(exclude_none=True, exclude_unset=True)}
+    changes: Table = {**values, "columns": columns.model_dump(exclude_none=True, exclude_unset=True)}
     return parse(ImportSettings, merge_tables(base, changes), str(file) if file is not None else "import")
 
 
@@ -273,7 +273,7 @@ def import_run(
     columns: Mapping[str, str] | None = None,
     *,
     settings: str | Path | None = None,
-    **given: object,
+    **options: object,
 ) -> ImportedRun:
     """Convert a foreign measurement (CSV and other text, MAT, Parquet, TDMS, NPZ) into a run file.
 
@@ -305,6 +305,6 @@ def import_run(
     """
     target = Path(to)
     if target.is_dir():
-        given.setdefault("order", next_run_order(target))
+        options.setdefault("order", next_run_order(target))
     assignments = [f"{quantity}={source}" for quantity, source in (columns or {}).items()]
-    return import_file(Path(path), target, import_settings(assignments, given, settings))
+    return import_file(Path(path), target, import_settings(assignments, options, settings))

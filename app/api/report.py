@@ -101,11 +101,11 @@ def _campaign_report(folder: Path, progress: Progress) -> str:
     from dragrig.present.html_page import render_page
 
     whole = MEASURING_SHARE + DRAWING_SHARE
-    data = campaign_results(folder, lambda done, of: progress(MEASURING_SHARE * done, whole * max(of, 1)))
+    data = campaign_results(folder, lambda done, total: progress(MEASURING_SHARE * done, whole * max(total, 1)))
     return render_page(
         drawn(
             campaign_document(data),
-            lambda done, of: progress(MEASURING_SHARE * of + DRAWING_SHARE * done, whole * max(of, 1)),
+            lambda done, total: progress(MEASURING_SHARE * total + DRAWING_SHARE * done, whole * max(total, 1)),
         )
     )
 
@@ -275,7 +275,7 @@ def _paper_data(made: Made, setup: Setup, identified: IdentifiedCampaign) -> "Pa
         wall_thickness_mm=setup.specimen.wall_thickness_mm,
         rig=setup.rig,
         runs=len(models),
-        of_run=models,
+        run_models=models,
         identification=result,
         elements=element_rows(result.relaxation, setup.model, models),
         findings=all_findings(),

@@ -234,9 +234,9 @@ class ProgressMeter:
         """Set how much of the total is done."""
         self.advance(done - self._done, label)
 
-    def at(self, done: float, of: float) -> None:
+    def at(self, done: float, total: float) -> None:
         """Set how much is done, and of what total."""
-        self._total = of
+        self._total = total
         self.to(done)
 
     def say(self, text: str) -> None:
@@ -293,8 +293,8 @@ def with_file_progress(items: Sequence[ItemT], label: str) -> Iterator[tuple[Ite
     with ProgressMeter(label, len(items)) as meter:
         for number, item in enumerate(items):
 
-            def report(done: int, of: int, before: int = number) -> None:
-                meter.to(before + done / max(of, 1))
+            def report(done: int, total: int, before: int = number) -> None:
+                meter.to(before + done / max(total, 1))
 
             yield item, report
             meter.to(number + 1, f"{label} ({number + 1} of {len(items)})")
@@ -309,7 +309,7 @@ class FileBatch:
         self._failures: list[DragrigError] = []
 
     @classmethod
-    def of_good_runs(cls, inputs: Sequence[str], label: str) -> "FileBatch":
+    def from_good_runs(cls, inputs: Sequence[str], label: str) -> "FileBatch":
         """Collect the named run files without those marked bad, which are reported."""
         from dragrig.run_inputs import good_runs
 
@@ -318,7 +318,7 @@ class FileBatch:
             print_remark(f"{path}: left out, marked bad: {reason}")
         return cls(runs.paths, label)
 
-    def each(self, action: Callable[[Path, FileProgress], ResultT]) -> Iterator[tuple[Path, ResultT]]:
+    def process(self, action: Callable[[Path, FileProgress], ResultT]) -> Iterator[tuple[Path, ResultT]]:
         """Apply an action to each file, with progress; yields each file that succeeded with its result."""
         for path, progress in with_file_progress(self._paths, self._label):
             try:

@@ -65,8 +65,8 @@ def show_command(
     target = _picture_target(out, len(paths) + len(campaigns), overwrite)
     runs, overviews = FileBatch(paths, "drawing runs"), FileBatch(campaigns, "drawing the campaign")
     pictures = chain(
-        runs.each(lambda path, _: _draw_run(path, target, filtered=not raw_only, motor_force=motor_force)),
-        overviews.each(lambda folder, _: _draw_campaign(folder, target)),
+        runs.process(lambda path, _: _draw_run(path, target, filtered=not raw_only, motor_force=motor_force)),
+        overviews.process(lambda folder, _: _draw_campaign(folder, target)),
     )
     drawn = []
     for source, picture in pictures:

@@ -36,9 +36,9 @@ def _set_quiet(context: click.Context, parameter: click.Parameter, value: bool) 
     context.meta[QUIET] = value
 
 
-def effects(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def effects(text: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--effect`, as the argument `effects`."""
-    return click.option("--effect", "effects", metavar="ID[:KEY=VALUE,…]", multiple=True, help=what)
+    return click.option("--effect", "effects", metavar="ID[:KEY=VALUE,…]", multiple=True, help=text)
 
 
 _RIG_OPTIONS = (
@@ -116,12 +116,12 @@ def _parse_pace(context: click.Context, parameter: click.Parameter, value: str |
         raise click.BadParameter(text, context, parameter) from None
 
 
-def session_notes(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--operator` and `--note`, stored with what the command makes."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        function = click.option("--note", metavar="TEXT", default="", help=f"Note, stored {what}.")(function)
-        operator = f"Operator's name, stored {what}."
+        function = click.option("--note", metavar="TEXT", default="", help=f"Note, stored {place}.")(function)
+        operator = f"Operator's name, stored {place}."
         return click.option("--operator", metavar="NAME", default="", help=operator)(function)
 
     return decorate
@@ -132,13 +132,13 @@ def inputs(function: Callable[P, R]) -> Callable[P, R]:
     return click.argument("inputs", metavar="RUN…", nargs=-1, required=True)(function)
 
 
-def workers(what: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--workers` and `--scheduler` for tasks of this name."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        cluster = f"Address of a Dask cluster's scheduler, on whose workers the {what} are processed."
+        cluster = f"Address of a Dask cluster's scheduler, on whose workers the {tasks} are processed."
         function = click.option("--scheduler", metavar="ADDRESS", help=cluster)(function)
-        local = f"Processes that work on the {what} in parallel (default: the number of cores)."
+        local = f"Processes that work on the {tasks} in parallel (default: the number of cores)."
         return click.option("--workers", metavar="N", type=int, help=local)(function)
 
     return decorate
@@ -154,20 +154,20 @@ def require_single_campaign(count: int, **files: Path | None) -> None:
             raise SettingsError(f"{option} {path}: holds one campaign, and {count} were given; name a single one.")
 
 
-def require_all_succeeded(what: str, campaigns: int, reasons: Sequence[str]) -> None:
+def require_all_succeeded(done: str, campaigns: int, reasons: Sequence[str]) -> None:
     """Raise `AnalysisError` with the first reason why campaigns failed, where any did."""
     from dragrig.config.errors import AnalysisError
 
     if reasons:
         more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
-        raise AnalysisError(f"{len(reasons)} of {campaigns} campaigns were not {what}: {reasons[0].rstrip('.')}{more}.")
+        raise AnalysisError(f"{len(reasons)} of {campaigns} campaigns were not {done}: {reasons[0].rstrip('.')}{more}.")
 
 
-def out(what: str, default: str | None = None) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def out(text: str, default: str | None = None) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--out DIR`, as the argument `out`."""
     shown = default is not None
     folder = click.Path(path_type=Path)
-    return click.option("--out", "-o", metavar="DIR", type=folder, default=default, show_default=shown, help=what)
+    return click.option("--out", "-o", metavar="DIR", type=folder, default=default, show_default=shown, help=text)
 
 
 def overwrite(function: Callable[P, R]) -> Callable[P, R]:

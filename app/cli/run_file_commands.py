@@ -127,9 +127,9 @@ def filter_command(
         rate_hz = read_info(path).header.sample_rate_hz
         return filter_file(path, filter_settings(rate_hz, window_s, window_samples, order, derivative))
 
-    batch = FileBatch.of_good_runs(inputs, "filtering")
+    batch = FileBatch.from_good_runs(inputs, "filtering")
     results = []
-    for path, filtered in batch.each(filter_run):
+    for path, filtered in batch.process(filter_run):
         parameters = filtered.trace.parameters
         results.append({"file": path, "parameters": parameters, "events": filtered.events})
         if not as_json:
@@ -206,7 +206,7 @@ def import_command(
     protocol: tuple[str, ...],
     out: Path | None,
     as_json: bool,
-    **given: Unpack[_ImportOptions],
+    **options_set: Unpack[_ImportOptions],
 ) -> None:
     """Convert foreign measurements into run files.
 
@@ -220,7 +220,7 @@ def import_command(
     from dragrig.run_inputs import input_files
 
     batch = FileBatch(input_files(inputs), "importing")
-    named = {key: value for key, value in given.items() if value is not None}
+    named = {key: value for key, value in options_set.items() if value is not None}
     base = import_settings(assignments, {**named, **_protocol_settings(protocol)}, settings)
     folder = options.make_folder(out) if out is not None else Path()
     orders = count(next_run_order(folder))
@@ -229,7 +229,7 @@ def import_command(
         return import_file(path, folder, base.model_copy(update={"order": next(orders)}))
 
     results = []
-    for path, imported in batch.each(convert):
+    for path, imported in batch.process(convert):
         results.append(
             {
                 "source": path,
@@ -297,7 +297,7 @@ def export_command(
     if form != "csv" and (decimal or delimiter):
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")
-    batch = FileBatch.of_good_runs(inputs, "exporting")
+    batch = FileBatch.from_good_runs(inputs, "exporting")
     folder = options.make_folder(out) if out is not None else None
 
     def write(path: Path, progress: FileProgress) -> Path:
@@ -305,7 +305,7 @@ def export_command(
         return export_run(path, target, ExportFormat(form), style, overwrite=overwrite, progress=progress)
 
     results = []
-    for path, written in batch.each(write):
+    for path, written in batch.process(write):
         results.append({"run": path, "file": written})
         if not as_json:
             print_result(display_path(written))

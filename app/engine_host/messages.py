@@ -345,9 +345,9 @@ class LiveRingWriter:
         self, written: int, count: int, force: npt.ArrayLike, position: npt.ArrayLike, phase: npt.ArrayLike
     ) -> int:
         ring = self._ring
-        kept = min(count, ring.samples)
-        places = _ring_slices(written + count - kept, kept, ring.samples)
-        done = count - kept
+        stored = min(count, ring.samples)
+        places = _ring_slices(written + count - stored, stored, ring.samples)
+        done = count - stored
         for place in places:
             length = place.stop - place.start
             for target, values in ((ring.force, force), (ring.position, position), (ring.phase, phase)):

@@ -199,7 +199,7 @@ class ExamFolder:
         """Return the folder of runs of the same specimen at other speeds and strains."""
         return self.root / "fresh" / name
 
-    def said(self, name: str) -> Path:
+    def diagnosis_file(self, name: str) -> Path:
         """Return the file of its diagnosis."""
         return self.root / "said" / f"{name}.json"
 

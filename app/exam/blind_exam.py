@@ -190,7 +190,9 @@ class _RunningExam:
         single = [case for case in self.cases if case.single]
         orders = [CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)) for case in self.cases]
         to_simulate = [order for order in orders if not (order.campaign.is_dir() and order.fresh.is_dir())]
-        to_diagnose = {BlindTask(folder.campaign(name)): name for name in names if not folder.said(name).exists()}
+        to_diagnose = {
+            BlindTask(folder.campaign(name)): name for name in names if not folder.diagnosis_file(name).exists()
+        }
         to_repeat = {
             BlindTask(folder.campaign(case.name), case.effects): case.name
             for case in single
@@ -225,7 +227,7 @@ class _RunningExam:
             to_measure,
             lambda case, d_prime: write_json(folder.amount(case.name), {"d": d_prime}),
         )
-        return digest, {name: read_json(folder.said(name)) for name in names}
+        return digest, {name: read_json(folder.diagnosis_file(name)) for name in names}
 
     def score(
         self, diagnoses: Mapping[str, Mapping[str, object]], *, without_true: bool
@@ -270,7 +272,7 @@ class _RunningExam:
         if diagnosis.model is not None:
             self.folder.model(name).parent.mkdir(parents=True, exist_ok=True)
             self.folder.model(name).write_text(diagnosis.model, "utf-8", newline="\n")
-        write_json(self.folder.said(name), diagnosis.json_or_failure())
+        write_json(self.folder.diagnosis_file(name), diagnosis.json_or_failure())
 
     def _evaluate_models(self) -> None:
         """Evaluate amended models on fresh runs."""

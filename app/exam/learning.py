@@ -131,7 +131,7 @@ def _read_exam(folder: Path) -> _ReadExam:
         ) from error
     diagnosed = {name: answer for name, answer in answers.items() if name in evidence}
     training = tuple(
-        TrainingCase(evidence[name], frozenset(answer.effects), answer.verdict == "unknown", answer.least)
+        TrainingCase(evidence[name], frozenset(answer.effects), answer.verdict == "unknown", answer.smallest_size)
         for name, answer in diagnosed.items()
     )
     return _ReadExam(seed, f"dragrig gap blind {numbers} --out {folder.name}", diagnosed, training)

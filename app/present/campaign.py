@@ -235,8 +235,8 @@ def _summary(data: CampaignReportData) -> str:
     specimens = sorted({str(info.header.specimen.get("name", "")) for info in runs} - {""})
     begun, last = (pick(info.header.start_time for info in runs) for pick in (min, max))
     until = f"{last:%H:%M}" if last.date() == begun.date() else _date_text(last)
-    of_specimens = f" of {' and '.join(specimens)}" if specimens else ""
-    return f"{len(runs)} run{'' if len(runs) == 1 else 's'}{of_specimens} ({kinds}), {_date_text(begun)} to {until}."
+    specimen_text = f" of {' and '.join(specimens)}" if specimens else ""
+    return f"{len(runs)} run{'' if len(runs) == 1 else 's'}{specimen_text} ({kinds}), {_date_text(begun)} to {until}."
 
 
 def _date_text(when: datetime) -> str:

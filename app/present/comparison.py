@@ -160,11 +160,11 @@ def _difference_cells(measure: MeasureDifference) -> tuple[Cell, ...]:
     return *measure.compared, measure.value, half_width, verdict
 
 
-def _exclusions(name: str, of_a: Iterable[Exclusion], of_b: Iterable[Exclusion]) -> Table:
+def _exclusions(name: str, excluded_a: Iterable[Exclusion], excluded_b: Iterable[Exclusion]) -> Table:
     columns = (Column("side", "side"), Column("what", "what"), Column("reason", "reason"))
     rows = tuple(
-        (side, exclusion.what, exclusion.reason)
-        for side, exclusions in (("A", of_a), ("B", of_b))
+        (side, exclusion.item, exclusion.reason)
+        for side, exclusions in (("A", excluded_a), ("B", excluded_b))
         for exclusion in exclusions
     )
     return Table(name, "", columns, rows, brief_rows=MAX_UNPAIRED)

@@ -409,7 +409,7 @@ def _runs_section(diagnosis: Diagnosis) -> Section:
                 "left-out",
                 "",
                 diagnosis.left_out,
-                Field("file", "left out", lambda exclusion: exclusion.what),
+                Field("file", "left out", lambda exclusion: exclusion.item),
                 Field("reason", "reason", lambda exclusion: exclusion.reason),
                 brief_rows=MAX_LEFT_OUT,
             ),

@@ -518,7 +518,7 @@ def isolability_figure(found: Isolability) -> Figure:
 
     Dark cells are near; a thick frame marks what the runs hardly tell apart.
     """
-    names = [one.effect for one in found.of_channel("force")]
+    names = [one.effect for one in found.visible_in("force")]
     words = [display_name(one) for one in names]
     with figure_style():
         label_in = max((text_width_in(one, TEXT_PT) for one in words), default=1.0) + 0.2

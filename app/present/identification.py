@@ -61,7 +61,7 @@ def identification_document(identification: Identification) -> Document:
     # A nominal model such as the drive alone has none of the parts of the friction model.
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
 
-    left_out = tuple((exclusion.what, exclusion.reason) for exclusion in identification.left_out)
+    left_out = tuple((exclusion.item, exclusion.reason) for exclusion in identification.left_out)
     return Document(
         title=f"Specimen {identification.specimen}: {used} of {used + len(left_out)} runs used",
         lead=("Intervals hold 95 %; ± is a standard error.",),
@@ -76,7 +76,7 @@ def identification_document(identification: Identification) -> Document:
                         "exclusions",
                         "",
                         identification.left_out,
-                        Field("what", "what", lambda exclusion: exclusion.what),
+                        Field("what", "left out", lambda exclusion: exclusion.item),
                         Field("reason", "reason", lambda exclusion: exclusion.reason),
                     ),
                 ),

@@ -44,4 +44,4 @@ def _scalar(value: object) -> str | float | bool | None:
 
 def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:
     """Return what was left out, and why."""
-    return [{"what": item.what, "reason": item.reason} for item in left_out]
+    return [{"what": exclusion.item, "reason": exclusion.reason} for exclusion in left_out]

@@ -75,7 +75,7 @@ class PaperReportData:
         What was simulated: the model, the drag test's capsule, the wall.
     runs
         Number of runs, return strokes included.
-    of_run
+    run_models
         The model that each run was simulated with, its own variation included, by the file's name.
     coulomb_trace
         The Coulomb test's run; None when there is none.
@@ -86,7 +86,7 @@ class PaperReportData:
     wall_thickness_mm: float
     rig: RigSettings
     runs: int
-    of_run: Mapping[str, FrictionModelSettings]
+    run_models: Mapping[str, FrictionModelSettings]
     identification: Identification
     elements: tuple[ElementRow, ...]
     findings: tuple[PaperFinding, ...]
@@ -199,7 +199,7 @@ def _joint_run_table(fit: JointFit | None, results: PaperReportData) -> Table:
     model = results.model
     rows: list[tuple[Cell, ...]] = []
     for run in () if fit is None else fit.runs:
-        own = results.of_run.get(run.file, model)
+        own = results.run_models.get(run.file, model)
         simulated = {
             "stiffness": own.stiffness_scale / model.stiffness_scale,
             "friction": own.friction_coefficient / model.friction_coefficient,
@@ -301,7 +301,7 @@ def _coulomb_table(results: PaperReportData) -> Table:
     ]
     run = results.coulomb
     if run is not None:
-        own = results.of_run.get(run.file, results.model).friction_coefficient
+        own = results.run_models.get(run.file, results.model).friction_coefficient
         rows.append(simulated("the same with this run’s own μ", own))
         force, mu, reduced = (
             (estimate.value, estimate.standard_error) for estimate in (run.force, run.mu, run.mu_without_viscous)

@@ -91,7 +91,7 @@ _ENGINE_POLL_MS = 33
 class EngineLink(QObject):
     """An engine host, with its events and samples as signals; `restart` replaces one that is lost."""
 
-    said = Signal(object)
+    event_received = Signal(object)
     """An event of the host."""
     sampled = Signal(object)
     """Live samples."""
@@ -136,7 +136,7 @@ class EngineLink(QObject):
             self._client.beat()
         # Events first: a run's start comes before its samples.
         for event in self._client.events():
-            self.said.emit(event)
+            self.event_received.emit(event)
             if isinstance(event, HostLost):
                 return
         fresh = self._client.live.read()

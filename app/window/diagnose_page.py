@@ -166,8 +166,8 @@ class DiagnosePage(QWidget):
             return
         for event in self._process.events():
             match event:
-                case DiagnosisProgress(done, of):
-                    self.progress.setRange(0, max(of, 1))
+                case DiagnosisProgress(done, total):
+                    self.progress.setRange(0, max(total, 1))
                     self.progress.setValue(done)
                 case CompletedDiagnosis():
                     self.results.show_diagnosis(event)

@@ -193,7 +193,7 @@ class MainWindow(QMainWindow):
         self._page_buttons = QButtonGroup(self)
         self._closing = False
         self._lay_out({"Run": self.run, "Look": self.look, "Diagnose": self.diagnose})
-        self.engine.said.connect(self.take)
+        self.engine.event_received.connect(self.take)
         for page in (self.run, self.look, self.diagnose):
             page.complained.connect(self.notices.complain)
         self.run.look_at.connect(self._look_at)

@@ -111,9 +111,9 @@ class TimePlot:
         self._item.addItem(line, ignoreBounds=True)
         return PlotCursor(line)
 
-    def follow(self, other: "TimePlot") -> None:
+    def follow(self, leader: "TimePlot") -> None:
         """Show the same times as another plot."""
-        self._item.setXLink(other._item)  # noqa: SLF001  # another object of this class
+        self._item.setXLink(leader._item)  # noqa: SLF001  # another object of this class
 
     def hide_times(self) -> None:
         """Hide the time axis; a plot below shows it."""

@@ -408,7 +408,7 @@ class RunPage(QWidget):
         self.running_changed.emit(running)
 
     def _connect(self, engine: EngineLink) -> None:
-        engine.said.connect(self.take)
+        engine.event_received.connect(self.take)
         engine.sampled.connect(self.sample)
         self.new.planned.connect(self.preview.show_session)
         self.new.refused.connect(self.preview.refuse)

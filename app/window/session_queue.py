@@ -144,8 +144,8 @@ class SessionQueue:
         if entry not in waiting:
             return
         place = min(max(waiting.index(entry) + by, 0), len(waiting) - 1)
-        other = waiting[place]
-        at, to = self.entries.index(entry), self.entries.index(other)
+        neighbour = waiting[place]
+        at, to = self.entries.index(entry), self.entries.index(neighbour)
         self.entries.insert(to, self.entries.pop(at))
 
     def clear_finished(self) -> None:

@@ -380,11 +380,11 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
             dataset = create_column(group, name, len(column), np.dtype("<f8"))
             dataset.attrs["units"] = units.get(name, "")
             dataset[:] = column
-        of_the_run = [event for event in read_events_v1(file) if event.kind != schema.FILTER_EVENT]
-        of_the_filter = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
+        run_events = [event for event in read_events_v1(file) if event.kind != schema.FILTER_EVENT]
+        filter_events = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
         if schema.EVENTS in file:
             del file[schema.EVENTS]
-        file.create_dataset(schema.EVENTS, data=event_rows([*of_the_run, *of_the_filter]))
+        file.create_dataset(schema.EVENTS, data=event_rows([*run_events, *filter_events]))
 
     rewrite(path, edit, without=("filtered",))
 

@@ -136,13 +136,13 @@ def relaxation_force(gut: GutContact, run: RunConditions) -> Floats:
         raise ValueError(f"a {plan.kind} run has no shear strain")
     E1, E2, E3, tau1, tau2 = (float(values[0]) for values in gut.moduli(np.array([plan.strain])))
     h = float(motion.t[1] - motion.t[0]) / _STEPS_PER_SAMPLE
-    fine = motion.t[0] + h * np.arange((motion.t.size - 1) * _STEPS_PER_SAMPLE + 1)
-    strain = CubicHermiteSpline(motion.t, motion.p, motion.v)(fine) / PLANT_WALL_MM
+    fine_s = motion.t[0] + h * np.arange((motion.t.size - 1) * _STEPS_PER_SAMPLE + 1)
+    strain = CubicHermiteSpline(motion.t, motion.p, motion.v)(fine_s) / PLANT_WALL_MM
     steps = np.diff(strain, prepend=0.0)
     stress = E3 * strain
     for modulus, tau in ((E1, tau1), (E2, tau2)):
         if gut.errors.ramp_step_s:
-            stress = stress + modulus * _first_order_rule(strain, fine, tau, gut.errors.ramp_step_s)
+            stress = stress + modulus * _first_order_rule(strain, fine_s, tau, gut.errors.ramp_step_s)
             continue
         decay = np.exp(-h / tau)
         stress = stress + lfilter([modulus * tau / h * (1 - decay)], [1.0, -decay], steps)
@@ -150,14 +150,14 @@ def relaxation_force(gut: GutContact, run: RunConditions) -> Floats:
     return np.asarray(force + SHEARED_AREA_MM2 * E3 * _tail_stress(gut, motion.t, strain[::_STEPS_PER_SAMPLE]))
 
 
-def _first_order_rule(strain: Floats, fine: Floats, tau: float, step_s: float) -> Floats:
+def _first_order_rule(strain: Floats, fine_s: Floats, tau: float, step_s: float) -> Floats:
     """Return a branch's stress over its modulus by the first-order rule at a coarse step, interpolated linearly."""
     from scipy.signal import lfilter
 
-    every = max(round(step_s / (fine[1] - fine[0])), 1)
-    at = np.append(np.arange(0, fine.size - 1, every), fine.size - 1)
-    coarse = lfilter([1.0], [1.0, -np.exp(-every * (fine[1] - fine[0]) / tau)], np.diff(strain[at], prepend=0.0))
-    return np.asarray(np.interp(fine, fine[at], coarse))
+    every = max(round(step_s / (fine_s[1] - fine_s[0])), 1)
+    at = np.append(np.arange(0, fine_s.size - 1, every), fine_s.size - 1)
+    coarse = lfilter([1.0], [1.0, -np.exp(-every * (fine_s[1] - fine_s[0]) / tau)], np.diff(strain[at], prepend=0.0))
+    return np.asarray(np.interp(fine_s, fine_s[at], coarse))
 
 
 def _tail_stress(gut: GutContact, t: Floats, strain: Floats) -> Floats:

@@ -319,8 +319,8 @@ def catalogue() -> Mapping[str, Effect]:
     """Return all effects by id, in order of their ids."""
     modules = [import_module(f"{effects.__name__}.{module.name}") for module in iter_modules(effects.__path__)]
     declared = (value for module in modules for value in vars(module).values() if isinstance(value, type))
-    found = {kind.id: kind() for kind in declared if issubclass(kind, Effect) and hasattr(kind, "id")}
-    return MappingProxyType(dict(sorted(found.items())))
+    effects_by_id = {kind.id: kind() for kind in declared if issubclass(kind, Effect) and hasattr(kind, "id")}
+    return MappingProxyType(dict(sorted(effects_by_id.items())))
 
 
 def find_effect(effect_id: str) -> Effect:
@@ -347,7 +347,7 @@ def similar_effects(effect_id: str) -> frozenset[str]:
 
 
 def _related(effect_id: str, relations: Mapping[str, Iterable[str]]) -> frozenset[str]:
-    declared_by_others = (other for other, related in relations.items() if effect_id in related)
+    declared_by_others = (effect for effect, related in relations.items() if effect_id in related)
     return frozenset({*relations.get(effect_id, ()), *declared_by_others})
 
 

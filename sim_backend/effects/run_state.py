@@ -320,8 +320,8 @@ class RunState:
     @cached_property
     def stiffness_force(self) -> FloatArray:
         """Force in proportion to the wall's stiffness: shear, f_e, and the part of f_c that is not the weight's."""
-        of_weight = self.friction_coefficient * self.weight_mN * self.coulomb_sign if self.sliding else 0.0
-        return self.shear + self.f_e + self.f_c - of_weight
+        weight_friction_mN = self.friction_coefficient * self.weight_mN * self.coulomb_sign if self.sliding else 0.0
+        return self.shear + self.f_e + self.f_c - weight_friction_mN
 
 
 def gut_run_state(

@@ -163,8 +163,8 @@ class SlidingForce:
         return slopes
 
     def _by_interval(self, rising_s: FloatArray) -> Iterator[tuple[SmoothInterval, slice]]:
-        begins = np.searchsorted(rising_s, np.array([span.begin_s for span in self.spans[1:]]), side="left")
-        edges = [0, *begins.tolist(), rising_s.size]
+        first_samples = np.searchsorted(rising_s, np.array([span.begin_s for span in self.spans[1:]]), side="left")
+        edges = [0, *first_samples.tolist(), rising_s.size]
         for interval, begin, end in zip(self.spans, edges[:-1], edges[1:], strict=True):
             if end > begin:
                 yield interval, slice(begin, end)

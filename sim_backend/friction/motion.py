@@ -288,7 +288,7 @@ class RecordedMotion:
     ----------
     breaks_s, signs, uniform
         As in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
-    fine
+    profile
         All pieces of constant acceleration.
     counted
         Whether it was measured in counts.
@@ -297,7 +297,7 @@ class RecordedMotion:
     breaks_s: FloatArray
     signs: SignArray
     uniform: BoolArray
-    fine: ProfileMotion
+    profile: ProfileMotion
     counted: bool = False
 
     def __eq__(self, other: object) -> bool:
@@ -310,7 +310,7 @@ class RecordedMotion:
 
     @property
     def _bits(self) -> tuple[object, ...]:
-        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.fine, self.counted
+        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.profile, self.counted
 
     @classmethod
     def of(
@@ -336,11 +336,11 @@ class RecordedMotion:
         resting_s = min(max(SMOOTHING_WINDOW_S, jitter_mm / REST_SPEED_MM_S), MAX_REST_WINDOW_S)
         at_rest = max(window, 2 * round(0.5 * resting_s / step) + 1)
         smooth, edges = smooth_between_rests(raw, window, jitter_mm, at_rest)
-        fine = _fit_parabolas(grid, smooth - smooth[0], edges, jitter_mm)
-        breaks = add_bends(fine, grid[edges])
-        first = np.searchsorted(fine.breaks_s, breaks[:-1])
-        signs = np.sign(np.add.reduceat(fine.signs, first)).astype(np.int8)
-        return cls(breaks, signs, signs == 0, fine, counted=True)
+        fitted = _fit_parabolas(grid, smooth - smooth[0], edges, jitter_mm)
+        breaks = add_bends(fitted, grid[edges])
+        first = np.searchsorted(fitted.breaks_s, breaks[:-1])
+        signs = np.sign(np.add.reduceat(fitted.signs, first)).astype(np.int8)
+        return cls(breaks, signs, signs == 0, fitted, counted=True)
 
     @classmethod
     def computed(cls, time_s: FloatArray, position_mm: FloatArray) -> "RecordedMotion":
@@ -359,35 +359,35 @@ class RecordedMotion:
         return cls.from_pieces(_fit_parabolas(time_s, position, edges, COMPUTED_TOLERANCE_MM))
 
     @classmethod
-    def from_pieces(cls, fine: ProfileMotion) -> "RecordedMotion":
+    def from_pieces(cls, profile: ProfileMotion) -> "RecordedMotion":
         """Join pieces between rests and reversals where the velocity hardly bends."""
-        changes = fine.signs[1:] != fine.signs[:-1]
-        breaks = add_bends(fine, fine.breaks_s[np.concatenate(([True], changes, [True]))])
-        first = np.searchsorted(fine.breaks_s, breaks[:-1])
-        alone = np.diff(np.append(first, fine.signs.size)) == 1
-        uniform = np.logical_and.reduceat(fine.uniform, first) & alone
-        return cls(breaks, fine.signs[first], uniform, fine)
+        changes = profile.signs[1:] != profile.signs[:-1]
+        breaks = add_bends(profile, profile.breaks_s[np.concatenate(([True], changes, [True]))])
+        first = np.searchsorted(profile.breaks_s, breaks[:-1])
+        alone = np.diff(np.append(first, profile.signs.size)) == 1
+        uniform = np.logical_and.reduceat(profile.uniform, first) & alone
+        return cls(breaks, profile.signs[first], uniform, profile)
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Return the position [mm] at any times within the motion."""
-        return self.fine.position(time_s)
+        return self.profile.position(time_s)
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Return the velocity [mm/s] at any times within the motion."""
-        return self.fine.velocity(time_s)
+        return self.profile.velocity(time_s)
 
     def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity at times of shape `(n, m)`."""
-        return self.fine.position(time_s), self.fine.velocity(time_s)
+        return self.profile.position(time_s), self.profile.velocity(time_s)
 
     def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
         """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
-        begin, end = np.searchsorted(self.fine.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
-        return self.fine.arrival_time(position_mm, begin, end - 1)
+        begin, end = np.searchsorted(self.profile.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
+        return self.profile.arrival_time(position_mm, begin, end - 1)
 
     def pieces(self) -> Pieces:
         """Return the motion as pieces of constant acceleration."""
-        return self.fine.pieces()
+        return self.profile.pieces()
 
 
 def check_record(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -465,11 +465,11 @@ def _fit_parabolas(
     )
 
 
-def add_bends(fine: ProfileMotion, edges_s: FloatArray) -> FloatArray:
+def add_bends(profile: ProfileMotion, edges_s: FloatArray) -> FloatArray:
     """Add to the edges the ends of pieces at which the velocity bends."""
-    time = fine.breaks_s
-    ending = fine.velocity_mm_s + fine.acceleration_mm_s2 * np.diff(time)
-    after, before = np.append(fine.velocity_mm_s, 0.0), np.concatenate(([0.0], ending))
+    time = profile.breaks_s
+    ending = profile.velocity_mm_s + profile.acceleration_mm_s2 * np.diff(time)
+    after, before = np.append(profile.velocity_mm_s, 0.0), np.concatenate(([0.0], ending))
     tolerance = max(BEND_MM_S, BEND_SHARE * float(np.abs(after).max()))
 
     def worst(begin: int, end: int) -> int | None:

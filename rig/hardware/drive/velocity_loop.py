@@ -502,9 +502,9 @@ class VelocityLoop:
         self._on_fault(trip)
         try:
             self._streamer.zero()
-            stands = self._standstill.wait(self._counter, self._clock)
+            at_rest = self._standstill.wait(self._counter, self._clock)
         except DeviceError:
-            stands = False
-        if not stands:
+            at_rest = False
+        if not at_rest:
             self._cut_power()
         self._come_to_rest()
