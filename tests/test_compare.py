@@ -180,10 +180,10 @@ def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: 
     mark_bad(folder / "010-drag.h5", "capsule slipped")
     (folder / "999-drag.h5").write_bytes(b"no run")
     found = dragrig.compare(PRACTICE, folder)
-    reasons = {one.what: one.reason for one in found.b.left_out}
+    reasons = {one.item: one.reason for one in found.b.left_out}
     assert "capsule slipped" in reasons["010-drag.h5"]
     assert "999-drag.h5" in reasons
-    assert [one.what for one in found.alone_a] == ["010-drag.h5"]
+    assert [one.item for one in found.alone_a] == ["010-drag.h5"]
     named = dragrig.compare(PRACTICE / "010-drag.h5", folder / "010-drag.h5")
     assert "B: it is marked bad: capsule slipped" in named.pairs[0].remarks
     run = drag()

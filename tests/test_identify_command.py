@@ -93,7 +93,7 @@ def test_runs_marked_bad_are_left_out_with_the_reason(campaign: Path) -> None:
     bad = campaign / "018-drag.h5"
     mark_bad(bad, "the gut slipped off the foam")
     found = dragrig.identify(campaign)
-    assert [(one.what, one.reason) for one in found.result.left_out] == [
+    assert [(one.item, one.reason) for one in found.result.left_out] == [
         (bad.name, "it is marked bad: the gut slipped off the foam")
     ]
 
