@@ -16,8 +16,7 @@ import numpy as np
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.segments import Mask
 from dragrig.rig.arrays import FloatArray, IndexArray
-from dragrig.sim_backend.friction import RecordedMotion
-from dragrig.sim_backend.friction.motion import ENCODER_JITTER_MM, SMOOTHING_WINDOW_S
+from dragrig.sim_backend.friction.motion import ENCODER_JITTER_MM, SMOOTHING_WINDOW_S, RecordedMotion
 
 MAX_JOINTS = 24
 """A motion of more pieces is no programmed stroke; its joints stay where the smoothed record bends."""
