@@ -3,11 +3,10 @@
 | module | content |
 |---|---|
 | `savgol` | Savitzky–Golay filter: of a trace, of samples as they arrive, of run files |
-| `measures` | steady, rest, peak and hold force and speed of a run, with errors |
-| `campaign_table` | a campaign as rows and as a data frame; means of repeated runs |
+| `measures` | steady, rest, peak and hold force and speed of a run, with errors; a campaign as a table |
 | `comparison` | two campaigns, two runs, or a campaign and the friction model, side by side |
 | `models` | nominal models: the capsule's friction model, the stage, models of a user's own |
-| `inference`, `identification` | parameters of a nominal model from the runs of a specimen |
+| `noise`, `linear_gaussian`, `identification` | parameters of a nominal model from the runs of a specimen |
 | `gap` | the difference between runs and nominal model, and its causes |
 | `paper` | the paper checked against its own model |
 | `export`, `importing` | runs to CSV, Parquet, MATLAB and NumPy files, and measurements from elsewhere to run files |

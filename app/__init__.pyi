@@ -1,8 +1,10 @@
-from .api.compare import compare as compare
 from .api.diagnose import diagnose as diagnose
 from .api.diagnose import diagnose_many as diagnose_many
 from .api.diagnose import gap_evaluate as gap_evaluate
+from .api.diagnose import isolability as isolability
+from .api.diagnose import next_experiment as next_experiment
 from .api.evaluate import campaign as campaign
+from .api.evaluate import compare as compare
 from .api.evaluate import export as export
 from .api.evaluate import filter as filter  # noqa: A004  # the word that people look for
 from .api.evaluate import import_run as import_run
@@ -17,8 +19,6 @@ from .api.measure import examine as examine
 from .api.measure import resume as resume
 from .api.measure import run as run
 from .api.measure import simulate as simulate
-from .api.plan_next import isolability as isolability
-from .api.plan_next import next_experiment as next_experiment
 from .api.report import paper as paper
 from .api.report import report as report
 from .api.stage import calibrate_encoder as calibrate_encoder

@@ -19,18 +19,12 @@ from dragrig.config.rig import Calibration, rig_file_of
 from dragrig.rig.devices import Backend, BackendRequest
 from dragrig.rig.engine import Store
 from dragrig.rig.operator import Answer, NullOperator, Operator, Prompt, SessionObserver
-from dragrig.rig.preflight import preflight
+from dragrig.rig.programme import preflight
 from dragrig.rig.runfile import Campaign, FolderStore, RecoveryOutcome, read_campaign, recover
+from dragrig.rig.runfile.campaigns import SessionRecord, latest_session_record, write_session_record
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.store import Mirror, MirrorReport
-from dragrig.rig.session import (
-    CampaignProgress,
-    Session,
-    SessionRecord,
-    SessionResult,
-    latest_session_record,
-    write_session_record,
-)
+from dragrig.rig.session import CampaignProgress, Session, SessionResult
 from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import Pace, Setup, contact_position, open_backend, resolve_pace
 

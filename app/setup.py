@@ -29,7 +29,7 @@ from dragrig.rig.calibration import latest_calibration, read_contact
 from dragrig.rig.devices import Backend, BackendRequest, StageLimits, stage_limits
 from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
-from dragrig.rig.session import session_record_of_run
+from dragrig.rig.runfile.campaigns import session_record_of_run
 
 Pace = Literal["fast", "real"] | float
 """As fast as possible, as fast as a real rig, or this many times faster; the last for doubles only."""

@@ -13,8 +13,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis.campaign_table import TableRow, table_row
 from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis.measures import TableRow, table_row
 from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, filter_run
 from dragrig.analysis.segments import gap_starts
 from dragrig.api.evaluate import ExportFormatName
@@ -26,7 +26,7 @@ from dragrig.config.settings import Settings, find_table, parse, parse_value, sh
 from dragrig.engine_host.messages import RigSelection
 from dragrig.present.document import Document
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.preflight import Preflight, RunPreview
+from dragrig.rig.programme import Preflight, RunPreview
 from dragrig.rig.protocols import RunProtocol, protocol_kinds
 from dragrig.rig.runfile import read_campaign, read_info, read_mark, read_run
 from dragrig.rig.runfile.model import Run, RunInfo

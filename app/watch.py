@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.json_values import to_json_object
+from dragrig.present.numbers import to_json_object
 from dragrig.rig.runfile import read_info, read_tail
+from dragrig.rig.runfile.campaigns import read_session_records
 from dragrig.rig.runfile.model import PHASE_NAMES, Run
 from dragrig.rig.runfile.schema import is_recording, run_name
-from dragrig.rig.session import read_session_records
 from dragrig.session_state import SessionState, is_session_running, read_state
 
 RECENT_TRACE_S = 20.0

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from dragrig.api.diagnose import diagnose_many
-from dragrig.exam.blind_campaigns import draw_cases
+from dragrig.exam.blind_exam import draw_cases
 from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, write_campaign
 
 MANY = 1000
@@ -82,7 +82,7 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
     """Print d′ of every form at full size: median, least and largest of some draws."""
     from dataclasses import replace
 
-    from dragrig.sim_backend.blind.effect_size import effect_size, nuisance_directions
+    from dragrig.sim_backend.blind.plant import effect_size, nuisance_directions
 
     bases = [draw_campaign(7 + at) for at in range(draws)]
     nominal = [nuisance_directions(one) for one in bases]

@@ -31,7 +31,6 @@ BAR_MB = 1000.0
 """Peak memory that no campaign may need."""
 STAGES = {
     "dragrig.analysis.gap.forward_selection": ("linearise", "refit_with_effect", "_relinearised", "forward_selection"),
-    "dragrig.analysis.gap.linear_fit": ("linearise",),
     "dragrig.analysis.gap.diagnose": (
         "analyse_position",
         "find_spectral_lines",
@@ -41,7 +40,7 @@ STAGES = {
         "predict_held_out",
     ),
     "dragrig.analysis.gap.studies": ("model_error_columns",),
-    "dragrig.analysis.gap.design": ("signatures", "parameter_derivatives", "_nominal_derivatives"),
+    "dragrig.analysis.gap.design": ("linearise", "signatures", "parameter_derivatives", "_nominal_derivatives"),
 }
 
 
@@ -91,7 +90,7 @@ def one(folder: Path, *, stages: bool) -> None:
     import psutil
 
     from dragrig.analysis.gap.diagnose import diagnose
-    from dragrig.analysis.gap.run_selection import choose_runs
+    from dragrig.analysis.gap.run_data import choose_runs
     from dragrig.analysis.models.capsule_model import MODEL
 
     spent = defaultdict[str, float](float)

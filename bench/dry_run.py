@@ -23,8 +23,9 @@ from dragrig.rig.engine import Store
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import build_programme
 from dragrig.rig.runfile import FolderStore
+from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.store import MemoryStore
-from dragrig.rig.session import Session, SessionRecord
+from dragrig.rig.session import Session
 from dragrig.sim_backend.devices import open_backend
 
 ROUNDS = 5

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import dragrig
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan

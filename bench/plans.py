@@ -23,7 +23,7 @@ from typing import Any
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits, plan_of_next_runs
 from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan

@@ -15,7 +15,7 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, BackendRequest, Contact
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
 from dragrig.sim_backend.doubles.backend import DoubleBackend
-from dragrig.sim_backend.doubles.carriage import VELOCITY_LAG_S
+from dragrig.sim_backend.doubles.simulated_bench import VELOCITY_LAG_S
 
 RATE = 1000.0
 NEVER = threading.Event()

@@ -1,15 +1,271 @@
-"""Rig settings (stage, encoder, force sensor, guard, recording, simulated rig) and the other files of a lab folder.
+"""Rig settings (stage, encoder, force sensor, guard, recording, wiring, simulated rig) and the files of a lab folder.
 
 A lab folder holds the rig file, a calibration history that is only appended to, and the contact that touch-off found.
+The wiring says which signal is on which terminal of the card, and how the drive is reached; terminals of the PCI-6229
+are named without the device (NI 622x Specifications, pinout).
 """
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AwareDatetime, Field, model_validator
+from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
-from dragrig.config.hardware import HardwareSettings
 from dragrig.config.settings import Settings
+
+_PFI = "an input terminal, PFI0 to PFI15, without the device's name"
+_INPUT_RANGES_V = (0.2, 1.0, 5.0, 10.0)
+_MAX_LOOP_GAIN = 0.75
+"""Gain times dead time of a loop around an integrator: it oscillates at π/2, and rings above about half of that."""
+
+
+def _name_like(pattern: str, description: str) -> AfterValidator:
+    def validate(name: str) -> str:
+        if re.fullmatch(pattern, name) is None:
+            raise ValueError(f"must be {description}")
+        return name
+
+    return AfterValidator(validate)
+
+
+AnalogInput = Annotated[
+    str,
+    _name_like(
+        "ai([0-7]|1[6-9]|2[0-3])",
+        "the positive input of a differential pair, ai0 to ai7 or ai16 to ai23, without the device's name",
+    ),
+]
+AnalogOutput = Annotated[str, _name_like("ao[0-3]", "an analog output, ao0 to ao3, without the device's name")]
+Counter = Annotated[str, _name_like("ctr[01]", "a counter, ctr0 or ctr1, without the device's name")]
+InputTerminal = Annotated[str, _name_like("PFI([0-9]|1[0-5])", _PFI)]
+OptionalInputTerminal = Annotated[str, _name_like("(PFI([0-9]|1[0-5]))?", _PFI)]
+OptionalLine = Annotated[
+    str,
+    _name_like(
+        "(port0/line([0-9]|[12][0-9]|3[01])|port[12]/line[0-7])?",
+        "a digital line such as port1/line0, without the device's name; empty if not wired",
+    ),
+]
+
+
+def shared_pin(name: str) -> str:
+    """Return the input terminal whose pin a digital line shares, or any other name unchanged.
+
+    Port 1 is PFI0 to PFI7, port 2 is PFI8 to PFI15.
+    """
+    match = re.fullmatch(r"port([12])/line(\d)", name)
+    return f"PFI{8 * (int(match[1]) - 1) + int(match[2])}" if match else name
+
+
+def find_shared_pin(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return the first two names that are the same pin of the card, or None; empty names are not wired."""
+    seen: dict[str, str] = {}
+    for name in filter(None, names):
+        pin = shared_pin(name)
+        if pin in seen:
+            return seen[pin], name
+        seen[pin] = name
+    return None
+
+
+def _card_range(range_V: float) -> float:
+    if range_V not in _INPUT_RANGES_V:
+        raise ValueError(
+            f"must be one of {', '.join(f'{limit:g}' for limit in _INPUT_RANGES_V)}, the card's ranges in ± volts"
+        )
+    return range_V
+
+
+InputRange = Annotated[float, AfterValidator(_card_range)]
+"""Range of an analog input in ± volts."""
+
+
+class AnalogInputSettings(Settings):
+    """A further analog input, recorded on the same clock as force and position."""
+
+    name: str = Field(pattern="^[a-z][a-z0-9_]*$")
+    """Name of the channel in run files: motor_force, temperature, …."""
+    channel: AnalogInput
+    """Positive input on the card, such as ai1; the negative input is then ai9."""
+    unit: str
+    per_V: float = 1.0
+    """Quantity per volt."""
+    zero_V: float = 0.0
+    """Voltage at which the quantity is 0."""
+    range_V: InputRange = 10.0
+
+
+class ForceInputSettings(Settings):
+    """Wiring of the force sensor; the latest entry of the calibration history overrides gain and zero."""
+
+    channel: AnalogInput = "ai0"
+    """Positive input on the card; the negative input of ai0 is ai8."""
+    per_V: float = Field(default=1000.0)
+    """Force per volt [mN/V], without a calibration."""
+    zero_V: float = 0.0
+    range_V: InputRange = 10.0
+    overload_V: float = Field(default=9.9, gt=0, le=10.5)
+    """Voltage, positive or negative, from which the sensor counts as overloaded."""
+    open_V: float = Field(default=9.99, gt=0, le=10.6)
+    """Voltage from which the amplifier is at its rail: a wire is broken or the sensor unplugged."""
+
+    @model_validator(mode="after")
+    def _check_voltages(self) -> Self:
+        if self.per_V == 0:
+            raise ValueError("per_V must not be 0")
+        if self.open_V < self.overload_V:
+            raise ValueError("open_V must not be below overload_V")
+        if self.open_V > self.range_V:
+            raise ValueError("open_V must not be above range_V, or no broken wire could be detected")
+        return self
+
+
+class EncoderInputSettings(Settings):
+    """Wiring of the encoder, behind a line receiver, and its counter; encoder.resolution_um is one count."""
+
+    counter: Counter = "ctr0"
+    a: InputTerminal = "PFI8"
+    b: InputTerminal = "PFI10"
+    z: OptionalInputTerminal = "PFI9"
+    """Index pulse; empty when it is not wired."""
+    filter_ns: Literal[0, 125, 6425, 2_560_000] = 125
+    """Shortest pulse that is counted; 6425 limits the speed to about 0.3 m/s."""
+    reversed: bool = False
+    """Whether it counts down where the stage moves up."""
+
+
+class LineSettings(Settings):
+    """Digital lines; empty when not wired. A broken wire reads as pressed: switches are normally closed."""
+
+    enable: OptionalLine = "port1/line0"
+    """Output: the drive's enable."""
+    e_stop: OptionalLine = "port1/line1"
+    """Input: low when pressed."""
+    limit_low: OptionalLine = "port1/line2"
+    """Input: low at the lower end of travel."""
+    limit_high: OptionalLine = "port1/line3"
+    """Input: low at the upper end of travel."""
+    heartbeat: OptionalLine = ""
+    """Output: toggled while the program runs properly; an external relay cuts the drive's power when it stops."""
+    heartbeat_s: float = Field(default=0.05, gt=0, le=1)
+    """Time between two edges of the heartbeat."""
+
+
+class CardSettings(Settings):
+    """The PCI-6229."""
+
+    device: str = Field(default="Dev1", min_length=1)
+    server: str = ""
+    """Host and port of an NI gRPC device server when the card is in another computer; empty for this one."""
+    buffer_s: float = Field(default=4.0, ge=1, le=60)
+    """Length of the buffer between card and program."""
+    force: ForceInputSettings = ForceInputSettings()
+    encoder: EncoderInputSettings = EncoderInputSettings()
+    lines: LineSettings = LineSettings()
+    inputs: tuple[AnalogInputSettings, ...] = ()
+    """Further analog inputs."""
+
+    @model_validator(mode="after")
+    def _check_terminals(self) -> Self:
+        names = ["force", "position", "time", "command", "phase", *(extra.name for extra in self.inputs)]
+        channels = [self.force.channel, *(extra.channel for extra in self.inputs)]
+        for key, values in (("name", names), ("channel", channels)):
+            if repeated := next((value for value in values if values.count(value) > 1), None):
+                raise ValueError(f"inputs: {key} = {repeated!r} is used twice; each input needs its own")
+        lines, encoder = self.lines, self.encoder
+        wired = (lines.enable, lines.e_stop, lines.limit_low, lines.limit_high, lines.heartbeat)
+        if shared := find_shared_pin((*wired, encoder.a, encoder.b, encoder.z)):
+            first, second = shared
+            raise ValueError(
+                f"{first} is wired to two signals under lines and encoder; each needs its own terminal"
+                if first == second
+                else f"{first} and {second} under lines and encoder are the same pin of the card; use another"
+            )
+        return self
+
+
+class VelocityOutputSettings(Settings):
+    """Velocity mode: the command is a voltage, and the program closes the loop on the encoder."""
+
+    channel: AnalogOutput = "ao0"
+    per_V: float = Field(default=10.0, gt=0)
+    """Speed per volt [mm/s] set in the drive."""
+    counter: Counter = "ctr1"
+    """Counter that reads the encoder for the loop, on the same terminals as the sampled counter."""
+    rate_hz: float = Field(default=1000.0, ge=100, le=10_000)
+    """Samples of the voltage per second."""
+    update_s: float = Field(default=0.02, gt=0, le=0.1)
+    """Time between two corrections."""
+    ahead: int = Field(default=3, ge=2, le=20)
+    """Number of updates that the voltage is written ahead; a stop takes as long to reach the output."""
+    gain_per_s: float = Field(default=5.0, ge=0, le=100)
+    """Loop gain: speed per following error [1/s]."""
+    lag_s: float = Field(default=0.0, ge=0, le=0.1)
+    """Lag of the drive behind the voltage, which the command leads by."""
+
+    @property
+    def update_samples(self) -> int:
+        """Voltages between two corrections."""
+        return max(1, round(self.update_s * self.rate_hz))
+
+    @model_validator(mode="after")
+    def _check_loop_gain(self) -> Self:
+        dead_s = self.update_s * (self.ahead + 1) + self.lag_s
+        if self.gain_per_s * dead_s > _MAX_LOOP_GAIN:
+            raise ValueError(
+                f"gain_per_s must not exceed {_MAX_LOOP_GAIN / dead_s:.3g} with these update_s, ahead and lag_s, "
+                "or the stage would oscillate about its command"
+            )
+        return self
+
+
+class DriveSettings(Settings):
+    """The stage's drive."""
+
+    mode: Literal["position", "velocity"] = "position"
+    """Position commands over serial, or a velocity voltage; the latter only with a heartbeat relay."""
+    port: str = Field(default="COM1", min_length=1)
+    """Serial port, or socket://host:port."""
+    dialect: str = "nikki"
+    """Protocol of the drive: a module of dragrig.rig.hardware.dialects, or any other that Python can import."""
+    baud: int = Field(default=38_400, ge=1200, le=4_000_000)
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    station: int = Field(default=1, ge=0, le=99)
+    reply_s: float = Field(default=0.1, gt=0, le=2)
+    """Longest time for a reply."""
+    silence_s: float = Field(default=0.5, ge=0.05, le=5)
+    """Time without a command after which the drive stops by itself."""
+    thrust_limit_N: float = Field(default=20.0, gt=0)
+    """Written to the drive and read back before every run."""
+    homing_speed_mm_s: float = Field(default=5.0, gt=0, le=50)
+    homing_direction: Literal["low", "high"] = "low"
+    """Limit switch that homing moves to before it searches the index pulse."""
+    velocity: VelocityOutputSettings = VelocityOutputSettings()
+
+
+class HardwareSettings(Settings):
+    """Settings of the real rig only."""
+
+    card: CardSettings = CardSettings()
+    drive: DriveSettings = DriveSettings()
+    hang_s: float = Field(default=0.5, ge=0.1, le=5)
+    """Time without the program reading its data after which a moving stage is stopped."""
+    calibration_days: float = Field(default=90.0, gt=0)
+    """Age from which a calibration is too old."""
+
+    @model_validator(mode="after")
+    def _check_velocity_mode(self) -> Self:
+        if self.drive.mode == "velocity" and not self.card.lines.heartbeat:
+            raise ValueError(
+                "drive.mode = 'velocity' needs a heartbeat relay in card.lines.heartbeat, because the card holds its "
+                "last voltage when the program dies"
+            )
+        if self.drive.mode == "velocity" and self.drive.velocity.counter == self.card.encoder.counter:
+            raise ValueError("drive.velocity.counter and card.encoder.counter must differ, one ctr0 and the other ctr1")
+        return self
+
 
 RIG_FILE = "rig.toml"
 CALIBRATION_FILE = "calibration.jsonl"

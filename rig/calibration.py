@@ -1,24 +1,19 @@
-"""Calibration of force sensor and encoder: known loads and travels, the fitted line, and the history of both."""
+"""Calibration of force sensor and encoder: the line fitted to known loads or travels, and the history of both."""
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite, sqrt
 from pathlib import Path
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, OutputError, SettingsError
-from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint, RigSettings
+from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint
 from dragrig.config.settings import parse, read_settings_file, to_toml
-from dragrig.rig.devices import Backend, RawReading, SupportsBenchActions
-from dragrig.rig.manual import ManualControl
-from dragrig.rig.operator import Prompt
 from dragrig.rig.runfile.filesystem import replace_text
 
-STANDARD_GRAVITY = 9.80665
-"""Weight of a gram [mN]."""
 _MIN_LOADS = 3
 _MAX_RELATIVE_GAIN_ERROR = 0.05
 """Largest standard error of the gain, relative to it; beyond, the readings do not follow what was applied."""
@@ -88,91 +83,6 @@ def fit_encoder(travels_mm: Sequence[float], counts: Sequence[float]) -> Calibra
             "move all of it, and does the encoder count up where the stage moves up (hardware.card.encoder.reversed)?"
         )
     return CalibrationLine(gain, gain_error, 0.0, 0.0, residual, len(travel))
-
-
-@dataclass(frozen=True, slots=True)
-class LoadReading:
-    """A weight on the sensor [g], its load [mN], and the sensor's reading."""
-
-    weight_g: float
-    load_mN: float
-    reading: RawReading
-
-
-@dataclass(frozen=True, slots=True)
-class TravelReading:
-    """A known travel [mm], and the encoder's counts over it."""
-
-    travel_mm: float
-    counts: float
-
-
-def measure_loads(
-    backend: Backend,
-    rig: RigSettings,
-    manual: ManualControl,
-    weights_g: Sequence[float],
-    repeats: int,
-    duration_s: float,
-) -> Iterator[LoadReading]:
-    """Have each weight hung on the sensor, up and down alternately, and read the sensor.
-
-    Raises `DeviceError` when the sensor is overloaded, `AbortedError` when the person aborts.
-    """
-    for repeat in range(repeats):
-        for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
-            action = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
-            manual.confirm(Prompt(f"{action} and let it hang still", hands=backend.needs_hands))
-            if isinstance(backend, SupportsBenchActions):
-                backend.hang(weight_g * STANDARD_GRAVITY)
-            reading = backend.sampler.measure(duration_s)
-            if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
-                raise DeviceError(
-                    f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
-                    "lighter weights, or check its wires."
-                )
-            yield LoadReading(weight_g, weight_g * STANDARD_GRAVITY, reading)
-
-
-def measure_driven_travel(
-    manual: ManualControl,
-    count_mm: float,
-    travel_mm: float,
-    speed_mm_s: float,
-    measured_mm: Sequence[float],
-    repeats: int,
-) -> Iterator[TravelReading]:
-    """Drive the stage back and forth, and yield the encoder's counts over each stroke of known travel.
-
-    Parameters
-    ----------
-    count_mm
-        Length of a count in the sampler's present calibration.
-    measured_mm
-        Measured travel of every forward stroke; empty to trust the drive's travel, in both directions.
-    """
-    manual.make_ready()
-    for repeat in range(repeats):
-        forward = manual.travel(travel_mm, speed_mm_s) / count_mm
-        yield TravelReading(measured_mm[repeat] if measured_mm else travel_mm, forward)
-        backward = manual.travel(-travel_mm, speed_mm_s) / count_mm
-        if not measured_mm:
-            yield TravelReading(-travel_mm, backward)
-
-
-def measure_pushed_travel(
-    backend: Backend, manual: ManualControl, travels_mm: Sequence[float], duration_s: float
-) -> Iterator[TravelReading]:
-    """Have the stage, switched off, pushed by known travels, and yield the encoder's counts."""
-    backend.stage.disable()
-    for travel_mm in travels_mm:
-        travel = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
-        text = f"The stage is off. After this answer, push it {travel} against a gauge, within {duration_s:g} s"
-        manual.confirm(Prompt(text, hands=backend.needs_hands))
-        if isinstance(backend, SupportsBenchActions):
-            backend.push(travel_mm, duration_s)
-        reading = backend.sampler.measure(duration_s)
-        yield TravelReading(travel_mm, reading.counts_end - reading.counts_begin)
 
 
 def read_calibrations(folder: Path) -> tuple[Calibration, ...]:

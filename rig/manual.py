@@ -1,6 +1,9 @@
-"""Moving the stage by hand: reset, homing, jogs and touch-off; guarded like every motion, and not recorded."""
+"""Moving the stage by hand: reset, homing, jogs and touch-off; guarded like every motion, and not recorded.
 
-from collections.abc import Callable, Iterator
+A calibration is measured by hand as well: known weights on the sensor, known travels of the stage.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from math import copysign, isfinite
@@ -9,10 +12,20 @@ from uuid import uuid4
 import numpy as np
 
 from dragrig.config.errors import DeviceError, SettingsError, TrippedError
+from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Backend, Contact, StageLimits, TravelEnd, Trip
+from dragrig.rig.devices import (
+    Acquisition,
+    Backend,
+    Contact,
+    RawReading,
+    StageLimits,
+    SupportsBenchActions,
+    TravelEnd,
+    Trip,
+)
 from dragrig.rig.engine import Engine, require_complete
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.operator import (
@@ -28,6 +41,8 @@ from dragrig.rig.operator import (
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.reading import Reading
 
+STANDARD_GRAVITY = 9.80665
+"""Weight of a gram [mN]."""
 JOG_SPEED_MM_S = 10.0
 """Default speed of a jog."""
 MAX_OVERRIDE_SPEED_MM_S = 2.0
@@ -364,3 +379,88 @@ def require_speed(speed_mm_s: float, limits: StageLimits) -> None:
             f"speed_mm_s = {speed_mm_s:g}: must be more than 0, and {limits.speed_mm_s:g} at most "
             "(stage.max_speed_mm_s of the rig file)."
         )
+
+
+@dataclass(frozen=True, slots=True)
+class LoadReading:
+    """A weight on the sensor [g], its load [mN], and the sensor's reading."""
+
+    weight_g: float
+    load_mN: float
+    reading: RawReading
+
+
+@dataclass(frozen=True, slots=True)
+class TravelReading:
+    """A known travel [mm], and the encoder's counts over it."""
+
+    travel_mm: float
+    counts: float
+
+
+def measure_loads(
+    backend: Backend,
+    rig: RigSettings,
+    manual: ManualControl,
+    weights_g: Sequence[float],
+    repeats: int,
+    duration_s: float,
+) -> Iterator[LoadReading]:
+    """Have each weight hung on the sensor, up and down alternately, and read the sensor.
+
+    Raises `DeviceError` when the sensor is overloaded, `AbortedError` when the person aborts.
+    """
+    for repeat in range(repeats):
+        for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
+            action = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
+            manual.confirm(Prompt(f"{action} and let it hang still", hands=backend.needs_hands))
+            if isinstance(backend, SupportsBenchActions):
+                backend.hang(weight_g * STANDARD_GRAVITY)
+            reading = backend.sampler.measure(duration_s)
+            if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
+                raise DeviceError(
+                    f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
+                    "lighter weights, or check its wires."
+                )
+            yield LoadReading(weight_g, weight_g * STANDARD_GRAVITY, reading)
+
+
+def measure_driven_travel(
+    manual: ManualControl,
+    count_mm: float,
+    travel_mm: float,
+    speed_mm_s: float,
+    measured_mm: Sequence[float],
+    repeats: int,
+) -> Iterator[TravelReading]:
+    """Drive the stage back and forth, and yield the encoder's counts over each stroke of known travel.
+
+    Parameters
+    ----------
+    count_mm
+        Length of a count in the sampler's present calibration.
+    measured_mm
+        Measured travel of every forward stroke; empty to trust the drive's travel, in both directions.
+    """
+    manual.make_ready()
+    for repeat in range(repeats):
+        forward = manual.travel(travel_mm, speed_mm_s) / count_mm
+        yield TravelReading(measured_mm[repeat] if measured_mm else travel_mm, forward)
+        backward = manual.travel(-travel_mm, speed_mm_s) / count_mm
+        if not measured_mm:
+            yield TravelReading(-travel_mm, backward)
+
+
+def measure_pushed_travel(
+    backend: Backend, manual: ManualControl, travels_mm: Sequence[float], duration_s: float
+) -> Iterator[TravelReading]:
+    """Have the stage, switched off, pushed by known travels, and yield the encoder's counts."""
+    backend.stage.disable()
+    for travel_mm in travels_mm:
+        travel = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
+        text = f"The stage is off. After this answer, push it {travel} against a gauge, within {duration_s:g} s"
+        manual.confirm(Prompt(text, hands=backend.needs_hands))
+        if isinstance(backend, SupportsBenchActions):
+            backend.push(travel_mm, duration_s)
+        reading = backend.sampler.measure(duration_s)
+        yield TravelReading(travel_mm, reading.counts_end - reading.counts_begin)

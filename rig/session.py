@@ -1,24 +1,14 @@
-"""A session: the runs of a programme one after the other, with prompts, tares, waits and return strokes between them.
+"""A session: the runs of a programme one after another, with prompts, tares, waits and return strokes between them."""
 
-The session's settings are recorded beside its run files, so that it can be resumed or repeated.
-"""
-
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from math import isfinite
-from pathlib import Path
 from uuid import uuid4
 
-from pydantic import AwareDatetime
-
-from dragrig.config.errors import AbortedError, DeviceError, RunFileError, SettingsError, TrippedError, reason_of
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.plan import Plan
-from dragrig.config.rig import RigSettings
-from dragrig.config.settings import Settings, parse, read_settings_file, to_toml
-from dragrig.config.specimen import Fixture, Specimen
+from dragrig.config.errors import AbortedError, DeviceError, TrippedError, reason_of
+from dragrig.config.settings import to_toml
+from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
 from dragrig.rig.guard import Guard
@@ -38,84 +28,9 @@ from dragrig.rig.operator import (
 )
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile import read_info
+from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import Attribute, RunHeader, RunStatus
 from dragrig.rig.runfile.schema import software_version
-
-RECORD_PATTERN = "session-*.toml"
-
-
-class SessionRecord(Settings):
-    """The full settings of a session."""
-
-    begun_at: AwareDatetime
-    backend: str
-    double: bool = False
-    """Whether it is the backend's double."""
-    operator: str = ""
-    note: str = ""
-    calibration_id: str = ""
-    """Of the force sensor."""
-    encoder_calibration_id: str = ""
-    contact_mm: float | None = None
-    """Absolute position of the contact that touch-off found; None where it is not known."""
-    beside: Path | None = None
-    """Folder that files named in the plan are relative to."""
-    plan: Plan
-    specimen: Specimen
-    model: FrictionModelSettings
-    rig: RigSettings
-
-    def file_name(self) -> str:
-        """Return the file name, with a time in UTC, so that names stay in order when clocks are put back."""
-        return f"session-{self.begun_at.astimezone(UTC):%Y%m%d-%H%M%SZ}.toml"
-
-
-def write_session_record(record: SessionRecord, folder: Path) -> Path:
-    """Write the record into the campaign's folder; raises `OSError`."""
-    path = folder / record.file_name()
-    with path.open("x", encoding="utf-8", newline="\n") as file:
-        file.write(to_toml(record))
-    return path
-
-
-def session_record_of_run(run_file: Path) -> SessionRecord:
-    """Return the record of the session that a run belongs to, from its run file.
-
-    Raises
-    ------
-    RunFileError
-        When the file is no run file, or was not made by this software.
-    SettingsError
-        When its settings cannot be used.
-    """
-    settings = read_info(run_file).header.settings_toml
-    if not settings:
-        raise RunFileError(f"{run_file}: contains no session settings, so its session cannot be repeated.")
-    try:
-        return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
-    except tomllib.TOMLDecodeError as error:
-        raise RunFileError(f"{run_file}: its settings are damaged ({error}).") from error
-
-
-def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple[str, ...]]:
-    """Return every record of a campaign, the earliest first, and the errors of damaged ones."""
-    records: list[SessionRecord] = []
-    errors: list[str] = []
-    for path in sorted(folder.glob(RECORD_PATTERN)):
-        try:
-            records.append(read_settings_file(SessionRecord, path))
-        except SettingsError as error:
-            errors.append(reason_of(error))
-    return tuple(records), tuple(errors)
-
-
-def latest_session_record(folder: Path) -> SessionRecord:
-    """Return a campaign's newest record; raises `RunFileError` when there is none, `SettingsError` when damaged."""
-    paths = sorted(folder.glob(RECORD_PATTERN))
-    if not paths:
-        raise RunFileError(f"{folder}: contains no session-….toml, so there is no session to resume.")
-    return read_settings_file(SessionRecord, paths[-1])
 
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:

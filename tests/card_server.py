@@ -24,7 +24,7 @@ from session_pb2 import Session
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.card.daqmx import Attribute, AttributeValue, CardError
+from dragrig.sim_backend.doubles.card.pci6229 import Attribute, AttributeValue, CardError
 
 Call = Callable[[Message], Message]
 

@@ -20,8 +20,7 @@ from dragrig.rig.hardware.drive.stage_base import StageDevices
 from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles.drive_double import DriveDouble
-from dragrig.sim_backend.doubles.serial_ports import DrivePort, SocketPort
+from dragrig.sim_backend.doubles.drive_double import DriveDouble, DrivePort, SocketPort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0

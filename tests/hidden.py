@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import dragrig
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan

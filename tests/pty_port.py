@@ -3,8 +3,7 @@
 import os
 import selectors
 
-from dragrig.sim_backend.doubles.drive_double import DriveDouble
-from dragrig.sim_backend.doubles.serial_ports import DrivePort
+from dragrig.sim_backend.doubles.drive_double import DriveDouble, DrivePort
 
 _CHUNK_BYTES = 4096
 

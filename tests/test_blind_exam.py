@@ -13,15 +13,16 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
-from dragrig.exam.blind_campaigns import (
+from dragrig.exam.blind_exam import (
+    BlindExam,
     CampaignOrder,
     draw_cases,
+    gap_blind,
     open_exam_folder,
     seal_answers,
     simulate_campaign,
     write_json,
 )
-from dragrig.exam.blind_exam import BlindExam, gap_blind
 from dragrig.sim_backend.blind import CATALOGUE
 
 SEED = 611_203

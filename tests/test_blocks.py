@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis.inference.blocks import MAX_BLOCKS, BlockMeans, average_in_blocks
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import MAX_BLOCKS, BlockMeans, average_in_blocks
 
 SLOW = ["speed_mm_s=0.5", "travel_mm=30", "way_back=stay"]
 

@@ -15,8 +15,7 @@ from nidaqmx.errors import DaqError
 from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
-from dragrig.config.hardware import CardSettings
-from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.rig import Calibration, CardSettings, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import MAX_BLOCK_S, TripCause
 from dragrig.rig.hardware.backend import check_card

@@ -14,7 +14,7 @@ from simulated import settings
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.hardware import CardSettings
+from dragrig.config.rig import CardSettings
 from dragrig.rig.hardware.backend import identify_card
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.tasks import PositionCounter, VoltageOutput

@@ -10,10 +10,9 @@ import add_ons
 import pytest
 
 from dragrig.cli import main
-from dragrig.config.hardware import CardSettings, EncoderInputSettings, HardwareSettings
-from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.rig import Calibration, CardSettings, EncoderInputSettings, HardwareSettings, RigSettings
 from dragrig.rig import calibration
-from dragrig.rig import preflight as sanity
+from dragrig.rig import programme as sanity
 from dragrig.rig.runfile import read_campaign
 from dragrig.setup import create_lab, resolve_rig
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from dragrig.cli import main
 from dragrig.cli.commands import SECTIONS, dragrig_group
 from dragrig.cli.console import print_result, run_command_line
-from dragrig.present.json_values import to_json_value
+from dragrig.present.numbers import to_json_value
 
 ALONE = "Without a plan the rig itself is checked, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")

@@ -10,7 +10,7 @@ from clusters import dask_cluster, wait_for_workers, worker_killed_at_its_second
 
 from dragrig.analysis.gap.features import CALIBRATION_FILE as CALIBRATION
 from dragrig.cli import main
-from dragrig.exam.blind_campaigns import draw_cases, open_exam_folder, write_json
+from dragrig.exam.blind_exam import draw_cases, open_exam_folder, write_json
 from dragrig.exam.examinee import diagnose_blind
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"

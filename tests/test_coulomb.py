@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sliding_runs import PAPER, selected, slid, with_capsule, with_force, without_rest
 
-from dragrig.analysis.identification.coulomb_friction import identify_coulomb, pool_estimates
-from dragrig.analysis.identification.steady_sliding import measure_sliding
+from dragrig.analysis.identification.steady_sliding import identify_coulomb, measure_sliding, pool_estimates
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.selection import select_runs
 from dragrig.config.specimen import Fixture

@@ -7,7 +7,7 @@ import pytest
 from listed_runs import table
 
 import dragrig
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.config.plan import Plan, PlanStep
 from dragrig.rig.programme import Programme
 from dragrig.setup import resolve

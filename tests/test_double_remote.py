@@ -27,8 +27,7 @@ from simulated import NEVER, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.hardware import CardSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import CardSettings, RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.card.connection import Connection

@@ -22,7 +22,7 @@ from dragrig.analysis.identification.speed_dependence import (
     r2_eq15,
     squared_correlation,
 )
-from dragrig.analysis.identification.steady_drag import DragSetup, identify_drag, resting_force
+from dragrig.analysis.identification.steady_sliding import DragSetup, identify_drag, resting_force
 from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture

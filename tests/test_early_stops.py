@@ -10,8 +10,7 @@ from simulated import acquire, session, settings, stroke
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.hardware import CardSettings, HardwareSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import CardSettings, HardwareSettings, RigSettings
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard

@@ -10,8 +10,8 @@ import pytest
 import dragrig
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.position_channel import position_errors, score_model_classes
-from dragrig.analysis.inference.noise import estimate_noise
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import estimate_noise
 from dragrig.config.errors import SettingsError
 
 ROOT = Path(__file__).parents[1]

@@ -6,7 +6,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.rig.runfile import mark_bad, read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"

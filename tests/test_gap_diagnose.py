@@ -8,7 +8,7 @@ from hidden import hidden, simulated
 
 from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.analysis.selection import RunSelection
 from dragrig.api.diagnose import save_amended_model

@@ -11,7 +11,7 @@ from dragrig.analysis.gap.design import Design, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, inflate_by_form_error
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import catalogue

@@ -13,10 +13,9 @@ from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
+from dragrig.analysis.gap.forward_selection import fit_nonparametric_laws
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
-from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
-from dragrig.analysis.gap.run_data import RunData
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import RunData, choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap, nonparametric_law_text
 from dragrig.analysis.models.capsule_model import MODEL

@@ -10,7 +10,7 @@ from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.next_run_position import NO_NEW_MOTION
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.cli import main
 from dragrig.config.plan import Plan

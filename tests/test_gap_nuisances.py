@@ -9,8 +9,8 @@ from hidden import thinned
 
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
-from dragrig.analysis.gap.model_uncertainty import INTEGRATION_STEP_S, PANELS, ramp_integration_sd
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.gap.studies import INTEGRATION_STEP_S, PANELS, ramp_integration_sd
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.blind import draw_campaign, write_campaign

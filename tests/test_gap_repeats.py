@@ -13,7 +13,7 @@ from effect_scenes import KINDS, scene
 
 from dragrig.analysis.gap.candidates import Candidate, signature, variants_of
 from dragrig.analysis.gap.design import Study, linearise
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue

@@ -9,7 +9,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.run_selection import MAX_RUNS, choose_runs, spread_over_session
+from dragrig.analysis.gap.run_data import MAX_RUNS, choose_runs, spread_over_session
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import RunHeader, RunInfo, RunStatus
 

@@ -10,11 +10,11 @@ from simulated import acquire, stroke
 from dragrig.config.errors import DeviceError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.calibration import fit_encoder, fit_force, measure_loads, measure_pushed_travel
+from dragrig.rig.calibration import fit_encoder, fit_force
 from dragrig.rig.devices import BackendRequest, TravelEnd, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.manual import ManualControl
+from dragrig.rig.manual import ManualControl, measure_loads, measure_pushed_travel
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.reading import Reading
 from dragrig.sim_backend.doubles.backend import DoubleBackend

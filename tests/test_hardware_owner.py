@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.hardware import CardSettings, DriveSettings, HardwareSettings
+from dragrig.config.rig import CardSettings, DriveSettings, HardwareSettings
 from dragrig.rig.hardware.backend import RigLock, lock_name, machine_lock_folder
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from dragrig.config.hardware import HardwareSettings
+from dragrig.config.rig import HardwareSettings
 from dragrig.rig.hardware.backend import RigLock
 with RigLock(HardwareSettings(), Path(sys.argv[1])):
     print("held", flush=True)

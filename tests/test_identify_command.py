@@ -143,7 +143,7 @@ def test_runs_that_determine_nothing_give_no_model(campaign: Path, capsys: pytes
 def test_a_fit_that_does_not_converge_ends_with_2_and_no_model(
     campaign: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dragrig.analysis.inference.linear_gaussian.MAX_PASSES", 1)
+    monkeypatch.setattr("dragrig.analysis.linear_gaussian.MAX_PASSES", 1)
     for arguments in ([], ["--json"]):
         assert main(["identify", str(campaign), "--quiet", *arguments]) == 2
         said = capsys.readouterr()

@@ -12,9 +12,9 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
 from scipy.io import savemat
 
-from dragrig.analysis.campaign_table import table_row
 from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
 from dragrig.analysis.importing import ImportSettings, import_file, parse_map
+from dragrig.analysis.measures import table_row
 from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import ImportDataError, OutputError, RunFileError
 from dragrig.rig.runfile import read_run, verify

@@ -14,8 +14,7 @@ from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.catalogue import find_model, model_names
 from dragrig.analysis.models.drive_model import MODEL
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.kinematics import fit_velocity
+from dragrig.analysis.models.experiment import Experiment, fit_velocity
 from dragrig.analysis.models.nominal_model import central_differences
 from dragrig.analysis.selection import RunSelection, select_runs
 from dragrig.config.errors import SettingsError

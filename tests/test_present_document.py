@@ -22,8 +22,7 @@ from dragrig.present.document import (
 )
 from dragrig.present.files import drawn
 from dragrig.present.html_page import render_page
-from dragrig.present.json_values import to_json_value
-from dragrig.present.numbers import decimals, significant
+from dragrig.present.numbers import decimals, significant, to_json_value
 from dragrig.present.terminal import document_text
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 10"><path d="M 0 0 L 10 10"/></svg>'

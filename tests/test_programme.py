@@ -12,8 +12,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings, parse, shipped_files, to_toml
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Contact, StageLimits
-from dragrig.rig.preflight import preflight
-from dragrig.rig.programme import Programme, build_programme
+from dragrig.rig.programme import Programme, build_programme, preflight
 
 SPECIMEN = Specimen(name="jejunum")
 LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)

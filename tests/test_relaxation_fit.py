@@ -11,10 +11,9 @@ from runfiles import PRACTICE
 
 import dragrig
 from dragrig.analysis.identification.identification import RelaxationFit
-from dragrig.analysis.identification.maxwell_fit import predicted_force
-from dragrig.analysis.identification.relaxation_elements import identify_relaxation
-from dragrig.analysis.inference.noise import DEFAULT_NOISE, NoiseModel, estimate_noise
+from dragrig.analysis.identification.relaxation_elements import identify_relaxation, predicted_force
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import DEFAULT_NOISE, NoiseModel, estimate_noise
 from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN

@@ -17,7 +17,7 @@ from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal
 from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
-from dragrig.sim_backend.doubles.serial_ports import DrivePort
+from dragrig.sim_backend.doubles.drive_double import DrivePort
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
 THERE_AND_BACK = MotionProfile.from_pieces(

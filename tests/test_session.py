@@ -19,9 +19,10 @@ from dragrig.rig.engine import Sink
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun, Programme, build_programme
 from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
 from dragrig.rig.runfile.store import MemoryStore
-from dragrig.rig.session import CampaignProgress, Session, SessionRecord, SessionResult, run_acquisition
+from dragrig.rig.session import CampaignProgress, Session, SessionResult, run_acquisition
 from dragrig.sim_backend.devices import open_backend
 
 BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)

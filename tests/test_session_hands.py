@@ -23,9 +23,10 @@ from dragrig.rig.guard import Guard
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.store import MemoryStore
-from dragrig.rig.session import Session, SessionRecord
+from dragrig.rig.session import Session
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 from dragrig.sim_backend.devices.simulated_stage import SimulatedStage
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dragrig.analysis.campaign_table import TableRow, as_frame, mean_per_speed, table_row, table_rows
+from dragrig.analysis.measures import TableRow, as_frame, mean_per_speed, table_row, table_rows
 from dragrig.config.errors import RunFileError
 from dragrig.rig.runfile import mark_bad, read_run
 

@@ -17,8 +17,7 @@ from simulated import NEVER, acquire, begin, blocks, record, session, settings, 
 from voltage_bench import LEAD_S, RATE, VoltageRig, velocity_rig, voltage_rig
 
 from dragrig.config.errors import DeviceError, SettingsError
-from dragrig.config.hardware import VelocityOutputSettings
-from dragrig.config.rig import StageSettings
+from dragrig.config.rig import StageSettings, VelocityOutputSettings
 from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController

@@ -16,7 +16,7 @@ import dragrig
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.position_channel import position_errors
-from dragrig.analysis.gap.run_selection import choose_runs
+from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import (
     MAX_WANDER_MM,

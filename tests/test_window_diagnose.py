@@ -18,10 +18,9 @@ from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.analysis.gap.diagnosis_text import verdict_sentences
 from dragrig.engine_host.messages import RigSelection
-from dragrig.window.document_view import DrawnFigure
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
-from dragrig.window.widgets import StoredSettings
+from dragrig.window.widgets import DrawnFigure, StoredSettings
 
 LONG_MS = 600_000
 """A diagnosis on a busy machine."""

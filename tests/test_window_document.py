@@ -10,7 +10,7 @@ from test_present_document import DOCUMENT
 from test_present_example import example_document
 
 from dragrig.present.files import drawn
-from dragrig.window.document_view import DocumentView, DrawnFigure
+from dragrig.window.widgets import DocumentView, DrawnFigure
 
 
 @pytest.fixture

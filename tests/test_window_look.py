@@ -18,9 +18,8 @@ from pytestqt.qtbot import QtBot
 import dragrig
 from dragrig.views import FORMATS, completed, shown_trace
 from dragrig.window.diagnose_page import DiagnosePage
-from dragrig.window.document_view import DrawnFigure
 from dragrig.window.look_page import LookPage
-from dragrig.window.widgets import StoredSettings, top_items
+from dragrig.window.widgets import DrawnFigure, StoredSettings, top_items
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,7 @@
 
 One way, from runs to the next run:
 
-`run_selection` → `run_data` → `candidates` → `studies` and `design` (linearised campaign) → `linear_fit` →
-`hypothesis_fit` and `nonparametric` → `forward_selection` → `features` → `classifier` → `excess` and `localise`
-(where) → `unknown_gap` → `gap_reduction` (how much) → `isolability` and `next_run_force`, `next_run_position` (what
-next) → `diagnose`.
+`run_data` → `candidates` → `studies` and `design` (linearised campaign, and fits in it) → `hypothesis_fit` →
+`forward_selection` → `features` → `classifier` → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how
+much) → `isolability` and `next_run_force`, `next_run_position` (what next) → `diagnose`.
 """

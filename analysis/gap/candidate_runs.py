@@ -13,7 +13,7 @@ import numpy as np
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
-from dragrig.analysis.inference.linear_gaussian import prepare_channels
+from dragrig.analysis.linear_gaussian import prepare_channels
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
 from dragrig.config.specimen import Fixture, Specimen

@@ -19,7 +19,7 @@ from dragrig.analysis.gap.classifier import (
     mains_hum_present,
     unknown_because_of_line,
 )
-from dragrig.analysis.gap.design import ColumnKind, Study
+from dragrig.analysis.gap.design import ColumnKind, Study, fit_columns
 from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, RankedHypothesis, RunTraces, Verdict
 from dragrig.analysis.gap.features import (
     Calibration,
@@ -28,7 +28,7 @@ from dragrig.analysis.gap.features import (
     NonparametricLaw,
     shipped_calibration,
 )
-from dragrig.analysis.gap.forward_selection import ForceSearchResult, search_effects
+from dragrig.analysis.gap.forward_selection import ForceSearchResult, fit_nonparametric_laws, search_effects
 from dragrig.analysis.gap.gap_reduction import (
     RunGap,
     force_residual_blocks,
@@ -40,10 +40,8 @@ from dragrig.analysis.gap.gap_reduction import (
 )
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, is_periodic_in_session
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
-from dragrig.analysis.gap.linear_fit import fit_columns
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.analysis.gap.next_run_position import reasons_for_no_run, recommend_next_run
-from dragrig.analysis.gap.nonparametric import fit_nonparametric_laws
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,
@@ -56,9 +54,9 @@ from dragrig.analysis.gap.spectral_lines import (
 )
 from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
-from dragrig.analysis.inference.noise import estimate_noise
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import NominalModel
+from dragrig.analysis.noise import estimate_noise
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import DiagnosisSummary, EffectSettings, FrictionModelSettings
 from dragrig.rig.arrays import FloatArray

@@ -7,12 +7,21 @@ import numpy as np
 
 from dragrig.analysis.computation import single_blas_thread
 from dragrig.analysis.gap.candidates import Candidate
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
+from dragrig.analysis.gap.design import (
+    NUISANCES,
+    ColumnKind,
+    Design,
+    RankedEffect,
+    Study,
+    fit_columns,
+    linearise,
+    project_dictionary,
+    rank_effects,
+)
 from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
-from dragrig.analysis.gap.linear_fit import NUISANCES, RankedEffect, fit_columns, project_dictionary, rank_effects
 from dragrig.analysis.gap.position_channel import PositionErrors, closed_share_in_position, origin_of, position_errors
 from dragrig.analysis.gap.run_data import RunData, commanded_phase, run_data_of
 from dragrig.analysis.gap.spectral_lines import SpectralLine
@@ -22,9 +31,9 @@ from dragrig.analysis.identification.speed_dependence import (
     r2_eq15,
     squared_correlation,
 )
-from dragrig.analysis.inference.linear_gaussian import Whitening
-from dragrig.analysis.inference.noise import NoiseModel
+from dragrig.analysis.linear_gaussian import Whitening
 from dragrig.analysis.models.capsule_model import CapsuleModel
+from dragrig.analysis.noise import NoiseModel
 from dragrig.analysis.paper.published import BOUNDARY_MM_S
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError

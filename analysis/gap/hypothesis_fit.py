@@ -9,19 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dragrig.analysis.gap.candidates import Candidate, EffectVariant, signature
-from dragrig.analysis.gap.design import ColumnKind, Design, RunDesign, Study, linearise
-from dragrig.analysis.gap.features import CHANCE_SIGMAS, NOISE_UNCERTAINTY
-from dragrig.analysis.gap.linear_fit import (
+from dragrig.analysis.gap.design import (
     NUISANCES,
+    ColumnKind,
+    Design,
     LeastSquaresFit,
     ParameterPoint,
     RankedEffect,
+    RunDesign,
+    Study,
     fit_columns,
     gauss_newton,
     joint_fit,
+    linearise,
     project_dictionary,
     rank_effects,
 )
+from dragrig.analysis.gap.features import CHANCE_SIGMAS, NOISE_UNCERTAINTY
 from dragrig.analysis.gap.run_data import RunData, rms_where_active
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Coordinate, Effect

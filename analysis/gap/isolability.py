@@ -17,17 +17,20 @@ import numpy as np
 from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
 from dragrig.analysis.gap.candidates import Candidate, EffectVariant
 from dragrig.analysis.gap.classifier import MIN_MAINS_LLR, MIN_POSITION_SHARE
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
-from dragrig.analysis.gap.diagnosis_text import capitalise, count_text, display_name, join_names
-from dragrig.analysis.gap.features import gap_weight
-from dragrig.analysis.gap.hypothesis_fit import is_periodic_in_session
-from dragrig.analysis.gap.linear_fit import (
+from dragrig.analysis.gap.design import (
     NUISANCES,
     RELATIVE_RIDGE,
+    ColumnKind,
+    Design,
+    Study,
     gauss_newton_step,
+    linearise,
     project_dictionary,
     rank_effects,
 )
+from dragrig.analysis.gap.diagnosis_text import capitalise, count_text, display_name, join_names
+from dragrig.analysis.gap.features import gap_weight
+from dragrig.analysis.gap.hypothesis_fit import is_periodic_in_session
 from dragrig.analysis.gap.position_channel import (
     PositionErrors,
     position_errors,

@@ -22,12 +22,20 @@ from dragrig.analysis.gap.candidate_runs import (
 )
 from dragrig.analysis.gap.candidates import EffectVariant
 from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
+from dragrig.analysis.gap.design import (
+    NUISANCES,
+    RELATIVE_RIDGE,
+    ColumnKind,
+    Design,
+    RankedEffect,
+    Study,
+    gauss_newton_step,
+    linearise,
+)
 from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
 from dragrig.analysis.gap.diagnosis_text import recommendation_reason
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
-from dragrig.analysis.gap.linear_fit import NUISANCES, RELATIVE_RIDGE, RankedEffect, gauss_newton_step
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.selection import RunSelection

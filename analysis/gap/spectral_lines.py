@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.inference.linear_gaussian import JointProblem
+from dragrig.analysis.linear_gaussian import JointProblem
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import NominalModel

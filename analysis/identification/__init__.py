@@ -4,8 +4,7 @@
 |---|---|
 | `identify` | the identification of a specimen: one fit of a nominal model to all runs, and each kind on its own |
 | `identification` | its result, as values |
-| `relaxation_elements`, `maxwell_fit` | the five elements of each relaxation run, and how they depend on strain |
-| `coulomb_friction` | the friction coefficient from the vacuum fixture |
-| `steady_drag`, `speed_dependence` | the steady drag against speed, beside the model |
-| `steady_sliding` | the steady force of one sliding run |
+| `relaxation_elements` | the five elements of each relaxation run, and how they depend on strain |
+| `steady_sliding` | friction coefficient from the vacuum fixture, and steady drag against speed, beside the model |
+| `speed_dependence` | law and regimes of the drag against speed |
 """

@@ -8,7 +8,6 @@ import numpy as np
 
 from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
 from dragrig.analysis.estimates import NORMAL_95, Estimate, missing
-from dragrig.analysis.identification.coulomb_friction import identify_coulomb
 from dragrig.analysis.identification.identification import (
     MIN_P_VALUE,
     Identification,
@@ -18,14 +17,8 @@ from dragrig.analysis.identification.identification import (
     RunResidual,
 )
 from dragrig.analysis.identification.relaxation_elements import identify_relaxation, wall_polynomials
-from dragrig.analysis.identification.steady_drag import identify_drag
-from dragrig.analysis.inference.linear_gaussian import (
-    PARAMETER_BOUND,
-    JointProblem,
-    JointSolution,
-    is_at_bound,
-    solve_joint,
-)
+from dragrig.analysis.identification.steady_sliding import identify_coulomb, identify_drag
+from dragrig.analysis.linear_gaussian import PARAMETER_BOUND, JointProblem, JointSolution, is_at_bound, solve_joint
 from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, CapsuleModel
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection

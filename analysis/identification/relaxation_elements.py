@@ -1,28 +1,434 @@
-"""The five elements of every relaxation run of a specimen, and their dependence on strain as in Eq. 14."""
+"""The five elements of every relaxation run of a specimen, and their dependence on strain as in Eq. 14.
+
+Maxwell branches driven by the measured ramp are fitted to the force of each run. The force is linear in zero and
+moduli: all pairs of time constants on a logarithmic grid are solved at once from one matrix of products, and the best
+pair with positive moduli starts the refinement, in logarithms.
+
+Whether five elements suffice is tested by what a third branch of any time constant would explain besides. The gain of
+a branch is the squared projection of the whitened residuals on what it adds beyond all small changes of
+the five elements. Its largest value over a grid of time constants has a distribution of its own, as the search
+looks at many: it is drawn from the projections of white noise, which follow from the branches alone.
+"""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from dragrig.analysis.computation import single_blas_thread
 from dragrig.analysis.estimates import NORMAL_95, Estimate, EstimatedQuantity
-from dragrig.analysis.identification.identification import RelaxationFit, RelaxationResult, StrainLaw
-from dragrig.analysis.identification.maxwell_fit import (
-    POOR_FIT_CHI2,
-    BranchFit,
-    ShearRecord,
-    WhitenedRecord,
-    fit_two_branches,
-    third_branch_test,
-)
-from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
+from dragrig.analysis.identification.identification import RelaxationFit, RelaxationResult, StrainLaw, ThirdBranchTest
 from dragrig.analysis.models.capsule_model import STIFFNESS_SCATTER
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import BlockMeans, NoiseModel, average_in_blocks, estimate_noise
 from dragrig.analysis.paper.published import WALL_UNITS
+from dragrig.analysis.segments import mask_spans
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import WallPolynomials
 from dragrig.rig.arrays import FloatArray
+from dragrig.rig.devices import Contact
+from dragrig.sim_backend.friction.motion import Pieces
+from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
+
+MIN_VALID_PEAK_SHARE = 0.5
+"""Smallest share of valid samples about the peak."""
+PEAK_WINDOW_S = 0.02
+MIN_SAMPLES_AFTER_RAMP = 50
+MIN_TRAVEL_MM = 0.01
+"""A shorter travel between rests is jitter of the encoder, not a motion."""
+GRID_POINTS = 60
+MIN_TIME_CONSTANT_S = 5e-4
+MAX_TIME_CONSTANT_HOLDS = 3.0
+"""Slowest branch searched, in lengths of the hold; a slower one acts as a spring in such a run."""
+UNKNOWN_ZERO_SD_MN = 5.0
+"""Prior of the sensor's zero where no rest shows it."""
+LOG_STEP = 1e-4
+MAX_EVALUATIONS = 100
+NULL_DRAWS = 4000
+NULL_SEED = 1912
+SIGNIFICANCE = 0.01
+"""Five elements suffice unless the p-value is below: one clean run in a hundred is misjudged."""
+GRID_EXTENSION = 4.0
+"""A third branch is searched up to this many times the slowest time constant of the fit."""
+MIN_RELEVANT_FORCE_MN = 5.0
+"""Accuracy of the rig's sensor: a branch whose force stays below does not matter, however significant."""
+POOR_FIT_CHI2 = 2.0
+"""χ² per degree of freedom above which something else than relaxation is in a run."""
+MIN_INDEPENDENT_SHARE = 1e-6
+"""Branches with a smaller share beyond the five elements add nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShearRecord:
+    """A relaxation: measured motion, block means of the force, and the response of a branch of 1 kPa to that motion.
+
+    Attributes
+    ----------
+    ramp_s
+        Start and end of the ramp.
+    rested
+        Whether a rest before it shows the sensor's zero.
+    hold_s
+        Time from the ramp's end to the last valid sample.
+    """
+
+    file: str
+    shear_strain: float
+    area_mm2: float
+    thickness_mm: float
+    pieces: Pieces
+    blocks: BlockMeans
+    ramp_s: tuple[float, float]
+    rested: bool
+    hold_s: float
+    step_s: float
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> "ShearRecord":
+        """Prepare a run; raises `AnalysisError` with the reason where it shows nothing of the wall."""
+        if experiment.contact is not Contact.STICKING:
+            raise AnalysisError(f"{experiment.file}: nothing was sheared, the specimen's fixture is none")
+        capsule = experiment.capsule
+        breaks_s = _motion_breaks(experiment)
+        if breaks_s.size < 2:
+            raise AnalysisError(f"{experiment.file}: it has no ramp, the position does not change")
+        ramp = float(breaks_s[0]), float(breaks_s[-1])
+        hold_s = _hold_duration(experiment, ramp)
+        return cls(
+            file=experiment.file,
+            shear_strain=experiment.shear_strain,
+            area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
+            thickness_mm=experiment.wall_thickness_mm,
+            pieces=experiment.unsmoothed_motion.pieces(),
+            blocks=average_in_blocks(experiment, "force", breaks_s, jumps=False),
+            ramp_s=ramp,
+            rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
+            hold_s=hold_s,
+            step_s=1 / experiment.run.trace.sample_rate_hz,
+        )
+
+    def spring(self) -> FloatArray:
+        """Mean force of a spring of 1 kPa in each block [mN], shape `(n,)`."""
+        return self.area_mm2 * self.blocks.of(shear_strain(self.pieces, self.thickness_mm, self.blocks.nodes_s))
+
+    def branches(self, times_s: FloatArray) -> FloatArray:
+        """Mean force of Maxwell branches of 1 kPa and these time constants [mN], shape `(B, n)`."""
+        return self.area_mm2 * self.blocks.of(self._prepared(times_s).stress(self.blocks.nodes_s))
+
+    def forces_at(self, times_s: FloatArray, moduli: FloatArray, spring: float, time_s: FloatArray) -> FloatArray:
+        """Force of spring and branches [mN] at any times of the run."""
+        branches = np.tensordot(moduli, self._prepared(times_s).stress(time_s), axes=1)
+        return np.asarray(self.area_mm2 * (spring * shear_strain(self.pieces, self.thickness_mm, time_s) + branches))
+
+    def _prepared(self, times_s: FloatArray) -> MaxwellBranches:
+        return MaxwellBranches.integrate(1 / times_s, self.pieces, self.thickness_mm)
+
+
+def _motion_breaks(experiment: Experiment) -> FloatArray:
+    """Return the times at which the motion starts, bends and ends; empty where it does not move."""
+    motion = experiment.motion
+    position = motion.position(motion.breaks_s)
+    moves = mask_spans(motion.signs != 0)
+    ways = [
+        motion.breaks_s[start : stop + 1]
+        for start, stop in moves
+        if np.ptp(position[start : stop + 1]) >= MIN_TRAVEL_MM
+    ]
+    return np.concatenate([np.zeros(0), *ways])
+
+
+def _hold_duration(experiment: Experiment, ramp_s: tuple[float, float]) -> float:
+    time, valid = experiment.time_s, experiment.valid
+    start, end = ramp_s
+    after = np.flatnonzero(valid & (time > end))
+    if after.size < MIN_SAMPLES_AFTER_RAMP:
+        raise AnalysisError(
+            f"{experiment.file}: only {after.size} usable samples follow the ramp, too few to show the relaxation"
+        )
+    peak = (time > end - min(0.5 * (end - start), PEAK_WINDOW_S)) & (time < end + PEAK_WINDOW_S)
+    if np.mean(valid[peak]) < MIN_VALID_PEAK_SHARE:
+        raise AnalysisError(f"{experiment.file}: the samples about the peak are clipped or missing (NaN)")
+    return float(time[after[-1]]) - end
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhitenedRecord:
+    """A run whose block means are whitened; `factor` is the lower Cholesky factor of their covariance."""
+
+    record: ShearRecord
+    factor: FloatArray
+
+    @classmethod
+    def of(cls, record: ShearRecord, noise: NoiseModel) -> "WhitenedRecord":
+        """Whiten with the sensor's noise."""
+        blocks = record.blocks
+        covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
+        return cls(record, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
+
+    def rows(self, signals: FloatArray) -> FloatArray:
+        """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
+        from scipy.linalg import solve_triangular
+
+        white = solve_triangular(self.factor, signals.T, lower=True, check_finite=False).T
+        return np.hstack((white, np.zeros((len(signals), 1))))
+
+    def zero(self) -> FloatArray:
+        """Row of a zero of 1 mN."""
+        row = self.rows(np.ones((1, self.record.blocks.samples.size)))
+        row[:, -1] = 0.0 if self.record.rested else 1 / UNKNOWN_ZERO_SD_MN
+        return row
+
+    def target(self) -> FloatArray:
+        """Row of the measured means, shape `(n + 1,)`."""
+        return np.asarray(self.rows(self.record.blocks.mean[None])[0])
+
+    @property
+    def grid_s(self) -> FloatArray:
+        """Time constants that the run could show."""
+        slowest = MAX_TIME_CONSTANT_HOLDS * self.record.hold_s
+        return np.geomspace(min(MIN_TIME_CONSTANT_S, 0.1 * slowest), slowest, GRID_POINTS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BranchFit:
+    """Spring and `B` branches, the fastest first.
+
+    Attributes
+    ----------
+    values
+        Zero [mN], then logarithms of E3, of the branches' moduli and of their time constants, shape `(2 + 2 B,)`.
+    residual, jacobian
+        Whitened residuals and their derivatives by the values, shapes `(N,)` and `(N, 2 + 2 B)`.
+    """
+
+    values: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
+    converged: bool
+
+    @property
+    def count(self) -> int:
+        """Number of branches."""
+        return self.values.size // 2 - 1
+
+    @property
+    def moduli(self) -> FloatArray:
+        """Moduli of the branches [kPa]."""
+        return np.exp(self.values[2 : 2 + self.count])
+
+    @property
+    def times_s(self) -> FloatArray:
+        """Time constants of the branches."""
+        return np.exp(self.values[2 + self.count :])
+
+    @property
+    def chi2(self) -> float:
+        """Squared whitened residuals."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def degrees(self) -> int:
+        """Degrees of freedom."""
+        return self.residual.size - 1 - self.values.size
+
+    @property
+    def reduced_chi2(self) -> float:
+        """χ² per degree of freedom."""
+        return self.chi2 / max(self.degrees, 1)
+
+    def covariance(self) -> FloatArray:
+        """Covariance of the values, widened where residuals are larger than the noise."""
+        _, triangle = np.linalg.qr(self.jacobian)
+        inverse = np.linalg.pinv(triangle)
+        return np.asarray(max(1.0, self.reduced_chi2) * inverse @ inverse.T)
+
+
+def fit_two_branches(whitened: WhitenedRecord) -> BranchFit:
+    """Fit two branches from every start that the grid suggests, and return the best fit.
+
+    Raises
+    ------
+    AnalysisError
+        Where no spring and two branches with positive moduli describe the run.
+    """
+    fits = (_refine_branches(whitened, start) for start in _start_values(whitened))
+    return min(fits, key=lambda fit: fit.chi2)
+
+
+def _start_values(whitened: WhitenedRecord) -> list[FloatArray]:
+    """Start values for two branches: the best pair of time constants, and the best pairs further apart.
+
+    A time constant between two of the grid is described best by both of them, at the expense of the second branch;
+    hence the pairs further apart.
+    """
+    record, grid = whitened.record, whitened.grid_s
+    rows = np.vstack((whitened.zero(), whitened.rows(np.vstack((record.spring(), record.branches(grid))))))
+    size = np.sqrt((rows**2).sum(axis=1))
+    unit_rows = rows / size[:, None]
+    products, right = unit_rows @ unit_rows.T, unit_rows @ whitened.target()
+    pairs = np.array([(0, 1, 2 + i, 2 + j) for i, j in combinations(range(grid.size), 2) if j > i + 1])
+    matrices = products[pairs[:, :, None], pairs[:, None, :]] + 1e-12 * np.eye(4)
+    solved = np.linalg.solve(matrices, right[pairs][..., None])[..., 0]
+    gain = (solved * right[pairs]).sum(axis=1)
+    gain[(solved[:, 1:] <= 0).any(axis=1)] = -np.inf
+    apart = pairs[:, 3] - pairs[:, 2]
+    best = {
+        int(np.where(apart >= distance, gain, -np.inf).argmax()) for distance in (2, GRID_POINTS // 8, GRID_POINTS // 3)
+    }
+    best = {pair for pair in best if np.isfinite(gain[pair])}
+    if not best:
+        raise AnalysisError(
+            f"{record.file}: its force does not relax as a spring and two Maxwell branches would, for no time constants"
+        )
+    starts = []
+    for pair in sorted(best):
+        zero, *moduli = (solved[pair] / size[pairs[pair]]).tolist()
+        starts.append(np.array([zero, *np.log([*moduli, *grid[pairs[pair, 2:] - 2]])]))
+    return starts
+
+
+def _refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
+    """Fit from start values, and sort the branches by their time constants."""
+    from scipy.optimize import least_squares
+
+    count = start.size // 2 - 1
+    zero, spring = whitened.zero(), whitened.rows(whitened.record.spring()[None])
+    target = whitened.target()
+    grid = np.log(whitened.grid_s)
+
+    def residual(values: FloatArray) -> FloatArray:
+        moduli, times = np.exp(values[2 : 2 + count]), np.exp(values[2 + count :])
+        branches = whitened.rows(whitened.record.branches(times))
+        return np.asarray(values[0] * zero[0] + np.exp(values[1]) * spring[0] + moduli @ branches - target)
+
+    def jacobian(values: FloatArray) -> FloatArray:
+        moduli, logs = np.exp(values[2 : 2 + count]), values[2 + count :]
+        times = np.exp(np.concatenate((logs, logs + LOG_STEP, logs - LOG_STEP)))
+        here, ahead, behind = np.split(whitened.rows(whitened.record.branches(times)), 3)
+        by_time = moduli[:, None] * (ahead - behind) / (2 * LOG_STEP)
+        return np.vstack((zero, np.exp(values[1]) * spring, moduli[:, None] * here, by_time)).T
+
+    low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
+    low[2 + count :], high[2 + count :] = grid[0] - 1.0, grid[-1] + 2.0
+    low[1 : 2 + count], high[1 : 2 + count] = -20.0, 20.0
+    inside = np.clip(start, low + 1e-6, high - 1e-6)
+    optimum = least_squares(residual, inside, jacobian, (low, high), x_scale="jac", max_nfev=MAX_EVALUATIONS)
+    order = np.argsort(optimum.x[2 + count :])
+    by_speed = np.concatenate(([0, 1], 2 + order, 2 + count + order))
+    converged = bool(optimum.success) and not optimum.active_mask.any()
+    return BranchFit(optimum.x[by_speed], optimum.fun, jacobian(optimum.x)[:, by_speed], converged)
+
+
+def third_branch_test(whitened: WhitenedRecord, fit: BranchFit) -> ThirdBranchTest:
+    """Test a fit of two branches against three."""
+    grid = np.append(whitened.grid_s, whitened.grid_s[-1] * np.array([GRID_EXTENSION**0.5, GRID_EXTENSION]))
+    branches = whitened.rows(whitened.record.branches(grid))
+    basis, _ = np.linalg.qr(fit.jacobian)
+    beyond = branches - (branches @ basis) @ basis.T
+    size = np.sqrt((beyond**2).sum(axis=1))
+    independent = size > MIN_INDEPENDENT_SHARE * np.sqrt((branches**2).sum(axis=1))
+    if not independent.any():
+        return ThirdBranchTest(None, None, None, None, "The run cannot distinguish five elements from more.")
+    grid, direction = grid[independent], beyond[independent] / size[independent, None]
+    # The residual is prediction minus measurement: a missing branch projects on it negatively.
+    gains = np.maximum(-(direction @ fit.residual), 0.0) ** 2
+    best = int(gains.argmax())
+    gain = float(gains[best])
+    misfit = max(1.0, (fit.chi2 - gain) / max(fit.degrees - 2, 1))
+    p_value = _null_probability(direction, gain / misfit)
+    if p_value < SIGNIFICANCE:
+        modulus = gain**0.5 / float(size[independent][best])
+        return _significant_third(whitened, fit, float(grid[best]), modulus, p_value)
+    if fit.reduced_chi2 > POOR_FIT_CHI2:
+        sentence = f"Neither five elements nor a third branch describe the run (χ² per degree {fit.reduced_chi2:.3g})."
+        return ThirdBranchTest(None, p_value, None, None, sentence)
+    sentence = f"Five elements suffice: a third branch explains no more than noise (p = {p_value:.2g})."
+    return ThirdBranchTest(True, p_value, None, None, sentence)
+
+
+def _null_probability(direction: FloatArray, gain: float) -> float:
+    """Probability that white noise gives at least this largest gain over all branches."""
+    _, triangle = np.linalg.qr(direction.T)
+    draws = np.random.default_rng(NULL_SEED).standard_normal((NULL_DRAWS, len(triangle))) @ triangle
+    largest = np.maximum(draws, 0.0).max(axis=1) ** 2
+    return float((1 + np.count_nonzero(largest >= gain)) / (1 + NULL_DRAWS))
+
+
+def _significant_third(
+    whitened: WhitenedRecord, fit: BranchFit, time_s: float, modulus: float, p_value: float
+) -> ThirdBranchTest:
+    """Fit three branches from a first guess of the third, and judge by its largest force."""
+    values, count = fit.values, fit.count
+    start = np.concatenate((values[: 2 + count], [np.log(max(modulus, 1e-6))], values[2 + count :], [np.log(time_s)]))
+    three = _refine_branches(whitened, start)
+    if three.converged and three.chi2 <= fit.chi2:
+        # The weakest of the three is called the third.
+        weakest = int(three.moduli.argmin())
+        time_s, modulus = float(three.times_s[weakest]), float(three.moduli[weakest])
+    record = whitened.record
+    time = np.append(record.ramp_s[1], record.blocks.middle_s)
+    shown = record.forces_at(np.array([time_s]), np.array([modulus]), 0.0, time)
+    force_mN, largest_mN = float(shown[0]), float(np.abs(shown).max())
+    p_text = f"p < {1 / NULL_DRAWS:.2g}" if p_value < 2 / NULL_DRAWS else f"p = {p_value:.2g}"
+    third = f"a third branch of {time_s:.3g} s and {abs(force_mN):.3g} mN explains more than noise ({p_text})"
+    if largest_mN < MIN_RELEVANT_FORCE_MN:
+        sentence = f"Five elements suffice: {third}, but stays below the sensor's {MIN_RELEVANT_FORCE_MN:g} mN."
+        return ThirdBranchTest(True, p_value, time_s, force_mN, sentence)
+    poor = f", yet not all of it (χ² per degree {three.reduced_chi2:.3g})"
+    sentence = f"Five elements do not suffice: {third}{poor if three.reduced_chi2 > POOR_FIT_CHI2 else ''}."
+    return ThirdBranchTest(False, p_value, time_s, force_mN, sentence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxationResiduals:
+    """A run beside its fit.
+
+    Attributes
+    ----------
+    ramp_s
+        Start and end of the ramp.
+    middle_s, whitened
+        Middle of each block of the fit, and its residual, measured less predicted, shape `(n,)`.
+    time_s, predicted_mN
+        Times from the ramp's start on, evenly spread over their logarithm, and the predicted force, zero included.
+    """
+
+    ramp_s: tuple[float, float]
+    middle_s: FloatArray
+    whitened: FloatArray
+    time_s: FloatArray
+    predicted_mN: FloatArray
+
+
+def relaxation_residuals(
+    fit: RelaxationFit, experiment: Experiment, noise: NoiseModel, points: int = 400
+) -> RelaxationResiduals:
+    """Evaluate a fit beside its run; raises `AnalysisError` where it has no elements."""
+    record = ShearRecord.of(experiment)
+    moduli, times, spring, zero = _branch_values(fit)
+    blocks = record.blocks
+    predicted = zero + spring * record.spring() + moduli @ record.branches(times)
+    whitened = WhitenedRecord.of(record, noise).rows((blocks.mean - predicted)[None])[0, :-1]
+    start = record.ramp_s[0]
+    time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, points)
+    force = zero + record.forces_at(times, moduli, spring, time)
+    return RelaxationResiduals(record.ramp_s, blocks.middle_s, whitened, time, force)
+
+
+def predicted_force(fit: RelaxationFit, experiment: Experiment, time_s: FloatArray) -> FloatArray:
+    """Force [mN] of a fit at times of its run, zero included; raises `AnalysisError` where it has no elements."""
+    moduli, times, spring, zero = _branch_values(fit)
+    return zero + ShearRecord.of(experiment).forces_at(times, moduli, spring, time_s)
+
+
+def _branch_values(fit: RelaxationFit) -> tuple[FloatArray, FloatArray, float, float]:
+    if not fit.elements or fit.zero.value is None:
+        raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
+    E1, E2, E3, eta1, eta2 = (element.value for element in fit.elements)
+    return np.array([E1, E2]), np.array([eta1 / E1, eta2 / E2]), E3, fit.zero.value
+
 
 ELEMENT_NAMES = tuple(WALL_UNITS)
 TIME_CONSTANTS = ("tau1", "tau2")

@@ -18,13 +18,15 @@ import numpy.typing as npt
 from dragrig.analysis.importing.foreign import (
     CONVERTIBLE_UNITS,
     TARGET_UNITS,
+    ColumnSource,
     ForeignColumn,
     ForeignTable,
+    ImportSettings,
     UnitScale,
     canonical_unit,
+    guess_columns,
     unit_scale,
 )
-from dragrig.analysis.importing.mapping import ColumnSource, ImportSettings, guess_columns
 from dragrig.analysis.savgol import SavgolSettings, smooth
 from dragrig.analysis.segments import Mask, gap_starts, mask_spans
 from dragrig.config.errors import AnalysisError, ImportDataError

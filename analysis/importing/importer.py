@@ -12,8 +12,7 @@ from uuid import uuid4
 import numpy as np
 
 from dragrig.analysis.importing.conversion import IMPORT_EVENT, ConvertedMeasurement, convert_table
-from dragrig.analysis.importing.foreign import ForeignTable
-from dragrig.analysis.importing.mapping import ImportSettings
+from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
 from dragrig.config.errors import ImportDataError, OutputError
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray

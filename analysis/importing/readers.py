@@ -14,8 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable, InvalidCell, canonical_unit, split_unit
-from dragrig.analysis.importing.mapping import ImportSettings
+from dragrig.analysis.importing.foreign import (
+    ForeignColumn,
+    ForeignTable,
+    ImportSettings,
+    InvalidCell,
+    canonical_unit,
+    split_unit,
+)
 from dragrig.config.errors import ImportDataError
 from dragrig.config.settings import suggestion
 

@@ -2,8 +2,7 @@
 
 | module | content |
 |---|---|
-| `experiment` | one run as a model sees it: protocol, specimen, and the measured motion |
-| `kinematics` | velocity and acceleration from a position in encoder counts |
+| `experiment` | one run as a model sees it: protocol, specimen, and the measured motion; velocity from encoder counts |
 | `nominal_model` | the interface of a model, and the base class of a user's own |
 | `capsule_model` | the paper's friction model |
 | `drive_model` | the stage alone, from its recorded motor force |

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.kinematics import Kinematics, fit_kinematics
+from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
 from dragrig.analysis.models.nominal_model import (
     TURNING_SPEED_MM_S,
     NominalModel,

@@ -14,8 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.kinematics import Kinematics, fit_kinematics
+from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
 from dragrig.rig.arrays import FloatArray
 
 

@@ -16,7 +16,7 @@ from dragrig.campaign_session import (
 )
 from dragrig.config.errors import OutputError
 from dragrig.rig.devices import BackendRequest, RigCheck
-from dragrig.rig.preflight import Preflight, check_calibration, check_limits, check_wiring, preflight
+from dragrig.rig.programme import Preflight, check_calibration, check_limits, check_wiring, preflight
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.store import MemoryStore

@@ -26,8 +26,8 @@ from dragrig.rig.engine import AcquisitionOutcome as RunOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.runfile import read_campaign, read_run, schema
+from dragrig.rig.runfile.campaigns import session_record_of_run
 from dragrig.rig.runfile.filesystem import remove_file
-from dragrig.rig.session import session_record_of_run
 from dragrig.session_state import STATE_FILE
 from dragrig.setup import Setup, resolve
 
@@ -118,10 +118,10 @@ def campaign_results(folder: Path, progress: Progress = no_progress) -> "Campaig
     RunFileError
         When the folder holds no run file.
     """
-    from dragrig.analysis.campaign_table import table_rows
+    from dragrig.analysis.measures import table_rows
     from dragrig.present.campaign import CampaignReportData
     from dragrig.rig.runfile import read_campaign
-    from dragrig.rig.session import read_session_records
+    from dragrig.rig.runfile.campaigns import read_session_records
     from dragrig.run_inputs import run_files
 
     run_files([folder])

@@ -13,21 +13,27 @@ from dragrig.config.errors import AbortedError, DeviceError, SettingsError
 from dragrig.config.rig import Calibration, ContactPoint
 from dragrig.rig.calibration import (
     CalibrationLine,
-    LoadReading,
-    TravelReading,
     append_calibration,
     fit_encoder,
     fit_force,
-    measure_driven_travel,
-    measure_loads,
-    measure_pushed_travel,
     require_loads,
     write_contact,
 )
 from dragrig.rig.devices import Backend, BackendRequest, TravelEnd, Trip
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.manual import JOG_SPEED_MM_S, ManualControl, require_jog, require_speed, require_touch_off
+from dragrig.rig.manual import (
+    JOG_SPEED_MM_S,
+    LoadReading,
+    ManualControl,
+    TravelReading,
+    measure_driven_travel,
+    measure_loads,
+    measure_pushed_travel,
+    require_jog,
+    require_speed,
+    require_touch_off,
+)
 from dragrig.rig.operator import NullOperator, Operator, park
 from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
 

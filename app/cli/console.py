@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 import click
 
 from dragrig.config.errors import AbortedError, DragrigError
-from dragrig.present.json_values import to_json_value
-from dragrig.present.numbers import duration_text
+from dragrig.present.numbers import duration_text, to_json_value
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -176,7 +176,7 @@ def next_command(
     fixed grid of kinds, speeds, strokes, strains, rests and reversals, added one by one, the best each time, until none
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
-    from dragrig.api.plan_next import next_experiment, save_next_plan
+    from dragrig.api.diagnose import next_experiment, save_next_plan
     from dragrig.present.diagnosis import next_experiment_document
     from dragrig.present.files import require_writable
 
@@ -216,7 +216,7 @@ def isolability_command(
     parameters projected out: sin² = 0 means that they cannot be told apart, 1 that they have nothing in common. d′ is
     their distance in standard deviations of the noise, at their default sizes.
     """
-    from dragrig.api.plan_next import isolability
+    from dragrig.api.diagnose import isolability
     from dragrig.present.files import require_writable, write_text
     from dragrig.present.html_page import render_page
     from dragrig.present.isolability import isolability_document

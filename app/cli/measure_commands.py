@@ -257,7 +257,7 @@ def demo_command(out: Path) -> None:
     A blank run, a relaxation, a Coulomb test and drags at three speeds, one run file each; every trace filtered,
     exported as CSV and drawn; and an overview picture. Takes some seconds.
     """
-    from dragrig.analysis.campaign_table import table_rows
+    from dragrig.analysis.measures import table_rows
     from dragrig.api.report import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
     from dragrig.cli.operator import TerminalOperator
     from dragrig.present.campaign import campaign_table_document

@@ -3,6 +3,7 @@
 import multiprocessing
 from collections.abc import Iterator
 from contextlib import suppress
+from multiprocessing.connection import Connection
 
 from dragrig.engine_host.messages import (
     RING_SAMPLES,
@@ -13,13 +14,20 @@ from dragrig.engine_host.messages import (
     LiveRingReader,
     Request,
     RigSelection,
+    RingMemory,
     StopHost,
     shared_memory,
 )
-from dragrig.engine_host.server import serve
 
 _CLOSE_TIMEOUT_S = 30.0
 """Time for a moving stage to stop and its run to be finished."""
+
+
+def _serve(connection: "Connection[Event, Request]", memory: RingMemory, rig: RigSelection, silence_s: float) -> None:
+    """Load the engine and host it: the host's process does, the client's never."""
+    from dragrig.engine_host.server import serve
+
+    serve(connection, memory, rig, silence_s)
 
 
 class EngineClient:
@@ -41,7 +49,7 @@ class EngineClient:
         self._lost = False
         # Not a daemon, which would be killed with this process in place of ending in good order.
         self._process = context.Process(
-            target=serve, args=(host_end, memory, rig, silence_s), name="dragrig-engine", daemon=False
+            target=_serve, args=(host_end, memory, rig, silence_s), name="dragrig-engine", daemon=False
         )
         self._process.start()
         # Without this the host would never notice that this process is gone.

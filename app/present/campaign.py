@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.campaign_table import UNREADABLE, TableRow, mean_per_speed
+from dragrig.analysis.measures import UNREADABLE, TableRow, mean_per_speed
 from dragrig.present.document import Cell, Column, Document, Field, Figure, FormattedNumber, Section, Table, Text
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, shortest, shortest_percent, value_with_error
+from dragrig.present.numbers import decimals, shortest, shortest_percent, to_json_object, value_with_error
 from dragrig.present.run import run_drawing
 from dragrig.present.run_titles import run_problem, run_title
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import Campaign, read_run
+from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.rig.runfile.schema import run_name
-from dragrig.rig.session import SessionRecord
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

@@ -12,8 +12,7 @@ from dragrig.analysis.comparison.comparison import (
 )
 from dragrig.analysis.estimates import NORMAL_95, Exclusion
 from dragrig.present.document import Cell, Column, Document, Facts, Field, Figure, Items, Section, Table
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, percent_difference, shortest
+from dragrig.present.numbers import decimals, percent_difference, shortest, to_json_object
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

@@ -48,14 +48,15 @@ from dragrig.present.document import (
     Text,
     TextKind,
 )
-from dragrig.present.json_values import exclusions_json, to_json_object
 from dragrig.present.numbers import (
     decimals,
+    exclusions_json,
     interval_text,
     p_value_text,
     percent,
     rounded_to_error,
     shortest,
+    to_json_object,
     unit_text,
 )
 from dragrig.sim_backend.effects.base import catalogue

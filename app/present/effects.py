@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from dragrig.present.document import Document, Facts, Field, Section, Table, Text
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import shortest, unit_text
+from dragrig.present.numbers import shortest, to_json_object, unit_text
 from dragrig.sim_backend.effects.base import Effect, EffectParameter, Location
 
 

@@ -17,8 +17,7 @@ from dragrig.present.document import (
     Text,
     TextKind,
 )
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import UNKNOWN, decimals, shortest
+from dragrig.present.numbers import UNKNOWN, decimals, shortest, to_json_object
 from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate, missed_cells
 
 if TYPE_CHECKING:

@@ -32,17 +32,18 @@ from dragrig.present.document import (
     Table,
     Text,
 )
-from dragrig.present.json_values import exclusions_json, to_json_object
 from dragrig.present.numbers import (
     UNKNOWN,
     decimals,
     estimate_text,
+    exclusions_json,
     interval_text,
     p_value_text,
     percent,
     range_text,
     rounded_to_error,
     shortest,
+    to_json_object,
     unit_text,
     value_with_error,
 )

@@ -23,11 +23,15 @@ from dragrig.analysis.identification.identification import (
     SpeedPoint,
     StrainLaw,
 )
-from dragrig.analysis.identification.maxwell_fit import RelaxationResiduals, relaxation_residuals
-from dragrig.analysis.identification.relaxation_elements import ELEMENT_NAMES, evaluate_strain_law
-from dragrig.analysis.identification.steady_drag import DragSetup, SteadyForceParts, steady_force_parts
-from dragrig.analysis.inference.noise import estimate_noise
+from dragrig.analysis.identification.relaxation_elements import (
+    ELEMENT_NAMES,
+    RelaxationResiduals,
+    evaluate_strain_law,
+    relaxation_residuals,
+)
+from dragrig.analysis.identification.steady_sliding import DragSetup, SteadyForceParts, steady_force_parts
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import estimate_noise
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 from dragrig.analysis.gap.diagnosis_text import as_sentence, capitalise, display_name
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
 from dragrig.present.document import Column, Document, Field, Figure, Items, Section, Table, Text, TextKind
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, shortest, significant, unit_text
+from dragrig.present.numbers import decimals, shortest, significant, to_json_object, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

@@ -17,7 +17,7 @@ from dragrig.analysis.identification.identification import (
     ParameterEstimate,
 )
 from dragrig.analysis.identification.identify import identified_settings
-from dragrig.analysis.identification.steady_drag import DragSetup, steady_force_parts
+from dragrig.analysis.identification.steady_sliding import DragSetup, steady_force_parts
 from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARIATIONS, CapsuleModel
 from dragrig.analysis.paper import findings as paper_findings
 from dragrig.analysis.paper import published

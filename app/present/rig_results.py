@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from dragrig.present.document import Document, Field, Items, Section, Table
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, duration_text, shortest, size_text
+from dragrig.present.numbers import decimals, duration_text, shortest, size_text, to_json_object
 
 if TYPE_CHECKING:
     from dragrig.config.rig import Calibration
-    from dragrig.rig.calibration import CalibrationLine, LoadReading, TravelReading
+    from dragrig.rig.calibration import CalibrationLine
     from dragrig.rig.devices import RigCheck
-    from dragrig.rig.preflight import Preflight, RunPreview
+    from dragrig.rig.manual import LoadReading, TravelReading
+    from dragrig.rig.programme import Preflight, RunPreview
 
 PointT = TypeVar("PointT")
 

@@ -18,8 +18,15 @@ from dragrig.present.document import (
     Section,
     Table,
 )
-from dragrig.present.json_values import to_json_object
-from dragrig.present.numbers import decimals, duration_text, range_text, shortest, size_text, value_with_error
+from dragrig.present.numbers import (
+    decimals,
+    duration_text,
+    range_text,
+    shortest,
+    size_text,
+    to_json_object,
+    value_with_error,
+)
 from dragrig.present.run_titles import run_problem, run_title
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo
 

@@ -16,9 +16,19 @@ from dragrig.views import (
     PlanForm,
     form_from_plan,
 )
-from dragrig.window.document_view import DocumentView
 from dragrig.window.plots import TimePlot
-from dragrig.window.widgets import StoredSettings, bare_widget, button, card, choose_path, column, label, named, row
+from dragrig.window.widgets import (
+    DocumentView,
+    StoredSettings,
+    bare_widget,
+    button,
+    card,
+    choose_path,
+    column,
+    label,
+    named,
+    row,
+)
 
 
 class DiagnosisResults(QWidget):

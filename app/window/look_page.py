@@ -24,7 +24,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.analysis.campaign_table import TableRow
+from dragrig.analysis.measures import TableRow
 from dragrig.present.palette import BLACK, CYCLE, PALE, VERMILLION, tint
 from dragrig.views import (
     FORMATS,

@@ -17,8 +17,7 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from dragrig.config.errors import DeviceError, DragrigError, reason_of
-from dragrig.config.hardware import HardwareSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import HardwareSettings, RigSettings
 from dragrig.rig.devices import Acquisition, BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock
 from dragrig.rig.engine import attempt
 from dragrig.rig.hardware.card.connection import Connection, driver_errors_wrapped

@@ -22,7 +22,7 @@ from nidaqmx.error_codes import DAQmxErrors as Status
 
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.card.daqmx import WIDE_ATTRIBUTES, Attribute, AttributeValue, CardError
+from dragrig.sim_backend.doubles.card.pci6229 import WIDE_ATTRIBUTES, Attribute, AttributeValue, CardError
 
 CFunction: TypeAlias = tuple[tuple[type, ...], Callable[..., int | None]]
 """Types of the arguments, and what is called with them."""

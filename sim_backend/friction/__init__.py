@@ -2,41 +2,9 @@
 
 `prepare` gives the force of an acquisition at any sample times, `steady_forces` and `skew_resistance` the paper's
 curves, `wall_parameters` and `parameter_set_differences` the two published parameter sets, `model_wall` the wall of a
-model.
+model. `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """
 
-from dragrig.sim_backend.friction.friction_force import (
-    Components,
-    PreparedForce,
-    SteadyFriction,
-    prepare,
-    skew_resistance,
-    steady_forces,
-)
-from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
-from dragrig.sim_backend.friction.wall import (
-    ParameterSetDifference,
-    WallKind,
-    WallParameters,
-    model_wall,
-    parameter_set_differences,
-    wall_parameters,
-)
+import lazy_loader
 
-__all__ = [
-    "Components",
-    "Motion",
-    "ParameterSetDifference",
-    "PreparedForce",
-    "ProfileMotion",
-    "RecordedMotion",
-    "SteadyFriction",
-    "WallKind",
-    "WallParameters",
-    "model_wall",
-    "parameter_set_differences",
-    "prepare",
-    "skew_resistance",
-    "steady_forces",
-    "wall_parameters",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

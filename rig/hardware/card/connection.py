@@ -23,7 +23,7 @@ from nidaqmx.errors import (
 )
 
 from dragrig.config.errors import DeviceError, StaleDataError
-from dragrig.config.hardware import CardSettings
+from dragrig.config.rig import CardSettings
 
 if TYPE_CHECKING:
     import grpc

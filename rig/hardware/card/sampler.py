@@ -15,8 +15,7 @@ from threading import Lock, Thread
 import numpy as np
 
 from dragrig.config.errors import DeviceError, SettingsError
-from dragrig.config.hardware import CardSettings
-from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.rig import Calibration, CardSettings, RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import MAX_BLOCK_S, Acquisition, Block, Clock, RawReading, Trip, TripCause
 from dragrig.rig.hardware.card.connection import (

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.hardware import AnalogInputSettings, ForceInputSettings
-from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.rig import AnalogInputSettings, Calibration, ForceInputSettings, RigSettings
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
 from dragrig.rig.devices import Trip, TripCause
 from dragrig.rig.runfile.model import RecordedChannel

@@ -28,8 +28,7 @@ from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.hardware import AnalogInputSettings, CardSettings, ForceInputSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import AnalogInputSettings, CardSettings, ForceInputSettings, RigSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
 

@@ -17,7 +17,7 @@ from statistics import median
 import serial
 
 from dragrig.config.errors import DeviceError
-from dragrig.config.hardware import DriveSettings
+from dragrig.config.rig import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
 
 if sys.platform != "win32":

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dragrig.config.errors import DeviceError, reason_of
-from dragrig.config.hardware import VelocityOutputSettings
-from dragrig.config.rig import GuardSettings, RigSettings, StageSettings
+from dragrig.config.rig import GuardSettings, RigSettings, StageSettings, VelocityOutputSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Clock, Trip, TripCause
 from dragrig.rig.hardware.card.tasks import AI_START_TRIGGER, AO_RANGE_V, PositionCounter, UnderflowError, VoltageOutput

@@ -22,10 +22,14 @@ from nidaqmx.utils import flatten_channel_string, unflatten_channel_string
 
 from dragrig.rig.arrays import BoolArray, FloatArray
 from dragrig.sim_backend.doubles.card import pci6229
-from dragrig.sim_backend.doubles.card.daqmx import Attribute, AttributeValue, CardError
-from dragrig.sim_backend.doubles.card.pci6229 import EncoderChannel, VirtualChannel
-from dragrig.sim_backend.doubles.card.streams import OutputWaveform
-from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputListener, TaskEngine
+from dragrig.sim_backend.doubles.card.pci6229 import (
+    Attribute,
+    AttributeValue,
+    CardError,
+    EncoderChannel,
+    VirtualChannel,
+)
+from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputListener, OutputWaveform, TaskEngine
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
 _PULSES_PER_PERIOD = 4

@@ -13,10 +13,9 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from dragrig.analysis.inference.blocks import BlockMeans, average_in_blocks
-from dragrig.analysis.inference.noise import NoiseModel, estimate_noise
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import NominalModel, Parameter, Prediction, Predictor
+from dragrig.analysis.noise import BlockMeans, NoiseModel, average_in_blocks, estimate_noise
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.arrays import BoolArray, FloatArray

@@ -1,1 +1,0 @@
-"""Noise, block means, and the linear-Gaussian fit that identification and gap share."""

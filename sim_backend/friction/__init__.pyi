@@ -1,0 +1,15 @@
+from .friction_force import Components as Components
+from .friction_force import PreparedForce as PreparedForce
+from .friction_force import SteadyFriction as SteadyFriction
+from .friction_force import prepare as prepare
+from .friction_force import skew_resistance as skew_resistance
+from .friction_force import steady_forces as steady_forces
+from .motion import Motion as Motion
+from .motion import ProfileMotion as ProfileMotion
+from .motion import RecordedMotion as RecordedMotion
+from .wall import ParameterSetDifference as ParameterSetDifference
+from .wall import WallKind as WallKind
+from .wall import WallParameters as WallParameters
+from .wall import model_wall as model_wall
+from .wall import parameter_set_differences as parameter_set_differences
+from .wall import wall_parameters as wall_parameters
