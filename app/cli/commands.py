@@ -35,7 +35,7 @@ SECTIONS: Sections = {
             "stage_commands:calibrate_group", "Calibrate force sensor or encoder; kept in the lab's history."
         ),
         "run": CommandEntry("measure_commands:run_command", "Carry out a plan and write one run file per run."),
-        "watch": CommandEntry("watch:watch_command", "Follow a running campaign from another process."),
+        "watch": CommandEntry("look_commands:watch_command", "Follow a running campaign from another process."),
         "recover": CommandEntry("measure_commands:recover_command", "Finish the runs that a crash left behind."),
         "gui": CommandEntry("measure_commands:gui_command", "Show the window: run, look, diagnose."),
     },

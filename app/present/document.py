@@ -1,7 +1,7 @@
 """A result as a document of sentences, tables and figures, which says nothing of where it is shown.
 
 One function per result builds its `Document`; a renderer each for terminal (`present.terminal`), HTML page
-(`present.html_page`) and window (`window.document_view`) shows any document, and `--json` prints its `data`.
+(`present.html_page`) and window (`window.widgets`) shows any document, and `--json` prints its `data`.
 
 A block that holds nothing (a table without rows, a section without blocks) is shown nowhere, so that whoever builds a
 document need not ask. Between backticks stands what is typed or is the name of a file.
