@@ -362,7 +362,7 @@ def compare(
     Examples
     --------
     >>> import dragrig
-    >>> slow, fast = (dragrig.simulate("drag", assignments=[f"model.mucus_scale={k}", "way_back=stay"]) for k in (1, 10))
+    >>> slow, fast = (dragrig.simulate("drag", assignments=[f"model.mucus_scale={k}", "way_back=stay"]) for k in (1, 9))
     >>> comparison = dragrig.compare(slow, fast)
     >>> comparison.groups[0].measure, comparison.groups[0].verdict.value
     ('steady force', 'differs')
