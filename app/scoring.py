@@ -6,14 +6,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, nan
 from statistics import median
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from dragrig.config.errors import AnalysisError
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 MIN_DETECTABLE_SIZE = 0.2
 """Below this size an effect may be too small to see, and `no_gap` is right too."""
@@ -533,27 +530,6 @@ class ExamScore:
     def __getitem__(self, name: str) -> Rate:
         """Return the rate of that name."""
         return next(rate for rate in (*self.rates, *self.withheld) if rate.name == name)
-
-    def tables(self) -> tuple["Table", "Table"]:
-        """Return the rates, and the verdicts that are not right, as tables for a console."""
-        from rich.table import Table
-
-        rates = Table("", "held", "share", "95 % interval", title="How often the diagnosis is right")
-        for rate in self.rates:
-            share = (f"{rate.share:.2f}", f"{rate.low:.2f} to {rate.high:.2f}") if rate.count else ("", "")
-            rates.add_row(rate.name, f"{rate.held} of {rate.count}", *share)
-        missed = Table("case", "truth", "form", "size", "said", "probability", title="Not right")
-        for case in self.missed:
-            missed.add_row(*missed_cells(case))
-        return rates, missed
-
-
-def missed_cells(case: ScoredCase) -> tuple[str, ...]:
-    """Return a case whose verdict is not right as cells: name, truth, form, size, verdict, probability."""
-    verdict = "+".join(case.diagnosis.effects) or case.diagnosis.verdict
-    sizes = ", ".join(f"{size:.2g}" for size in case.answer.size)
-    truth = case.answer.truth or ", ".join(case.answer.effects)
-    return case.name, truth, ", ".join(case.answer.form), sizes, verdict, f"{case.diagnosis.probability:.2f}"
 
 
 def score_exam(

@@ -64,8 +64,9 @@ def diagnose(folder: Path) -> None:
 
 def print_score(folder: Path) -> None:
     """Print how often the diagnoses beside the campaigns are right."""
-    from rich.console import Console
-
+    from dragrig.present.document import Document, Section
+    from dragrig.present.exam import missed_table, rates_table
+    from dragrig.present.terminal import print_document
     from dragrig.scoring import score_exam
 
     answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
@@ -73,9 +74,9 @@ def print_score(folder: Path) -> None:
     there = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in told.items() if path.exists()}
     if len(there) < len(answers):
         print(f"{len(answers) - len(there)} of {len(answers)} campaigns have no diagnosis.json and are left out")
-    console = Console()
-    for table in score_exam([(name, answers[name], said) for name, said in there.items()]).tables():
-        console.print(table)
+    score = score_exam([(name, answers[name], said) for name, said in there.items()])
+    tables = rates_table("rates", "", score.rates), missed_table(score)
+    print_document(Document("How often the diagnosis is right", (Section("rates", "", tables),)))
 
 
 def print_sizes(draws: int, names: Sequence[str]) -> None:

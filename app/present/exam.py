@@ -5,7 +5,6 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from dragrig.present.document import (
-    Cell,
     Column,
     Document,
     Facts,
@@ -18,7 +17,7 @@ from dragrig.present.document import (
     TextKind,
 )
 from dragrig.present.numbers import UNKNOWN, decimals, shortest, to_json_object
-from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate, missed_cells
+from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure
@@ -157,9 +156,6 @@ def _confusion_section(score: ExamScore) -> Section:
 
         return exam_confusion_figure(score.confusion)
 
-    names = ("case", "truth", "form", "size", "said", "probability")
-    headings = ("case", "truth", "form", "size", "verdict", "probability")
-    rows = tuple(missed_cells(case) for case in score.missed)
     return Section(
         "confusion",
         "2. Wrong verdicts",
@@ -171,14 +167,24 @@ def _confusion_section(score: ExamScore) -> Section:
                 "not have what is hidden.",
                 draw,
             ),
-            Table(
-                "not-right",
-                "Every verdict that is not right" if rows else "",
-                tuple(map(Column, names, headings)),
-                rows,
-                brief_rows=MAX_WRONG_VERDICTS,
-            ),
+            missed_table(score),
         ),
+    )
+
+
+def missed_table(score: ExamScore) -> Table:
+    """Tabulate the cases whose verdict is not right."""
+    return Table.of(
+        "not-right",
+        "Every verdict that is not right" if score.missed else "",
+        score.missed,
+        Field("case", "case", lambda case: case.name),
+        Field("truth", "truth", lambda case: case.answer.truth or ", ".join(case.answer.effects)),
+        Field("form", "form", lambda case: ", ".join(case.answer.form)),
+        Field("size", "size", lambda case: ", ".join(f"{size:.2g}" for size in case.answer.size)),
+        Field("said", "verdict", lambda case: "+".join(case.diagnosis.effects) or case.diagnosis.verdict),
+        Field("probability", "probability", lambda case: f"{case.diagnosis.probability:.2f}"),
+        brief_rows=MAX_WRONG_VERDICTS,
     )
 
 
@@ -188,16 +194,15 @@ def _detection_section(score: ExamScore) -> Section:
 
         return exam_detection_figure(score.detection)
 
-    columns = (
-        Column("d_prime", "d′ of the hidden effect"),
-        Column("effects", "effects", shortest()),
-        Column("seen", "gap detected"),
-        Column("named", "right name"),
-        Column("misled", "wrong name"),
-    )
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (_size_range(size), size.seen.count, *(_share(rate) for rate in (size.seen, size.named, size.misled)))
-        for size in score.detection
+    table = Table.of(
+        "detection",
+        "Single effects by size, with 95 % intervals",
+        score.detection,
+        Field("d_prime", "d′ of the hidden effect", _size_range),
+        Field("effects", "effects", lambda size: size.seen.count, shortest()),
+        Field("seen", "gap detected", lambda size: _share(size.seen)),
+        Field("named", "right name", lambda size: _share(size.named)),
+        Field("misled", "wrong name", lambda size: _share(size.misled)),
     )
     figure = Figure(
         "detection",
@@ -206,8 +211,7 @@ def _detection_section(score: ExamScore) -> Section:
         "wrong are left out.",
         draw,
     )
-    table = Table("detection", "Single effects by size, with 95 % intervals", columns, rows)
-    return Section("detection", "3. How small an effect may be", (figure, table) if rows else ())
+    return Section("detection", "3. How small an effect may be", (figure, table) if score.detection else ())
 
 
 def _calibration_section(score: ExamScore) -> Section:
