@@ -14,9 +14,8 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.monitor import Watchdog
+from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
-from dragrig.rig.hardware.drive.stage_base import StageDevices
 from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile

@@ -25,9 +25,9 @@ from dragrig.rig.hardware.card.sampler import MAX_AGGREGATE_RATE_HZ, CardSampler
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.monitor import Watchdog
+from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
-from dragrig.rig.hardware.drive.stage_base import MonitoredStage, StageDevices, write_safeguards, write_travel
+from dragrig.rig.hardware.drive.stage_base import MonitoredStage, write_safeguards, write_travel
 from dragrig.rig.hardware.drive.velocity_stage import VelocityModeStage
 from dragrig.rig.hardware.lines import CardLines
 from dragrig.rig.hardware.sync import MotionSamplingSync

@@ -8,10 +8,12 @@ longer reads its data (`Watchdog`), so that a hung program does not keep the sta
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError, reason_of
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Trip, TripCause
+from dragrig.rig.devices import Clock, Trip, TripCause
+from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.lines import DigitalLines
 from dragrig.rig.hardware.sync import MotionSamplingSync
 
@@ -47,6 +49,26 @@ def poll_interval_s(settings: RigSettings) -> float:
     return min(half_block_s, settings.hardware.drive.silence_s / _POLLS_PER_SILENCE, heartbeat_s)
 
 
+@dataclass(frozen=True, slots=True)
+class StageDevices:
+    """What a stage works with.
+
+    Attributes
+    ----------
+    clock
+        The rig's time, in which motions are.
+    watchdog
+        Fed by the sampler.
+    """
+
+    settings: RigSettings
+    link: DriveLink
+    lines: DigitalLines
+    sync: MotionSamplingSync
+    clock: Clock
+    watchdog: Watchdog
+
+
 class Monitor:
     """The one owner of what forbids motion. `fault` may be read by any thread and never blocks.
 
@@ -59,26 +81,20 @@ class Monitor:
         Stops the stage; must return at once.
     may_beat
         Whether the heartbeat goes on; without it the relay opens.
-    hang_s
-        How long the watchdog may go unfed while a sampled motion is in progress.
-    interval_s
-        Wall time between two polls.
     """
 
     def __init__(
         self,
+        devices: StageDevices,
         poll_drive: Callable[[], Trip | None],
         stop: Callable[[], None],
-        lines: DigitalLines,
-        sync: MotionSamplingSync,
-        watchdog: Watchdog,
-        hang_s: float,
-        interval_s: float,
-        may_beat: Callable[[], bool] = lambda: True,
+        may_beat: Callable[[], bool],
     ) -> None:
         self._poll_drive_status, self._stop, self._may_beat = poll_drive, stop, may_beat
-        self._lines, self._sync, self._watchdog = lines, sync, watchdog
-        self._hang_s, self._interval_s = hang_s, interval_s
+        self._lines, self._sync, self._watchdog = devices.lines, devices.sync, devices.watchdog
+        # How long the watchdog may go unfed while a sampled motion is in progress.
+        self._hang_s = devices.settings.hardware.hang_s
+        self._interval_s = poll_interval_s(devices.settings)
         # One poll at a time; it need not be re-entrant, because no poll leads to another.
         self._polling = threading.Lock()
         self._sampled_motion_since_s: float | None = None

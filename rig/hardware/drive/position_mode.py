@@ -10,18 +10,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError, reason_of
-from dragrig.rig.devices import Clock, StageLimits, TravelEnd, Trip, TripCause
+from dragrig.rig.devices import StageLimits, TravelEnd, Trip, TripCause
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Refusal, Request
-from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, RefusedError
+from dragrig.rig.hardware.drive.link import CancelledByStopError, RefusedError
+from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.hardware.drive.stage_base import (
     MonitoredStage,
     Movement,
-    StageDevices,
     write_safeguards,
     write_travel,
 )
-from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Piece
 
 _STANDSTILL_MM_S = 1e-6
@@ -117,19 +116,17 @@ class StrokeMovement(Movement):
 
     def __init__(
         self,
+        devices: StageDevices,
         strokes: Sequence[Stroke],
         origin_mm: float,
-        link: DriveLink,
         planned_at: int,
-        sync: MotionSamplingSync,
-        clock: Clock,
         round_trip_s: float,
         on_failure: Callable[[DeviceError], None],
         on_all_sent: Callable[["StrokeMovement"], None],
     ) -> None:
-        super().__init__(link, planned_at)
+        super().__init__(devices.link, planned_at)
         self._strokes, self._origin_mm = strokes, origin_mm
-        self._sync, self._clock = sync, clock
+        self._sync, self._clock = devices.sync, devices.clock
         self._round_trip_s = round_trip_s
         self._on_failure, self._on_all_sent = on_failure, on_all_sent
         self._cancel = threading.Event()
@@ -254,6 +251,7 @@ class PositionModeStage(MonitoredStage):
         settings = devices.settings
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
         super().__init__(devices, settings.hardware.drive.silence_s + braking_s + _SILENCE_MARGIN_S)
+        self._devices = devices
         self._strokes: StrokeMovement | None = None
         self._link.on_stop(self._heed_stop)
         if self._tracker.status.moving:
@@ -346,12 +344,10 @@ class PositionModeStage(MonitoredStage):
         pace = (self._clock.monotonic() - began_s) / (time.perf_counter() - wall_s)
         self._refuse_late_start(strokes[0].start_s)
         self._strokes = StrokeMovement(
+            self._devices,
             strokes,
             origin_mm,
-            self._link,
             planned_at,
-            self._sync,
-            self._clock,
             self._link.round_trip_s * pace,
             lambda error: self._monitor.latch(Trip(TripCause.DRIVE_FAULT, reason_of(error))),
             self._all_sent,

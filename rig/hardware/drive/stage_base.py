@@ -7,13 +7,11 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import (
     MAX_BLOCK_S,
-    Clock,
     StageLimits,
     StageState,
     TravelEnd,
@@ -26,9 +24,7 @@ from dragrig.rig.devices import (
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
-from dragrig.rig.hardware.drive.monitor import Monitor, Watchdog, poll_interval_s
-from dragrig.rig.hardware.lines import DigitalLines
-from dragrig.rig.hardware.sync import MotionSamplingSync
+from dragrig.rig.hardware.drive.monitor import Monitor, StageDevices
 from dragrig.rig.profile import MotionProfile
 
 POSITION_TOLERANCE_MM = 2e-3
@@ -109,8 +105,6 @@ class DriveTracker:
 
     Parameters
     ----------
-    reply_grace_s
-        For so long a drive that does not answer counts as last reported: a busy computer is no fault.
     self_stop_s
         After so long without an answer, in wall time, the drive has stopped by itself.
     on_over
@@ -122,16 +116,11 @@ class DriveTracker:
         When the drive does not answer.
     """
 
-    def __init__(
-        self,
-        link: DriveLink,
-        sync: MotionSamplingSync,
-        reply_grace_s: float,
-        self_stop_s: float,
-        on_over: Callable[[], None],
-    ) -> None:
-        self._link, self._sync, self._on_over = link, sync, on_over
-        self._reply_grace_s, self._self_stop_s = reply_grace_s, self_stop_s
+    def __init__(self, devices: StageDevices, self_stop_s: float, on_over: Callable[[], None]) -> None:
+        self._link, self._sync, self._on_over = devices.link, devices.sync, on_over
+        self._self_stop_s = self_stop_s
+        # For so long a drive that does not answer counts as last reported: a busy computer is no fault.
+        self._reply_grace_s = devices.settings.hardware.drive.silence_s / 2
         self._lock = threading.RLock()
         self._movement: Movement | None = None
         self._stop_trip: Trip | None = None
@@ -174,11 +163,8 @@ class DriveTracker:
     def poll(self) -> Trip | None:
         """Request the drive's status and return what forbids motion.
 
-        Raises
-        ------
-        DeviceError
-            When it has not answered for `reply_grace_s`, or its port fails. After `self_stop_s` without an answer it
-            counts as standing.
+        Raises `DeviceError` when it has not answered for half its silence timeout, or its port fails. After
+        `self_stop_s` without an answer it counts as standing.
         """
         requested_s = time.monotonic()
         try:
@@ -252,26 +238,6 @@ def write_travel(link: DriveLink, limits: StageLimits) -> None:
     link.set_and_verify(Parameter.HIGHEST_MM, limits.highest_mm, "stage.highest_mm")
 
 
-@dataclass(frozen=True, slots=True)
-class StageDevices:
-    """What a stage works with.
-
-    Attributes
-    ----------
-    clock
-        The rig's time, in which motions are.
-    watchdog
-        Fed by the sampler.
-    """
-
-    settings: RigSettings
-    link: DriveLink
-    lines: DigitalLines
-    sync: MotionSamplingSync
-    clock: Clock
-    watchdog: Watchdog
-
-
 class MonitoredStage(ABC):
     """A stage whose drive and switches are monitored from the monitor's start until `close`.
 
@@ -295,17 +261,8 @@ class MonitoredStage(ABC):
         # One command at a time; a stop waits for none.
         self._commands = threading.RLock()
         self._override: TravelEnd | None = None
-        self._tracker = DriveTracker(self._link, self._sync, self._drive.silence_s / 2, self_stop_s, self._end_override)
-        self._monitor = Monitor(
-            self._tracker.poll,
-            self.stop,
-            self._lines,
-            self._sync,
-            self._watchdog,
-            settings.hardware.hang_s,
-            poll_interval_s(settings),
-            self._may_beat,
-        )
+        self._tracker = DriveTracker(devices, self_stop_s, self._end_override)
+        self._monitor = Monitor(devices, self._tracker.poll, self.stop, self._may_beat)
 
     @property
     def limits(self) -> StageLimits:

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dragrig.config.errors import DeviceError, reason_of
-from dragrig.config.rig import GuardSettings, RigSettings, StageSettings, VelocityOutputSettings
+from dragrig.config.rig import GuardSettings, StageSettings, VelocityOutputSettings
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Clock, Trip, TripCause
 from dragrig.rig.hardware.card.tasks import AI_START_TRIGGER, AO_RANGE_V, PositionCounter, UnderflowError, VoltageOutput
-from dragrig.rig.hardware.sync import MotionSamplingSync
+from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 
 _ZERO_MOTION = MotionProfile.from_pieces([stationary_piece(1.0, Phase.HOLD)])
@@ -301,20 +301,19 @@ class VelocityLoop:
 
     def __init__(
         self,
-        streamer: AOStreamer,
-        controller: SpeedController,
+        devices: StageDevices,
+        output: VoltageOutput,
         counter: PositionCounter,
-        settings: RigSettings,
-        sync: MotionSamplingSync,
-        clock: Clock,
         on_fault: Callable[[Trip], None],
         cut_power: Callable[[], None],
         on_rest: Callable[[], None],
     ) -> None:
-        self._streamer, self._controller, self._counter = streamer, controller, counter
-        self._sync, self._clock = sync, clock
+        settings = devices.settings
+        self._counter, self._sync, self._clock = counter, devices.sync, devices.clock
         self._on_fault, self._cut_power, self._on_rest = on_fault, cut_power, on_rest
         self._velocity, self._guard = settings.hardware.drive.velocity, settings.guard
+        self._controller = SpeedController(self._velocity, settings.stage)
+        self._streamer = AOStreamer(output, self._controller, self._velocity, self._clock)
         self._standstill = StandstillDetector(settings.encoder.resolution_um / 1000.0, self._velocity)
         # Re-entrant, because the start of a motion also observes the position.
         self._busy = threading.RLock()

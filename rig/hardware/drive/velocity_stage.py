@@ -10,16 +10,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from dragrig.config.errors import DeviceError, SettingsError
-from dragrig.config.rig import Calibration, RigSettings
-from dragrig.rig.devices import Clock, StageLimits, TravelEnd, TripCause
+from dragrig.config.rig import Calibration
+from dragrig.rig.devices import StageLimits, TravelEnd, TripCause
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import AO_RANGE_V, PositionCounter, VoltageOutput
-from dragrig.rig.hardware.drive.stage_base import MonitoredStage, StageDevices, write_safeguards, write_travel
-from dragrig.rig.hardware.drive.velocity_loop import AOStreamer, SpeedController, VelocityLoop, first_motion_s
-from dragrig.rig.hardware.lines import DigitalLines
-from dragrig.rig.hardware.sync import MotionSamplingSync
+from dragrig.rig.hardware.drive.monitor import StageDevices
+from dragrig.rig.hardware.drive.stage_base import MonitoredStage, write_safeguards, write_travel
+from dragrig.rig.hardware.drive.velocity_loop import VelocityLoop, first_motion_s
 from dragrig.rig.profile import MotionProfile, trapezoid
 
 _UNREFERENCED_MM = 10_000.0
@@ -35,10 +34,9 @@ _ARRIVAL_TIMEOUT_S = 1.0
 class IndexSearch:
     """Homing by the velocity loop. The caller holds the stage's command lock."""
 
-    def __init__(
-        self, loop: VelocityLoop, lines: DigitalLines, settings: RigSettings, sync: MotionSamplingSync, clock: Clock
-    ) -> None:
-        self._loop, self._lines, self._sync, self._clock = loop, lines, sync, clock
+    def __init__(self, devices: StageDevices, loop: VelocityLoop) -> None:
+        settings = devices.settings
+        self._loop, self._lines, self._sync, self._clock = loop, devices.lines, devices.sync, devices.clock
         self._stage, self._drive, self._card = settings.stage, settings.hardware.drive, settings.hardware.card
         self._arrival_mm = _ARRIVAL_COUNTS * settings.encoder.resolution_um / 1000.0
 
@@ -152,19 +150,10 @@ class VelocityModeStage(MonitoredStage):
         self._output = VoltageOutput(
             connection, velocity.channel, velocity.rate_hz, velocity.ahead * velocity.update_samples
         )
-        controller = SpeedController(velocity, settings.stage)
         self._loop = VelocityLoop(
-            AOStreamer(self._output, controller, velocity, self._clock),
-            controller,
-            self._counter,
-            settings,
-            self._sync,
-            self._clock,
-            self._monitor.latch,
-            self._cut_power,
-            self._end_override,
+            devices, self._output, self._counter, self._monitor.latch, self._cut_power, self._end_override
         )
-        self._index_search = IndexSearch(self._loop, self._lines, settings, self._sync, self._clock)
+        self._index_search = IndexSearch(devices, self._loop)
         self._counter.begin(0.0)
         self._monitor.start()
 
