@@ -73,9 +73,9 @@ def test_the_motors_stalls_are_in_its_positions_so_that_rows_must_not_be_moved()
     stall = int(np.diff(time).argmax())
     moved = position[stall + 2] - position[stall + 1]
     assert moved == pytest.approx(velocity[stall + 2] * (time[stall + 1] - time[stall]), rel=0.15)
-    even = resample(time, {"position": position}, 1000.0)
-    assert even.grid.sample_rate_hz == 1000
-    assert np.abs(even.columns["position"] - np.interp(time[0] + even.grid.time, time, position)).max() < 1e-12
+    grid, columns = resample(time, {"position": position}, 1000.0)
+    assert grid.sample_rate_hz == 1000
+    assert np.abs(columns["position"] - np.interp(time[0] + grid.time, time, position)).max() < 1e-12
 
 
 def test_uneven_and_changing_clocks_are_refused_with_what_can_be_done() -> None:
@@ -113,28 +113,28 @@ def test_one_row_has_no_rate() -> None:
 def test_resampling_keeps_straight_lines_and_says_what_it_did() -> None:
     rng = np.random.default_rng(1)
     times = np.cumsum(rng.uniform(0.12, 0.18, 500))
-    done = resample(times, {"line": 3 * times, "level": np.full(500, 7.0)}, 7.0)
-    np.testing.assert_allclose(done.columns["line"], 3 * (times[0] + done.grid.time), atol=1e-9)
-    np.testing.assert_allclose(done.columns["level"], 7.0)
-    assert "resampled to 7 Hz from 500 rows" in done.grid.events[0].message
+    grid, columns = resample(times, {"line": 3 * times, "level": np.full(500, 7.0)}, 7.0)
+    np.testing.assert_allclose(columns["line"], 3 * (times[0] + grid.time), atol=1e-9)
+    np.testing.assert_allclose(columns["level"], 7.0)
+    assert "resampled to 7 Hz from 500 rows" in grid.events[0].message
 
 
 def test_downsampling_averages_so_that_fast_parts_do_not_alias() -> None:
     times = np.arange(10_000) / 1000
     fast = np.sin(2 * np.pi * 99 * times)
-    done = resample(times, {"fast": fast}, 20.0)
-    assert np.abs(done.columns["fast"][1:-1]).max() < 0.25
-    assert "200 samples are means" in done.grid.events[0].message
+    grid, columns = resample(times, {"fast": fast}, 20.0)
+    assert np.abs(columns["fast"][1:-1]).max() < 0.25
+    assert "200 samples are means" in grid.events[0].message
 
 
 def test_gaps_are_never_filled_and_invented_samples_are_counted() -> None:
     times = np.concatenate((np.arange(200) * 0.1, 60 + np.arange(200) * 0.1))
-    done = resample(times, {"x": times}, 20.0)
-    assert not ((done.grid.time > 19.95) & (done.grid.time < 59.95)).any()
-    np.testing.assert_allclose(done.columns["x"], done.grid.time, atol=1e-9)
-    kinds = [event.kind for event in done.grid.events]
+    grid, columns = resample(times, {"x": times}, 20.0)
+    assert not ((grid.time > 19.95) & (grid.time < 59.95)).any()
+    np.testing.assert_allclose(columns["x"], grid.time, atol=1e-9)
+    kinds = [event.kind for event in grid.events]
     assert kinds.count("gap") == 1
-    assert "not measured" in done.grid.events[1].message
+    assert "not measured" in grid.events[1].message
 
 
 @pytest.mark.parametrize("direction", [1, -1])

@@ -98,14 +98,6 @@ class SampleGrid:
         return np.asarray(self.index / self.sample_rate_hz, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ResampledColumns:
-    """Columns on an even grid."""
-
-    grid: SampleGrid
-    columns: Mapping[str, FloatArray]
-
-
 class UnevenRowsError(ImportDataError):
     """Time stamps that are not on an even grid."""
 
@@ -254,8 +246,7 @@ def _on_grid(
     rows = len(next(iter(values.values())))
     stated_hz = settings.sample_rate_hz or (table.sample_rate_hz if stamps is None else None)
     if settings.resample_hz is not None and stamps is not None:
-        resampled = resample(stamps, values, settings.resample_hz)
-        return resampled.grid, dict(resampled.columns)
+        return resample(stamps, values, settings.resample_hz)
     if stated_hz is not None:
         return counted_grid(table.path, stamps, rows, stated_hz), values
     if stamps is None:
@@ -277,23 +268,17 @@ def _position_and_command(
         position = np.full(rows, np.nan)
         remarks.append("no position in the file: position is missing (NaN)")
     if command is None and steady:
-        command, speed_mm_s = _straight_line(grid.time, position)
-        remarks.append(f"no command in the file: a straight line at {speed_mm_s:.6g} mm/s through the position, as set")
+        finite = np.isfinite(position)
+        known = np.count_nonzero(finite) >= 2
+        slope, offset = np.polyfit(grid.time[finite], position[finite], 1) if known else (np.nan, np.nan)
+        command = offset + slope * grid.time
+        remarks.append(f"no command in the file: a straight line at {slope:.6g} mm/s through the position, as set")
     elif command is None:
         command = position
         remarks.append("no command in the file: the position is used in its place")
     start = position[0] if np.isfinite(position[0]) else command[0]
     origin_mm = float(start) if np.isfinite(start) else 0.0
     return position - origin_mm, command - origin_mm, origin_mm, remarks
-
-
-def _straight_line(time_s: FloatArray, position: FloatArray) -> tuple[FloatArray, float]:
-    """Least-squares line through the finite positions, and its slope."""
-    finite = np.isfinite(position)
-    if np.count_nonzero(finite) < 2:
-        return np.full_like(position, np.nan), float("nan")
-    line = np.polynomial.Polynomial.fit(time_s[finite], position[finite], 1)
-    return np.asarray(line(time_s), dtype=np.float64), float(line.deriv()(0.0))
 
 
 def counted_grid(path: Path, stamps: FloatArray | None, rows: int, sample_rate_hz: float) -> SampleGrid:
@@ -411,7 +396,9 @@ def _uneven_error(path: Path, stamps: FloatArray) -> UnevenRowsError:
     return UnevenRowsError(f"{path}: {spacing}; {remedy}state resample_hz to have rows interpolated to an even rate.")
 
 
-def resample(stamps: FloatArray, columns: Mapping[str, FloatArray], sample_rate_hz: float) -> ResampledColumns:
+def resample(
+    stamps: FloatArray, columns: Mapping[str, FloatArray], sample_rate_hz: float
+) -> tuple[SampleGrid, dict[str, FloatArray]]:
     """Resample columns at an even rate.
 
     A sample is the mean of the rows within half a period, or with fewer than three such rows a linear interpolation
@@ -447,7 +434,7 @@ def resample(stamps: FloatArray, columns: Mapping[str, FloatArray], sample_rate_
 
     events = tuple(_resample_events(times, at, averaged, is_gap, sample_rate_hz))
     grid = SampleGrid(sample_rate_hz, index, events)
-    return ResampledColumns(grid, {name: resampled(values[first]) for name, values in columns.items()})
+    return grid, {name: resampled(values[first]) for name, values in columns.items()}
 
 
 def _gaps_between(times: FloatArray, sample_rate_hz: float) -> Mask:

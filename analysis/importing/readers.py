@@ -6,7 +6,8 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.analysis.export import EXPORT_FORMAT_KEY
 from dragrig.analysis.importing.foreign import (
     ForeignColumn,
     ForeignTable,
@@ -36,8 +38,6 @@ SAMPLED_LINES = 400
 SAMPLED_BYTES = 4096
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more columns is an image or a grid, not a table."""
-EXPORT_KEY = "dragrig-export"
-"""Metadata with this key are those of an exported run."""
 
 _UNSUPPORTED_ENDINGS = {
     ".xlsx": "save the sheet as CSV",
@@ -366,7 +366,7 @@ def _text_column(name: str, units: str, cells: "pa.ChunkedArray", decimal: str) 
 def _export_preamble(preamble: Sequence[str]) -> dict[str, object]:
     """Metadata in the comment lines that an exported run begins with."""
     entries = {match[1]: match[2] for line in preamble if (match := _EXPORT_LINE.fullmatch(line))}
-    if EXPORT_KEY not in entries:
+    if EXPORT_FORMAT_KEY not in entries:
         return {}
     try:
         return {key: json.loads(value) for key, value in entries.items()}
@@ -374,17 +374,9 @@ def _export_preamble(preamble: Sequence[str]) -> dict[str, object]:
         return {}
 
 
-# Binary tables: named arrays, of which the largest group is the table.
+# Binary tables: columns by the variable, struct or group that holds them, of which the largest is the table.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _NamedArray:
-    """A column and the variable, struct or group that holds it."""
-
-    group: str
-    name: str
-    values: npt.NDArray[np.generic]
-    units: str = ""
+GroupedColumns = list[tuple[str, ForeignColumn]]
 
 
 def read_parquet(path: Path) -> ForeignTable:
@@ -392,30 +384,24 @@ def read_parquet(path: Path) -> ForeignTable:
     import pyarrow as pa
     from pyarrow import parquet
 
-    try:
+    with _damage_reported(path, "Parquet"):
         table = parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise _damaged_file(path, "Parquet", error) from error
-    arrays = []
+    columns = GroupedColumns()
     for column, cells in zip(table.schema, table.columns, strict=True):
         units = (column.metadata or {}).get(b"units", b"").decode("utf-8", "replace")
         numeric = pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
         values = cells.to_numpy() if numeric else np.array(cells.to_pylist(), dtype=object)
-        arrays.append(_NamedArray("", column.name, values, units))
+        columns.append(("", _array_column(column.name, values, units)))
     export = (table.schema.metadata or {}).get(b"dragrig", b"")
-    return _foreign_table(path, arrays, export=export.decode("utf-8", "replace"))
+    return _foreign_table(path, columns, export=export.decode("utf-8", "replace"))
 
 
 def read_npz(path: Path) -> ForeignTable:
     """Read a NumPy archive; raises `ImportDataError` when it is none."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {str(name): archive[name] for name in archive.files}
-    except Exception as error:
-        # NumPy and zipfile report damage as many classes of exception; each means the same to the user.
-        raise _damaged_file(path, "NumPy", error) from error
+    with _damage_reported(path, "NumPy"), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        arrays = {str(name): archive[name] for name in archive.files}
     export = str(arrays.pop("metadata", ""))
-    return _foreign_table(path, list(_named_arrays("", arrays)), export=export)
+    return _foreign_table(path, list(_grouped_columns("", arrays)), export=export)
 
 
 def read_mat(path: Path, table: str = "") -> ForeignTable:
@@ -429,19 +415,16 @@ def read_mat(path: Path, table: str = "") -> ForeignTable:
     import h5py
     from scipy.io import loadmat
 
-    try:
+    with _damage_reported(path, "MAT"):
         if h5py.is_hdf5(path):
             with h5py.File(path, "r") as file:
                 variables = _hdf5_tree(file)
         else:
             contents = loadmat(path, simplify_cells=True)
             variables = {str(name): value for name, value in contents.items() if not str(name).startswith("__")}
-    except Exception as error:
-        # Both readers report damage as almost any class of exception; each means the same to the user.
-        raise _damaged_file(path, "MAT", error) from error
     run = variables.get("run")
     export = str(run.get("metadata_json", "")) if isinstance(run, dict) else ""
-    return _foreign_table(path, list(_named_arrays("", variables)), table, export=export)
+    return _foreign_table(path, list(_grouped_columns("", variables)), table, export=export)
 
 
 def read_tdms(path: Path, table: str = "") -> ForeignTable:
@@ -454,21 +437,29 @@ def read_tdms(path: Path, table: str = "") -> ForeignTable:
     """
     from nptdms import TdmsFile
 
-    arrays: list[_NamedArray] = []
+    columns = GroupedColumns()
     increments: dict[str, set[float]] = {}
-    try:
+    with _damage_reported(path, "TDMS"):
         for group in TdmsFile.read(path).groups():
             for channel in group.channels():
                 units = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
-                arrays.append(_NamedArray(group.name, channel.name, np.asarray(channel[:]), units))
+                columns.append((group.name, _array_column(channel.name, np.asarray(channel[:]), units)))
                 increments.setdefault(group.name, set()).add(float(channel.properties.get("wf_increment", 0.0)))
+    return _foreign_table(path, columns, table, increments)
+
+
+@contextmanager
+def _damage_reported(path: Path, file_kind: str) -> Iterator[None]:
+    """Readers report damage as almost any class of exception; each means the same to the user."""
+    try:
+        yield
     except Exception as error:
-        # npTDMS reports damage as almost any class of exception; each means the same to the user.
-        raise _damaged_file(path, "TDMS", error) from error
-    chosen = _largest_table(path, arrays, table)
-    steps = increments.get(chosen[0].group, set())
-    step = steps.pop() if len(steps) == 1 else 0.0
-    return _foreign_table(path, chosen, sample_rate_hz=1 / step if step > 0 else None)
+        if isinstance(error, OSError) and error.strerror:
+            raise ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise ImportDataError(
+            f"{path}: is damaged or no {file_kind} file ({reason:.100}); export it anew or as CSV."
+        ) from error
 
 
 def _hdf5_tree(group: "h5py.Group") -> dict[str, object]:
@@ -487,72 +478,59 @@ def _hdf5_tree(group: "h5py.Group") -> dict[str, object]:
     return tree
 
 
-def _named_arrays(group: str, variables: Mapping[str, object]) -> Iterable[_NamedArray]:
+def _grouped_columns(group: str, variables: Mapping[str, object]) -> Iterator[tuple[str, ForeignColumn]]:
     for name, value in variables.items():
         path = f"{group}.{name}" if group else name
         if isinstance(value, dict):
-            yield from _named_arrays(path, value)
+            yield from _grouped_columns(path, value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
             if value.ndim == 1:
-                yield _NamedArray(group, name, value)
+                yield group, _array_column(name, value)
             elif value.ndim == 2 and 1 < min(value.shape) <= MAX_MATRIX_COLUMNS:
                 columns = value if value.shape[0] >= value.shape[1] else value.T
                 for number, column in enumerate(columns.T, start=1):
-                    yield _NamedArray(path, f"{name}[{number}]", column)
+                    yield path, _array_column(f"{name}[{number}]", column)
 
 
-def _largest_table(path: Path, arrays: Sequence[_NamedArray], table: str) -> list[_NamedArray]:
-    """Arrays of one group and one length: of the stated group, and with the most values."""
-    groups: dict[tuple[str, int], list[_NamedArray]] = {}
-    for array in arrays:
-        groups.setdefault((array.group, len(array.values)), []).append(array)
-    wanted = {key: group for key, group in groups.items() if not table or key[0] == table}
-    if not arrays:
-        raise ImportDataError(f"{path}: holds no columns of numbers; give a file with data.")
-    if not wanted:
-        known = sorted({array.group for array in arrays if array.group})
-        hint = suggestion(table, known) if known else "leave its name out."
-        raise ImportDataError(f"{path}: there is no table {table!r}; {hint}")
-    return max(wanted.items(), key=lambda item: item[0][1] * len(item[1]))[1]
+def _array_column(name: str, values: npt.NDArray[np.generic], units: str = "") -> ForeignColumn:
+    if values.dtype.kind == "M":
+        return ForeignColumn(name, "s", np.asarray((values - values[:1]) / np.timedelta64(1, "s"), dtype=np.float64))
+    units = canonical_unit(units) or units or split_unit(name)[1] or ""
+    if values.dtype.kind in "fiub":
+        return ForeignColumn(name, units, np.asarray(values, dtype=np.float64))
+    return ForeignColumn(name, units, np.full(len(values), np.nan), InvalidCell(0, "".join(map(str, values[:1]))))
 
 
 def _foreign_table(
     path: Path,
-    arrays: Sequence[_NamedArray],
+    columns: GroupedColumns,
     table: str = "",
-    *,
-    sample_rate_hz: float | None = None,
+    increments_s: Mapping[str, Collection[float]] | None = None,
     export: str = "",
 ) -> ForeignTable:
-    chosen = _largest_table(path, arrays, table)
-    if not len(chosen[0].values):
+    """Take the columns of one group and one length: of the stated group, and with the most values."""
+    groups: dict[tuple[str, int], list[ForeignColumn]] = {}
+    for group, column in columns:
+        groups.setdefault((group, len(column.values)), []).append(column)
+    if not groups:
+        raise ImportDataError(f"{path}: holds no columns of numbers; give a file with data.")
+    wanted = [key for key in groups if not table or key[0] == table]
+    if not wanted:
+        known = sorted({group for group, _ in groups if group})
+        hint = suggestion(table, known) if known else "leave its name out."
+        raise ImportDataError(f"{path}: there is no table {table!r}; {hint}")
+    group, rows = largest = max(wanted, key=lambda key: key[1] * len(groups[key]))
+    if not rows:
         raise ImportDataError(f"{path}: holds columns without any rows; give a file with data.")
     try:
         metadata = json.loads(export) if export else {}
     except ValueError:
         metadata = {}
-    is_export = isinstance(metadata, dict) and EXPORT_KEY in metadata
+    is_export = isinstance(metadata, dict) and EXPORT_FORMAT_KEY in metadata
+    steps = list((increments_s or {}).get(group, ()))
     return ForeignTable(
         path,
-        tuple(_array_column(array) for array in chosen),
-        sample_rate_hz=sample_rate_hz,
+        tuple(groups[largest]),
+        sample_rate_hz=1 / steps[0] if len(steps) == 1 and steps[0] > 0 else None,
         export=metadata if is_export else {},
     )
-
-
-def _array_column(array: _NamedArray) -> ForeignColumn:
-    units = canonical_unit(array.units) or array.units or split_unit(array.name)[1] or ""
-    if array.values.dtype.kind == "M":
-        seconds = (array.values - array.values[0]) / np.timedelta64(1, "s")
-        return ForeignColumn(array.name, "s", np.asarray(seconds, dtype=np.float64))
-    if array.values.dtype.kind not in "fiub":
-        missing = np.full(len(array.values), np.nan)
-        return ForeignColumn(array.name, units, missing, InvalidCell(0, str(array.values[0])))
-    return ForeignColumn(array.name, units, np.asarray(array.values, dtype=np.float64))
-
-
-def _damaged_file(path: Path, file_kind: str, error: Exception) -> ImportDataError:
-    if isinstance(error, OSError) and error.strerror:
-        return ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.")
-    reason = (str(error).splitlines() or [type(error).__name__])[0]
-    return ImportDataError(f"{path}: is damaged or no {file_kind} file ({reason:.100}); export it anew or as CSV.")
