@@ -494,7 +494,8 @@ def _grouped_columns(group: str, variables: Mapping[str, object]) -> Iterator[tu
 
 def _array_column(name: str, values: npt.NDArray[np.generic], units: str = "") -> ForeignColumn:
     if values.dtype.kind == "M":
-        return ForeignColumn(name, "s", np.asarray((values - values[:1]) / np.timedelta64(1, "s"), dtype=np.float64))
+        seconds = np.divide(np.subtract(values, values[:1]), np.timedelta64(1, "s"))
+        return ForeignColumn(name, "s", np.asarray(seconds, dtype=np.float64))
     units = canonical_unit(units) or units or split_unit(name)[1] or ""
     if values.dtype.kind in "fiub":
         return ForeignColumn(name, units, np.asarray(values, dtype=np.float64))

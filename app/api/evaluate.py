@@ -18,6 +18,7 @@ from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
 from dragrig.config.settings import Table, find_settings, merge_tables, parse, read_toml
 from dragrig.config.specimen import Capsule, Specimen
+from dragrig.present import figures
 from dragrig.present.files import unused_path, write_text
 from dragrig.rig.runfile import Campaign, read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import Run
@@ -395,13 +396,12 @@ def write_comparison(
     RunFileError
         When a run cannot be read.
     """
-    from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
     from dragrig.present.files import save_figure_in
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1
     progress(0, total)
-    yield save_figure_in(folder, COMPARISON_OVERVIEW, comparison_overview_figure(comparison), overwrite)
+    yield save_figure_in(folder, COMPARISON_OVERVIEW, figures.comparison_overview_figure(comparison), overwrite)
     table = folder / COMPARISON_TABLE
     if not overwrite:
         table = unused_path(table, table.suffix)
@@ -409,7 +409,7 @@ def write_comparison(
     names = comparison.a.name, comparison.b.name
     for done, pair in enumerate(drawable, start=1):
         progress(done, total)
-        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", comparison_figure(pair, names), overwrite)
+        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", figures.comparison_figure(pair, names), overwrite)
     progress(total, total)
 
 

@@ -25,6 +25,7 @@ from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings, IdentificationSummary, IdentifiedValue
 from dragrig.config.settings import absolute_if_file, to_toml
 from dragrig.parallel import map_tasks
+from dragrig.present import figures
 from dragrig.present.files import unused_path, write_text
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import software_version
@@ -210,30 +211,27 @@ def save_identification_pictures(
 ) -> Iterator[Path]:
     """Draw every part that was identified; yields each picture as it is written."""
     from dragrig.present.files import save_figure_in
-    from dragrig.present.identification_figures import coulomb_figure, joint_fit_figure, relaxation_fit_figure
 
     result, selection = identified.result, identified.selection
     if result.joint is not None:
-        yield save_figure_in(folder, "joint-fit.png", joint_fit_figure(result.joint), overwrite)
+        yield save_figure_in(folder, "joint-fit.png", figures.joint_fit_figure(result.joint), overwrite)
     if result.relaxation is not None and result.relaxation.fits:
-        figure = relaxation_fit_figure(result.relaxation, selection)
+        figure = figures.relaxation_fit_figure(result.relaxation, selection)
         yield save_figure_in(folder, "relaxation.png", figure, overwrite)
     if result.coulomb is not None and result.coulomb.runs:
         first = result.coulomb.runs[0]
         runs = {experiment.file: experiment.run for experiment in selection.experiments}
-        yield save_figure_in(folder, "coulomb.png", coulomb_figure(runs[first.file], first), overwrite)
+        yield save_figure_in(folder, "coulomb.png", figures.coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
         yield save_figure_in(folder, "drag.png", _drag_figure(identified), overwrite)
 
 
 def _drag_figure(identified: IdentifiedCampaign) -> "Figure":
-    from dragrig.present.identification_figures import drag_figure
-
     drag, first = identified.result.drag, identified.selection.of_kind("drag")[0]
     if drag is None or not isinstance(identified.nominal, CapsuleModel) or identified.result.joint is None:
         raise AnalysisError(f"{identified.source}: has no drag to draw.")
     model = identified_settings(identified.nominal, identified.result.joint)
-    return drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
+    return figures.drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:

@@ -12,6 +12,7 @@ from dragrig.analysis.savgol import filter_file
 from dragrig.api.identify import IdentifiedCampaign, identify
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
+from dragrig.present import figures
 from dragrig.present.files import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,
@@ -356,9 +357,7 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
     DragrigError
         When a file cannot be read or written.
     """
-    from dragrig.present.campaign_figures import campaign_figure
     from dragrig.present.files import save_figure_in
-    from dragrig.present.run_figures import run_figure
 
     paths = made.files
     shown = {run.path for run in made.session.runs if run.run.follows < 0}
@@ -369,6 +368,6 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
         if path in shown:
-            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", run_figure(read_run(path)))
+            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", figures.run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
-    return save_figure_in(made.folder, DEMO_OVERVIEW, campaign_figure(map(read_run, paths), DEMO_PLAN))
+    return save_figure_in(made.folder, DEMO_OVERVIEW, figures.campaign_figure(map(read_run, paths), DEMO_PLAN))

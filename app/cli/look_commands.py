@@ -21,6 +21,7 @@ from dragrig.cli.console import (
     print_remark,
     print_result,
 )
+from dragrig.present import figures
 from dragrig.present.numbers import duration_text, shortest
 
 if TYPE_CHECKING:
@@ -121,25 +122,23 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 
 
 def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force: bool) -> Path:
-    from dragrig.present.run_figures import run_figure
     from dragrig.rig.runfile import read_mark, read_run
     from dragrig.rig.runfile.schema import run_name
 
     mark = read_mark(path)
     reason = None if mark is None else mark.reason
-    figure = run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
+    figure = figures.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
     return target.save(figure, f"{run_name(path)}.png", path.parent)
 
 
 def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
-    from dragrig.present.campaign_figures import campaign_figure
     from dragrig.rig.runfile import read_mark, read_run
     from dragrig.run_inputs import run_files
 
     paths = run_files([folder])
     bad = [path for path in paths if read_mark(path) is not None]
     name = folder.resolve().name
-    figure = campaign_figure((read_run(path) for path in paths), name, bad)
+    figure = figures.campaign_figure((read_run(path) for path in paths), name, bad)
     return target.save(figure, f"{name}.png", folder)
 
 

@@ -4,9 +4,9 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
 
 from dragrig.analysis.measures import UNREADABLE, TableRow, mean_per_speed
+from dragrig.present import figures
 from dragrig.present.document import Cell, Column, Document, Field, Figure, FormattedNumber, Section, Table, Text
 from dragrig.present.numbers import decimals, shortest, shortest_percent, to_json_object, value_with_error
 from dragrig.present.run import run_drawing
@@ -16,9 +16,6 @@ from dragrig.rig.runfile import Campaign, read_run
 from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.rig.runfile.schema import run_name
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
@@ -199,30 +196,26 @@ def _left_out_rows(data: CampaignReportData) -> Iterator[tuple[Cell, ...]]:
 
 
 def _overview(data: CampaignReportData) -> Figure:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.campaign_figures import campaign_figure
-
-        return campaign_figure((read_run(info.path) for info in data.readable), data.name, list(data.campaign.marks))
-
     return Figure(
         "overview",
         "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
         "few speeds.",
         "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
         "zero included.",
-        draw,
+        lambda: figures.campaign_figure(
+            (read_run(info.path) for info in data.readable), data.name, list(data.campaign.marks)
+        ),
     )
 
 
 def _single_drawing(info: RunInfo, data: CampaignReportData) -> Figure:
     """Return the figure of a run that is read when it is drawn."""
-
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.run_figures import run_figure
-
-        return run_figure(read_run(info.path), bad_reason=data.bad.get(info.path.name))
-
-    return run_drawing(info, draw, f"figure-{run_name(info.path)}")
+    bad_reason = data.bad.get(info.path.name)
+    return run_drawing(
+        info,
+        lambda: figures.run_figure(read_run(info.path), bad_reason=bad_reason),
+        f"figure-{run_name(info.path)}",
+    )
 
 
 def _summary(data: CampaignReportData) -> str:

@@ -1,7 +1,6 @@
 """A comparison laid out for a reader: pairs of runs, differences by condition, and what had no partner."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING
 
 from dragrig.analysis.comparison.comparison import (
     Comparison,
@@ -11,11 +10,9 @@ from dragrig.analysis.comparison.comparison import (
     comparison_rows,
 )
 from dragrig.analysis.estimates import NORMAL_95, Exclusion
+from dragrig.present import figures
 from dragrig.present.document import Cell, Column, Document, Facts, Field, Figure, Items, Section, Table
 from dragrig.present.numbers import decimals, percent_difference, shortest, to_json_object
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 MAX_UNPAIRED = 12
 """Runs without a partner that a terminal lists."""
@@ -24,18 +21,12 @@ ONE_DECIMAL, SIGNED = decimals(1), decimals(1, signed=True)
 
 def comparison_document(comparison: Comparison) -> Document:
     """Lay out a comparison; differences are B − A, forces in mN."""
-
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.campaign_figures import comparison_overview_figure
-
-        return comparison_overview_figure(comparison)
-
     answer, *lead = comparison.sentences
     overview = Figure(
         "overview",
         "Steady force against speed of both sides, and the differences by kind, speed and strain.",
         "Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.",
-        draw,
+        lambda: figures.comparison_overview_figure(comparison),
     )
     unpaired = _exclusions("without-partner", comparison.alone_a, comparison.alone_b)
     left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite
-from typing import TYPE_CHECKING
 
 from dragrig.analysis.gap.diagnosis import (
     Diagnosis,
@@ -33,6 +32,7 @@ from dragrig.analysis.gap.diagnosis_text import (
     verdict_sentences,
 )
 from dragrig.analysis.paper import published
+from dragrig.present import figures
 from dragrig.present.document import (
     Cell,
     Code,
@@ -60,9 +60,6 @@ from dragrig.present.numbers import (
     unit_text,
 )
 from dragrig.sim_backend.effects.base import catalogue
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 FORMAT, VERSION = "dragrig-gap", 1
 NEXT_FORMAT = "dragrig-next"
@@ -199,11 +196,6 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
 
 
 def _location_section(diagnosis: Diagnosis) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.diagnosis_figures import location_figure
-
-        return location_figure(diagnosis.where)
-
     basis = "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen."
 
     return Section(
@@ -218,7 +210,7 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 "session, strain and frequency.",
                 "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of "
                 "the residual each coordinate predicts. Below, shares of the excess, in colour where significant.",
-                draw,
+                lambda: figures.location_figure(diagnosis.where),
             ),
             Table.of(
                 "location",
@@ -233,11 +225,6 @@ def _location_section(diagnosis: Diagnosis) -> Section:
 
 
 def _ranking_section(diagnosis: Diagnosis) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.diagnosis_figures import ranking_figure
-
-        return ranking_figure(diagnosis)
-
     return Section(
         "which",
         "2. Which",
@@ -246,7 +233,7 @@ def _ranking_section(diagnosis: Diagnosis) -> Section:
                 "ranking",
                 "Horizontal bars: the probability of each hypothesis, the most probable first.",
                 "Probability of each hypothesis; those near zero are left out.",
-                draw,
+                lambda: figures.ranking_figure(diagnosis),
             ),
             ranking_table(diagnosis),
             Section("unknown", "What no effect of the catalogue explains", _unknown_blocks(diagnosis.unknown)),
@@ -304,20 +291,15 @@ def _unknown_blocks(unknown: UnexplainedGap | None) -> tuple[Text | Code, ...]:
 
 
 def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.diagnosis_figures import before_after_figure, representative_runs
-
-        floor = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
-        return before_after_figure(representative_runs(diagnosis.traces), floor, named=bool(diagnosis.effects))
-
     shrink, named = diagnosis.shrink, bool(diagnosis.effects)
+    floor_mN = None if shrink is None else shrink.noise_floor_mN
     reduction = "" if shrink is None else " ".join(shrink_sentences(shrink, named=named))
     before_after = Figure(
         "before-after",
         "A row for each run: left, the measurement and what the model says; right, the residual.",
         "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model without "
         "an effect explains worst. The grey band is noise and scatter of repeats.",
-        draw,
+        lambda: figures.before_after_figure(figures.representative_runs(diagnosis.traces), floor_mN, named=named),
     )
     dry_run = f"dragrig run drag --model {model}\ndragrig gap evaluate {model} FRESH_RUNS"
     amended = (

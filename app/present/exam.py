@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from dragrig.present import figures
 from dragrig.present.document import (
     Column,
     Document,
@@ -20,8 +21,6 @@ from dragrig.present.numbers import UNKNOWN, decimals, shortest, to_json_object
 from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
-
     from dragrig.analysis.gap.features import Calibration
 
 MAX_WRONG_VERDICTS = 40
@@ -119,11 +118,6 @@ def _exam_sentences(score: ExamScore, cases: int, seed: int, answers_sha256: str
 
 
 def _rates_section(score: ExamScore) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.exam_figures import exam_rates_figure
-
-        return exam_rates_figure((*score.rates, *score.withheld))
-
     withheld = rates_table("withheld", "", score.withheld)
     explanation = (
         "Campaigns with one effect were diagnosed again with that effect taken out of the catalogue. Right is then "
@@ -138,7 +132,7 @@ def _rates_section(score: ExamScore) -> Section:
                 "rates",
                 "A row for each rate: its share and its interval.",
                 "Of “a name above 0.5” and “wrong above 0.8” less is better; of all others, more.",
-                draw,
+                lambda: figures.exam_rates_figure((*score.rates, *score.withheld)),
             ),
             rates_table("rates", "", score.rates),
             Section(
@@ -151,11 +145,6 @@ def _rates_section(score: ExamScore) -> Section:
 
 
 def _confusion_section(score: ExamScore) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.exam_figures import exam_confusion_figure
-
-        return exam_confusion_figure(score.confusion)
-
     return Section(
         "confusion",
         "2. Wrong verdicts",
@@ -165,7 +154,7 @@ def _confusion_section(score: ExamScore) -> Section:
                 "A table of counts: the verdict, by the hidden effect.",
                 "Of an effect at a tenth of its size, no gap is right too; unknown is right where the catalogue does "
                 "not have what is hidden.",
-                draw,
+                lambda: figures.exam_confusion_figure(score.confusion),
             ),
             missed_table(score),
         ),
@@ -189,11 +178,6 @@ def missed_table(score: ExamScore) -> Table:
 
 
 def _detection_section(score: ExamScore) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.exam_figures import exam_detection_figure
-
-        return exam_detection_figure(score.detection)
-
     table = Table.of(
         "detection",
         "Single effects by size, with 95 % intervals",
@@ -209,17 +193,12 @@ def _detection_section(score: ExamScore) -> Section:
         "Three curves over the size of an effect: gap detected, right name, wrong name.",
         "Numbers above: campaigns of the bin. Bars hold 95 % (Wilson). Campaigns whose nominal model is slightly "
         "wrong are left out.",
-        draw,
+        lambda: figures.exam_detection_figure(score.detection),
     )
     return Section("detection", "3. How small an effect may be", (figure, table) if score.detection else ())
 
 
 def _calibration_section(score: ExamScore) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.exam_figures import exam_reliability_figure
-
-        return exam_reliability_figure(score.calibration)
-
     if not score.calibration.reliability:
         return Section("calibration", "", ())
     return Section(
@@ -231,7 +210,7 @@ def _calibration_section(score: ExamScore) -> Section:
                 "reliability",
                 "Points near a diagonal: the share of right verdicts over their probability.",
                 "A point above its band: more verdicts are right than was stated; below it, fewer.",
-                draw,
+                lambda: figures.exam_reliability_figure(score.calibration),
             ),
             Table.of(
                 "reliability",
@@ -261,11 +240,6 @@ def _calibration_sentences(calibration: ProbabilityCalibration) -> Iterator[str]
 
 
 def _promises_section(score: ExamScore) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.exam_figures import exam_promises_figure
-
-        return exam_promises_figure(score.promises)
-
     if not score.promises.outcomes:
         return Section("promises", "", ())
     return Section(
@@ -277,7 +251,7 @@ def _promises_section(score: ExamScore) -> Section:
                 "promises",
                 "Points near a diagonal: the achieved share of the gap over the predicted one.",
                 "One point per campaign. On the line, the prediction was right; below it, less of the gap closed.",
-                draw,
+                lambda: figures.exam_promises_figure(score.promises),
             ),
         ),
     )

@@ -1,16 +1,13 @@
 """The friction model laid out for a reader: forces at steady speed, and the disagreement of Eq. 14 and Table 1."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from dragrig.analysis.paper.published import WALL_UNITS
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
+from dragrig.present import figures
 from dragrig.present.document import Column, Document, Field, Figure, Section, Table, Text
 from dragrig.present.numbers import decimals, percent_difference, shortest, shortest_percent
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 WALL_TEXTS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
 
@@ -31,21 +28,6 @@ def model_document(
     forces = Table("forces", "", columns, tuple((row["speed_mm_s"], *(row[name] for name in names)) for row in rows))
     wall = WALL_TEXTS.get(model.wall, "the model's own polynomials")
 
-    def forces_drawing() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import forces_figure
-
-        return forces_figure(model, capsule, wall_thickness_mm, speeds)
-
-    def skew_drawing() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import skew_figure
-
-        return skew_figure(model, capsule, wall_thickness_mm, speeds)
-
-    def wall_drawing() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import wall_figure
-
-        return wall_figure()
-
     return Document(
         title=f"Friction model {model.name}",
         sections=(
@@ -54,8 +36,18 @@ def model_document(
                 "Forces at steady speed",
                 (
                     forces,
-                    Figure("model-forces", "Forces against speed.", "f_e, f_v, f_c and their sum.", forces_drawing),
-                    Figure("model-skew", "Skew resistance along the capsule.", "At several speeds.", skew_drawing),
+                    Figure(
+                        "model-forces",
+                        "Forces against speed.",
+                        "f_e, f_v, f_c and their sum.",
+                        lambda: figures.forces_figure(model, capsule, wall_thickness_mm, speeds),
+                    ),
+                    Figure(
+                        "model-skew",
+                        "Skew resistance along the capsule.",
+                        "At several speeds.",
+                        lambda: figures.skew_figure(model, capsule, wall_thickness_mm, speeds),
+                    ),
                 ),
             ),
             Section(
@@ -67,7 +59,7 @@ def model_document(
                         f"table1) is closer. Differences are from Table 1. The forces above use {wall}."
                     ),
                     _wall_table(),
-                    Figure("model-wall", "Wall parameters against strain.", "Eq. 14 and Table 1.", wall_drawing),
+                    Figure("model-wall", "Wall parameters against strain.", "Eq. 14 and Table 1.", figures.wall_figure),
                 ),
             ),
         ),

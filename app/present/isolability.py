@@ -1,14 +1,10 @@
 """Isolability laid out for a reader: which effects a set of runs can distinguish, and how small a one they show."""
 
-from typing import TYPE_CHECKING
-
 from dragrig.analysis.gap.diagnosis_text import as_sentence, capitalise, display_name
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
+from dragrig.present import figures
 from dragrig.present.document import Column, Document, Field, Figure, Items, Section, Table, Text, TextKind
 from dragrig.present.numbers import decimals, shortest, significant, to_json_object, unit_text
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 FORMAT, VERSION = "dragrig-isolability", 1
 MAX_PAIRS = 20
@@ -17,12 +13,6 @@ MAX_PAIRS = 20
 
 def isolability_document(isolability: Isolability) -> Document:
     """Lay out which effects runs can distinguish."""
-
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.diagnosis_figures import isolability_figure
-
-        return isolability_figure(isolability)
-
     answer, *lead = isolability_sentences(isolability)
     angles = (
         "The parameters of the specimen, what differs from run to run, and details that any model is a little wrong in "
@@ -40,7 +30,7 @@ def isolability_document(isolability: Isolability) -> Document:
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
         "they are similar. Above: d′ between them at their usual sizes. Similar effects are neighbours.",
-        draw,
+        lambda: figures.isolability_figure(isolability),
     )
     return Document(
         title=f"What {isolability.source} can distinguish",

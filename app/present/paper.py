@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import prod
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from dragrig.analysis.paper.published import ELEMENT_SYMBOLS, PaperFinding
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule
+from dragrig.present import figures
 from dragrig.present.document import (
     FOUR_DIGITS,
     Block,
@@ -57,9 +57,6 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
 
 PAPER_TITLE = "The paper's programme, simulated and identified"
 _VISCOUS_TEXTS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, dimensionally consistent"}
@@ -389,7 +386,17 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
             Section(
                 "forces",
                 "5. The parts of the friction against speed (Fig. 9)",
-                (_forces_drawing(results), _with_file(tables["forces"])),
+                (
+                    Figure(
+                        "force-curves",
+                        "Environmental resistance, viscous friction, Coulomb friction and their sum against speed.",
+                        "After the paper's Fig. 9, by the model that was simulated.",
+                        lambda: figures.forces_figure(
+                            results.model, results.capsule, results.wall_thickness_mm, published.SPEEDS_MM_S
+                        ),
+                    ),
+                    _with_file(tables["forces"]),
+                ),
             ),
             _joint_section(results, tables, model),
             _drag_section(results, tables),
@@ -431,15 +438,10 @@ def _settings_section(results: PaperReportData) -> Section:
 
 
 def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import wall_figure
-
-        identified: dict[str, list[tuple[float, EstimatedQuantity]]] = {}
-        for row in results.elements:
-            if row.identified is not None:
-                identified.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
-        return wall_figure(identified)
-
+    by_element: dict[str, list[tuple[float, EstimatedQuantity]]] = {}
+    for row in results.elements:
+        if row.identified is not None:
+            by_element.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
     relaxation = results.identification.relaxation
     fits = () if relaxation is None else relaxation.fits
     elements = _with_file(tables["elements"])
@@ -447,7 +449,6 @@ def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
     names = (*shown[:3], "simulated", "identified", "identified_low", "identified_high")
     differences = ("identified_relative_difference_from_simulated", "table1")
     identified = elements.select(*names, *differences, "identified_relative_difference_from_table1")
-    has_identified = any(row.identified is not None for row in results.elements)
     return Section(
         "wall",
         "2. Table 1, Eq. 14, and the identified wall",
@@ -462,13 +463,13 @@ def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "Five panels, one for each element against strain: Table 1's points, Eq. 14's curve, which misses "
                 "them, the quadratic through them, and the identified values with their intervals.",
                 "The wall's elements against strain.",
-                draw,
+                lambda: figures.wall_figure(by_element),
             ),
             elements.select(*shown, "quadratic_relative_difference"),
             Section(
                 "identified-elements",
                 "Identified from the simulated relaxations",
-                (replace(identified, name="identified-elements-table"),) if has_identified else (),
+                (replace(identified, name="identified-elements-table"),) if by_element else (),
             ),
             Items(() if relaxation is None else relaxation.remarks, remarks=True),
             Section(
@@ -497,11 +498,6 @@ def _element_agreement(results: PaperReportData) -> str:
 
 
 def _skew_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import skew_figure
-
-        return skew_figure(results.model, results.capsule, results.wall_thickness_mm)
-
     why = next(finding.title for finding in results.findings if finding.key == "maximum")
     return Section(
         "skew",
@@ -515,7 +511,7 @@ def _skew_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "Skew resistance along the contact at six speeds; each curve rises to a maximum inside the hemisphere "
                 "and falls towards the equator, beside the capsule it stays constant for 20 mm.",
                 "After the paper's Fig. 7. A dot marks each curve's largest value.",
-                draw,
+                lambda: figures.skew_figure(results.model, results.capsule, results.wall_thickness_mm),
             ),
             _with_file(tables["skew-maximum"]),
         ),
@@ -533,18 +529,12 @@ def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> S
         )
     ]
     if trace is not None:
-
-        def draw() -> "MatplotlibFigure":
-            from dragrig.present.identification_figures import coulomb_figure
-
-            return coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN)
-
         blocks.append(
             Figure(
                 "coulomb-run",
                 "Force of the simulated Coulomb test against time, raw and filtered, its mean and the printed one.",
                 "After the paper's Fig. 8: the simulated run, zero subtracted. The orange line is the paper's mean.",
-                draw,
+                lambda: figures.coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN),
             )
         )
     coulomb = results.identification.coulomb
@@ -553,30 +543,11 @@ def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> S
     return Section("coulomb", "4. Coulomb friction at 0.5 mm/s (Fig. 8)", tuple(blocks))
 
 
-def _forces_drawing(results: PaperReportData) -> Figure:
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.model_figures import forces_figure
-
-        return forces_figure(results.model, results.capsule, results.wall_thickness_mm, published.SPEEDS_MM_S)
-
-    return Figure(
-        "force-curves",
-        "Environmental resistance, viscous friction, Coulomb friction and their sum against speed.",
-        "After the paper's Fig. 9, by the model that was simulated.",
-        draw,
-    )
-
-
 def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model: str | None) -> Section:
     fit = results.identification.joint
     heading = "6. Joint fit of all runs"
     if fit is None:
         return Section("joint", heading, (Text("There was no joint fit."),))
-
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.identification_figures import joint_fit_figure
-
-        return joint_fit_figure(fit)
 
     drawing = Figure(
         "joint-fit",
@@ -584,7 +555,7 @@ def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model:
         "degree of freedom of each run.",
         "The joint fit. Left, on a scale on which all parameters were known equally well before; right, 1 where only "
         "noise and the variation between runs remain.",
-        draw,
+        lambda: figures.joint_fit_figure(fit),
     )
     if not fit.converged:
         failed = Text("The joint fit did not converge, so that none of its numbers is reported.")
@@ -631,9 +602,6 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
     if drag is None:
         return Section("drag", heading, (Text("No drag was identified."),))
 
-    def draw() -> "MatplotlibFigure":
-        return _drag_figure(drag, results)
-
     own = ", the paper's own" if results.model == published.PAPER_MODEL else ""
     beside = (
         "The zero of each run comes from the joint fit, and so does the model beside the runs; “as simulated” is the "
@@ -653,7 +621,16 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "the simulated model, and the fitted logarithm; below, the differences from the identified model.",
                 "After the paper's Fig. 11: simulated runs in place of the paper's measurements, which its text does "
                 "not contain, the model identified from all runs, and the simulated model. Bars are 95 % intervals.",
-                draw,
+                lambda: figures.drag_figure(
+                    drag,
+                    results.identified_model or results.model,
+                    results.capsule,
+                    results.wall_thickness_mm,
+                    published.BOUNDARY_MM_S,
+                    published.SENSOR_ACCURACY_MN,
+                    "simulated",
+                    results.model if results.identified_model is not None else None,
+                ),
             ),
             _with_file(tables["drag"]).select(
                 *("speed_mm_s", "runs", "measured_mN", "measured_low_mN", "measured_high_mN", "model_mN"),
@@ -681,22 +658,6 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
             Section("drag-boundary", "Boundary", (Text(boundary),)),
             Items(drag.remarks, remarks=True),
         ),
-    )
-
-
-def _drag_figure(drag: DragResult, results: PaperReportData) -> "MatplotlibFigure":
-    from dragrig.present.identification_figures import drag_figure
-
-    identified = results.identified_model
-    return drag_figure(
-        drag,
-        identified or results.model,
-        results.capsule,
-        results.wall_thickness_mm,
-        published.BOUNDARY_MM_S,
-        published.SENSOR_ACCURACY_MN,
-        "simulated",
-        results.model if identified is not None else None,
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.measures import RunMeasures, measure
+from dragrig.present import figures
 from dragrig.present.document import (
     Cell,
     Code,
@@ -121,21 +122,16 @@ def _unit_suffix(name: str) -> str:
 
 def run_document(run: Run, bad_reason: str | None = None) -> Document:
     """Lay out a run; `bad_reason` is why it was marked bad, None for one that was not."""
-
-    def draw() -> "MatplotlibFigure":
-        from dragrig.present.run_figures import run_figure
-
-        return run_figure(run, bad_reason=bad_reason)
-
     info, header = run.info, run.info.header
     problem = run_problem(info, bad_reason)
+    drawing = run_drawing(info, lambda: figures.run_figure(run, bad_reason=bad_reason))
     return Document(
         title=run_title(info),
         source=info.path.name,
         badges=(header.backend,),
         problem=f"Not a good run: {problem}" if problem else "",
         sections=(
-            Section("measures", "Measures", (run_drawing(info, draw), measures_table(measure(run)))),
+            Section("measures", "Measures", (drawing, measures_table(measure(run)))),
             Section("checks", "Checked right after the run", (Facts(check_texts(info.checks)),)),
             Section("events", "Events", (_event_table(run.events),)),
             Section(
