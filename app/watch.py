@@ -28,7 +28,7 @@ from dragrig.session_state import SessionState, is_session_running, read_state
 
 RECENT_TRACE_S = 20.0
 FORCE_MEAN_S = 0.1
-"""The present force is the mean over this time."""
+"""The current force is the mean over this time."""
 RECENT_POINTS = 300
 """Points of the recent force, about a screen's width."""
 

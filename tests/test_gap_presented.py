@@ -119,7 +119,7 @@ def test_how_much_stands_beside_what_the_paper_prints() -> None:
     assert re.search(r"the paper's +0\.8769 +0\.1666", sentence)
     html = words(diagnosis_page(STRIBECK))
     assert "0.8769 0.1666" in html
-    assert "quoted" in html
+    assert "as printed" in html
 
 
 def test_no_share_closes_where_there_is_no_gap() -> None:

@@ -156,7 +156,7 @@ def test_every_number_stands_with_its_interval_to_the_digits_that_its_error_supp
 def test_what_cannot_be_known_is_said_in_words() -> None:
     text = identification_text(WHOLE)
     assert "these runs do not determine dwell_scale" in text
-    assert "outside of the interval expected before the runs: angle_deg" in text
+    assert "outside of the 95 % interval of the prior: angle_deg" in text
     assert "can hardly be told apart" in text
     assert "hard to distinguish: η1 and E1 (correlation −0.97)" in text
     assert "001-relaxation.h5: no elements: its ramp is clipped." in text
@@ -172,11 +172,11 @@ def test_what_cannot_be_known_is_said_in_words() -> None:
 
 def test_a_fit_that_did_not_converge_or_does_not_explain_the_runs_says_so_first() -> None:
     lost = identification_text(replace(WHOLE, joint=replace(JOINT, converged=False)))
-    assert "did NOT converge in 7 steps; no interval below holds" in lost.split("parameter")[0]
+    assert "did NOT converge in 7 steps; the intervals below are not valid" in lost.split("parameter")[0]
     assert line(lost, "stiffness_scale").split() == ["stiffness_scale", "1.051", "0.700", "to", "1.300", "a", "scale"]
     poor = identification_text(replace(WHOLE, joint=replace(JOINT, p_value=1e-9)))
-    assert "leaves more than noise unexplained" in poor.split("parameter")[0]
-    assert "unexplained" not in identification_text(WHOLE)
+    assert "residuals exceed noise" in poor.split("parameter")[0]
+    assert "residuals exceed noise" not in identification_text(WHOLE)
 
 
 def test_what_runs_do_not_determine_stands_without_a_number() -> None:

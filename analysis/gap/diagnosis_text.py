@@ -58,7 +58,7 @@ def calibration_sentence(diagnosis: Diagnosis) -> str:
 
 def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, ...]:
     """Say what share of the gap closes on held-out runs, or only its size where no effect is named."""
-    runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and choice" if shrink.runs else ""
+    runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and model choice" if shrink.runs else ""
     floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
     sizes = f"Residual (rms){runs}: {before} without the effect, {after} with it; {floor}."
@@ -282,7 +282,7 @@ def run_text(step: PlanStep) -> str:
         case "relaxation":
             strain, hold = settings["shear_strain"], settings["hold_s"]
             assert isinstance(strain, float)  # noqa: S101  # the grid's own
-            text = f"a relaxation at {100 * strain:g} % strain, held for {hold:g} s"
+            text = f"a relaxation at {100 * strain:g} % strain with a hold of {hold:g} s"
         case "motion":
             strokes = settings["strokes"]
             assert isinstance(strokes, list | tuple)  # noqa: S101
@@ -318,7 +318,7 @@ def separation_text(before: ModelPair, after: ModelPair) -> str:
     """Say what a run separates, as the rest of a sentence."""
     change = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
     if not after.rival:
-        return f"would show a smaller {display_name(after.truth)}: its {change}"
+        return f"lowers the detection limit of {display_name(after.truth)}: {change}"
     truth, rival = display_name(after.truth), display_name(after.rival)
     text = f"separates {truth} from {rival}: {change}"
     if before.remaining_share > MAX_QUOTED_SHARE:

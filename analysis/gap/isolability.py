@@ -592,11 +592,11 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
     yield f"{'The plan makes' if isolability.planned else 'These are'} {counts}{time}."
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
-        yield f"{capitalise(names)} would not be detected at the usual size."
+        yield f"{capitalise(names)} would not be detected at the default size."
     visible = [visibility for visibility in isolability.visible_in("force") if visibility.smallest is not None]
     if visible:
         weakest = max(visible, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
         yield (
             f"Hardest to detect: {display_name(weakest.effect)}, from {smallest_visible_text(weakest)} on "
-            f"(usual size {weakest.usual:g})."
+            f"(default size {weakest.usual:g})."
         )

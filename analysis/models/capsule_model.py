@@ -21,15 +21,15 @@ from dragrig.sim_backend.friction.wall import HemisphereContact
 FORCE_CHANNEL = "force"
 SPECIMEN_PRIORS = {
     "stiffness_scale": (0.15, "common scale of E1, E2, E3, η1, η2"),
-    "e1_scale": (0.07, "scale of E1 on its own"),
-    "e2_scale": (0.07, "scale of E2 on its own"),
-    "e3_scale": (0.07, "scale of E3 on its own"),
-    "eta1_scale": (0.07, "scale of η1 on its own"),
-    "eta2_scale": (0.07, "scale of η2 on its own"),
+    "e1_scale": (0.07, "scale of E1 alone"),
+    "e2_scale": (0.07, "scale of E2 alone"),
+    "e3_scale": (0.07, "scale of E3 alone"),
+    "eta1_scale": (0.07, "scale of η1 alone"),
+    "eta2_scale": (0.07, "scale of η2 alone"),
     "friction_coefficient": (0.12, "Coulomb friction coefficient μ"),
     "mucus_scale": (0.20, "scale of the mucus' apparent viscosity"),
     "force_gain": (0.005, "true gain of the force channel"),
-    "insertion_dwell_scale": (0.25, "true over noted age of the contact"),
+    "insertion_dwell_scale": (0.25, "true over recorded contact age"),
 }
 """Relative standard deviations between specimens and rigs, by name in the model's settings."""
 DWELL_PARAMETER = "insertion_dwell_scale"
@@ -48,7 +48,7 @@ def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]
         for name, (sd, meaning) in SPECIMEN_PRIORS.items()
     )
     offset_deg = settings.contact_angle_offset_deg
-    angle = Parameter(ANGLE_PARAMETER, "deg", offset_deg, ANGLE_SD_DEG, False, "contact angle less the capsule's")
+    angle = Parameter(ANGLE_PARAMETER, "deg", offset_deg, ANGLE_SD_DEG, False, "contact angle minus the capsule's")
     return (*scales, angle)
 
 

@@ -29,17 +29,19 @@ SECTIONS: Sections = {
         "home": CommandEntry("stage_commands:home_command", "Find the stage's origin."),
         "jog": CommandEntry("stage_commands:jog_command", "Move the stage by a distance."),
         "touch-off": CommandEntry(
-            "stage_commands:touch_off_command", "Approach until the force changes; plans may count from there."
+            "stage_commands:touch_off_command", "Approach until the force changes; plans can start from there."
         ),
         "calibrate": CommandEntry(
-            "stage_commands:calibrate_group", "Calibrate force sensor or encoder; kept in the lab's history."
+            "stage_commands:calibrate_group", "Calibrate force sensor or encoder; stored in the lab's history."
         ),
         "run": CommandEntry("measure_commands:run_command", "Carry out a plan and write one run file per run."),
-        "watch": CommandEntry("look_commands:watch_command", "Follow a running campaign from another process."),
-        "recover": CommandEntry("measure_commands:recover_command", "Finish the runs that a crash left behind."),
-        "gui": CommandEntry("measure_commands:gui_command", "Show the window: run, look, diagnose."),
+        "watch": CommandEntry(
+            "look_commands:watch_command", "Show the progress of a running campaign from another process."
+        ),
+        "recover": CommandEntry("measure_commands:recover_command", "Finish the run files of a crashed session."),
+        "gui": CommandEntry("measure_commands:gui_command", "Open the window: run plans, view runs, diagnose."),
     },
-    "Look": {
+    "Evaluate": {
         "info": CommandEntry("run_file_commands:info_command", "Show the contents of run files."),
         "table": CommandEntry(
             "look_commands:table_command", "Tabulate a campaign: a line per run, and means per speed."
@@ -54,12 +56,14 @@ SECTIONS: Sections = {
         "show": CommandEntry(
             "look_commands:show_command", "Plot runs: force, raw and filtered, position and speed, with the phases."
         ),
-        "model": CommandEntry("model_commands:model_command", "Print and plot steady sliding by the friction model."),
+        "model": CommandEntry(
+            "model_commands:model_command", "Print and plot the steady forces that the friction model predicts."
+        ),
         "paper": CommandEntry(
             "model_commands:paper_command", "Simulate the paper's programme, identify it, and write a report."
         ),
     },
-    "Work": {
+    "Process": {
         "identify": CommandEntry(
             "model_commands:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
         ),
@@ -90,9 +94,12 @@ GAP_SECTIONS: Sections = {
             "gap_commands:isolability_command", "Show which effects a plan or a campaign can tell apart."
         ),
         "blind": CommandEntry("gap_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
-        "calibrate": CommandEntry("gap_commands:gap_calibrate_command", "Calibrate the verdict on such campaigns."),
+        "calibrate": CommandEntry(
+            "gap_commands:gap_calibrate_command", "Calibrate the verdict on campaigns with hidden effects."
+        ),
         "effects": CommandEntry(
-            "gap_commands:effects_command", "List the effects: where each acts, its parameters, and what shows it."
+            "gap_commands:effects_command",
+            "List the effects: where each acts, its parameters, and the runs in which it is visible.",
         ),
     },
 }

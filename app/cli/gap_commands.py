@@ -33,7 +33,7 @@ FILE = click.Path(path_type=Path)
     help="Expected behaviour: capsule (default), drive, a friction model (.toml), or a model of your own (.py).",
 )
 @click.option("--without", metavar="EFFECT", multiple=True, help="Leave an effect out of the catalogue; repeatable.")
-@click.option("--tolerance", "tolerance_mN", metavar="MN", type=float, help="Gap [mN] below which nothing matters.")
+@click.option("--tolerance", "tolerance_mN", metavar="MN", type=float, help="Smaller gaps [mN] are ignored.")
 @click.option("--specimen", metavar="NAME", help="Name or id, where there are several (default: the most measured).")
 @click.option("--calibration", metavar="FILE", help="File from gap calibrate --save (default: the shipped one).")
 @click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
@@ -142,8 +142,8 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
 def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json: bool) -> None:
     """Evaluate how far an amended model closes the gap on fresh runs of the same specimen.
 
-    MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that took no part in the
-    diagnosis, best at other speeds.
+    MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that were not used
+    in the diagnosis, preferably at other speeds.
     """
     from dragrig.api.diagnose import gap_evaluate
     from dragrig.present.diagnosis import shrink_document
@@ -209,7 +209,7 @@ def isolability_command(
     as_json: bool,
     **settings: Unpack[options.SettingsOptions],
 ) -> None:
-    """Determine which effects runs can tell apart, and the smallest size of each that they would show.
+    """Determine which effects runs can tell apart, and the smallest detectable size of each.
 
     PLAN, a file or a shipped name, is examined before any run, by simulating its runs without any effect. CAMPAIGN is a
     folder of run files. Each pair of effects has an angle between the force changes that they can cause, nuisance
@@ -237,9 +237,9 @@ def isolability_command(
 def effects_command(as_json: bool) -> None:
     """List the catalogue of effects that the friction model leaves out and a rig or a gut can have.
 
-    For each effect: its id, a summary and what exposes it, its parameters with unit, default and prior range, the
-    effects it is easily confused with, and the source of its equation. A simulated rig has an effect with, for
-    instance, --effect stribeck:ratio=0.4,speed_mm_s=2.
+    For each effect: its id, a summary, the runs in which it is visible, its parameters with unit, default and prior
+    range, the effects it is easily confused with, and the source of its equation. A simulated rig has an effect with,
+    for instance, --effect stribeck:ratio=0.4,speed_mm_s=2.
     """
     from dragrig.present.effects import effects_document
     from dragrig.sim_backend.effects.base import catalogue
@@ -256,11 +256,13 @@ def effects_command(as_json: bool) -> None:
     type=click.Choice(["exam", "learning"]),
     default="exam",
     show_default=True,
-    help="Mix of campaigns: as rigs have them, or with more hard cases, to learn from.",
+    help="Mix of campaigns: realistic (exam), or with more hard cases for training (learning).",
 )
 @options.out("Folder of the exam, which a second call continues (default: a temporary one).")
 @options.workers("campaigns")
-@click.option("--without-true", is_flag=True, help="Diagnose single effects again with the true one withheld.")
+@click.option(
+    "--without-true", is_flag=True, help="Diagnose single effects again with the true effect left out of the catalogue."
+)
 @click.option(
     "--report",
     metavar="FILE.html",

@@ -261,10 +261,10 @@ ACTIVITY_TEXTS = {
 @options.as_json
 @options.quiet
 def watch_command(folder: Path, once: bool, page: int | None, every_s: float, as_json: bool) -> None:
-    """Follow a running campaign from another process; only reads files.
+    """Show the progress of a running campaign from another process; only reads files.
 
     DIR is the campaign's folder, or a folder of campaigns, of which the latest is followed. Shows the run, its phase,
-    the time left, the present force and what the session waits for; ends when the campaign does. With --json each state
+    the time left, the current force and what the session waits for; ends when the campaign does. With --json each state
     is one line of JSON; with --once there is one state.
     """
     from dragrig.watch import CampaignWatch, serve_state_page

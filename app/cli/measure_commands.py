@@ -220,7 +220,7 @@ def _print_warning(sentence: str) -> None:
 @options.quiet
 @click.pass_context
 def recover_command(ctx: click.Context, places: tuple[Path, ...], as_json: bool) -> None:
-    """Finish the runs that a crash left behind.
+    """Finish the run files of a crashed session.
 
     PLACE is a folder, searched with its subfolders, or one recording (NAME.recording.h5) (default: the working folder).
     A recording that is still being written is left alone, and so is one that cannot be read.
@@ -285,7 +285,7 @@ def demo_command(out: Path) -> None:
 def gui_command(
     ctx: click.Context, lab: Path | None, pace: options.Pace | None, **choices: Unpack[options.RigOptions]
 ) -> None:
-    """Show the window: run plans, look at runs, diagnose campaigns.
+    """Open the window: run plans, view runs, diagnose campaigns.
 
     LAB is a lab folder (default: that of the working folder). The rig, simulated or hardware, is chosen here for as
     long as the window is open. The engine runs in its own process: when the window is closed or dies, the stage is

@@ -45,7 +45,7 @@ _RIG_OPTIONS = (
     click.option("--rig", metavar="F|NAME", help="Rig settings (default: the lab folder's, else the shipped bench)."),
     click.option("--model", metavar="F|NAME", help="Friction model of the simulated rig (default: paper)."),
     click.option("--backend", metavar="NAME", help="Backend (default: that of the rig settings)."),
-    click.option("--double", is_flag=True, help="Use the backend's double: a try without the hardware."),
+    click.option("--double", is_flag=True, help="Use the backend's double, which simulates the hardware."),
 )
 _SETTINGS_OPTIONS = (
     *_RIG_OPTIONS[:1],
@@ -101,7 +101,7 @@ def rig(function: Callable[P, R]) -> Callable[P, R]:
 
 def pace(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--pace`."""
-    text = "Of the simulated rig: fast (default) or real. Of a double: real (default), or N times faster."
+    text = "Simulated rig: fast (default) or real time. Double: real time (default) or N times faster."
     return click.option("--pace", metavar="fast|real|N", callback=_parse_pace, help=text)(function)
 
 
@@ -151,7 +151,7 @@ def require_single_campaign(count: int, **files: Path | None) -> None:
     for name, path in files.items():
         if path is not None:
             option = "--" + name.replace("_", "-")
-            raise SettingsError(f"{option} {path}: holds one campaign, and {count} were given; name a single one.")
+            raise SettingsError(f"{option} {path}: takes a single campaign, not {count}; name one.")
 
 
 def require_all_succeeded(done: str, campaigns: int, reasons: Sequence[str]) -> None:

@@ -167,7 +167,7 @@ def campaigns_document(diagnoses: Sequence[tuple[str, Diagnosis | None, str]]) -
 
 
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
-    nine_of_ten = "A probability of 0.9 means that of ten such verdicts nine were right there."
+    nine_of_ten = "A probability of 0.9 means that nine of ten such verdicts were right on those campaigns."
     limit = "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis)
     calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
     next_runs = diagnosis.next_experiment
@@ -373,7 +373,7 @@ def _r2_table(shrink: GapReduction, *, named: bool) -> Table:
         rows = []
     else:
         rows.append(("as printed", "the paper's", published.R2_BELOW, published.R2_ABOVE))
-    caption = "The paper's values are quoted: its measurements, on another gut, are not in its text"
+    caption = "The paper's values are as printed, for another gut; its measurements are not published"
     return Table("r2", caption, columns, tuple(rows))
 
 

@@ -57,8 +57,8 @@ def _parameter_json(parameter: EffectParameter) -> Mapping[str, object]:
 def _effect_section(effect: Effect) -> Section:
 
     facts = {
-        "seen in": f"{effect.visible_in} ({effect.channel})",
-        "similar": ", ".join(effect.confused_with),
+        "visible in": f"{effect.visible_in} ({effect.channel})",
+        "confused with": ", ".join(effect.confused_with),
         "nominal model": effect.nominal,
         "source": effect.source,
     }
@@ -73,7 +73,7 @@ def _effect_section(effect: Effect) -> Section:
                 effect.parameters,
                 Field("parameter", "parameter", lambda parameter: parameter.name),
                 Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
-                Field("usual", "usual", lambda parameter: parameter.default, shortest()),
+                Field("usual", "default", lambda parameter: parameter.default, shortest()),
                 Field("low", "from", lambda parameter: parameter.low, shortest()),
                 Field("high", "to", lambda parameter: parameter.high, shortest()),
                 Field("meaning", "", lambda parameter: f"{parameter.role}: {parameter.meaning}"),

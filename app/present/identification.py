@@ -128,10 +128,8 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
             Field("value", "value", lambda parameter: _value_cell(parameter if parameter.determined else None)),
             Field("interval_95", "95 % interval", interval),
             Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
-            Field(
-                "prior_95", "before the runs", lambda parameter: range_text(parameter.prior, parameter.standard_error)
-            ),
-            Field("learnt", "learnt", lambda parameter: parameter.learnt if fit.converged else "", percent()),
+            Field("prior_95", "prior, 95 %", lambda parameter: range_text(parameter.prior, parameter.standard_error)),
+            Field("learnt", "narrowed by", lambda parameter: parameter.learnt if fit.converged else "", percent()),
             Field("meaning", "meaning", lambda parameter: parameter.meaning),
         ),
         Table.of(
@@ -151,7 +149,9 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
 
 def _joint_fit_heading(fit: JointFit) -> str:
     if not fit.converged:
-        return f"Fit of the {fit.nominal} model: did NOT converge in {fit.steps} steps; no interval below holds."
+        return (
+            f"Fit of the {fit.nominal} model: did NOT converge in {fit.steps} steps; the intervals below are not valid."
+        )
     chi2 = (
         f"χ² is {fit.chi2 / fit.degrees:.3g} per degree of freedom ({fit.degrees})"
         if fit.degrees
@@ -160,7 +160,7 @@ def _joint_fit_heading(fit: JointFit) -> str:
     p_value = "p not known" if isnan(fit.p_value) else p_value_text(fit.p_value)
     heading = f"Fit of the {fit.nominal} model, {count_text(fit.steps, 'step')}: {chi2}, {p_value}"
     if not fit.holds:
-        return f"{heading}. The model leaves more than noise unexplained, so that no interval below need hold."
+        return f"{heading}. The residuals exceed noise, so the intervals below may be too narrow."
     if not any(parameter.determined for parameter in fit.parameters):
         return f"{heading}. These runs determine NONE of its parameters."
     return f"{heading}."
@@ -188,7 +188,7 @@ def _joint_fit_warnings(fit: JointFit) -> Iterator[str]:
         if parameter.determined and not parameter.prior[0] <= parameter.value <= parameter.prior[1]
     ]
     if strange:
-        yield f"outside of the interval expected before the runs: {join_names(strange)}"
+        yield f"outside of the 95 % interval of the prior: {join_names(strange)}"
     unexplained = [run.file for run in fit.runs if run.exceeds_noise]
     if unexplained:
         yield f"the model leaves more than noise in {join_names(unexplained)}"
@@ -206,7 +206,7 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
     offsets = dict.fromkeys(name for run in runs for name in run.offsets)
     return Table.of(
         "residuals",
-        "What the fit leaves of each run",
+        "Residuals of each run",
         runs,
         Field("file", "run", lambda run: run.file),
         Field("kind", "kind", lambda run: run.kind),
@@ -348,7 +348,7 @@ def _drag_blocks(drag: DragResult) -> tuple[Block, ...]:
     return (
         Table.of(
             "drag-points",
-            "Steady force, zero subtracted, beside the model",
+            "Steady force, zero subtracted, and the model's",
             drag.points,
             Field("speed_mm_s", "mm/s", lambda point: point.speed_mm_s, shortest(3)),
             Field("runs", "runs", lambda point: point.runs, shortest()),

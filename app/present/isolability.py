@@ -29,7 +29,7 @@ def isolability_document(isolability: Isolability) -> Document:
         "matrix",
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
-        "they are similar. Above: d′ between them at their usual sizes. Similar effects are neighbours.",
+        "they are similar. Above: d′ between them at their default sizes. Similar effects are neighbours.",
         lambda: figures.isolability_figure(isolability),
     )
     return Document(
@@ -94,13 +94,13 @@ def _effect_table(isolability: Isolability) -> Table:
 
     return Table.of(
         "effects",
-        "Similar effects together",
+        "Similar effects are neighbours",
         isolability.effects,
         Field("effect", "effect", lambda effect: capitalise(display_name(effect.effect))),
         Field("id", "id", lambda effect: effect.effect),
         Field("channel", "channel", lambda effect: effect.channel),
-        Field("d_prime", "d′ at the usual size", lambda effect: effect.d_prime, decimals(0)),
-        Field("usual", "usual size", lambda effect: effect.usual, shortest()),
+        Field("d_prime", "d′ at the default size", lambda effect: effect.d_prime, decimals(0)),
+        Field("usual", "default size", lambda effect: effect.usual, shortest()),
         Field(
             "least",
             "smallest detected",

@@ -156,7 +156,7 @@ def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -
     columns = (
         *_columns(parameter="parameter", value="identified", low="95 % from", high="to", simulated="simulated"),
         *_columns(prior_low="before: from", prior_high="to"),
-        *_columns(percent(), learnt="learnt"),
+        *_columns(percent(), learnt="narrowed by"),
         *_columns(significant(2), meaning="meaning", standard_error="±", unit="unit"),
     )
     rows = tuple(
