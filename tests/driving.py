@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import pytest
-from pty_port import PtyPort
+from drive_ports import DrivePort, PtyPort, SocketPort
 from simulated import settings
 
 from dragrig.config.friction_model import FrictionModelSettings
@@ -19,12 +19,13 @@ from dragrig.rig.hardware.drive.position_mode import PositionModeStage
 from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.doubles.drive_double import DriveDouble, DrivePort, SocketPort
+from dragrig.sim_backend.doubles.drive_double import DriveDouble
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
-         pytest.param(SocketPort, id="socket")]  # fmt: skip
+         pytest.param(SocketPort, id="socket"), pytest.param(DoublePort, id="in process")]  # fmt: skip
 ANY_PORT = SocketPort if os.name == "nt" else PtyPort
 
 

@@ -18,6 +18,7 @@ from typing import Self
 
 import click
 from card_server import LOOPBACK, CardServer
+from drive_ports import SocketPort
 from pydantic import JsonValue, TypeAdapter, ValidationError
 from remote_doubles import (
     REQUEST_ADAPTER,
@@ -38,7 +39,7 @@ from dragrig.config.settings import find_settings, read_settings_file, suggestio
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive_double import SocketPort, make_drive_double
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, FaultInjector, SimulatedBench
 
 _FAULTS_ADAPTER = TypeAdapter(ActiveFaults)

@@ -7,15 +7,14 @@ import threading
 import time
 
 import pytest
+from drive_ports import DrivePort, PtyPort, SocketPort
 from driving import PORTS, linked, until
-from pty_port import PtyPort
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import DriveSettings
 from dragrig.rig.hardware.dialects.base import Command, Parameter, Request
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, NoReplyError, RefusedError
-from dragrig.sim_backend.doubles.drive_double import DrivePort, SocketPort
 
 STATUS, POSITION, STOP = Request(Command.STATUS), Request(Command.POSITION), Request(Command.STOP)
 GO = Request(Command.GO, value=10.0)

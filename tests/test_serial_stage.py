@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drive_ports import DrivePort
 from driving import ANY_PORT, PORTS, RATE, BenchLines, Driven, driven, until
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +18,6 @@ from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal
 from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
-from dragrig.sim_backend.doubles.drive_double import DrivePort
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
 THERE_AND_BACK = MotionProfile.from_pieces(

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from threading import Event as Signal
 
+from drive_ports import SocketPort
 from driving import until
 from simulated import settings
 
@@ -18,7 +19,7 @@ from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive_double import DriveDouble, SocketPort, make_drive_double
+from dragrig.sim_backend.doubles.drive_double import DriveDouble, make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 RATE = 1000.0

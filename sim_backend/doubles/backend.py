@@ -10,7 +10,8 @@ from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive_double import SocketPort, make_drive_double
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, FaultInjector, SimulatedBench
 
 
@@ -41,7 +42,7 @@ class DoubleBackend(HardwareBackend):
         with ExitStack() as stack:
             self.drive = stack.enter_context(make_drive_double(self.bench, find_dialect(rig.hardware.drive.dialect)))
             """The drive, as its maker sees it."""
-            port = stack.enter_context(SocketPort(self.drive))
+            port = stack.enter_context(DoublePort(self.drive))
             stack.enter_context(installed(Card(self.bench, self.bench.put_out)))
             wired = rig.model_copy(
                 update={
