@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 ASKED_EVERY_S = 0.05
-PATIENCE_S = 500
+PATIENCE_S = 600
 
 
 @contextmanager

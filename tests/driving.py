@@ -29,7 +29,7 @@ PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt
 ANY_PORT = SocketPort if os.name == "nt" else PtyPort
 
 
-def until(condition: Callable[[], bool], within_s: float = 120.0) -> float:
+def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
     """Wait for something to become true, on a busy machine too; return how long it took."""
     began = time.monotonic()
     while not condition():

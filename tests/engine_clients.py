@@ -29,7 +29,7 @@ from dragrig.engine_host.messages import (
 )
 from dragrig.rig.operator import Answer  # fmt: skip
 
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0
 """Machines that test are busy."""
 
 

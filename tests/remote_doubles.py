@@ -149,7 +149,7 @@ class DoublePorts(Settings):
     """TCP port of the control socket."""
 
 
-_REPLY_TIMEOUT_S = 20.0
+_REPLY_TIMEOUT_S = 600.0
 _EXIT_TIMEOUT_S = 10.0
 _SERVER = Path(__file__).with_name("remote_server.py")
 

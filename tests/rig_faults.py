@@ -49,7 +49,7 @@ wait_s = 0.0
 way_back = "stay"
 """
 STRUCK_FROM_MM = START_MM + 0.5
-_PATIENCE_S = 40.0
+PATIENCE_S = 600.0
 _LOOK_S = 0.005
 DOCS = Path(__file__).parents[1] / "docs" / "faults.md"
 
@@ -123,7 +123,7 @@ class Bench:
 
     def until(self, true: Callable[[StageStatus], bool], while_: Callable[[], bool] = lambda: True) -> StageStatus:
         """Look at the stage until something is true of it."""
-        until_s, pause = time.monotonic() + _PATIENCE_S, threading.Event()
+        until_s, pause = time.monotonic() + PATIENCE_S, threading.Event()
         while time.monotonic() < until_s:
             look = self.look()
             if true(look):
@@ -186,7 +186,7 @@ class Running:
         return look
 
     def end(self) -> Ended:
-        self._thread.join(_PATIENCE_S)
+        self._thread.join(PATIENCE_S)
         assert not self.alive
         if self._raised:
             error = self._raised[0]
@@ -246,7 +246,7 @@ class Program:
     def end(self) -> tuple[int, Any, str]:
         """Exit code, what it printed as a result, and the last line that it told the person."""
         try:
-            printed, told = self.process.communicate(timeout=_PATIENCE_S)
+            printed, told = self.process.communicate(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired as error:
             # It tells where each of its threads is.
             self.process.send_signal(signal.SIGABRT)

@@ -115,7 +115,9 @@ def test_the_example_notebook_runs(tmp_path: Path) -> None:
     notebook = nbformat.read(ROOT / "docs" / "example.ipynb", as_version=4)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert all(not cell.outputs and cell.execution_count is None for cell in code)
-    NotebookClient(notebook, timeout=90, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(
+        notebook, timeout=900, startup_timeout=900, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
     assert any("image/png" in output.get("data", {}) for cell in code for output in cell.outputs)
     assert not any(
         output.output_type == "stream" and output.name == "stderr" for cell in code for output in cell.outputs

@@ -141,7 +141,7 @@ def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_
 
 def frozen_while_it_writes(exam: int, out: Path) -> psutil.Process:
     """Stop the worker of an exam's process, and leave it so, while there is a folder that it has begun."""
-    deadline = time.monotonic() + 150
+    deadline = time.monotonic() + 600
     while time.monotonic() < deadline:
         if unfinished(out):
             [worker] = [one for one in psutil.Process(exam).children() if "spawn_main" in " ".join(one.cmdline())]

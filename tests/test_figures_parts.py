@@ -132,21 +132,21 @@ def test_two_threads_draw_one_after_the_other() -> None:
     def first() -> None:
         with figure_style():
             first_is_in.set()
-            first_may_go.wait(10)
+            first_may_go.wait(600)
 
     def second() -> None:
-        first_is_in.wait(10)
+        first_is_in.wait(600)
         with figure_style():
             second_is_in.set()
 
     threads = [threading.Thread(target=first), threading.Thread(target=second)]
     for thread in threads:
         thread.start()
-    assert first_is_in.wait(10)
+    assert first_is_in.wait(600)
     assert not second_is_in.wait(0.1)
     first_may_go.set()
     for thread in threads:
-        thread.join(10)
+        thread.join(600)
     assert second_is_in.is_set()
     assert dict(mpl.rcParams) == before
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from clusters import dask_cluster
-from spreading_pieces import deadly, failing, loaded, product, traced
+from spreading_pieces import PATIENCE_S, deadly, failing, loaded, product, traced
 
 from dragrig import parallel as processes
 from dragrig.config.errors import SettingsError, WorkerError
@@ -24,7 +24,7 @@ def kill_when_begun(folder: Path, told: list[int], told_before: list[int]) -> th
 
     def wait_and_kill() -> None:
         trace = folder / "3-begun-0"
-        deadline = time.monotonic() + 150
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             if trace.exists() and (pid := trace.read_text("utf-8")):
                 told_before.extend(told)

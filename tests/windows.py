@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ PACKAGES = {
     "libfontconfig": "libfontconfig1", "libglib": "libglib2.0-0",
 }  # fmt: skip
 """Debian's package for each library of the system that Qt needs, even off screen."""
-WAIT_MS = 100_000
+WAIT_MS = 600_000
 
 
 def lacking() -> str:
@@ -59,8 +60,12 @@ def lab_in(folder: Path) -> Path:
     return folder
 
 
+@cache
 def dressed() -> "QApplication":
-    """Return the application, looking as it does for people."""
+    """Return the application, looking as it does for people.
+
+    Styled once a process: to style it again styles every window of the tests before again, for seconds.
+    """
     from dragrig.window.main_window import qt_application
 
     return qt_application()
