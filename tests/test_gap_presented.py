@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis
-from dragrig.analysis.gap.diagnosis_text import display_name, shrink_sentences
+from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis, display_name
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
     diagnosis_document,
@@ -23,6 +22,7 @@ from dragrig.present.diagnosis import (
     shrink_report_json,
 )
 from dragrig.present.diagnosis_figures import before_after_figure, ranking_figure, representative_runs
+from dragrig.present.diagnosis_sentences import shrink_sentences
 from dragrig.present.html_page import render_page
 from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam

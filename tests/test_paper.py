@@ -43,9 +43,8 @@ from dragrig.analysis.paper.published import (
     R2_ABOVE,
     R2_BELOW,
     PaperFinding,
-    percent,
-    rounded,
 )
+from dragrig.analysis.wording import significant_text
 from dragrig.api import report as reproducing
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
@@ -56,6 +55,7 @@ from dragrig.config.specimen import Capsule
 from dragrig.present.document import Column, Table
 from dragrig.present.files import PAPER_MODEL_FILE, PAPER_REPORT_FILE, PAPER_TABLES
 from dragrig.present.html_page import render_page, without_breaks
+from dragrig.present.numbers import percent_difference
 from dragrig.present.paper import PaperReportData, paper_document, paper_tables
 from dragrig.rig.runfile import mark_bad, read_campaign
 from dragrig.rig.runfile.model import RunStatus
@@ -154,14 +154,14 @@ def test_a_strains_history_matters_neither_to_relaxed_nor_to_fresh_wall() -> Non
 
 @given(st.floats(1e-6, 1e9), st.integers(1, 8), st.sampled_from([1, -1]))
 def test_numbers_are_spelled_to_their_digits(size: float, digits: int, sign: int) -> None:
-    text = rounded(sign * size, digits)
+    text = significant_text(sign * size, digits)
     assert "e" not in text
     assert float(text.replace("−", "-")) == pytest.approx(sign * size, rel=0.51 * 10.0 ** (1 - digits))
 
 
 def test_numbers_keep_their_sign_and_their_unit() -> None:
-    assert [rounded(0.99999, 4), rounded(0), rounded(float("nan"))] == ["1.000", "0", "–"]
-    assert [percent(0.2), percent(-0.0036)] == ["+20 %", "−0.36 %"]
+    assert [significant_text(0.99999, 4), significant_text(0), significant_text(float("nan"))] == ["1.000", "0", "–"]
+    assert [percent_difference(0.2), percent_difference(-0.0036)] == ["+20 %", "−0.4 %"]
     assert without_breaks("40 mN at 0.5 mm/s, 1 gut") == "40\u00a0mN at 0.5\u00a0mm/s, 1 gut"
     assert without_breaks("more (p = 0.4), p < 1") == "more (p\u00a0=\u00a00.4), p\u00a0<\u00a01"
 

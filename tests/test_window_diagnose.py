@@ -16,8 +16,8 @@ from pytestqt.qtbot import QtBot
 
 from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.gap.diagnosis_text import verdict_sentences
 from dragrig.engine_host.messages import RigSelection
+from dragrig.present.diagnosis_sentences import verdict_sentences
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import DrawnFigure, StoredSettings

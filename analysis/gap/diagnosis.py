@@ -6,9 +6,11 @@ from enum import StrEnum
 
 from dragrig.analysis.estimates import EstimatedQuantity, Exclusion
 from dragrig.analysis.gap.features import DecisionInputs
+from dragrig.analysis.wording import join_names
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import PlanStep
 from dragrig.rig.arrays import FloatArray
+from dragrig.sim_backend.effects.base import catalogue
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,3 +396,15 @@ class Diagnosis:
     decision_inputs: DecisionInputs | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
     next_experiment: NextExperiment | None = None
+
+
+NAMES_WITHOUT_EFFECT = {"no_gap": "no gap", "unknown": "none of the catalogue"}
+
+
+def display_name(hypothesis: str) -> str:
+    """Return the name of a hypothesis for a sentence; several effects joined with `and`."""
+    if hypothesis in NAMES_WITHOUT_EFFECT:
+        return NAMES_WITHOUT_EFFECT[hypothesis]
+    known = catalogue()
+    names = [known[name].name if name in known else name.replace("_", " ") for name in hypothesis.split("+")]
+    return join_names(names)

@@ -28,7 +28,7 @@ from dragrig.analysis.gap.design import (
     project_dictionary,
     rank_effects,
 )
-from dragrig.analysis.gap.diagnosis_text import capitalise, count_text, display_name, join_names
+from dragrig.analysis.gap.diagnosis import display_name
 from dragrig.analysis.gap.features import gap_weight
 from dragrig.analysis.gap.hypothesis_fit import is_periodic_in_session
 from dragrig.analysis.gap.position_channel import (
@@ -43,6 +43,7 @@ from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import NominalModel
 from dragrig.analysis.selection import RunSelection
+from dragrig.analysis.wording import capitalise, count_text, join_names
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Channel, Effect, catalogue
 

@@ -32,14 +32,15 @@ from dragrig.analysis.gap.design import (
     gauss_newton_step,
     linearise,
 )
-from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
-from dragrig.analysis.gap.diagnosis_text import recommendation_reason
+from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, display_name
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.selection import RunSelection
+from dragrig.analysis.wording import capitalise, percent_text
 from dragrig.config.errors import AnalysisError
+from dragrig.config.plan import PlanStep
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import catalogue
 
@@ -394,3 +395,59 @@ def _questions_of_pairs(
             amplitude[0] = 1.0
             questions.append(PairQuestion(AssumedEffect(assumed, columns, amplitude), rival, 1.0))
     return tuple(questions)
+
+
+MAX_QUOTED_SHARE = 0.9
+"""Shares above this are not quoted: the rival hardly resembles the assumed effect."""
+
+
+def run_text(step: PlanStep) -> str:
+    """Describe a run: a drag at 1 mm/s over 20 mm."""
+    settings = step.parameters
+    match step.kind:
+        case "relaxation":
+            strain, hold = settings["shear_strain"], settings["hold_s"]
+            assert isinstance(strain, float)  # noqa: S101  # the grid's own
+            text = f"a relaxation at {100 * strain:g} % strain with a hold of {hold:g} s"
+        case "motion":
+            strokes = settings["strokes"]
+            assert isinstance(strokes, list | tuple)  # noqa: S101
+            first = strokes[0]
+            text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
+        case kind:
+            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
+            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
+            if settings.get("accel_mm_s2", 400.0) != 400.0:
+                text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
+    if step.kind == "drag" and step.wait_s != 60.0:
+        text += f" after {step.wait_s:g} s of rest"
+    if step.repeats == 1:
+        return text
+    return f"{text}, twice" if step.repeats == 2 else f"{text}, {step.repeats} times"
+
+
+def recommendation_reason(run: NextRun, tried: int) -> str:
+    """Say why a run is recommended, with numbers, and whether it is optional."""
+    text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
+    return (
+        f"{'The leading hypotheses are already separated well enough. ' if run.optional else ''}{text} "
+        f"in {run.minutes:.1f} min of rig time, the largest gain per minute of {tried} candidate runs."
+    )
+
+
+def run_subject(step: PlanStep) -> str:
+    """Return a run as the begin of a sentence."""
+    return capitalise(run_text(step)) + ("," if step.repeats > 1 else "")
+
+
+def separation_text(before: ModelPair, after: ModelPair) -> str:
+    """Say what a run separates, as the rest of a sentence."""
+    change = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
+    if not after.rival:
+        return f"lowers the detection limit of {display_name(after.truth)}: {change}"
+    truth, rival = display_name(after.truth), display_name(after.rival)
+    text = f"separates {truth} from {rival}: {change}"
+    if before.remaining_share > MAX_QUOTED_SHARE:
+        return text
+    shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
+    return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"

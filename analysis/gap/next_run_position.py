@@ -25,8 +25,7 @@ from dragrig.analysis.gap.candidate_runs import (
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.classifier import MIN_POSITION_SHARE, POSITION_RIVAL_SLOPE, UNKNOWN, Classification
 from dragrig.analysis.gap.design import Study
-from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, Verdict
-from dragrig.analysis.gap.diagnosis_text import display_name, join_names, run_subject
+from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, Verdict, display_name
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.isolability import DETECTABLE_D_PRIME
 from dragrig.analysis.gap.next_run_force import (
@@ -36,6 +35,7 @@ from dragrig.analysis.gap.next_run_force import (
     marginal_probability,
     next_experiment_of,
     recommend_force_run,
+    run_subject,
 )
 from dragrig.analysis.gap.position_channel import (
     PositionAnalysis,
@@ -48,6 +48,7 @@ from dragrig.analysis.gap.position_channel import (
 )
 from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.analysis.gap.studies import CapsuleStudy
+from dragrig.analysis.wording import join_names
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.effects.base import Channel, catalogue
 

@@ -36,9 +36,8 @@ from dragrig.analysis.paper.published import (
     WALL_UNITS,
     FindingNumber,
     PaperFinding,
-    rounded,
-    rounded_list,
 )
+from dragrig.analysis.wording import join_names, significant_text
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
 from dragrig.rig.arrays import FloatArray
@@ -91,7 +90,7 @@ class _Value(float):
         if spec[-1:].isalpha():
             return super().__format__(spec)
         sign = "+" if spec.startswith("+") and self > 0 else ""
-        return sign + rounded(self, int(spec.removeprefix("+") or 3))
+        return sign + significant_text(self, int(spec.removeprefix("+") or 3))
 
 
 @cache
@@ -144,7 +143,7 @@ def _eq14_against_table1() -> Values:
         "eq14": eq14,
         "quadratic": quadratic,
         "misses": ", ".join(f"{name} {_Value(miss):+2} %" for name, miss in eq14.items()),
-        "quadratic_sizes": rounded_list(map(abs, quadratic.values()), 2),
+        "quadratic_sizes": join_names([significant_text(abs(miss), 2) for miss in quadratic.values()]),
     }
 
 
@@ -159,7 +158,7 @@ def _stress_falls() -> Values:
     values: dict[str, float | str | Mapping[str, float]] = {}
     for name, stress in (("at_once", strain * table[:3].sum(axis=0)), ("at_last", strain * table[2])):
         values[name] = {f"{100 * eps:g}": value for eps, value in zip(strain, stress, strict=True)}
-        values[f"{name}_list"] = rounded_list(stress)
+        values[f"{name}_list"] = join_names([significant_text(value) for value in stress])
         values[f"rise_{name}"] = 100 * (stress[-1] / stress[-2] - 1)
     return values
 

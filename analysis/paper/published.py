@@ -1,11 +1,9 @@
 """Numbers that the paper prints and that are no settings of the model, and the form of a finding; mm, s, mN, kPa, g."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal
-from math import isfinite
 from typing import Final
 
+from dragrig.analysis.wording import significant_text
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule
 
@@ -50,7 +48,7 @@ class FindingNumber:
 
     def __str__(self) -> str:
         sign = "+" if self.signed and self.value > 0 else ""
-        return f"{sign}{rounded(self.value, self.digits)} {self.unit}".strip()
+        return f"{sign}{significant_text(self.value, self.digits)} {self.unit}".strip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,24 +80,3 @@ class PaperFinding:
     def value(self, quantity: str) -> float:
         """Return one of the numbers; raises `KeyError` for an unknown quantity."""
         return {number.quantity: number.value for number in self.numbers}[quantity]
-
-
-def rounded(value: float, digits: int = 3) -> str:
-    """Format a number to so many significant digits, without an exponent: 0.0816, 113, −7.2."""
-    if not isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    return format(Decimal(f"{value:.{digits - 1}e}"), "f").replace("-", "−")
-
-
-def percent(difference: float, digits: int = 2) -> str:
-    """Format a relative difference with its sign: +20 %, −0.35 %."""
-    sign = "+" if difference > 0 else ""
-    return f"{sign}{rounded(100 * difference, digits)} %"
-
-
-def rounded_list(numbers: Iterable[float], digits: int = 3) -> str:
-    """Format several numbers: 1, 2 and 3."""
-    words = [rounded(number, digits) for number in numbers]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -12,27 +12,22 @@ from dragrig.analysis.gap.diagnosis import (
     RankedHypothesis,
     UnexplainedGap,
     Verdict,
+    display_name,
 )
-from dragrig.analysis.gap.diagnosis_text import (
-    NO_GAP,
-    as_sentence,
+from dragrig.analysis.gap.next_run_force import run_text, separation_text
+from dragrig.analysis.paper import published
+from dragrig.analysis.wording import as_sentence, capitalise, percent_text
+from dragrig.present import figures
+from dragrig.present.diagnosis_sentences import (
     axis_texts,
     calibration_sentence,
-    capitalise,
     detection_limit_sentence,
-    display_name,
     domain_sentence,
     effect_description,
     is_stated_verdict,
-    percent_text,
-    probability_text,
-    run_text,
-    separation_text,
     shrink_sentences,
     verdict_sentences,
 )
-from dragrig.analysis.paper import published
-from dragrig.present import figures
 from dragrig.present.document import (
     Cell,
     Code,
@@ -54,6 +49,7 @@ from dragrig.present.numbers import (
     interval_text,
     p_value_text,
     percent,
+    probability_text,
     rounded_to_error,
     shortest,
     to_json_object,
@@ -534,7 +530,7 @@ def _planned_run_json(run: NextRun) -> Mapping[str, object]:
         "wait_s": run.step.wait_s,
         "repeats": run.step.repeats,
         "minutes": run.minutes,
-        "between": [run.after.truth, run.after.rival or NO_GAP],
+        "between": [run.after.truth, run.after.rival or "no_gap"],
         "d_prime": {"before": run.before.d_prime, "after": run.after.d_prime},
         "left": {"before": run.before.remaining_share, "after": run.after.remaining_share},
     }

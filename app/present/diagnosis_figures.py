@@ -16,13 +16,7 @@ from dragrig.analysis.gap.diagnosis import (
     PhaseCell,
     RankedHypothesis,
     RunTraces,
-)
-from dragrig.analysis.gap.diagnosis_text import (
-    capitalise,
     display_name,
-    is_stated_verdict,
-    probability_text,
-    verdict_sentences,
 )
 from dragrig.analysis.gap.excess import CHANNELS, PROTOCOLS
 from dragrig.analysis.gap.isolability import (
@@ -33,6 +27,8 @@ from dragrig.analysis.gap.isolability import (
     isolability_sentences,
 )
 from dragrig.analysis.gap.localise import ALPHA
+from dragrig.analysis.wording import capitalise
+from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
 from dragrig.present.drawing import (
     HEADER_IN,
     SMALL_PT,
@@ -52,6 +48,7 @@ from dragrig.present.drawing import (
     write_legend,
     write_title,
 )
+from dragrig.present.numbers import probability_text
 from dragrig.present.palette import BLACK, BLUE, GREY, PALE, SKY, VERMILLION
 from dragrig.rig.arrays import FloatArray
 

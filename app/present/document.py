@@ -15,7 +15,8 @@ from enum import StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
-from dragrig.present.numbers import UNKNOWN, NumberFormat, significant
+from dragrig.analysis.wording import UNKNOWN
+from dragrig.present.numbers import NumberFormat, significant
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

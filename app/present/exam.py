@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from dragrig.analysis.wording import UNKNOWN
 from dragrig.present import figures
 from dragrig.present.document import (
     Column,
@@ -17,7 +18,7 @@ from dragrig.present.document import (
     Text,
     TextKind,
 )
-from dragrig.present.numbers import UNKNOWN, decimals, shortest, to_json_object
+from dragrig.present.numbers import decimals, shortest, to_json_object
 from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
 
 if TYPE_CHECKING:

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isnan
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity
-from dragrig.analysis.gap.diagnosis_text import count_text, join_names
 from dragrig.analysis.identification.identification import (
     CoulombResult,
     DragResult,
@@ -19,6 +18,7 @@ from dragrig.analysis.identification.identification import (
     SpeedPoint,
     StrainLaw,
 )
+from dragrig.analysis.wording import UNKNOWN, count_text, join_names
 from dragrig.present.document import (
     Block,
     Cell,
@@ -33,7 +33,6 @@ from dragrig.present.document import (
     Text,
 )
 from dragrig.present.numbers import (
-    UNKNOWN,
     decimals,
     estimate_text,
     exclusions_json,

@@ -1,7 +1,8 @@
 """Isolability laid out for a reader: which effects a set of runs can distinguish, and how small a one they show."""
 
-from dragrig.analysis.gap.diagnosis_text import as_sentence, capitalise, display_name
+from dragrig.analysis.gap.diagnosis import display_name
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
+from dragrig.analysis.wording import as_sentence, capitalise
 from dragrig.present import figures
 from dragrig.present.document import Column, Document, Field, Figure, Items, Section, Table, Text, TextKind
 from dragrig.present.numbers import decimals, shortest, significant, to_json_object, unit_text

@@ -6,10 +6,11 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from datetime import date
-from decimal import Decimal
 from functools import partial
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, TypeAlias
+
+from dragrig.analysis.wording import UNKNOWN, significant_text, with_minus_sign
 
 if TYPE_CHECKING:
     from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
@@ -17,15 +18,13 @@ if TYPE_CHECKING:
 
 NumberFormat: TypeAlias = Callable[[float], str]
 """Functions of modules and partials of them, which a process can send to another."""
-UNKNOWN = "–"
-"""Shown for a value that is missing or not finite."""
 DIGITS_WITHOUT_ERROR = 4
 MAX_DECIMALS = 9
 
 
 def significant(digits: int) -> NumberFormat:
     """Return a format with so many significant digits and no exponent: 0.0816, 113, −7.2."""
-    return partial(_significant_text, digits)
+    return partial(significant_text, digits=digits)
 
 
 def decimals(digits: int, *, signed: bool = False) -> NumberFormat:
@@ -45,7 +44,7 @@ def percent(digits: int = 0) -> NumberFormat:
 
 def shortest_percent(value: float) -> str:
     """Write a share with the digits that it has: 150 %, 2.5 %."""
-    return _minus(f"{100 * value:g} %")
+    return with_minus_sign(f"{100 * value:g} %")
 
 
 def percent_difference(value: float) -> str:
@@ -59,7 +58,7 @@ def rounded_to_error(value: float | None, error: float | None) -> str:
     if value is None or not isfinite(value):
         return UNKNOWN
     places = _places_of(error)
-    return _minus(f"{value:.{DIGITS_WITHOUT_ERROR}g}" if places is None else f"{value:.{places}f}")
+    return with_minus_sign(f"{value:.{DIGITS_WITHOUT_ERROR}g}" if places is None else f"{value:.{places}f}")
 
 
 def error_text(error: float | None) -> str:
@@ -101,6 +100,22 @@ def unit_text(unit: str) -> str:
     return "" if unit == "1" else unit
 
 
+def probability_text(probability: float) -> str:
+    """Return a probability with two digits, never as certainty."""
+    if not isfinite(probability):
+        return "probability not known"
+    if probability > 0.995:
+        return "above 0.99"
+    return "below 0.01" if probability < 0.005 else f"{probability:.2f}"
+
+
+def force_text(value: float) -> str:
+    """Return a force with its unit."""
+    if not isfinite(value):
+        return "an unknown force"
+    return f"{value:.1f} mN" if abs(value) < 100 else f"{value:.0f} mN"
+
+
 def p_value_text(p_value: float) -> str:
     """Write a p-value: p = 0.39, p < 0.0001; nothing where there is none."""
     if not isfinite(p_value):
@@ -129,16 +144,8 @@ def size_text(count: float) -> str:
     return f"{count:.1f} TB"
 
 
-def _significant_text(digits: int, value: float) -> str:
-    return "0" if value == 0 else _minus(format(Decimal(f"{value:.{digits - 1}e}"), "f"))
-
-
 def _format_text(specification: str, value: float, *, factor: float = 1.0, unit: str = "") -> str:
-    return _minus(f"{factor * value:{specification}}{unit}")
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "−")
+    return with_minus_sign(f"{factor * value:{specification}}{unit}")
 
 
 def _places_of(error: float | None) -> int | None:

@@ -1,6 +1,6 @@
-"""The result of a diagnosis in sentences: verdict, location of the gap, gap reduction, recommended run."""
+"""The result of a diagnosis in sentences: verdict, location of the gap, gap reduction."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
@@ -9,16 +9,14 @@ from dragrig.analysis.gap.diagnosis import (
     Diagnosis,
     GapLocation,
     GapReduction,
-    ModelPair,
-    NextRun,
     RankedHypothesis,
     Verdict,
+    display_name,
 )
-from dragrig.config.plan import PlanStep
+from dragrig.analysis.wording import as_sentence, capitalise, count_text, join_names, percent_text
+from dragrig.present.numbers import force_text, probability_text
 from dragrig.sim_backend.effects.base import catalogue
 
-NO_GAP, UNKNOWN = "no_gap", "unknown"
-NAMES_WITHOUT_EFFECT = {NO_GAP: "no gap", UNKNOWN: "none of the catalogue"}
 UNCALIBRATED_NOTE = "The probabilities are not calibrated: use them as a ranking only."
 
 
@@ -91,68 +89,12 @@ def is_stated_verdict(ranked: RankedHypothesis, diagnosis: Diagnosis) -> bool:
     return ranked.hypothesis == diagnosis.verdict.value
 
 
-def display_name(hypothesis: str) -> str:
-    """Return the name of a hypothesis for a sentence; several effects joined with `and`."""
-    if hypothesis in NAMES_WITHOUT_EFFECT:
-        return NAMES_WITHOUT_EFFECT[hypothesis]
-    known = catalogue()
-    names = [known[name].name if name in known else name.replace("_", " ") for name in hypothesis.split("+")]
-    return join_names(names)
-
-
 def effect_description(effect: str) -> str:
     """Describe an effect of the catalogue and where it acts."""
     known = catalogue().get(effect)
     if known is None:
         return f"{capitalise(display_name(effect))} is not in this catalogue."
     return f"{capitalise(known.name)}, in the {known.location.value}. {known.summary} Visible in: {known.visible_in}."
-
-
-def probability_text(probability: float) -> str:
-    """Return a probability with two digits, never as certainty."""
-    if not isfinite(probability):
-        return "probability not known"
-    if probability > 0.995:
-        return "above 0.99"
-    return "below 0.01" if probability < 0.005 else f"{probability:.2f}"
-
-
-def force_text(value: float) -> str:
-    """Return a force with its unit."""
-    if not isfinite(value):
-        return "an unknown force"
-    return f"{value:.1f} mN" if abs(value) < 100 else f"{value:.0f} mN"
-
-
-def percent_text(share: float) -> str:
-    """Return a share as percentage: 71 %, 99.3 %."""
-    if not isfinite(share):
-        return "an unknown share"
-    precise = 0.9 < share < 1 or 0 < share < 0.01
-    return f"{100 * share:.1f} %".replace("-", "−") if precise else f"{100 * share:.0f} %".replace("-", "−")
-
-
-def join_names(names: Sequence[str]) -> str:
-    """Join names for a sentence."""
-    if not names:
-        return ""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def count_text(number: int, noun: str) -> str:
-    """Return a number with its noun."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def capitalise(text: str) -> str:
-    """Return a text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
-def as_sentence(text: str) -> str:
-    """Return a text as a sentence with capital and full stop; empty for an empty text."""
-    sentence = capitalise(text.strip())
-    return sentence if not sentence or sentence.endswith((".", "!", "?")) else f"{sentence}."
 
 
 def _detection_limit_clause(diagnosis: Diagnosis) -> str:
@@ -269,59 +211,3 @@ def _axis_text(location: AxisLocation, *, alone: bool) -> str:
     low, high = f"{location.low * factor:.3g}", f"{location.high * factor:.3g}"
     ends = f"at {low}" if low == high else f"{low} to {high}"
     return f"{ends} {unit}".strip() + f": {100 * location.share:.0f} %"
-
-
-MAX_QUOTED_SHARE = 0.9
-"""Shares above this are not quoted: the rival hardly resembles the assumed effect."""
-
-
-def run_text(step: PlanStep) -> str:
-    """Describe a run: a drag at 1 mm/s over 20 mm."""
-    settings = step.parameters
-    match step.kind:
-        case "relaxation":
-            strain, hold = settings["shear_strain"], settings["hold_s"]
-            assert isinstance(strain, float)  # noqa: S101  # the grid's own
-            text = f"a relaxation at {100 * strain:g} % strain with a hold of {hold:g} s"
-        case "motion":
-            strokes = settings["strokes"]
-            assert isinstance(strokes, list | tuple)  # noqa: S101
-            first = strokes[0]
-            text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
-        case kind:
-            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
-            if settings.get("accel_mm_s2", 400.0) != 400.0:
-                text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
-    if step.kind == "drag" and step.wait_s != 60.0:
-        text += f" after {step.wait_s:g} s of rest"
-    if step.repeats == 1:
-        return text
-    return f"{text}, twice" if step.repeats == 2 else f"{text}, {step.repeats} times"
-
-
-def recommendation_reason(run: NextRun, tried: int) -> str:
-    """Say why a run is recommended, with numbers, and whether it is optional."""
-    text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
-    return (
-        f"{'The leading hypotheses are already separated well enough. ' if run.optional else ''}{text} "
-        f"in {run.minutes:.1f} min of rig time, the largest gain per minute of {tried} candidate runs."
-    )
-
-
-def run_subject(step: PlanStep) -> str:
-    """Return a run as the begin of a sentence."""
-    return capitalise(run_text(step)) + ("," if step.repeats > 1 else "")
-
-
-def separation_text(before: ModelPair, after: ModelPair) -> str:
-    """Say what a run separates, as the rest of a sentence."""
-    change = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
-    if not after.rival:
-        return f"lowers the detection limit of {display_name(after.truth)}: {change}"
-    truth, rival = display_name(after.truth), display_name(after.rival)
-    text = f"separates {truth} from {rival}: {change}"
-    if before.remaining_share > MAX_QUOTED_SHARE:
-        return text
-    shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
-    return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"
