@@ -112,24 +112,17 @@ class ScoredDiagnosis(_Record):
 
 @dataclass(frozen=True, slots=True)
 class ScoredCase:
-    """A campaign with its answer and its diagnosis.
-
-    Attributes
-    ----------
-    without_true
-        Diagnosis with its own effect removed from the catalogue; None where that was not made.
-    achieved
-        How far the amended model closes the gap on fresh runs; None where there is none.
-    d_prime
-        d′ of the hidden effect; None where it was not computed.
-    """
+    """A campaign with its answer and its diagnosis."""
 
     name: str
     answer: AnswerKey
     diagnosis: ScoredDiagnosis
     without_true: ScoredDiagnosis | None = None
+    """Diagnosis with its own effect removed from the catalogue; None where that was not made."""
     achieved: ScoredShrink | None = None
+    """How far the amended model closes the gap on fresh runs; None where there is none."""
     d_prime: float | None = None
+    """d′ of the hidden effect; None where it was not computed."""
 
     @property
     def single(self) -> bool:
@@ -270,22 +263,16 @@ def withheld_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ConfusionMatrix:
-    """Counts of campaigns.
-
-    Attributes
-    ----------
-    hidden
-        Names of the rows: effects, then `several`, `unknown` (an effect that the catalogue does not have) and
-        `no_gap`, as far as they occur.
-    said
-        Names of the columns, the diagnoses, likewise.
-    counts
-        A row for each of `hidden`.
-    """
+    """Counts of campaigns."""
 
     hidden: tuple[str, ...]
+    """Names of the rows: effects, then `several`, `unknown` (an effect that the catalogue does not have) and `no_gap`,
+    as far as they occur.
+    """
     said: tuple[str, ...]
+    """Names of the columns, the diagnoses, likewise."""
     counts: tuple[tuple[int, ...], ...]
+    """A row for each of `hidden`."""
 
 
 def confusion_matrix(cases: Sequence[ScoredCase]) -> ConfusionMatrix:
@@ -338,52 +325,39 @@ def detection_bins(cases: Sequence[ScoredCase]) -> tuple[DetectionBin, ...]:
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityBin:
-    """Verdicts whose probability lies from `low` to `high`.
-
-    Attributes
-    ----------
-    count, right
-        Number of verdicts, and how many of them are right.
-    probability
-        Mean stated probability.
-    band
-        Share of right verdicts in 95 % of exams like this if every probability were true (binomial).
-    share
-        Share that is right.
-    """
+    """Verdicts whose probability lies from `low` to `high`."""
 
     low: float
     high: float
     count: int
     right: int
+    """`count`, `right`: number of verdicts, and how many of them are right."""
     probability: float
+    """Mean stated probability."""
     band: tuple[float, float]
+    """Share of right verdicts in 95 % of exams like this if every probability were true (binomial)."""
     share: float
+    """Share that is right."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProbabilityCalibration:
-    """How good the probabilities are.
-
-    Attributes
-    ----------
-    brier, brier_base_rate, brier_skill
-        Brier score over all hypotheses; that of always stating how often each hypothesis is true in this exam; and
-        `1 - brier / brier_base_rate`. NaN where there is nothing to compare.
-    verdict_brier, verdict_brier_base_rate, verdict_brier_skill
-        The same of the verdict's own probability against always stating the share of right verdicts, which is the
-        harder to beat the better a diagnosis is.
-    reliability
-        The reliability diagram.
-    """
+    """How good the probabilities are."""
 
     brier: float
     brier_base_rate: float
     brier_skill: float
+    """`brier`, `brier_base_rate`, `brier_skill`: Brier score over all hypotheses; that of always stating how often each
+    hypothesis is true in this exam; and `1 - brier / brier_base_rate`. NaN where there is nothing to compare.
+    """
     verdict_brier: float
     verdict_brier_base_rate: float
     verdict_brier_skill: float
+    """`verdict_brier`, `verdict_brier_base_rate`, `verdict_brier_skill`: the same of the verdict's own probability
+    against always stating the share of right verdicts, which is the harder to beat the better a diagnosis is.
+    """
     reliability: tuple[ReliabilityBin, ...]
+    """The reliability diagram."""
 
 
 def probability_calibration(cases: Sequence[ScoredCase]) -> ProbabilityCalibration:
@@ -453,28 +427,20 @@ class PromiseOutcome:
 
 @dataclass(frozen=True, slots=True)
 class PromiseScore:
-    """All promises.
-
-    Attributes
-    ----------
-    outcomes
-        Campaigns whose diagnosis named an effect, with a gap to close on their own and on the fresh runs.
-    difference
-        Median of the absolute differences; NaN where there are none.
-    right_difference
-        The same over right names alone.
-    within
-        How many fresh runs lie in the promised 95 % interval. It is over the runs of one session: what differs between
-        sessions and speeds comes on top.
-    closed
-        How many right names at full size and at a third close 90 % of the gap on fresh runs.
-    """
+    """All promises."""
 
     outcomes: tuple[PromiseOutcome, ...]
+    """Campaigns whose diagnosis named an effect, with a gap to close on their own and on the fresh runs."""
     difference: float
+    """Median of the absolute differences; NaN where there are none."""
     right_difference: float
+    """The same over right names alone."""
     within: Rate
+    """How many fresh runs lie in the promised 95 % interval. It is over the runs of one session: what differs between
+    sessions and speeds comes on top.
+    """
     closed: Rate
+    """How many right names at full size and at a third close 90 % of the gap on fresh runs."""
 
 
 def promise_score(cases: Sequence[ScoredCase]) -> PromiseScore:
@@ -507,25 +473,18 @@ def _median_difference(outcomes: Sequence[PromiseOutcome]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ExamScore:
-    """How often a diagnosis is right.
-
-    Attributes
-    ----------
-    rates
-        In the order of the table.
-    missed
-        The cases whose verdict is not right.
-    withheld
-        Rates where the true effect is removed from the catalogue.
-    """
+    """How often a diagnosis is right."""
 
     rates: tuple[Rate, ...]
+    """In the order of the table."""
     missed: tuple[ScoredCase, ...]
+    """The cases whose verdict is not right."""
     confusion: ConfusionMatrix
     detection: tuple[DetectionBin, ...]
     calibration: ProbabilityCalibration
     promises: PromiseScore
     withheld: tuple[Rate, ...]
+    """Rates where the true effect is removed from the catalogue."""
 
     def __getitem__(self, name: str) -> Rate:
         """Return the rate of that name."""

@@ -61,23 +61,18 @@ class Trip:
 
 @dataclass(frozen=True, slots=True)
 class RawReading:
-    """Statistics of unscaled samples.
-
-    Attributes
-    ----------
-    force_V, force_V_sd
-        Mean and standard deviation of the force input [V].
-    samples
-        Number of samples.
-    counts_begin, counts_end
-        The encoder's count at the first and the last sample, rising where the stage moves up.
-    """
+    """Statistics of unscaled samples."""
 
     force_V: float
     force_V_sd: float
+    """`force_V`, `force_V_sd`: mean and standard deviation of the force input [V]."""
     samples: int
+    """Number of samples."""
     counts_begin: int
     counts_end: int
+    """`counts_begin`, `counts_end`: the encoder's count at the first and the last sample, rising where the stage moves
+    up.
+    """
 
     @classmethod
     def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray) -> "RawReading":
@@ -108,36 +103,26 @@ class Contact(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
-    """One motion with synchronous sampling, and what a simulated rig must know of it.
-
-    Attributes
-    ----------
-    run_id, order
-        Identity of the run; a simulated rig draws its noise from the session's seed and `order`.
-    profile
-        The commanded motion, from standstill, relative to the stage's position when armed.
-    insertion_dwell_s
-        Age of the contact at the first sample.
-    shear_strain
-        With `Contact.STICKING`: the strain whose wall parameters apply.
-    sheared_from
-        With `Contact.STICKING`: the strain at the first sample, relaxed for `insertion_dwell_s`.
-    recorded
-        Whether it becomes a run file; tares and moves to a start do not.
-    """
+    """One motion with synchronous sampling, and what a simulated rig must know of it."""
 
     run_id: str
     order: int
+    """`run_id`, `order`: identity of the run; a simulated rig draws its noise from the session's seed and `order`."""
     kind: str
     profile: MotionProfile
+    """The commanded motion, from standstill, relative to the stage's position when armed."""
     capsule: Capsule
     specimen: Specimen
     fixture: Fixture
     contact: Contact
     insertion_dwell_s: float
+    """Age of the contact at the first sample."""
     shear_strain: float = 0.0
+    """With `Contact.STICKING`: the strain whose wall parameters apply."""
     sheared_from: float = 0.0
+    """With `Contact.STICKING`: the strain at the first sample, relaxed for `insertion_dwell_s`."""
     recorded: bool = True
+    """Whether it becomes a run file; tares and moves to a start do not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,19 +264,13 @@ class Sampler(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RigCheck:
-    """Result of one check of the rig.
-
-    Attributes
-    ----------
-    name
-        What was checked: a device, a limit, a calibration.
-    detail
-        What was found, and what to do where the check failed.
-    """
+    """Result of one check of the rig."""
 
     name: str
+    """What was checked: a device, a limit, a calibration."""
     passed: bool
     detail: str
+    """What was found, and what to do where the check failed."""
 
 
 @runtime_checkable

@@ -39,21 +39,15 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """A request to a person.
-
-    Attributes
-    ----------
-    run
-        The run that it is about, if any.
-    hands
-        Whether a person must do or check something at the rig: no program may answer then.
-    """
+    """A request to a person."""
 
     text: str
     run: PlannedRun | None = None
+    """The run that it is about, if any."""
     can_redo: bool = False
     can_skip: bool = False
     hands: bool = True
+    """Whether a person must do or check something at the rig: no program may answer then."""
 
 
 @dataclass(frozen=True, slots=True)

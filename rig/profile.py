@@ -47,24 +47,18 @@ class MotionExtremes:
 
 @dataclass(frozen=True, eq=False)
 class MotionProfile:
-    """A motion from standstill, as `K` pieces of constant acceleration.
-
-    Attributes
-    ----------
-    start_s, position_mm, velocity_mm_s, acceleration_mm_s2
-        State at the start of each piece, shape `(K,)`.
-    phase
-        Phase of each piece, shape `(K,)`.
-    duration_s
-        End of the last piece. Beyond it the stage stays where it is.
-    """
+    """A motion from standstill, as `K` pieces of constant acceleration."""
 
     start_s: FloatArray
     position_mm: FloatArray
     velocity_mm_s: FloatArray
     acceleration_mm_s2: FloatArray
+    """`start_s`, `position_mm`, `velocity_mm_s`, `acceleration_mm_s2`: state at the start of each piece, shape `(K,)`.
+    """
     phase: PhaseArray
+    """Phase of each piece, shape `(K,)`."""
     duration_s: float
+    """End of the last piece. Beyond it the stage stays where it is."""
 
     @classmethod
     def from_pieces(cls, pieces: Iterable[Piece]) -> "MotionProfile":

@@ -26,23 +26,10 @@ _MAX_RETURN_ACCEL_MM_S2 = 400.0
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run of a session.
-
-    Attributes
-    ----------
-    index
-        Place in the programme, from 0; a resumed session identifies finished runs by it.
-    start_mm
-        Absolute position where the run begins.
-    sheared_from
-        Shear strain of a sticking contact at the first sample.
-    prompt
-        Prompt to the operator before the run; empty for none.
-    follows
-        Index of the run whose return stroke this is; -1 for any other run.
-    """
+    """One run of a session."""
 
     index: int
+    """Place in the programme, from 0; a resumed session identifies finished runs by it."""
     step: int
     protocol: RunProtocol
     profile: MotionProfile
@@ -51,14 +38,18 @@ class PlannedRun:
     fixture: Fixture
     contact: Contact
     start_mm: float
+    """Absolute position where the run begins."""
     wait_s: float
     tare_s: float = 0.0
     prompt: str = ""
+    """Prompt to the operator before the run; empty for none."""
     by_hand: bool = False
     sheared_from: float = 0.0
+    """Shear strain of a sticking contact at the first sample."""
     shear_strain: float = 0.0
     note: str = ""
     follows: int = -1
+    """Index of the run whose return stroke this is; -1 for any other run."""
 
     @property
     def end_mm(self) -> float:

@@ -66,17 +66,13 @@ MIXES = {
 
 @dataclass(frozen=True, slots=True)
 class HiddenCase:
-    """What is hidden in one campaign.
-
-    Attributes
-    ----------
-    kind
-        One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue
-        does not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing.
-    """
+    """What is hidden in one campaign."""
 
     number: int
     kind: str
+    """One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue
+    does not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing.
+    """
     seed: int
     effects: tuple[str, ...]
     sizes: tuple[float, ...]

@@ -18,21 +18,14 @@ class BlindTask:
 
 @dataclass(frozen=True, slots=True)
 class BlindDiagnosis:
-    """The diagnosis of a task.
-
-    Attributes
-    ----------
-    document
-        The gap report's JSON; empty where there is none.
-    model
-        The amended model as TOML; None where no effect is named.
-    why_not
-        Why there is no diagnosis; empty where there is one.
-    """
+    """The diagnosis of a task."""
 
     document: Mapping[str, object]
+    """The gap report's JSON; empty where there is none."""
     model: str | None = None
+    """The amended model as TOML; None where no effect is named."""
     why_not: str = ""
+    """Why there is no diagnosis; empty where there is one."""
 
     def json_or_failure(self) -> Mapping[str, object]:
         """Return the JSON to store."""

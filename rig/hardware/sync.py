@@ -14,18 +14,12 @@ _WAKE_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class FirstSample:
-    """When an acquisition's first sample was taken.
-
-    Attributes
-    ----------
-    at_s
-        Reading of the rig's monotonic clock.
-    uncertainty_s
-        Half-width of the interval around `at_s` in which the first sample was taken.
-    """
+    """When an acquisition's first sample was taken."""
 
     at_s: float
+    """Reading of the rig's monotonic clock."""
     uncertainty_s: float
+    """Half-width of the interval around `at_s` in which the first sample was taken."""
 
 
 @dataclass(frozen=True, slots=True)

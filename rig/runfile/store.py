@@ -138,21 +138,14 @@ class FolderSink:
 
 @dataclass(frozen=True, slots=True)
 class MirrorReport:
-    """What is in the mirror and what is not.
-
-    Attributes
-    ----------
-    folder
-        Folder of the copies.
-    copied
-        Names of files whose copy was read back and is equal.
-    missing
-        Names of files without such a copy, with the reason.
-    """
+    """What is in the mirror and what is not."""
 
     folder: Path
+    """Folder of the copies."""
     copied: tuple[str, ...] = ()
+    """Names of files whose copy was read back and is equal."""
     missing: Mapping[str, str] = field(default_factory=dict)
+    """Names of files without such a copy, with the reason."""
 
     @property
     def whole(self) -> bool:

@@ -93,24 +93,16 @@ def motor_force(settings: MotorSettings, motion: StageMotion, load_mN: FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFreeSamples:
-    """Motion, forces and position at `n` times before noise and converters, new arrays of shape `(n,)`.
-
-    Attributes
-    ----------
-    motion
-        Motion of the stage.
-    counted_mm
-        Position before it is rounded to counts.
-    force_mN
-        Force that the channel shows.
-    load_mN
-        True force on the capsule.
-    """
+    """Motion, forces and position at `n` times before noise and converters, new arrays of shape `(n,)`."""
 
     motion: StageMotion
+    """Motion of the stage."""
     counted_mm: FloatArray
+    """Position before it is rounded to counts."""
     force_mN: FloatArray
+    """Force that the channel shows."""
     load_mN: FloatArray
+    """True force on the capsule."""
 
 
 class RunResponse(Protocol):
@@ -143,21 +135,15 @@ class NominalResponse:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseWithEffects:
-    """Response with effects, computed once at fixed times from the first sample on, whatever the size of blocks.
-
-    Attributes
-    ----------
-    path
-        The stage's motion.
-    time_s, counted_mm, force_mN, load_mN
-        Times, and the channels at them, shape `(n,)`.
-    """
+    """Response with effects, computed once at fixed times from the first sample on, whatever the size of blocks."""
 
     path: ProfileMotion | RecordedMotion
+    """The stage's motion."""
     time_s: FloatArray
     counted_mm: FloatArray
     force_mN: FloatArray
     load_mN: FloatArray
+    """`time_s`, `counted_mm`, `force_mN`, `load_mN`: times, and the channels at them, shape `(n,)`."""
 
     @classmethod
     def of(

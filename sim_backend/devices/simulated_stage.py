@@ -79,28 +79,19 @@ def standstill_profile(duration_s: float) -> MotionProfile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """The stage's motion from an instant on: never changed, only replaced.
-
-    Attributes
-    ----------
-    profile
-        The actual motion, which a fault may make differ from the command.
-    origin_mm
-        Absolute position where it starts.
-    stopped_s
-        When a stop has brought it to a standstill; infinite without one.
-    fault_s, fault
-        When the drive faults, and its message; infinite and empty without a fault.
-    rest_s
-        When the stage is at rest, at the latest at the end of the profile.
-    """
+    """The stage's motion from an instant on: never changed, only replaced."""
 
     profile: MotionProfile
+    """The actual motion, which a fault may make differ from the command."""
     origin_mm: float
+    """Absolute position where it starts."""
     stopped_s: float = math.inf
+    """When a stop has brought it to a standstill; infinite without one."""
     fault_s: float = math.inf
     fault: str = ""
+    """`fault_s`, `fault`: when the drive faults, and its message; infinite and empty without a fault."""
     rest_s: float = math.inf
+    """When the stage is at rest, at the latest at the end of the profile."""
 
     @property
     def stopped(self) -> bool:

@@ -249,63 +249,46 @@ class HeartbeatRelay:
 
 @dataclass(frozen=True, slots=True)
 class ActiveFaults:
-    """Everything that is wrong at present; default: nothing.
-
-    Attributes
-    ----------
-    card_unplugged
-        The card was pulled: every call that touches it fails with −201003.
-    card_gone
-        The driver no longer knows the card: −88705.
-    card_absent
-        The driver lists no such card; its channels are not found: −200220.
-    card_reserved
-        Another program holds the card: starting or reserving a task fails with −50103.
-    card_stalled
-        Samples are taken, but none reaches the program before this ends; reads time out with what there was.
-    overwritten_samples
-        Total number of samples that the card's buffer lost before they were read: with every increase, each running
-        task loses that many unread samples, and its next relative read fails with −200279.
-    short_reads
-        Total number of buffered reads of each task that time out (−200284) with half of what they requested.
-    drive_alarm
-        Text or code of an alarm that the drive raises; empty for none.
-    drive_reply_late_s
-        Delay of the drive's replies, in wall time.
-    drive_garbled
-        The drive's replies arrive with wrong bytes.
-    drive_silent
-        The drive carries out requests, but does not reply.
-    drive_unplugged
-        The serial cable was pulled.
-    force_added_mN
-        Force on the sensor in addition to the specimen's.
-    sensor_open
-        The force sensor's wire is broken: its amplifier is at the rail.
-    encoder_stuck
-        The encoder repeats one count.
-    e_stop_pressed, limit_low_pressed, limit_high_pressed
-        A hand is on the button; a switch is actuated or its wire broken.
-    """
+    """Everything that is wrong at present; default: nothing."""
 
     card_unplugged: bool = False
+    """The card was pulled: every call that touches it fails with −201003."""
     card_gone: bool = False
+    """The driver no longer knows the card: −88705."""
     card_absent: bool = False
+    """The driver lists no such card; its channels are not found: −200220."""
     card_reserved: bool = False
+    """Another program holds the card: starting or reserving a task fails with −50103."""
     card_stalled: bool = False
+    """Samples are taken, but none reaches the program before this ends; reads time out with what there was."""
     overwritten_samples: int = 0
+    """Total number of samples that the card's buffer lost before they were read: with every increase, each running task
+    loses that many unread samples, and its next relative read fails with −200279.
+    """
     short_reads: int = 0
+    """Total number of buffered reads of each task that time out (−200284) with half of what they requested."""
     drive_alarm: str = ""
+    """Text or code of an alarm that the drive raises; empty for none."""
     drive_reply_late_s: float = 0.0
+    """Delay of the drive's replies, in wall time."""
     drive_garbled: bool = False
+    """The drive's replies arrive with wrong bytes."""
     drive_silent: bool = False
+    """The drive carries out requests, but does not reply."""
     drive_unplugged: bool = False
+    """The serial cable was pulled."""
     force_added_mN: float = 0.0
+    """Force on the sensor in addition to the specimen's."""
     sensor_open: bool = False
+    """The force sensor's wire is broken: its amplifier is at the rail."""
     encoder_stuck: bool = False
+    """The encoder repeats one count."""
     e_stop_pressed: bool = False
     limit_low_pressed: bool = False
     limit_high_pressed: bool = False
+    """`e_stop_pressed`, `limit_low_pressed`, `limit_high_pressed`: a hand is on the button; a switch is actuated or its
+    wire broken.
+    """
 
 
 class FaultInjector:

@@ -100,35 +100,24 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect.
-
-    Attributes
-    ----------
-    name, unit
-        As in settings, the unit in the name where there is one; `1` for none.
-    default
-        A plain case of the effect that runs show clearly.
-    low, high
-        Prior range. A size whose sign is not known has a negative `low`.
-    meaning
-        A few words for tables.
-    role
-        Size, shape or phase; every effect has exactly one size, and at most one phase.
-    grid
-        For a shape: the values that a diagnosis starts from, within the prior range; `default` alone where empty.
-    bounds
-        Least and greatest possible value; without them, the parameter keeps the sign of the prior range.
-    """
+    """A parameter of an effect."""
 
     name: str
     unit: str
+    """`name`, `unit`: as in settings, the unit in the name where there is one; `1` for none."""
     default: float
+    """A plain case of the effect that runs show clearly."""
     low: float
     high: float
+    """`low`, `high`: prior range. A size whose sign is not known has a negative `low`."""
     meaning: str
+    """A few words for tables."""
     role: Role
+    """Size, shape or phase; every effect has exactly one size, and at most one phase."""
     grid: tuple[float, ...] = ()
+    """For a shape: the values that a diagnosis starts from, within the prior range; `default` alone where empty."""
     bounds: tuple[float, float] | None = None
+    """Least and greatest possible value; without them, the parameter keeps the sign of the prior range."""
 
     @property
     def start_values(self) -> tuple[float, ...]:

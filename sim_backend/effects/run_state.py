@@ -174,27 +174,18 @@ class ShearedWall:
 
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
-    """Slip since the last start and time since the last start and stop, at `n` times.
-
-    Attributes
-    ----------
-    slid_mm
-        Distance since the last start; keeps its value after a stop, 0 before the first start.
-    since_start_s
-        Time since the last start; 0 before the first.
-    since_stop_s
-        Time since the last stop; 0 in motion and before the first start.
-    heading
-        Direction of the present or the last motion, 1 or −1; 0 before the first start.
-    moving
-        1 in motion, 0 at rest.
-    """
+    """Slip since the last start and time since the last start and stop, at `n` times."""
 
     slid_mm: FloatArray
+    """Distance since the last start; keeps its value after a stop, 0 before the first start."""
     since_start_s: FloatArray
+    """Time since the last start; 0 before the first."""
     since_stop_s: FloatArray
+    """Time since the last stop; 0 in motion and before the first start."""
     heading: FloatArray
+    """Direction of the present or the last motion, 1 or −1; 0 before the first start."""
     moving: FloatArray
+    """1 in motion, 0 at rest."""
 
     @classmethod
     def of(cls, motion: Motion, time_s: FloatArray) -> "SlipHistory":
@@ -219,51 +210,35 @@ class SlipHistory:
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """What an effect may depend on, at `n` rising times. Units mm, s, mN, kPa; arrays of shape `(n,)`.
-
-    Attributes
-    ----------
-    time_s
-        Times from the run's first sample on.
-    session_start_s
-        The first sample on the clock of the specimen's session, whose 0 is the first sample of its first run.
-    order
-        Number of the run on the specimen, from 0.
-    contact, fixture
-        How capsule and gut touch.
-    motion
-        The stage's motion, as measured or as simulated.
-    regularisation_mm_s
-        Speed over which Coulomb friction changes sign.
-    f_e, f_v, f_c
-        Nominal parts of the sliding force, true mN; zeros where nothing slides.
-    weight_mN
-        The capsule's weight.
-    friction_coefficient
-        The nominal μ.
-    shear
-        Nominal force of a capsule that sticks; zeros where none does.
-    wall
-        The wall on a capsule that slides in a closed gut; None elsewhere.
-    sheared
-        The wall under a capsule that sticks; None elsewhere.
-    """
+    """What an effect may depend on, at `n` rising times. Units mm, s, mN, kPa; arrays of shape `(n,)`."""
 
     time_s: FloatArray
+    """Times from the run's first sample on."""
     session_start_s: float
+    """The first sample on the clock of the specimen's session, whose 0 is the first sample of its first run."""
     order: int
+    """Number of the run on the specimen, from 0."""
     contact: Contact
     fixture: Fixture
+    """`contact`, `fixture`: how capsule and gut touch."""
     motion: Motion
+    """The stage's motion, as measured or as simulated."""
     regularisation_mm_s: float
+    """Speed over which Coulomb friction changes sign."""
     f_e: FloatArray
     f_v: FloatArray
     f_c: FloatArray
+    """`f_e`, `f_v`, `f_c`: nominal parts of the sliding force, true mN; zeros where nothing slides."""
     weight_mN: float
+    """The capsule's weight."""
     friction_coefficient: float
+    """The nominal μ."""
     shear: FloatArray
+    """Nominal force of a capsule that sticks; zeros where none does."""
     wall: HemisphereWall | None = None
+    """The wall on a capsule that slides in a closed gut; None elsewhere."""
     sheared: ShearedWall | None = None
+    """The wall under a capsule that sticks; None elsewhere."""
 
     @property
     def sliding(self) -> bool:

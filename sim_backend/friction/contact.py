@@ -65,24 +65,16 @@ class ContactStroke:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactHistory:
-    """A motion with the contact that each of its strokes inherits.
-
-    Attributes
-    ----------
-    motion
-        Motion of the capsule.
-    reach_mm
-        Distance ℓ from rear to front contact.
-    dwell_s
-        Age of the contact at the first sample.
-    strokes
-        The strokes, in order.
-    """
+    """A motion with the contact that each of its strokes inherits."""
 
     motion: Motion
+    """Motion of the capsule."""
     reach_mm: float
+    """Distance ℓ from rear to front contact."""
     dwell_s: float
+    """Age of the contact at the first sample."""
     strokes: tuple[ContactStroke, ...]
+    """The strokes, in order."""
 
     @classmethod
     def of(cls, motion: Motion, reach_mm: float, dwell_s: float) -> "ContactHistory":
@@ -279,18 +271,12 @@ def _equator_times(history: ContactHistory, stroke: ContactStroke, contact_mm: f
 
 @dataclass(frozen=True, slots=True)
 class QuadratureRule:
-    """Nodes per panel.
-
-    Attributes
-    ----------
-    ages
-        Gauss–Legendre nodes of a panel of contact ages.
-    times
-        Chebyshev nodes of a panel of times.
-    """
+    """Nodes per panel."""
 
     ages: int
+    """Gauss–Legendre nodes of a panel of contact ages."""
     times: int
+    """Chebyshev nodes of a panel of times."""
 
 
 FINE_RULE = QuadratureRule(10, 8)

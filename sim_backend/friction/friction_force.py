@@ -222,26 +222,19 @@ SKEW_SEARCH_POINTS = 2000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SteadyFriction:
-    """Friction at steady speeds, arrays of shape `(n,)`.
-
-    Attributes
-    ----------
-    f_e, f_v, f_c, total
-        Environmental resistance, viscous and Coulomb friction, and their sum [mN].
-    side_pressure_force
-        Radial force P(L) S [mN], the part of N that the wall gives.
-    max_skew, x_of_max_skew
-        Largest skew resistance P(x) S [mN] on the contact, and where it is [mm].
-    """
+    """Friction at steady speeds, arrays of shape `(n,)`."""
 
     speed_mm_s: FloatArray
     f_e: FloatArray
     f_v: FloatArray
     f_c: FloatArray
     total: FloatArray
+    """`f_e`, `f_v`, `f_c`, `total`: environmental resistance, viscous and Coulomb friction, and their sum [mN]."""
     side_pressure_force: FloatArray
+    """Radial force P(L) S [mN], the part of N that the wall gives."""
     max_skew: FloatArray
     x_of_max_skew: FloatArray
+    """`max_skew`, `x_of_max_skew`: largest skew resistance P(x) S [mN] on the contact, and where it is [mm]."""
 
 
 def steady_forces(

@@ -283,22 +283,17 @@ class RecordedMotion:
 
     Rests are found first and made exactly still; the motion between them is smoothed on its own and then described by
     as few pieces of constant acceleration as stay within its jitter.
-
-    Attributes
-    ----------
-    breaks_s, signs, uniform
-        As in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
-    profile
-        All pieces of constant acceleration.
-    counted
-        Whether it was measured in counts.
     """
 
     breaks_s: FloatArray
     signs: SignArray
     uniform: BoolArray
+    """`breaks_s`, `signs`, `uniform`: as in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
+    """
     profile: ProfileMotion
+    """All pieces of constant acceleration."""
     counted: bool = False
+    """Whether it was measured in counts."""
 
     def __eq__(self, other: object) -> bool:
         """Whether both are the same, bit for bit, as for repeats that followed one command exactly."""

@@ -143,24 +143,16 @@ InexactArray = TypeVar("InexactArray", npt.NDArray[np.float64], npt.NDArray[np.c
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaxwellBranches:
-    """Branches of unit modulus, sheared by pieces of constant acceleration, unstressed at first.
-
-    Attributes
-    ----------
-    rates
-        Relaxation rates E/η [1/s], shape `(B,)`.
-    pieces
-        The motion, `K` pieces.
-    thickness_mm
-        Thickness of the wall that is sheared.
-    begin
-        Stress over modulus of each branch at the begin of each piece, shape `(B, K)`.
-    """
+    """Branches of unit modulus, sheared by pieces of constant acceleration, unstressed at first."""
 
     rates: FloatArray
+    """Relaxation rates E/η [1/s], shape `(B,)`."""
     pieces: Pieces
+    """The motion, `K` pieces."""
     thickness_mm: float
+    """Thickness of the wall that is sheared."""
     begin: FloatArray
+    """Stress over modulus of each branch at the begin of each piece, shape `(B, K)`."""
 
     @classmethod
     def integrate(cls, rates: FloatArray, pieces: Pieces, thickness_mm: float) -> "MaxwellBranches":
@@ -236,24 +228,16 @@ class SidePressure:
 
 @dataclass(frozen=True, slots=True)
 class HemisphereContact:
-    """Contact of the wall with the hemisphere that leads.
-
-    Attributes
-    ----------
-    radius_mm
-        Radius R of the hemisphere.
-    angle_rad
-        Contact angle α, the model's offset included.
-    wall_thickness_mm
-        Mean wall thickness λ_m.
-    model
-        Parameter set and scales of the wall.
-    """
+    """Contact of the wall with the hemisphere that leads."""
 
     radius_mm: float
+    """Radius R of the hemisphere."""
     angle_rad: float
+    """Contact angle α, the model's offset included."""
     wall_thickness_mm: float
+    """Mean wall thickness λ_m."""
     model: FrictionModelSettings
+    """Parameter set and scales of the wall."""
 
     @classmethod
     def of(cls, capsule: Capsule, wall_thickness_mm: float, model: FrictionModelSettings) -> "HemisphereContact":

@@ -36,22 +36,15 @@ READ_TIMEOUT_S = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBatch:
-    """Consecutive samples, as views of buffers that the next fetch overwrites.
-
-    Attributes
-    ----------
-    first_index
-        Index of the first sample since the start.
-    lost
-        How many samples before it are lost.
-    volts, counts
-        Shape `(inputs, n)` and `(n,)`; `n` is 0 when nothing arrived in time.
-    """
+    """Consecutive samples, as views of buffers that the next fetch overwrites."""
 
     first_index: int
+    """Index of the first sample since the start."""
     lost: int
+    """How many samples before it are lost."""
     volts: FloatArray
     counts: FloatArray
+    """`volts`, `counts`: shape `(inputs, n)` and `(n,)`; `n` is 0 when nothing arrived in time."""
 
     @property
     def samples(self) -> int:

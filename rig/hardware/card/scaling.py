@@ -14,19 +14,13 @@ from dragrig.rig.runfile.model import RecordedChannel
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """The rig's scales: the latest calibrations where there are any, else the settings.
-
-    Attributes
-    ----------
-    mN_per_V, zero_mN
-        The force is `mN_per_V` times the voltage plus `zero_mN`.
-    mm_per_count
-        Signed: negative where the encoder is mounted the other way round.
-    """
+    """The rig's scales: the latest calibrations where there are any, else the settings."""
 
     mN_per_V: float
     zero_mN: float
+    """`mN_per_V`, `zero_mN`: the force is `mN_per_V` times the voltage plus `zero_mN`."""
     mm_per_count: float
+    """Signed: negative where the encoder is mounted the other way round."""
     force: ForceInputSettings
     inputs: tuple[AnalogInputSettings, ...]
 

@@ -100,42 +100,29 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What a drive says of itself.
-
-    Attributes
-    ----------
-    alarm
-        0 when it has none; `Dialect.alarm` puts it into words.
-    halt
-        Why the last motion ended; `Halt.UNKNOWN` from a drive that does not say.
-    """
+    """What a drive says of itself."""
 
     enabled: bool
     homed: bool
     moving: bool
     alarm: int = 0
+    """0 when it has none; `Dialect.alarm` puts it into words."""
     halt: Halt = Halt.UNKNOWN
+    """Why the last motion ended; `Halt.UNKNOWN` from a drive that does not say."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to one request, whose command and parameter it repeats.
-
-    Attributes
-    ----------
-    value
-        With POSITION [mm] and READ.
-    status
-        With STATUS.
-    refusal
-        Why the request was not carried out; then there is neither value nor status.
-    """
+    """The answer to one request, whose command and parameter it repeats."""
 
     command: Command
     parameter: Parameter | None = None
     value: float | None = None
+    """With POSITION [mm] and READ."""
     status: Status | None = None
+    """With STATUS."""
     refusal: Refusal | None = None
+    """Why the request was not carried out; then there is neither value nor status."""
 
     def answers(self, request: Request) -> bool:
         """Whether it belongs to a request; a late reply to the request before does not."""

@@ -51,22 +51,16 @@ def poll_interval_s(settings: RigSettings) -> float:
 
 @dataclass(frozen=True, slots=True)
 class StageDevices:
-    """What a stage works with.
-
-    Attributes
-    ----------
-    clock
-        The rig's time, in which motions are.
-    watchdog
-        Fed by the sampler.
-    """
+    """What a stage works with."""
 
     settings: RigSettings
     link: DriveLink
     lines: DigitalLines
     sync: MotionSamplingSync
     clock: Clock
+    """The rig's time, in which motions are."""
     watchdog: Watchdog
+    """Fed by the sampler."""
 
 
 class Monitor:

@@ -29,23 +29,16 @@ _ACCELERATION_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One move that a drive makes by itself; a triangle has no steady part.
-
-    Attributes
-    ----------
-    start_s, duration_s
-        When it begins, from the profile's start, and how long it takes.
-    end_mm
-        Where it ends, relative to the profile's start.
-    speed_mm_s, acceleration_mm_s2
-        Greatest speed, and the acceleration of both ramps, without a sign.
-    """
+    """One move that a drive makes by itself; a triangle has no steady part."""
 
     start_s: float
     duration_s: float
+    """`start_s`, `duration_s`: when it begins, from the profile's start, and how long it takes."""
     end_mm: float
+    """Where it ends, relative to the profile's start."""
     speed_mm_s: float
     acceleration_mm_s2: float
+    """`speed_mm_s`, `acceleration_mm_s2`: greatest speed, and the acceleration of both ramps, without a sign."""
 
     @property
     def ends_s(self) -> float:

@@ -25,22 +25,16 @@ _ZERO_MOTION = MotionProfile.from_pieces([stationary_piece(1.0, Phase.HOLD)])
 
 @dataclass(frozen=True, slots=True)
 class MotionCommand:
-    """What the stage is to do.
-
-    Attributes
-    ----------
-    profile, origin_mm
-        The motion and the absolute position that it starts from; after its end, to stay there.
-    first
-        Sample of the output at which the profile is at time 0; may have a fraction.
-    closed
-        Whether the measured position corrects the speed.
-    """
+    """What the stage is to do."""
 
     profile: MotionProfile
     origin_mm: float
+    """`profile`, `origin_mm`: the motion and the absolute position that it starts from; after its end, to stay there.
+    """
     first: float = 0.0
+    """Sample of the output at which the profile is at time 0; may have a fraction."""
     closed: bool = True
+    """Whether the measured position corrects the speed."""
 
     @property
     def end_mm(self) -> float:

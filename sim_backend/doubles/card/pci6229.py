@@ -123,43 +123,29 @@ _FILTER_WIDTH_ATTRIBUTES = (Attribute.CI_A_FILTER_S, Attribute.CI_B_FILTER_S, At
 
 @dataclass(slots=True, eq=False)
 class VirtualChannel:
-    """A virtual channel.
-
-    Attributes
-    ----------
-    physical
-        Name on the card: ai0, ctr0, port1/line0.
-    range_V
-        Largest voltage, of either sign, of an analog channel.
-    properties
-        Values of its attributes by their numbers.
-    """
+    """A virtual channel."""
 
     name: str
     kind: ChannelType
     physical: str
+    """Name on the card: ai0, ctr0, port1/line0."""
     range_V: float = 0.0
+    """Largest voltage, of either sign, of an analog channel."""
     properties: dict[int, AttributeValue] = field(default_factory=dict)
+    """Values of its attributes by their numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class EncoderChannel:
-    """How a counter measures the encoder: X4 decoding, in metres.
-
-    Attributes
-    ----------
-    count_m
-        Length of a count.
-    start_m
-        Position at the counter's start.
-    index, index_m
-        Whether the index pulse sets the position, and to what.
-    """
+    """How a counter measures the encoder: X4 decoding, in metres."""
 
     count_m: float
+    """Length of a count."""
     start_m: float
+    """Position at the counter's start."""
     index: bool
     index_m: float
+    """`index`, `index_m`: whether the index pulse sets the position, and to what."""
 
 
 def analog_channels(

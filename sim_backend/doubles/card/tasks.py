@@ -65,19 +65,13 @@ class AnalogSource:
 
 @dataclass(frozen=True, slots=True)
 class LatchClock:
-    """The analog inputs' sample clock, as a counter receives it.
-
-    Attributes
-    ----------
-    origin
-        The encoder's count at the inputs' first sample.
-    skipped
-        Samples that the inputs had taken when the counter was started.
-    """
+    """The analog inputs' sample clock, as a counter receives it."""
 
     rate_hz: float
     origin: int
+    """The encoder's count at the inputs' first sample."""
     skipped: int
+    """Samples that the inputs had taken when the counter was started."""
 
 
 class EncoderCounter:
