@@ -14,7 +14,7 @@ Without any slow noise the interval is about 1.7 times too wide: slow noise cann
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp
 
 import numpy as np
@@ -52,6 +52,13 @@ class Estimate:
             return None
         half = NORMAL_95 * self.standard_error
         return self.value - half, self.value + half
+
+    def scaled(self, factor: float) -> "Estimate":
+        """Multiply by an exact factor."""
+        if self.value is None:
+            return self
+        error = None if self.standard_error is None else abs(factor) * self.standard_error
+        return replace(self, value=factor * self.value, standard_error=error)
 
     def __str__(self) -> str:
         if self.value is None:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sqrt
 
+import numpy as np
+
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
 from dragrig.rig.arrays import FloatArray
 
@@ -254,6 +256,10 @@ class LogLaw:
     correlation: float
     r2: float
     lack_of_fit_p: float | None
+
+    def force_mN(self, speed_mm_s: FloatArray) -> FloatArray:
+        """Return the law's force at speeds without sign."""
+        return self.intercept.value + self.slope.value * np.log(speed_mm_s)
 
     @property
     def deviates(self) -> bool:

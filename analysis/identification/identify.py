@@ -1,7 +1,6 @@
 """The identification of a specimen: one fit of a nominal model to all its runs, and each kind of run on its own."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -228,7 +227,7 @@ MISSING_KIND_REMARKS = {
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
     "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
 }
-PROGRESS_STEPS = 4
+PROGRESS_STEPS = 3
 
 
 def identify_specimen(
@@ -247,52 +246,34 @@ def identify_specimen(
     progress(0, PROGRESS_STEPS)
     joint = fit_jointly(selection, nominal)
     progress(1, PROGRESS_STEPS)
-    identification = Identification(
+    remarks = list(selection.remarks)
+    relaxation = coulomb = drag = None
+
+    def attempt(evaluate: Callable[[], ResultT], what: str) -> ResultT | None:
+        try:
+            return evaluate()
+        except (AnalysisError, SettingsError) as error:
+            remarks.append(f"{what}: {error}")
+            return None
+
+    if isinstance(nominal, CapsuleModel):
+        remarks += [remark for kind, remark in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind)]
+        model = identified_settings(nominal, joint)
+        zeros = {run.file: run.zero for run in joint.runs if run.channel == FORCE_CHANNEL} if joint.converged else None
+        relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
+        progress(2, PROGRESS_STEPS)
+        coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
+        drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
+    progress(PROGRESS_STEPS, PROGRESS_STEPS)
+    return Identification(
         specimen=selection.specimen,
         used=tuple(experiment.file for experiment in selection.experiments),
         left_out=selection.left_out,
         joint=joint,
-        relaxation=None,
-        coulomb=None,
-        drag=None,
-        remarks=selection.remarks,
-    )
-    if isinstance(nominal, CapsuleModel):
-        identification = _with_parts(identification, joint, selection, nominal, progress)
-    progress(PROGRESS_STEPS, PROGRESS_STEPS)
-    return identification
-
-
-def _with_parts(
-    identification: Identification,
-    joint: JointFit,
-    selection: RunSelection,
-    nominal: CapsuleModel,
-    progress: Progress,
-) -> Identification:
-    """Add the relaxations, the Coulomb test and the drag, evaluated on their own."""
-    remarks = [remark for kind, remark in MISSING_KIND_REMARKS.items() if not selection.of_kind(kind)]
-
-    def attempt(evaluate: Callable[[], ResultT], subject: str) -> ResultT | None:
-        try:
-            return evaluate()
-        except (AnalysisError, SettingsError) as error:
-            remarks.append(f"{subject}: {error}")
-            return None
-
-    model = identified_settings(nominal, joint)
-    zeros = {run.file: run.zero for run in joint.runs if run.channel == FORCE_CHANNEL} if joint.converged else None
-    relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
-    progress(2, PROGRESS_STEPS)
-    coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
-    drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
-    progress(3, PROGRESS_STEPS)
-    return replace(
-        identification,
         relaxation=relaxation,
         coulomb=coulomb,
         drag=drag,
-        remarks=(*identification.remarks, *remarks),
+        remarks=tuple(remarks),
     )
 
 

@@ -417,12 +417,6 @@ def relaxation_residuals(
     return RelaxationResiduals(record.ramp_s, blocks.middle_s, whitened, time, force)
 
 
-def predicted_force(fit: RelaxationFit, experiment: Experiment, time_s: FloatArray) -> FloatArray:
-    """Force [mN] of a fit at times of its run, zero included; raises `AnalysisError` where it has no elements."""
-    moduli, times, spring, zero = _branch_values(fit)
-    return zero + ShearRecord.of(experiment).forces_at(times, moduli, spring, time_s)
-
-
 def _branch_values(fit: RelaxationFit) -> tuple[FloatArray, FloatArray, float, float]:
     if not fit.elements or fit.zero.value is None:
         raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
@@ -568,11 +562,9 @@ def strain_laws(fits: Iterable[RelaxationFit]) -> tuple[tuple[StrainLaw, ...], t
 def _fit_law(index: int, strains: tuple[float, ...], groups: Sequence[Sequence[RelaxationFit]]) -> StrainLaw:
     values, errors = np.array([_strain_mean([fit.elements[index] for fit in group]) for group in groups]).T
     degree = min(MAX_DEGREE, len(strains) - 1)
-    powers = np.vander(np.array(strains), degree + 1)
-    weighted = powers / errors[:, None]
-    coefficients, *_ = np.linalg.lstsq(weighted, values / errors)
+    coefficients, covariance = np.polyfit(strains, values, degree, w=1 / errors, cov="unscaled")
     degrees = len(strains) - degree - 1
-    residual = values - powers @ coefficients
+    residual = values - np.polyval(coefficients, strains)
     widening = max(1.0, float(((residual / errors) ** 2).sum()) / degrees) if degrees else 1.0
     about_mean = float(((values - values.mean()) ** 2).sum())
     element = groups[0][0].elements[index]
@@ -581,7 +573,7 @@ def _fit_law(index: int, strains: tuple[float, ...], groups: Sequence[Sequence[R
         unit=element.unit,
         strains=strains,
         coefficients=tuple(map(float, coefficients)),
-        covariance=widening * np.linalg.inv(weighted.T @ weighted),
+        covariance=widening * covariance,
         r2=1 - float(residual @ residual) / about_mean if degrees and about_mean else None,
     )
 

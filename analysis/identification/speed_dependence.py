@@ -39,55 +39,6 @@ SPEED_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SteadyForces:
-    """Speeds without sign, forces and their standard errors as arrays of shape `(n,)`."""
-
-    speed_mm_s: FloatArray
-    force_mN: FloatArray
-    error_mN: FloatArray
-
-    @classmethod
-    def of(cls, points: Sequence[SpeedPoint]) -> "SteadyForces":
-        """Take them from the points of one direction."""
-        return cls(
-            np.array([abs(point.speed_mm_s) for point in points]),
-            np.array([point.force.value for point in points], dtype=float),
-            np.array([point.force.standard_error for point in points], dtype=float),
-        )
-
-
-def fit_log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
-    """Fit intercept + slope · ln(v / 1 mm/s) by weighted least squares; None for fewer than three speeds.
-
-    The intervals are those of the line through the points at these speeds, by the points' errors. Where
-    `lack_of_fit_p` is small, no straight line describes them, and other speeds would give another line.
-    """
-    from scipy.special import chdtrc
-
-    steady = SteadyForces.of(points)
-    force, error = steady.force_mN, steady.error_mN
-    if len(points) < MIN_SPEEDS_FOR_LAW or not (error > 0).all():
-        return None
-    design = np.column_stack((np.ones(len(points)), np.log(steady.speed_mm_s)))
-    weighted = design / error[:, None]
-    covariance = np.linalg.inv(weighted.T @ weighted)
-    coefficients = covariance @ weighted.T @ (force / error)
-    residual = (force - design @ coefficients) / error
-    degrees, chi2 = len(points) - 2, float(residual @ residual)
-    errors = np.sqrt(np.diag(covariance))
-    weight = error**-2
-    about_mean = force - float(weight @ force) / float(weight.sum())
-    total = float(weight @ about_mean**2)
-    return LogLaw(
-        intercept=EstimatedQuantity.normal("intercept", "mN", float(coefficients[0]), float(errors[0])),
-        slope=EstimatedQuantity.normal("slope", "mN", float(coefficients[1]), float(errors[1])),
-        correlation=float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])),
-        r2=1 - chi2 / total if total else float("nan"),
-        lack_of_fit_p=float(chdtrc(degrees, chi2)),
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ForceDeviation:
     """Measured minus expected force at `n` rising speeds.
 
@@ -104,6 +55,18 @@ class ForceDeviation:
     error_mN: FloatArray
     freedom_mN: FloatArray
 
+    @classmethod
+    def of(
+        cls, points: Sequence[SpeedPoint], expected_mN: FloatArray | float = 0.0, freedom_mN: FloatArray | None = None
+    ) -> "ForceDeviation":
+        """Take the points of one direction, less what is expected of them."""
+        return cls(
+            np.array([abs(point.speed_mm_s) for point in points]),
+            np.array([point.force.value for point in points], dtype=float) - expected_mN,
+            np.array([point.force.standard_error for point in points], dtype=float),
+            np.empty((0, len(points))) if freedom_mN is None else freedom_mN,
+        )
+
     @property
     def covariance(self) -> FloatArray:
         """Of the deviations without any boundary or trend, shape `(n, n)`."""
@@ -113,6 +76,35 @@ class ForceDeviation:
     def trend(self) -> FloatArray:
         """Level and slope in ln v, shape `(n, 2)`."""
         return np.column_stack((np.ones_like(self.speed_mm_s), np.log(self.speed_mm_s)))
+
+
+def fit_log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
+    """Fit intercept + slope · ln(v / 1 mm/s) by weighted least squares; None for fewer than three speeds.
+
+    The intervals are those of the line through the points at these speeds, by the points' errors. Where
+    `lack_of_fit_p` is small, no straight line describes them, and other speeds would give another line.
+    """
+    from scipy.special import chdtrc
+
+    measured = ForceDeviation.of(points)
+    force, error = measured.force_mN, measured.error_mN
+    if len(points) < MIN_SPEEDS_FOR_LAW or not (error > 0).all():
+        return None
+    log_speed = np.log(measured.speed_mm_s)
+    (slope, intercept), covariance = np.polyfit(log_speed, force, 1, w=1 / error, cov="unscaled")
+    residual = (force - intercept - slope * log_speed) / error
+    degrees, chi2 = len(points) - 2, float(residual @ residual)
+    errors = np.sqrt(np.diag(covariance))
+    weight = error**-2
+    about_mean = force - float(weight @ force) / float(weight.sum())
+    total = float(weight @ about_mean**2)
+    return LogLaw(
+        intercept=EstimatedQuantity.normal("intercept", "mN", float(intercept), float(errors[1])),
+        slope=EstimatedQuantity.normal("slope", "mN", float(slope), float(errors[0])),
+        correlation=float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])),
+        r2=1 - chi2 / total if total else float("nan"),
+        lack_of_fit_p=float(chdtrc(degrees, chi2)),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,7 +269,7 @@ def r2_by_band(
     for name, band in bands.items():
         r2 = correlation = None
         if len(band) >= MIN_SPEEDS_FOR_R2:
-            model, measured = np.array([point.model_mN for point in band]), SteadyForces.of(band).force_mN
+            model, measured = np.array([point.model_mN for point in band]), ForceDeviation.of(band).force_mN
             r2, correlation = r2_eq15(model, measured), squared_correlation(model, measured)
         results.append(SpeedBandR2(prefix + name, len(band), r2, correlation))
     return tuple(results)

@@ -8,7 +8,7 @@ force by the weight and so counts viscous friction in: 40.07 mN at 0.5 mm/s give
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import groupby
 from math import hypot, log
@@ -20,7 +20,6 @@ from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Exclusion
 from dragrig.analysis.identification.identification import CoulombResult, CoulombRun, DragResult, LogLaw, SpeedPoint
 from dragrig.analysis.identification.speed_dependence import (
     ForceDeviation,
-    SteadyForces,
     find_boundary,
     fit_log_law,
     r2_by_band,
@@ -44,7 +43,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.sim_backend.friction.contact import gauss_legendre
-from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, steady_forces, viscous_force
+from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, SteadyFriction, steady_forces, viscous_force
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 
@@ -87,7 +86,7 @@ def measure_sliding(experiment: Experiment, *, filtered: bool = False) -> Steady
     steady = stretch_mean(run, finite, clipped_samples(run), "the steady phase")
     if filtered and not steady.reason:
         steady = _filtered_mean(experiment, stretch, steady)
-    return SteadySliding(direction, speed, along_motion(steady, direction))
+    return SteadySliding(direction, speed, steady.scaled(direction))
 
 
 def rest_mean(experiment: Experiment, direction: int, noise: NoiseModel) -> Estimate:
@@ -106,14 +105,8 @@ def rest_mean(experiment: Experiment, direction: int, noise: NoiseModel) -> Esti
         return missing(f"the rest holds only {len(values)} samples")
     duration_s = np.array([len(values) / trace.sample_rate_hz])
     variance = noise.covariance(np.zeros(1), duration_s, np.array([float(len(values))]))[0, 0]
-    return along_motion(Estimate(float(np.mean(values, dtype=np.float64)), float(variance) ** 0.5), direction)
-
-
-def along_motion(estimate: Estimate, direction: int) -> Estimate:
-    """Give a force the sign with which it counts along a motion."""
-    if estimate.value is None or direction >= 0:
-        return estimate
-    return Estimate(-estimate.value, estimate.standard_error, estimate.effective_samples)
+    mean = Estimate(float(np.mean(values, dtype=np.float64)), float(variance) ** 0.5)
+    return mean.scaled(direction or 1)
 
 
 def subtract_estimates(left: Estimate, right: Estimate) -> Estimate:
@@ -365,21 +358,6 @@ class DragSetup:
         return cls(experiment.capsule.model_copy(update={"name": "capsule"}), experiment.wall_thickness_mm)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SteadyForceParts:
-    """Parts of the steady force [mN], shape `(n,)`; `wall` is the part of f_e and f_c that scales with stiffness."""
-
-    f_e: FloatArray
-    f_v: FloatArray
-    f_c: FloatArray
-    wall: FloatArray
-
-    @property
-    def total(self) -> FloatArray:
-        """Their sum."""
-        return self.f_e + self.f_v + self.f_c
-
-
 @dataclass(frozen=True, slots=True)
 class DragRun:
     """Steady drag of one run along its motion, the sensor's zero subtracted.
@@ -509,13 +487,14 @@ def _measure_drag_run(
         zero_error = zero.standard_error or 0.0
         correlated_mN = min(zero_error, STIFFNESS_SCATTER * abs(resting_mN))
         own = Estimate(zero.value, (zero_error**2 - correlated_mN**2) ** 0.5)
-        force = subtract_estimates(sliding.steady, along_motion(own, sliding.direction))
+        force = subtract_estimates(sliding.steady, own.scaled(sliding.direction))
         subtracted_mN = 0.0
     if force.value is None:
         raise AnalysisError(force.reason)
     parts = steady_force_parts(setup, model, np.array([sliding.speed_mm_s]))
+    wall_mN = float(parts.f_e[0] + model.friction_coefficient * parts.side_pressure_force[0])
     # A run whose wall is stiffer presses harder at rest too, which is subtracted with the rest.
-    stiff_mN = STIFFNESS_SCATTER * (float(parts.wall[0]) - subtracted_mN) - correlated_mN
+    stiff_mN = STIFFNESS_SCATTER * (wall_mN - subtracted_mN) - correlated_mN
     scatter_mN = hypot(stiff_mN, FRICTION_SCATTER * float(parts.f_c[0]))
     rest_age_s = age_s if zero is None else None
     return DragRun(experiment.file, setup, sliding.direction, sliding.speed_mm_s, force, scatter_mN, rest_age_s)
@@ -570,11 +549,11 @@ def _speed_point(group: Sequence[DragRun], model: FrictionModelSettings, factor:
 # The friction model beside them.
 
 
-def steady_force_parts(setup: DragSetup, model: FrictionModelSettings, speed_mm_s: FloatArray) -> SteadyForceParts:
+def steady_force_parts(setup: DragSetup, model: FrictionModelSettings, speed_mm_s: FloatArray) -> SteadyFriction:
     """Return the model's parts at steady speeds as the channel shows them; raises `SettingsError`."""
-    steady, gain = steady_forces(speed_mm_s, model, setup.capsule, setup.wall_thickness_mm), model.force_gain
-    wall = steady.f_e + model.friction_coefficient * steady.side_pressure_force
-    return SteadyForceParts(gain * steady.f_e, gain * steady.f_v, gain * steady.f_c, gain * wall)
+    steady = steady_forces(speed_mm_s, model, setup.capsule, setup.wall_thickness_mm)
+    forces = ("f_e", "f_v", "f_c", "total", "side_pressure_force", "max_skew")
+    return replace(steady, **{name: model.force_gain * getattr(steady, name) for name in forces})
 
 
 def resting_force(setup: DragSetup, model: FrictionModelSettings, age_s: float) -> float:
@@ -589,7 +568,8 @@ def resting_force(setup: DragSetup, model: FrictionModelSettings, age_s: float) 
 def _model_deviation(groups: Sequence[SpeedGroup], model: FrictionModelSettings) -> ForceDeviation:
     """Measured minus model, and the deviations that the priors of another specimen allow."""
     setup = groups[0].runs[0].setup
-    steady = SteadyForces.of([group.point for group in groups])
+    points = [group.point for group in groups]
+    speeds = np.array([abs(point.speed_mm_s) for point in points])
     ages = [[run.rest_age_s for run in group.runs if run.rest_age_s is not None] for group in groups]
     rest_shares = np.array([len(known) / len(group.runs) for known, group in zip(ages, groups, strict=True)])
     known_ages = [age for group_ages in ages for age in group_ages]
@@ -597,11 +577,10 @@ def _model_deviation(groups: Sequence[SpeedGroup], model: FrictionModelSettings)
     def expected(varied: FrictionModelSettings) -> FloatArray:
         # The resting force was subtracted from the measurement with the rest, so here too.
         resting = resting_force(setup, varied, float(np.mean(known_ages))) if known_ages else 0.0
-        return steady_force_parts(setup, varied, steady.speed_mm_s).total - rest_shares * resting
+        return steady_force_parts(setup, varied, speeds).total - rest_shares * resting
 
-    by_model = np.array([group.point.model_mN for group in groups])
-    freedom = _prior_deviations(model, expected)
-    return ForceDeviation(steady.speed_mm_s, steady.force_mN - by_model, steady.error_mN, freedom)
+    by_model = np.array([point.model_mN for point in points])
+    return ForceDeviation.of(points, by_model, _prior_deviations(model, expected))
 
 
 def _prior_deviations(
@@ -641,13 +620,8 @@ def _law_remarks(points: Sequence[SpeedPoint], law: LogLaw | None) -> Iterator[s
     if law is None:
         yield f"a law in ln v needs at least three speeds; these are {len(points)}"
     elif law.deviates:
-        steady = SteadyForces.of(points)
-        line = law.intercept.value + law.slope.value * np.log(steady.speed_mm_s)
-        no_freedom = np.empty((0, len(points)))
-        bend = find_boundary(
-            ForceDeviation(steady.speed_mm_s, steady.force_mN - line, steady.error_mN, no_freedom),
-            "measurement and law",
-        )
+        line = law.force_mN(np.array([abs(point.speed_mm_s) for point in points]))
+        bend = find_boundary(ForceDeviation.of(points, line), "measurement and law")
         where = "" if bend.speed_mm_s is None else f"; they bend away at {bend.speed_mm_s:.3g} mm/s"
         if bend.interval is not None:
             where += f" (95 %: {bend.interval[0]:.3g} to {bend.interval[1]:.3g})"

@@ -14,7 +14,6 @@ from dragrig.analysis.identification.identification import (
     CoulombRun,
     DragResult,
     JointFit,
-    LogLaw,
     ParameterEstimate,
     RelaxationFit,
     RelaxationResult,
@@ -29,7 +28,7 @@ from dragrig.analysis.identification.relaxation_elements import (
     evaluate_strain_law,
     relaxation_residuals,
 )
-from dragrig.analysis.identification.steady_sliding import DragSetup, SteadyForceParts, steady_force_parts
+from dragrig.analysis.identification.steady_sliding import DragSetup, steady_force_parts
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import estimate_noise
 from dragrig.analysis.selection import RunSelection
@@ -78,6 +77,7 @@ from dragrig.present.run_figures import (
 from dragrig.present.run_titles import run_problem
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
+from dragrig.sim_backend.friction import SteadyFriction
 from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN
 
 JOINT_ROW_IN, JOINT_TIGHT_ROW_IN = 0.36, 0.23
@@ -636,7 +636,7 @@ def drag_figure(
         )
         labels = _draw_model_parts(above, speed, curve)
         if drag.log_law is not None:
-            law = _draw_log_law(drag.log_law, speed)
+            law = drag.log_law.force_mN(speed)
             above.plot(speed, law, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
             below.plot(speed, law - curve.total, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
             labels.append(CurveLabel(float(law[-1]), "law of ln v", PURPLE))
@@ -656,7 +656,7 @@ def drag_figure(
         return figure
 
 
-def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyForceParts) -> list[CurveLabel]:
+def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyFriction) -> list[CurveLabel]:
     """Fill the areas of the model's parts on one another under the line of their sum, and say where to name them."""
     foot, labels = np.zeros_like(speed), list[CurveLabel]()
     for name, words, colour, tint in DRAG_PART_TINTS:
@@ -667,10 +667,6 @@ def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyForceParts) ->
     axes.plot(speed, curve.total, color=BLACK, linewidth=2.6)
     labels.append(CurveLabel(float(curve.total[-1]), "model", BLACK))
     return labels
-
-
-def _draw_log_law(law: LogLaw, speed: FloatArray) -> FloatArray:
-    return np.asarray(law.intercept.value + law.slope.value * np.log(speed))
 
 
 def _draw_drag_points(axes: Axes, points: Sequence[SpeedPoint], taken_off: Sequence[float]) -> None:
