@@ -56,12 +56,20 @@ MIN_REPORTED_ERROR_MM = 0.01
 """Following errors below both are not reported."""
 
 
+@dataclass(frozen=True, slots=True)
+class PairingCandidate:
+    """A run to be paired: its file, condition and specimen."""
+
+    file: str
+    condition: RunCondition
+    specimen: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _MeasuredRun:
+class _MeasuredRun(PairingCandidate):
     """A run after its samples were measured; they are not stored."""
 
     source: ComparedRun
-    condition: RunCondition
     measures: RunMeasures
 
 
@@ -82,7 +90,7 @@ def compare_sides(a: ComparedSide, b: ComparedSide, progress: Progress = no_prog
         paths = ((index, run.source.info.path) for index, run in enumerate(runs_a))
         pairing = Pairing(tuple((index, model_index[path]) for index, path in paths if path in model_index), (), ())
     else:
-        pairing = pair_runs(_candidates(runs_a), _candidates(runs_b))
+        pairing = pair_runs(runs_a, runs_b)
     if not pairing.pairs:
         unused = (*pairing.alone_a, *a.left_out, *b.left_out)[:3]
         reasons = "; ".join(f"{exclusion.item}: {exclusion.reason}" for exclusion in unused) or "nothing was recorded"
@@ -125,9 +133,8 @@ def _measure_side(side: ComparedSide, progress: Callable[[int], None]) -> tuple[
             unusable.append(Exclusion(source.file, "none of its samples is a number"))
             continue
         measures = measure(run)
-        measured.append(
-            _MeasuredRun(source, run_condition(run), _without_errors(measures) if side.is_model else measures)
-        )
+        measures = _without_errors(measures) if side.is_model else measures
+        measured.append(_MeasuredRun(source.file, run_condition(run), specimen_key(source.info), source, measures))
     return measured, unusable
 
 
@@ -150,25 +157,12 @@ def _without_errors(measures: RunMeasures) -> RunMeasures:
 
 
 @dataclass(frozen=True, slots=True)
-class PairingCandidate:
-    """A run to be paired: its file, condition and specimen."""
-
-    file: str
-    condition: RunCondition
-    specimen: str
-
-
-@dataclass(frozen=True, slots=True)
 class Pairing:
     """Indices of paired runs, in the order of A, and the runs without a partner, and why."""
 
     pairs: tuple[tuple[int, int], ...]
     alone_a: tuple[Exclusion, ...]
     alone_b: tuple[Exclusion, ...]
-
-
-def _candidates(runs: Iterable[_MeasuredRun]) -> list[PairingCandidate]:
-    return [PairingCandidate(run.source.file, run.condition, specimen_key(run.source.info)) for run in runs]
 
 
 def pair_runs(a: Sequence[PairingCandidate], b: Sequence[PairingCandidate]) -> Pairing:

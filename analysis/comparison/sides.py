@@ -81,16 +81,15 @@ def _runs_of_specimen(infos: Sequence[RunInfo], specimen: str | None, path: Path
 
 def side_from_runs(runs: Iterable[Run], name: str) -> ComparedSide:
     """Take runs in memory as one side; raises `AnalysisError` where none of several is complete."""
-    loaded = list(runs)
+    loaded = tuple(ComparedRun(run.info, partial(_itself, run), incomplete_reason(run.info)) for run in runs)
     specimens = _specimens(run.info for run in loaded)
-    usable = [ComparedRun(run.info, partial(_itself, run)) for run in loaded if not incomplete_reason(run.info)]
     if len(loaded) == 1:
-        usable = [ComparedRun(loaded[0].info, partial(_itself, loaded[0]), incomplete_reason(loaded[0].info))]
-        return ComparedSide(name, tuple(usable), (), specimens)
+        return ComparedSide(name, loaded, (), specimens)
+    usable = tuple(run for run in loaded if not run.remark)
     if not usable:
         raise AnalysisError(f"{name}: holds no complete run; give runs that ended as planned.")
-    reasons = ((run.info.path.name, incomplete_reason(run.info)) for run in loaded)
-    return ComparedSide(name, tuple(usable), tuple(Exclusion(*reason) for reason in reasons if reason[1]), specimens)
+    left_out = tuple(Exclusion(run.file, run.remark) for run in loaded if run.remark)
+    return ComparedSide(name, usable, left_out, specimens)
 
 
 def model_side(recorded: ComparedSide, model: FrictionModelSettings, name: str) -> ComparedSide:

@@ -2,7 +2,9 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from math import isnan
+from typing import TYPE_CHECKING
 
 from dragrig.analysis.estimates import Estimate, EstimatedQuantity
 from dragrig.analysis.identification.identification import (
@@ -47,6 +49,9 @@ from dragrig.present.numbers import (
     value_with_error,
 )
 from dragrig.rig.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 MAX_RELATIVE_WIDTH = 10.0
 """A half-width of more than ten times the value says nothing and is not shown."""
@@ -440,20 +445,7 @@ def _joint_fit_json(fit: JointFit) -> Mapping[str, object]:
         "parameters": {_key_with_unit(parameter): _parameter_json(parameter, fit) for parameter in fit.parameters},
         "combinations": {_key_with_unit(product): _parameter_json(product, fit) for product in fit.combinations},
         "correlation": _matrix_json(fit.correlation, [parameter.name for parameter in fit.parameters]),
-        "runs": [
-            {
-                "file": run.file,
-                "kind": run.kind,
-                "channel": run.channel,
-                "blocks": run.blocks,
-                "chi2_per_degree": run.chi2,
-                "rms_mN": run.rms_mN,
-                "zero_mN": _estimate_json(run.zero),
-                "factors": {name: _estimate_json(estimate) for name, estimate in run.factors.items()},
-                "offsets": {name: _estimate_json(estimate) for name, estimate in run.offsets.items()},
-            }
-            for run in fit.runs
-        ],
+        "runs": [_fields_json(run, chi2="chi2_per_degree", zero="zero_mN") for run in fit.runs],
         "remarks": fit.remarks,
     }
 
@@ -461,7 +453,7 @@ def _joint_fit_json(fit: JointFit) -> Mapping[str, object]:
 def _relaxation_json(relaxation: RelaxationResult) -> Mapping[str, object]:
     return {
         "runs": [_relaxation_fit_json(fit) for fit in relaxation.fits],
-        "laws": [_strain_law_json(law) for law in relaxation.laws],
+        "laws": [_fields_json(law, coefficients="coefficients_highest_power_first") for law in relaxation.laws],
         "remarks": relaxation.remarks,
     }
 
@@ -470,19 +462,7 @@ def _coulomb_json(coulomb: CoulombResult) -> Mapping[str, object]:
     return {
         "mu": _estimate_json(coulomb.mu),
         "mu_without_viscous": _estimate_json(coulomb.mu_without_viscous),
-        "runs": [
-            {
-                "file": run.file,
-                "speed_mm_s": run.speed_mm_s,
-                "weight_mN": run.weight_mN,
-                "force_mN": _estimate_json(run.force),
-                "mu": _estimate_json(run.mu),
-                "mu_without_viscous": _estimate_json(run.mu_without_viscous),
-                "viscous_mN": run.viscous_mN,
-                "viscous_share": run.viscous_share,
-            }
-            for run in coulomb.runs
-        ],
+        "runs": [_fields_json(run, force="force_mN") for run in coulomb.runs],
         "remarks": coulomb.remarks,
     }
 
@@ -490,18 +470,7 @@ def _coulomb_json(coulomb: CoulombResult) -> Mapping[str, object]:
 def _drag_json(drag: DragResult) -> Mapping[str, object]:
     law, boundary = drag.log_law, drag.boundary
     return {
-        "speeds": [
-            {
-                "speed_mm_s": point.speed_mm_s,
-                "runs": point.runs,
-                "force_mN": _estimate_json(point.force),
-                "f_e_mN": point.f_e_mN,
-                "f_v_mN": point.f_v_mN,
-                "f_c_mN": point.f_c_mN,
-                "model_mN": point.model_mN,
-            }
-            for point in drag.points
-        ],
+        "speeds": [{**_fields_json(point, force="force_mN"), "model_mN": point.model_mN} for point in drag.points],
         "log_law": None
         if law is None
         else {
@@ -510,20 +479,21 @@ def _drag_json(drag: DragResult) -> Mapping[str, object]:
             "r2": law.r2,
             "lack_of_fit_p": law.lack_of_fit_p,
         },
-        "boundary": None
-        if boundary is None
-        else {
-            "speed_mm_s": boundary.speed_mm_s,
-            "interval_95_mm_s": boundary.interval,
-            "p_value": boundary.p_value,
-            "sentence": boundary.sentence,
-        },
-        "determination": [
-            {"band": band.band, "speeds": band.speeds, "eq15": band.eq15, "correlation2": band.correlation}
-            for band in drag.determination
-        ],
+        "boundary": None if boundary is None else _fields_json(boundary, interval="interval_95_mm_s"),
+        "determination": [_fields_json(band, correlation="correlation2") for band in drag.determination],
         "remarks": drag.remarks,
     }
+
+
+def _fields_json(record: "DataclassInstance", **renamed: str) -> dict[str, object]:
+    """Return the fields of a result by their names, or new ones; an estimate has its interval beside it."""
+
+    def value_json(value: object) -> object:
+        if isinstance(value, Mapping):
+            return {name: value_json(item) for name, item in value.items()}
+        return _estimate_json(value) if isinstance(value, Estimate) else value
+
+    return {renamed.get(item.name, item.name): value_json(getattr(record, item.name)) for item in fields(record)}
 
 
 def _relaxation_fit_json(fit: RelaxationFit) -> Mapping[str, object]:
@@ -538,27 +508,8 @@ def _relaxation_fit_json(fit: RelaxationFit) -> Mapping[str, object]:
         "chi2": fit.chi2,
         "degrees": fit.degrees,
         "converged": fit.converged,
-        "five_elements": None
-        if test is None
-        else {
-            "suffice": test.suffices,
-            "p_value": test.p_value,
-            "third_time_s": test.third_time_s,
-            "third_force_mN": test.third_force_mN,
-            "sentence": test.sentence,
-        },
+        "five_elements": None if test is None else _fields_json(test, suffices="suffice"),
         "remark": fit.remark,
-    }
-
-
-def _strain_law_json(law: StrainLaw) -> Mapping[str, object]:
-    return {
-        "element": law.element,
-        "unit": law.unit,
-        "strains": law.strains,
-        "coefficients_highest_power_first": law.coefficients,
-        "covariance": law.covariance,
-        "r2": law.r2,
     }
 
 
