@@ -531,7 +531,7 @@ def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
 
 
 def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
-    from dragrig.api.diagnose import diagnose
+    from dragrig.api.gap import diagnose
 
     def progress(done: int, total: int) -> None:
         connection.send(DiagnosisProgress(done, total))

@@ -1,12 +1,12 @@
 """Print the measures of the house from the code itself: `python bench/house.py [--repository FOLDER] [--list]`.
 
-A line counts, whatever is on it; a module is a file. A module imports what it names in an import statement, anywhere in
-it but under TYPE_CHECKING; packages that Python loads on the way are not counted. Where a name comes from the public
-face of a package (an `__init__.pyi` whose names are loaded on first use), the module names the face, and that is what
-"imports per module" counts. A face loads nothing itself: for depth and circles each name is followed to the module that
-defines it, and a line of its own counts imports per module in this way. A private function is a function or
-method whose name begins with an underscore; its uses are the places in its own module that name it, so that one that a
-decorator registers is never used.
+A line counts, whatever is on it, those of a stub with its module; a module is a file. A module imports what it names in
+an import statement, anywhere in it but under TYPE_CHECKING; packages that Python loads on the way are not counted.
+Where a name comes from the public face of a package (a stub, `__init__.pyi`, whose names are loaded on first use), the
+module names the face, and that is what "imports per module" counts. A face loads nothing itself: for depth and circles
+each name is followed to the module that defines it, and a line of its own counts imports per module in this way. A
+private function is a function or method whose name begins with an underscore; its uses are the places in its own module
+that name it, so that one that a decorator registers is never used.
 """
 
 import argparse
@@ -44,7 +44,7 @@ class Module:
     lines: int
     tree: ast.Module
     face: Mapping[str, str]
-    """Public names of a package that are loaded on first use, with the module that each comes from."""
+    """Public names that are loaded on first use, by the stub beside the file, with the module that each comes from."""
 
     @property
     def is_package(self) -> bool:
@@ -102,23 +102,28 @@ def _modules(package: str, folder: Path) -> Iterator[Module]:
     for path in sorted(folder.rglob("*.py")):
         inner = path.relative_to(folder).with_suffix("").parts
         name = ".".join((package, *(part for part in inner if part != "__init__")))
-        text, stub = path.read_text("utf-8"), path.with_name("__init__.pyi")
-        face = _face(name, stub) if path.name == "__init__.py" and stub.exists() else {}
-        yield Module(name, path, text.count("\n"), ast.parse(text), face)
-
-
-def _face(package: str, stub: Path) -> Mapping[str, str]:
-    statements = [node for node in ast.parse(stub.read_text("utf-8")).body if isinstance(node, ast.ImportFrom)]
-    return {alias.name: f"{package}.{node.module}" for node in statements for alias in node.names}
+        text, stub = path.read_text("utf-8"), path.with_suffix(".pyi")
+        public = stub.read_text("utf-8") if stub.exists() else ""
+        base = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        statements = [node for node in ast.parse(public).body if isinstance(node, ast.ImportFrom)]
+        face = {alias.name: f"{base}.{node.module}" for node in statements for alias in node.names}
+        yield Module(name, path, text.count("\n") + public.count("\n"), ast.parse(text), face)
 
 
 def _imports(module: Module, known: Mapping[str, Module]) -> Iterator[Import]:
+    faces: dict[str, str] = {}
+    """Faces imported as a whole, whose names are then attributes, by the name that they have here."""
+
     def visit(node: ast.AST, *, in_function: bool, for_types: bool) -> Iterator[Import]:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.Import):
                 targets: list[tuple[str, str | None]] = [(alias.name, None) for alias in child.names]
+                faces.update((alias.asname or alias.name, alias.name) for alias in child.names)
             elif isinstance(child, ast.ImportFrom):
                 targets = list(_named(child, known))
+                faces.update((alias.asname or alias.name, f"{child.module}.{alias.name}") for alias in child.names)
+            elif isinstance(child, ast.Attribute) and (face := known.get(faces.get(ast.unparse(child.value), ""))):
+                targets = [(face.name, child.attr)] if child.attr in face.face else []
             else:
                 inside = in_function or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
                 typed = for_types or (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test))

@@ -7,7 +7,7 @@ import pytest
 
 import dragrig
 from dragrig.analysis.gap.diagnose import DiagnosisOptions
-from dragrig.api.diagnose import diagnosis_options, save_amended_model
+from dragrig.api.gap import diagnosis_options, save_amended_model
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings

@@ -11,7 +11,7 @@ from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.analysis.selection import RunSelection
-from dragrig.api.diagnose import save_amended_model
+from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
 

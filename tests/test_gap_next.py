@@ -11,7 +11,7 @@ from listed_runs import table
 import dragrig
 from dragrig.analysis.gap.candidate_runs import RigLimits, full_grid, plan_of_next_runs, short_grid
 from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
-from dragrig.api.diagnose import save_next_plan
+from dragrig.api.gap import save_next_plan
 from dragrig.cli import main
 from dragrig.config.plan import Plan, PlanStep
 from dragrig.config.settings import to_toml

@@ -45,7 +45,7 @@ from dragrig.analysis.paper.published import (
     PaperFinding,
 )
 from dragrig.analysis.wording import significant_text
-from dragrig.api import report as reproducing
+from dragrig.api import reports as reproducing
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.friction_model import FrictionModelSettings

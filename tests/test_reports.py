@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import dragrig
 from dragrig.analysis.measures import measure
-from dragrig.api.report import campaign_results
+from dragrig.api.reports import campaign_results
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.present.campaign import campaign_document

@@ -18,7 +18,7 @@ from dragrig.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.api.diagnose import DiagnosedFolder
+    from dragrig.api.gap import DiagnosedFolder
 
 
 FILE = click.Path(path_type=Path)
@@ -65,7 +65,7 @@ def diagnose_command(
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
     where no effect is named.
     """
-    from dragrig.api.diagnose import DiagnosisRequest, save_amended_model
+    from dragrig.api.gap import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
     from dragrig.present.diagnosis import diagnosis_document
     from dragrig.present.files import require_writable, write_text
@@ -74,7 +74,7 @@ def diagnose_command(
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
-        from dragrig.api.diagnose import diagnose_many
+        from dragrig.api.gap import diagnose_many
 
         with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
             folders = diagnose_many(
@@ -145,7 +145,7 @@ def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json:
     MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that were not used
     in the diagnosis, preferably at other speeds.
     """
-    from dragrig.api.diagnose import gap_evaluate
+    from dragrig.api.gap import gap_evaluate
     from dragrig.present.diagnosis import shrink_document
 
     print_document(shrink_document(gap_evaluate(model, campaign, specimen=specimen)), as_json=as_json)
@@ -176,7 +176,7 @@ def next_command(
     fixed grid of kinds, speeds, strokes, strains, rests and reversals, added one by one, the best each time, until none
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
-    from dragrig.api.diagnose import next_experiment, save_next_plan
+    from dragrig.api.gap import next_experiment, save_next_plan
     from dragrig.present.diagnosis import next_experiment_document
     from dragrig.present.files import require_writable
 
@@ -216,7 +216,7 @@ def isolability_command(
     parameters projected out: sin² = 0 means that they cannot be told apart, 1 that they have nothing in common. d′ is
     their distance in standard deviations of the noise, at their default sizes.
     """
-    from dragrig.api.diagnose import isolability
+    from dragrig.api.gap import isolability
     from dragrig.present.files import require_writable, write_text
     from dragrig.present.html_page import render_page
     from dragrig.present.isolability import isolability_document

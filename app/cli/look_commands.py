@@ -161,7 +161,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     steady force against speed, relaxations, a table and a figure of every run, sessions, and the runs left out with the
     reasons. Figures are embedded, tables sort by any column, and the page prints and fits a phone.
     """
-    from dragrig.api.report import report
+    from dragrig.api.reports import report
 
     with ProgressMeter("measuring and drawing") as meter:
         written = report(source, out, overwrite=overwrite, progress=meter.at)

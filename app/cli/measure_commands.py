@@ -139,13 +139,14 @@ def run_command(
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
     _require_plan_or_campaign(plan, resume, settings, out)
-    from dragrig.api import measure
+    from dragrig.api.measure import resume as resume_campaign
+    from dragrig.api.measure import run as run_plan
     from dragrig.cli.operator import TerminalOperator
 
     if resume is not None:
-        start = partial(measure.resume, resume, assignments=settings["assignments"])
+        start = partial(resume_campaign, resume, assignments=settings["assignments"])
     else:
-        start = partial(measure.run, plan or "", out=out, **settings)
+        start = partial(run_plan, plan or "", out=out, **settings)
     with TerminalOperator(yes=yes) as person:
         made = start(operator=operator, note=note, pace=pace, person=person, mirror=mirror, tell=_print_warning)
     if as_json:
@@ -258,7 +259,7 @@ def demo_command(out: Path) -> None:
     exported as CSV and drawn; and an overview picture. Takes some seconds.
     """
     from dragrig.analysis.measures import table_rows
-    from dragrig.api.report import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
+    from dragrig.api.reports import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
     from dragrig.cli.operator import TerminalOperator
     from dragrig.present.campaign import campaign_table_document
 

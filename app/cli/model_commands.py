@@ -20,8 +20,8 @@ from dragrig.cli.console import (
 from dragrig.config.errors import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
-    from dragrig.api.identify import IdentifiedFolder
-    from dragrig.api.report import PaperViscous, PaperWall
+    from dragrig.api.model_fit import IdentifiedFolder
+    from dragrig.api.reports import PaperViscous, PaperWall
     from dragrig.config.friction_model import FrictionModelSettings
 
 
@@ -138,7 +138,7 @@ def paper_command(
     the joint fit, and inconsistencies of the paper with numbers. Its tables are written as CSV too,
     and the identified model as model.toml, which dragrig run loads with --model.
     """
-    from dragrig.api.report import PAPER_SEED, paper
+    from dragrig.api.reports import PAPER_SEED, paper
 
     with ProgressMeter("simulating, identifying, drawing") as meter:
         made = paper(
@@ -223,7 +223,7 @@ def identify_command(
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
     own folder in that of --out.
     """
-    from dragrig.api.identify import (
+    from dragrig.api.model_fit import (
         identified_folder,
         identify,
         identify_many,

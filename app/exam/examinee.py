@@ -34,7 +34,7 @@ class BlindDiagnosis:
 
 def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
     """Diagnose a campaign; an error becomes part of the result, so that the exam goes on."""
-    from dragrig.api.diagnose import DiagnosisRequest
+    from dragrig.api.gap import DiagnosisRequest
     from dragrig.config.settings import to_toml
     from dragrig.present.diagnosis import diagnosis_json
 
@@ -49,7 +49,7 @@ def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
 
 def evaluate_blind(task: tuple[Path, Path]) -> Mapping[str, object]:
     """Evaluate a model file on a folder of fresh runs, as JSON; empty where the runs cannot be used."""
-    from dragrig.api.diagnose import gap_evaluate
+    from dragrig.api.gap import gap_evaluate
     from dragrig.config.errors import AnalysisError
     from dragrig.present.diagnosis import shrink_report_json
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.export import ExportFormat, export_run
 from dragrig.analysis.savgol import filter_file
-from dragrig.api.identify import IdentifiedCampaign, identify
+from dragrig.api.model_fit import IdentifiedCampaign, identify
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
 from dragrig.present import figures
@@ -26,9 +26,10 @@ from dragrig.present.files import (
 from dragrig.rig.engine import AcquisitionOutcome as RunOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile import read_campaign, read_run, schema
+from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.campaigns import session_record_of_run
 from dragrig.rig.runfile.filesystem import remove_file
+from dragrig.rig.runfile.schema import mark_path
 from dragrig.session_state import STATE_FILE
 from dragrig.setup import Setup, resolve
 
@@ -320,7 +321,7 @@ def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
     # One session wrote all runs with the same settings.
     one_per_session = {run.header.settings_toml: run.path for run in own}
     beside = {folder / session_record_of_run(path).file_name() for path in one_per_session.values()}
-    beside |= {schema.mark_path(path) for path in own_paths}
+    beside |= {mark_path(path) for path in own_paths}
     beside |= {folder / STATE_FILE} if own else set()
     try:
         for path in (*sorted(own_paths), *sorted(beside)):
