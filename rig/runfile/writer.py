@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import TypeAlias
 
 import h5py
 import numpy as np
@@ -42,7 +43,7 @@ from dragrig.rig.runfile.reader import (
     timestamp,
 )
 
-Column = AnyFloatArray | PhaseArray
+Column: TypeAlias = AnyFloatArray | PhaseArray
 
 FILE_CHUNK = 1 << 16
 """Samples of a chunk in a finished file."""
