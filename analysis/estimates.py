@@ -20,7 +20,7 @@ from math import exp
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 
 NORMAL_95 = 1.959964
 """Standard errors on either side that hold 95 % of a normal distribution."""

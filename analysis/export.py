@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.computation import Progress, no_progress
-from dragrig.config.errors import AnalysisError, OutputError, RunFileError
-from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, Run
+from dragrig.config import AnalysisError, OutputError, RunFileError
+from dragrig.rig import PHASE_NAMES, Attribute, Run
 
 EXPORT_FORMAT_KEY = "dragrig-export"
 EXPORT_FORMAT_VERSION = 1
@@ -294,7 +294,7 @@ def export_run(
     OutputError
         When the file exists already, or cannot be written.
     """
-    from dragrig.rig.runfile import read_run
+    from dragrig.rig import read_run
 
     target = _target_file(path, target, export_format)
     _require_free(target, overwrite=overwrite)
@@ -322,7 +322,7 @@ def export_campaign(
     OutputError
         When one of the files exists already (then none is written), or the folder cannot be written.
     """
-    from dragrig.rig.runfile import read_campaign
+    from dragrig.rig import read_campaign
 
     campaign = read_campaign(folder)
     bad = {} if with_bad else {path: f"marked as bad: {mark.reason}" for path, mark in campaign.marks.items()}
@@ -386,7 +386,7 @@ def _require_free(target: Path, *, overwrite: bool) -> None:
 @contextmanager
 def _written_atomically(target: Path) -> Iterator[Path]:
     """Yield a temporary file beside the target, and move it to the target once it is complete."""
-    from dragrig.rig.runfile.filesystem import move_into_place, remove_quietly
+    from dragrig.rig import move_into_place, remove_quietly
 
     part = target.with_name(f"{target.name}.part")
     try:

@@ -13,12 +13,11 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import NominalModel, Parameter, Prediction, Predictor
+from dragrig.analysis.models import Experiment, NominalModel, Parameter, Prediction, Predictor
 from dragrig.analysis.noise import BlockMeans, NoiseModel, average_in_blocks, estimate_noise
 from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.config import AnalysisError
+from dragrig.rig import BoolArray, FloatArray
 
 ItemT = TypeVar("ItemT")
 

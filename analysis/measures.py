@@ -13,9 +13,8 @@ from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, correlated_mean, missing
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
-from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
+from dragrig.config import AnalysisError, RunFileError
+from dragrig.rig import Phase, Run, RunInfo, RunStatus
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -208,7 +207,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
     RunFileError
         When there is no such folder.
     """
-    from dragrig.rig.runfile import read_campaign, read_run
+    from dragrig.rig import read_campaign, read_run
 
     campaign = read_campaign(folder)
     rows: list[TableRow] = []

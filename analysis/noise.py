@@ -10,11 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.models import Experiment
 from dragrig.analysis.segments import at_rest, in_phase, mask_spans
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
+from dragrig.rig import Contact, FloatArray, Phase
 
 NOISE_BLOCK_S = 0.05
 """Stretches are averaged in blocks of this length; differences of samples show faster noise."""

@@ -19,10 +19,8 @@ import numpy.typing as npt
 from numpy.polynomial import legendre
 
 from dragrig.analysis.segments import gap_starts, in_phase, mask_spans, unbroken_slices
-from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Attribute, FilteredTrace, Run, RunEvent, Trace
+from dragrig.config import AnalysisError
+from dragrig.rig import AnyFloatArray, Attribute, FilteredTrace, FloatArray, Phase, Run, RunEvent, Trace, read_only
 
 DEFAULT_WINDOW_S = 0.05
 MIN_DEFAULT_SAMPLES = 7
@@ -425,7 +423,7 @@ def filter_file(path: Path, settings: SavgolSettings | None = None) -> FilteredR
     RunFileError, OutputError
         When the file cannot be read, or its changed copy cannot be put in its place.
     """
-    from dragrig.rig.runfile import read_run, store_filtered
+    from dragrig.rig import read_run, store_filtered
 
     filtered = filter_run(read_run(path), settings)
     store_filtered(path, filtered.trace, filtered.events)

@@ -7,10 +7,8 @@ from math import isfinite, radians, sin
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import FloatArray, IndexArray
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Attribute, Run, Trace
+from dragrig.config import AnalysisError
+from dragrig.rig import Attribute, FloatArray, IndexArray, Phase, Run, Trace
 
 Mask = npt.NDArray[np.bool_]
 

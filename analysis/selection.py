@@ -9,12 +9,10 @@ import numpy as np
 
 from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import Exclusion, summarise_exclusions
-from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.models import Experiment
 from dragrig.analysis.segments import at_rest
-from dragrig.config.errors import AnalysisError, RunFileError, reason_of
-from dragrig.rig.devices import Contact
-from dragrig.rig.runfile.campaigns import Campaign, specimen_key
-from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
+from dragrig.config import AnalysisError, RunFileError, reason_of
+from dragrig.rig import Campaign, Contact, Run, RunInfo, RunStatus, specimen_key
 
 MAX_INVALID_SHARE = 0.2
 """A run with a larger share of clipped or missing samples is excluded; up to it, the samples are."""

@@ -14,17 +14,32 @@ from threading import Event as Signal
 from types import FrameType
 from typing import Protocol, TypeVar
 
-from dragrig.config.errors import DragrigError, OutputError, reason_of
-from dragrig.config.rig import Calibration, rig_file_of
-from dragrig.rig.devices import Backend, BackendRequest
-from dragrig.rig.engine import Store
-from dragrig.rig.operator import Answer, NullOperator, Operator, Prompt, SessionObserver
-from dragrig.rig.programme import preflight
-from dragrig.rig.runfile import Campaign, FolderStore, RecoveryOutcome, read_campaign, recover
-from dragrig.rig.runfile.campaigns import SessionRecord, latest_session_record, write_session_record
-from dragrig.rig.runfile.model import RunStatus
-from dragrig.rig.runfile.store import Mirror, MirrorReport
-from dragrig.rig.session import CampaignProgress, Session, SessionResult
+from dragrig.config import Calibration, DragrigError, OutputError, reason_of, rig_file_of
+from dragrig.rig import (
+    Answer,
+    Backend,
+    BackendRequest,
+    Campaign,
+    CampaignProgress,
+    FolderStore,
+    Mirror,
+    MirrorReport,
+    NullOperator,
+    Operator,
+    Prompt,
+    RecoveryOutcome,
+    RunStatus,
+    Session,
+    SessionObserver,
+    SessionRecord,
+    SessionResult,
+    Store,
+    latest_session_record,
+    preflight,
+    read_campaign,
+    recover,
+    write_session_record,
+)
 from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import Pace, Setup, contact_position, open_backend, resolve_pace
 

@@ -16,8 +16,8 @@ from multiprocessing import get_context, parent_process
 from os import _exit
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from dragrig.analysis.computation import Progress
-from dragrig.config.errors import SettingsError, WorkerError
+from dragrig.analysis import Progress
+from dragrig.config import SettingsError, WorkerError
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -96,7 +96,7 @@ def parallel_map(
 
 
 def _call_single_threaded(function: Callable[[TaskT], R], task: TaskT) -> R:
-    from dragrig.analysis.computation import single_blas_thread
+    from dragrig.analysis import single_blas_thread
 
     with single_blas_thread():
         return function(task)

@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dragrig.config.errors import RunFileError
-from dragrig.rig.runfile import read_mark
-from dragrig.rig.runfile.schema import RECORDING_SUFFIX
+from dragrig.config import RunFileError
+from dragrig.rig import RECORDING_SUFFIX, read_mark
 
 
 def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:

@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from dragrig.config.errors import AnalysisError
+from dragrig.config import AnalysisError
 
 MIN_DETECTABLE_SIZE = 0.2
 """Below this size an effect may be too small to see, and `no_gap` is right too."""
@@ -150,7 +150,7 @@ class ScoredCase:
     @property
     def right_channel(self) -> bool:
         """Whether the channel with the largest share of the gap shows the effect."""
-        from dragrig.sim_backend.effects.base import catalogue
+        from dragrig.sim_backend.effects import catalogue
 
         shares = self.diagnosis.where.channel
         if not shares or not any(shares.values()):
@@ -166,7 +166,7 @@ class ScoredCase:
         That is `unknown`; an effect that the true one is confused with, with a probability below 0.5 or a second
         candidate; and `no_gap` for an effect that is too small to see.
         """
-        from dragrig.sim_backend.effects.base import confusable_effects
+        from dragrig.sim_backend.effects import confusable_effects
 
         diagnosis = self.without_true
         if diagnosis is None or diagnosis.verdict == UNKNOWN:

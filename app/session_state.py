@@ -10,13 +10,19 @@ from typing import Literal
 
 from pydantic import AwareDatetime, Field, ValidationError
 
-from dragrig.config.errors import OutputError
-from dragrig.config.settings import Settings
-from dragrig.rig.engine import AcquisitionOutcome
-from dragrig.rig.operator import Answer, Operator, Prompt, SessionObserver
-from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.filesystem import file_lock, rename_into_place
+from dragrig.config import OutputError, Settings
+from dragrig.rig import (
+    AcquisitionOutcome,
+    Answer,
+    Operator,
+    PlannedRun,
+    Programme,
+    Prompt,
+    Reading,
+    SessionObserver,
+    file_lock,
+    rename_into_place,
+)
 
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"

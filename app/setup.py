@@ -9,12 +9,22 @@ from typing import Literal, TypedDict, TypeGuard, TypeVar, Unpack
 
 import tomli_w
 
-from dragrig.config.errors import DeviceError, DragrigError, OutputError, PlanError, SettingsError
-from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects
-from dragrig.config.plan import Plan, PlanStep
-from dragrig.config.rig import CALIBRATION_FILE, RIG_FILE, Calibration, RigSettings, rig_file_of
-from dragrig.config.settings import (
+from dragrig.config import (
+    CALIBRATION_FILE,
+    RIG_FILE,
+    Calibration,
+    DeviceError,
+    DragrigError,
+    EffectSettings,
+    FrictionModelSettings,
+    OutputError,
+    Plan,
+    PlanError,
+    PlanStep,
+    RigSettings,
     Settings,
+    SettingsError,
+    Specimen,
     Table,
     find_settings,
     find_table,
@@ -22,14 +32,23 @@ from dragrig.config.settings import (
     nested_table,
     parse,
     parse_assignment,
+    parse_effects,
+    rig_file_of,
     suggestion,
 )
-from dragrig.config.specimen import Specimen
-from dragrig.rig.calibration import latest_calibration, read_contact
-from dragrig.rig.devices import Backend, BackendRequest, StageLimits, stage_limits
-from dragrig.rig.programme import Programme, build_programme
-from dragrig.rig.protocols import RunProtocol, protocol_kinds
-from dragrig.rig.runfile.campaigns import session_record_of_run
+from dragrig.rig import (
+    Backend,
+    BackendRequest,
+    Programme,
+    RunProtocol,
+    StageLimits,
+    build_programme,
+    latest_calibration,
+    protocol_kinds,
+    read_contact,
+    session_record_of_run,
+    stage_limits,
+)
 
 Pace = Literal["fast", "real"] | float
 """As fast as possible, as fast as a real rig, or this many times faster; the last for doubles only."""
@@ -170,7 +189,7 @@ def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSet
     if further:
         model = model.model_copy(update={"effects": (*model.effects, *further)})
     if model.effects:
-        from dragrig.sim_backend.effects.base import active_effects
+        from dragrig.sim_backend.effects import active_effects
 
         active_effects(model)
     return model

@@ -13,23 +13,39 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.measures import TableRow, table_row
-from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, filter_run
-from dragrig.analysis.segments import gap_starts
-from dragrig.api.evaluate import ExportFormatName
-from dragrig.api.evaluate import export as export_runs
-from dragrig.api.measure import check
-from dragrig.config.errors import DragrigError, PlanError, RunFileError, SettingsError
-from dragrig.config.plan import Plan, PlanStep
-from dragrig.config.settings import Settings, find_table, parse, parse_value, shipped_files
-from dragrig.engine_host.messages import RigSelection
-from dragrig.present.document import Document
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.programme import Preflight, RunPreview
-from dragrig.rig.protocols import RunProtocol, protocol_kinds
-from dragrig.rig.runfile import read_campaign, read_info, read_mark, read_run
-from dragrig.rig.runfile.model import Run, RunInfo
+from dragrig.analysis import SavgolSettings, TableRow, default_filter_settings, filter_run, gap_starts, table_row
+from dragrig.analysis.gap import Diagnosis
+from dragrig.api import ExportFormatName, check
+from dragrig.api import export as export_runs
+from dragrig.config import (
+    DragrigError,
+    Plan,
+    PlanError,
+    PlanStep,
+    RunFileError,
+    Settings,
+    SettingsError,
+    find_table,
+    parse,
+    parse_value,
+    shipped_files,
+)
+from dragrig.engine_host import RigSelection
+from dragrig.present import Document
+from dragrig.rig import (
+    AnyFloatArray,
+    FloatArray,
+    Preflight,
+    Run,
+    RunInfo,
+    RunPreview,
+    RunProtocol,
+    protocol_kinds,
+    read_campaign,
+    read_info,
+    read_mark,
+    read_run,
+)
 from dragrig.setup import resolve_pace, resolve_rig
 
 _UNIT_SUFFIXES = (("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_mm", "mm"), ("_s", "s"), ("_mN", "mN"), ("_hz", "Hz"))
@@ -523,15 +539,14 @@ class DiagnosisProcess:
 
 def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
     """Draw the figures of a diagnosis, which takes matplotlib, here and not in the window's process."""
-    from dragrig.present.diagnosis import diagnosis_document
-    from dragrig.present.files import drawn
+    from dragrig.present import diagnosis_document, drawn
 
     document = diagnosis_document(diagnosis, source=source).without("before-after")
     return CompletedDiagnosis(diagnosis, drawn(document))
 
 
 def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
-    from dragrig.api.gap import diagnose
+    from dragrig.api import diagnose
 
     def progress(done: int, total: int) -> None:
         connection.send(DiagnosisProgress(done, total))

@@ -18,12 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.numbers import to_json_object
-from dragrig.rig.runfile import read_info, read_tail
-from dragrig.rig.runfile.campaigns import read_session_records
-from dragrig.rig.runfile.model import PHASE_NAMES, Run
-from dragrig.rig.runfile.schema import is_recording, run_name
+from dragrig.config import OutputError, RunFileError
+from dragrig.present import to_json_object
+from dragrig.rig import PHASE_NAMES, Run, is_recording, read_info, read_session_records, read_tail, run_name
 from dragrig.session_state import SessionState, is_session_running, read_state
 
 RECENT_TRACE_S = 20.0
@@ -316,7 +313,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
     OutputError
         When the port is not available.
     """
-    from dragrig.present.html_page import render_template
+    from dragrig.present import render_template
 
     page = StatePage()
     page.html = render_template("watch.html", {"title": "dragrig watch"}).encode()

@@ -1,1 +1,8 @@
-"""What may be set: the schema of rig, specimen, capsule, friction model and plan, and the files that ship."""
+"""What may be set: the schema of rig, specimen, capsule, friction model and plan, and the files that ship.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

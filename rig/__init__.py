@@ -1,1 +1,8 @@
-"""The rig: devices, protocols, guard, engine and run files."""
+"""The rig: devices, protocols, guard, engine and run files.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,10 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.config.errors import OutputError, SettingsError
-from dragrig.config.rig import CALIBRATION_FILE, CONTACT_FILE, Calibration, ContactPoint
-from dragrig.config.settings import parse, read_settings_file, to_toml
-from dragrig.rig.runfile.filesystem import replace_text
+from dragrig.config import (
+    CALIBRATION_FILE,
+    CONTACT_FILE,
+    Calibration,
+    ContactPoint,
+    OutputError,
+    SettingsError,
+    parse,
+    read_settings_file,
+    to_toml,
+)
+from dragrig.rig.runfile import replace_text
 
 _MIN_LOADS = 3
 _MAX_RELATIVE_GAIN_ERROR = 0.05

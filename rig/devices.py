@@ -15,13 +15,19 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import Calibration, RigSettings, StageSettings
-from dragrig.config.specimen import Capsule, Fixture, Specimen
+from dragrig.config import (
+    Calibration,
+    Capsule,
+    DeviceError,
+    Fixture,
+    FrictionModelSettings,
+    RigSettings,
+    Specimen,
+    StageSettings,
+)
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.profile import MotionExtremes, MotionProfile
-from dragrig.rig.runfile.model import RecordedChannel
+from dragrig.rig.runfile import RecordedChannel
 
 MAX_BLOCK_S = 0.05
 """Longest block, so that the guard never sees older data than this."""

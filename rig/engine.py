@@ -22,22 +22,22 @@ from typing import Protocol
 
 import numpy as np
 
-from dragrig.config.errors import (
+from dragrig.config import (
     AbortedError,
     DeviceError,
     DragrigError,
     RecordingError,
+    RigSettings,
     StaleDataError,
     TrippedError,
     reason_of,
 )
-from dragrig.config.rig import RigSettings
 from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.devices import Acquisition, Backend, Block, Contact, Trip, TripCause
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import Phase
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
-from dragrig.rig.runfile.model import Attribute, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile import Attribute, RunEvent, RunHeader, RunStatus
 
 _REST = int(Phase.REST)
 _SETTLING_S = 1.0

@@ -10,8 +10,7 @@ from math import inf, isfinite, isnan, nan
 
 import numpy as np
 
-from dragrig.config.errors import TrippedError
-from dragrig.config.rig import GuardSettings
+from dragrig.config import GuardSettings, TrippedError
 from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
 from dragrig.rig.profile import MotionExtremes

@@ -11,10 +11,16 @@ from uuid import uuid4
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, SettingsError, TrippedError
-from dragrig.config.rig import RigSettings
-from dragrig.config.settings import find_settings
-from dragrig.config.specimen import Capsule, Fixture, Specimen
+from dragrig.config import (
+    Capsule,
+    DeviceError,
+    Fixture,
+    RigSettings,
+    SettingsError,
+    Specimen,
+    TrippedError,
+    find_settings,
+)
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import (
     Acquisition,

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event as Signal
 from typing import Protocol
 
-from dragrig.config.errors import AbortedError, TrippedError
+from dragrig.config import AbortedError, TrippedError
 from dragrig.rig.devices import Backend, StageLimits
 from dragrig.rig.engine import AcquisitionOutcome, attempt
 from dragrig.rig.guard import Guard

@@ -10,16 +10,25 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from dragrig.config.errors import PlanError, SettingsError
-from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
-from dragrig.config.rig import Calibration, RigSettings
-from dragrig.config.settings import find_settings
-from dragrig.config.specimen import Capsule, Fixture, Specimen
+from dragrig.config import (
+    Calibration,
+    Capsule,
+    Fixture,
+    Plan,
+    PlanError,
+    PlanStep,
+    ReturnMode,
+    RigSettings,
+    RunOrder,
+    SettingsError,
+    Specimen,
+    find_settings,
+)
 from dragrig.rig.devices import MAX_BLOCK_S, Contact, RigCheck, StageLimits, limit_violations
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
-from dragrig.rig.runfile.filesystem import free_bytes
+from dragrig.rig.runfile import free_bytes
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
 

@@ -13,7 +13,7 @@ import numpy as np
 from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.devices import Block
 from dragrig.rig.profile import MotionProfile, Phase
-from dragrig.rig.runfile.model import Attribute
+from dragrig.rig.runfile import Attribute
 
 _CHUNK_SAMPLES = 16_384
 _REST, _HOLD = int(Phase.REST), int(Phase.HOLD)

@@ -6,9 +6,7 @@ from datetime import datetime
 from math import isfinite
 from uuid import uuid4
 
-from dragrig.config.errors import AbortedError, DeviceError, TrippedError, reason_of
-from dragrig.config.settings import to_toml
-from dragrig.config.specimen import Fixture
+from dragrig.config import AbortedError, DeviceError, Fixture, TrippedError, reason_of, to_toml
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
 from dragrig.rig.guard import Guard
@@ -28,9 +26,7 @@ from dragrig.rig.operator import (
 )
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile.campaigns import SessionRecord
-from dragrig.rig.runfile.model import Attribute, RunHeader, RunStatus
-from dragrig.rig.runfile.schema import software_version
+from dragrig.rig.runfile import Attribute, RunHeader, RunStatus, SessionRecord, software_version
 
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:

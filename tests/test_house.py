@@ -1,10 +1,14 @@
 """The house itself: packaging, style, types, layers."""
 
 import importlib.util
+import runpy
 import subprocess
 import sys
 import tomllib
+from itertools import product
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).parents[1]
 ROOMS = {"app": "dragrig", "analysis": "dragrig.analysis", "sim_backend": "dragrig.sim_backend",
@@ -27,6 +31,25 @@ def test_types_hold_strictly() -> None:
 
 def test_imports_go_one_way() -> None:
     tool(str(Path(sys.executable).with_name("lint-imports")), "--no-cache")
+
+
+def test_imports_go_one_way_through_public_faces_too() -> None:
+    """import-linter ends at a face, which imports nothing until a name is taken from it."""
+    graph = grimp.build_graph("dragrig", include_external_packages=True)
+    house = runpy.run_path(str(ROOT / "bench" / "house.py"))["House"](ROOT)
+    for module, imported in house.graph(in_functions=True, for_types=True).items():
+        for defining in imported:
+            graph.add_import(importer=module, imported=defining)
+    rules = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+    for rule in rules:
+        if rule["type"] == "layers":
+            layers = [set(layer.split(" | ")) for layer in rule["layers"]]
+            assert not graph.find_illegal_dependencies_for_layers(layers), rule["name"]
+            continue
+        for source, forbidden in product(rule["source_modules"], set(rule["forbidden_modules"]) & graph.modules):
+            chains = graph.find_shortest_chains(source, forbidden)
+            direct = {chain for chain in chains if len(chain) == 2}
+            assert not (direct if rule.get("allow_indirect_imports") else chains), rule["name"]
 
 
 def test_every_package_is_installed() -> None:

@@ -6,6 +6,18 @@ from math import sqrt
 
 import numpy as np
 
+from dragrig.analysis import (
+    FRICTION_SCATTER,
+    NORMAL_95,
+    STIFFNESS_SCATTER,
+    Estimate,
+    Exclusion,
+    Progress,
+    RunMeasures,
+    in_phase,
+    measure,
+    no_progress,
+)
 from dragrig.analysis.comparison.comparison import (
     ABOVE_REST,
     HOLD_FORCE,
@@ -30,17 +42,8 @@ from dragrig.analysis.comparison.comparison import (
     run_condition,
     secondary_differences,
 )
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.estimates import NORMAL_95, Estimate, Exclusion
-from dragrig.analysis.measures import RunMeasures, measure
-from dragrig.analysis.models.capsule_model import FRICTION_SCATTER, STIFFNESS_SCATTER
-from dragrig.analysis.segments import in_phase
-from dragrig.config.errors import AnalysisError, DragrigError, reason_of
-from dragrig.config.rig import NoiseSettings
-from dragrig.config.specimen import Fixture
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.campaigns import specimen_key
-from dragrig.rig.runfile.model import PHASE_NAMES, Run
+from dragrig.config import AnalysisError, DragrigError, Fixture, NoiseSettings, reason_of
+from dragrig.rig import PHASE_NAMES, Phase, Run, specimen_key
 
 ZERO_FORCE_AT_REST_KINDS = frozenset({"blank", "coulomb", "relaxation"})
 """Kinds of run without force before the motion, so that the rest shows the sensor's zero."""

@@ -11,14 +11,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dragrig.analysis.estimates import NORMAL_95, Estimate, Exclusion
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, smooth_channel
-from dragrig.analysis.segments import Mask, attribute_number, in_phase
-from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Run, RunInfo, Trace
+from dragrig.analysis import (
+    NORMAL_95,
+    Estimate,
+    Exclusion,
+    Experiment,
+    Mask,
+    SavgolSettings,
+    attribute_number,
+    default_filter_settings,
+    in_phase,
+    smooth_channel,
+)
+from dragrig.config import AnalysisError
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, Run, RunInfo, Trace
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,18 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
+from dragrig.analysis import (
+    RETURN_KIND,
+    Exclusion,
+    Experiment,
+    acquisition_of,
+    incomplete_reason,
+    summarise_exclusions,
+    unusable_files,
+)
 from dragrig.analysis.comparison.comparison import ComparedRun, ComparedSide
-from dragrig.analysis.estimates import Exclusion, summarise_exclusions
-from dragrig.analysis.models.capsule_model import acquisition_of
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.selection import RETURN_KIND, incomplete_reason, unusable_files
-from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.runfile import read_campaign, read_info, read_mark, read_run
-from dragrig.rig.runfile.campaigns import specimen_key
-from dragrig.rig.runfile.model import Run, RunInfo
-from dragrig.sim_backend.effects.base import EffectChain, evaluation_rate_hz, evaluation_times
-from dragrig.sim_backend.effects.run_state import gut_run_state
+from dragrig.config import AnalysisError, FrictionModelSettings, RunFileError
+from dragrig.rig import Run, RunInfo, read_campaign, read_info, read_mark, read_run, specimen_key
+from dragrig.sim_backend.effects import EffectChain, evaluation_rate_hz, evaluation_times, gut_run_state
 from dragrig.sim_backend.friction import prepare
 
 RETURN_REASON = (

@@ -5,4 +5,10 @@ One way, from runs to the next run:
 `run_data` → `candidates` → `studies` and `design` (linearised campaign, and fits in it) → `hypothesis_fit` →
 `forward_selection` → `features` → `classifier` → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how
 much) → `isolability` and `next_run_force`, `next_run_position` (what next) → `diagnose`.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,16 +10,23 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
+from dragrig.analysis import Experiment, prepare_channels
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
-from dragrig.analysis.linear_gaussian import prepare_channels
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.programme import PlannedRun, Programme, build_programme
-from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.config import Fixture, Plan, PlanStep, ReturnMode, RunOrder, Specimen
+from dragrig.rig import (
+    AnyFloatArray,
+    PlannedRun,
+    Programme,
+    RecordedChannel,
+    Run,
+    RunHeader,
+    RunInfo,
+    RunStatus,
+    Trace,
+    build_programme,
+)
 
 START_MM = 0.0
 STROKE_MM, SHORT_STROKE_MM = 40.0, 20.0

@@ -7,10 +7,9 @@ from math import pi
 
 import numpy as np
 
-from dragrig.config.friction_model import EffectSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import ActiveEffect, Channel, Effect, EffectChain, EffectParameter, Role
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.config import EffectSettings
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import ActiveEffect, Channel, Effect, EffectChain, EffectParameter, Role, RunState
 
 
 @dataclass(frozen=True, slots=True, eq=False)

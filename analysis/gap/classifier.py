@@ -22,8 +22,8 @@ from dragrig.analysis.gap.features import (
     shipped_calibration,
 )
 from dragrig.analysis.gap.spectral_lines import hum_effect
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import catalogue, confusable_effects
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue, confusable_effects
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
 

@@ -15,6 +15,7 @@ from typing import Self
 
 import numpy as np
 
+from dragrig.analysis import ANGLE_PARAMETER, JointProblem, Whitening
 from dragrig.analysis.gap.candidates import (
     Candidate,
     EffectVariant,
@@ -25,13 +26,9 @@ from dragrig.analysis.gap.candidates import (
     variants_of,
 )
 from dragrig.analysis.gap.run_data import RunData, smooth_modulations
-from dragrig.analysis.linear_gaussian import JointProblem, Whitening
-from dragrig.analysis.models.capsule_model import ANGLE_PARAMETER
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.base import Effect, EffectChain, Location
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.config import FrictionModelSettings
+from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray
+from dragrig.sim_backend.effects import Effect, EffectChain, Location, RunState
 
 
 @dataclass(frozen=True, eq=False)

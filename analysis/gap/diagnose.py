@@ -6,8 +6,17 @@ from time import perf_counter
 
 import numpy as np
 
-from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
-from dragrig.analysis.estimates import NORMAL_95, EstimatedQuantity
+from dragrig.analysis import (
+    NORMAL_95,
+    EstimatedQuantity,
+    Experiment,
+    NominalModel,
+    Progress,
+    RunSelection,
+    estimate_noise,
+    no_progress,
+    single_blas_thread,
+)
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.classifier import (
@@ -54,13 +63,9 @@ from dragrig.analysis.gap.spectral_lines import (
 )
 from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.noise import estimate_noise
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.friction_model import DiagnosisSummary, EffectSettings, FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.config import DiagnosisSummary, EffectSettings, FrictionModelSettings
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue
 
 
 def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: SpectralLines) -> Study:

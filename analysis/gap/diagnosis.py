@@ -4,13 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from dragrig.analysis.estimates import EstimatedQuantity, Exclusion
+from dragrig.analysis import EstimatedQuantity, Exclusion, join_names
 from dragrig.analysis.gap.features import DecisionInputs
-from dragrig.analysis.wording import join_names
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.plan import PlanStep
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.config import FrictionModelSettings, PlanStep
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray, PhaseArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
+from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase, PhaseArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.sim_backend.effects.base import Effect, catalogue, confusable_effects, similar_effects
+from dragrig.sim_backend.effects import Effect, catalogue, confusable_effects, similar_effects
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,8 @@ from dragrig.analysis.gap.design import (
 from dragrig.analysis.gap.features import NonparametricLaw
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, fit_hypothesis, rank_with_free_phases, refit_with_effect
 from dragrig.analysis.gap.run_data import BlockCoordinates, RunData, rms_where_active
-from dragrig.rig.arrays import FloatArray, IndexArray
-from dragrig.rig.devices import Contact
-from dragrig.sim_backend.effects.run_state import SlipHistory
+from dragrig.rig import Contact, FloatArray, IndexArray
+from dragrig.sim_backend.effects import SlipHistory
 
 KNOT_PRIOR_SD_MN = 30.0
 """Prior standard deviation of a law's value at a knot."""

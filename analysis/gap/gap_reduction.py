@@ -5,7 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.computation import single_blas_thread
+from dragrig.analysis import (
+    SPEED_TOLERANCE,
+    CapsuleModel,
+    NoiseModel,
+    RunSelection,
+    Whitening,
+    r2_eq15,
+    single_blas_thread,
+    squared_correlation,
+)
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.design import (
     NUISANCES,
@@ -26,21 +35,10 @@ from dragrig.analysis.gap.position_channel import PositionErrors, closed_share_i
 from dragrig.analysis.gap.run_data import RunData, commanded_phase, run_data_of
 from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.gap.studies import CapsuleStudy
-from dragrig.analysis.identification.speed_dependence import (
-    SPEED_TOLERANCE,
-    r2_eq15,
-    squared_correlation,
-)
-from dragrig.analysis.linear_gaussian import Whitening
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.noise import NoiseModel
-from dragrig.analysis.paper.published import BOUNDARY_MM_S
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.base import Channel, active_effects
+from dragrig.analysis.paper import BOUNDARY_MM_S
+from dragrig.config import AnalysisError, FrictionModelSettings
+from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
+from dragrig.sim_backend.effects import Channel, active_effects
 
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_FLOOR = 1.2

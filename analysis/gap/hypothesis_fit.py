@@ -27,9 +27,8 @@ from dragrig.analysis.gap.design import (
 )
 from dragrig.analysis.gap.features import CHANCE_SIGMAS, NOISE_UNCERTAINTY
 from dragrig.analysis.gap.run_data import RunData, rms_where_active
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Effect
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Effect, RunState
 
 TIED_HARMONICS = 4
 MAX_PERIODS = 12

@@ -14,7 +14,17 @@ from statistics import median
 
 import numpy as np
 
-from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
+from dragrig.analysis import (
+    Experiment,
+    NominalModel,
+    Progress,
+    RunSelection,
+    capitalise,
+    count_text,
+    join_names,
+    no_progress,
+    single_blas_thread,
+)
 from dragrig.analysis.gap.candidates import Candidate, EffectVariant
 from dragrig.analysis.gap.classifier import MIN_MAINS_LLR, MIN_POSITION_SHARE
 from dragrig.analysis.gap.design import (
@@ -40,12 +50,8 @@ from dragrig.analysis.gap.position_channel import (
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude
 from dragrig.analysis.gap.studies import prepare_study
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.selection import RunSelection
-from dragrig.analysis.wording import capitalise, count_text, join_names
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Channel, Effect, catalogue
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Channel, Effect, catalogue
 
 DETECTABLE_D_PRIME = 5.9
 """d′ that is nearly always detected, for effects with full weight in the gate."""

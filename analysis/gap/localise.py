@@ -24,9 +24,7 @@ from dragrig.analysis.gap.excess import (
     overall_p,
     permutation_test,
 )
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
+from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase
 
 CONSTANT_DOMAIN = "constant"
 """Pseudo-domain of a residual that is the same in all runs of a kind."""

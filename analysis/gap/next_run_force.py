@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from dragrig.analysis.computation import single_blas_thread
+from dragrig.analysis import CapsuleModel, RunSelection, capitalise, percent_text, single_blas_thread
 from dragrig.analysis.gap.candidate_runs import (
     UNBOUNDED,
     CandidateRun,
@@ -36,13 +36,9 @@ from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, d
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.studies import CapsuleStudy
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.selection import RunSelection
-from dragrig.analysis.wording import capitalise, percent_text
-from dragrig.config.errors import AnalysisError
-from dragrig.config.plan import PlanStep
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.config import AnalysisError, PlanStep
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue
 
 LOG_ODDS_PER_SHARE = 14.0
 """Log odds per share of an effect's squares that a rival leaves."""

@@ -11,6 +11,7 @@ from typing import Self
 
 import numpy as np
 
+from dragrig.analysis import join_names
 from dragrig.analysis.gap.candidate_runs import (
     DECIDED_LOG_ODDS,
     FIXTURE_CHANGE_MIN,
@@ -48,9 +49,8 @@ from dragrig.analysis.gap.position_channel import (
 )
 from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.analysis.gap.studies import CapsuleStudy
-from dragrig.analysis.wording import join_names
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Channel, catalogue
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Channel, catalogue
 
 MIN_LOG_DISTANCE = log(1.5)
 """Smallest log ratio of speed, acceleration or travel for a motion to count as new."""

@@ -11,12 +11,11 @@ from itertools import product
 
 import numpy as np
 
+from dragrig.analysis import EXTERNAL_BACKEND, MIN_COUNT_MM, Experiment, wander_noise_sd_mm
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction
-from dragrig.analysis.models.drive_model import EXTERNAL_BACKEND
-from dragrig.analysis.models.experiment import MIN_COUNT_MM, Experiment, wander_noise_sd_mm
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Channel, Effect, PositionForm, Role, catalogue, find_effect
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Channel, Effect, PositionForm, Role, catalogue, find_effect
 
 MAX_BLOCKS = 400
 BEFORE_S, AFTER_S = 0.05, 1.5

@@ -13,19 +13,21 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.estimates import Exclusion
-from dragrig.analysis.linear_gaussian import ChannelBlocks
-from dragrig.analysis.models.capsule_model import acquisition_of
-from dragrig.analysis.models.experiment import DEFAULT_DWELL_S, Experiment
-from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.campaigns import specimen_key
-from dragrig.rig.runfile.model import Run, RunInfo, RunStatus
-from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
+from dragrig.analysis import (
+    DEFAULT_DWELL_S,
+    ChannelBlocks,
+    Exclusion,
+    Experiment,
+    Progress,
+    RunSelection,
+    acquisition_of,
+    no_progress,
+    select_loaded_runs,
+    select_runs,
+)
+from dragrig.config import FrictionModelSettings
+from dragrig.rig import Acquisition, Contact, FloatArray, Phase, Run, RunInfo, RunStatus, specimen_key
+from dragrig.sim_backend.effects import RunState, gut_run_state
 
 MAX_RUNS = 75
 """A diagnosis needs about 10 MB per run; changes within a session show in this many runs."""
@@ -80,7 +82,7 @@ def choose_runs(
         When it holds no usable run.
     """
     if isinstance(campaign, Path):
-        from dragrig.rig.runfile import read_campaign
+        from dragrig.rig import read_campaign
 
         folder = read_campaign(campaign)
         chosen_specimen, left_out = _main_specimen(folder.runs, folder.good, specimen)

@@ -8,16 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.linear_gaussian import JointProblem
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.segments import at_rest, in_phase
-from dragrig.analysis.selection import RunSelection
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
-from dragrig.sim_backend.effects.base import Effect, EffectChain, spectral_line_effects
+from dragrig.analysis import CapsuleModel, Experiment, JointProblem, NominalModel, RunSelection, at_rest, in_phase
+from dragrig.rig import Contact, FloatArray, Phase
+from dragrig.sim_backend.effects import Effect, EffectChain, spectral_line_effects
 
 MIN_FREQUENCY_HZ, FREQUENCY_STEP_HZ = 2.5, 0.5
 HOLD_SETTLING_S = 0.5

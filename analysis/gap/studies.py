@@ -12,25 +12,25 @@ from functools import cached_property
 
 import numpy as np
 
+from dragrig.analysis import (
+    TURNING_SPEED_MM_S,
+    CapsuleModel,
+    DriveModel,
+    DrivePredictor,
+    JointProblem,
+    NominalModel,
+    PriorScales,
+    RunSelection,
+    solve_joint,
+)
 from dragrig.analysis.gap.candidates import signature, variants_of
 from dragrig.analysis.gap.design import ColumnKind, Design, Study, problem_of_runs
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
-from dragrig.analysis.linear_gaussian import JointProblem, PriorScales, solve_joint
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.drive_model import DriveModel, DrivePredictor
-from dragrig.analysis.models.nominal_model import TURNING_SPEED_MM_S, NominalModel
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import BoolArray, FloatArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.schema import SIGNALS
-from dragrig.sim_backend.effects.base import SIMULATED_NOMINAL, Channel, Effect, EffectChain
-from dragrig.sim_backend.effects.run_state import RunState, ShearedWall
-from dragrig.sim_backend.friction.wall import stress_log_derivatives
+from dragrig.config import AnalysisError, Fixture, FrictionModelSettings
+from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray, Phase
+from dragrig.sim_backend.effects import SIMULATED_NOMINAL, Channel, Effect, EffectChain, RunState, ShearedWall
+from dragrig.sim_backend.friction import stress_log_derivatives
 
 LAW_SHAPE_SD = 0.02
 """Shape of the wall law, all elements alike: relative change over a strain of 1."""

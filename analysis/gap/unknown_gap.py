@@ -23,9 +23,7 @@ from dragrig.analysis.gap.unknown_law import (
     phase_span,
     time_since_start,
 )
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
+from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase
 
 MAX_BINS, MIN_BINS = 10, 3
 MONOTONIC_CORRELATION, MONOTONIC_TO_END_CORRELATION = 0.85, 0.6

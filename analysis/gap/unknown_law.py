@@ -14,8 +14,7 @@ import numpy.typing as npt
 
 from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import ResidualBlocks
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.profile import Phase
+from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
 
 DOMINANT_SHARE, NOTABLE_SHARE, NEGLIGIBLE_SHARE = 0.8, 0.1, 0.05
 """Shares of the excess that count as nearly all of it, as worth naming, and as negligible."""

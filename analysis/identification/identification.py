@@ -6,8 +6,8 @@ from math import sqrt
 
 import numpy as np
 
-from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
-from dragrig.rig.arrays import FloatArray
+from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
+from dragrig.rig import FloatArray
 
 MIN_LEARNT = 0.1
 """Smallest reduction of the prior's width with which the runs determine a parameter."""

@@ -5,8 +5,23 @@ from typing import TypeVar
 
 import numpy as np
 
-from dragrig.analysis.computation import Progress, no_progress, single_blas_thread
-from dragrig.analysis.estimates import NORMAL_95, Estimate, missing
+from dragrig.analysis import (
+    FORCE_CHANNEL,
+    NORMAL_95,
+    PARAMETER_BOUND,
+    CapsuleModel,
+    Estimate,
+    JointProblem,
+    JointSolution,
+    NominalModel,
+    Progress,
+    RunSelection,
+    is_at_bound,
+    missing,
+    no_progress,
+    single_blas_thread,
+    solve_joint,
+)
 from dragrig.analysis.identification.identification import (
     MIN_P_VALUE,
     Identification,
@@ -17,13 +32,8 @@ from dragrig.analysis.identification.identification import (
 )
 from dragrig.analysis.identification.relaxation_elements import identify_relaxation, wall_polynomials
 from dragrig.analysis.identification.steady_sliding import identify_coulomb, identify_drag
-from dragrig.analysis.linear_gaussian import PARAMETER_BOUND, JointProblem, JointSolution, is_at_bound, solve_joint
-from dragrig.analysis.models.capsule_model import FORCE_CHANNEL, CapsuleModel
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import AnalysisError, FrictionModelSettings, SettingsError
+from dragrig.rig import FloatArray
 
 MAX_CORRELATION = 0.95
 """Parameters that are correlated more strongly cannot be separated."""

@@ -16,21 +16,25 @@ from itertools import combinations
 
 import numpy as np
 
-from dragrig.analysis.computation import single_blas_thread
-from dragrig.analysis.estimates import NORMAL_95, Estimate, EstimatedQuantity
+from dragrig.analysis import (
+    NORMAL_95,
+    STIFFNESS_SCATTER,
+    BlockMeans,
+    Estimate,
+    EstimatedQuantity,
+    Experiment,
+    NoiseModel,
+    RunSelection,
+    average_in_blocks,
+    estimate_noise,
+    mask_spans,
+    single_blas_thread,
+)
 from dragrig.analysis.identification.identification import RelaxationFit, RelaxationResult, StrainLaw, ThirdBranchTest
-from dragrig.analysis.models.capsule_model import STIFFNESS_SCATTER
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.noise import BlockMeans, NoiseModel, average_in_blocks, estimate_noise
-from dragrig.analysis.paper.published import WALL_UNITS
-from dragrig.analysis.segments import mask_spans
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError
-from dragrig.config.friction_model import WallPolynomials
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Contact
-from dragrig.sim_backend.friction.motion import Pieces
-from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
+from dragrig.analysis.paper import WALL_UNITS
+from dragrig.config import AnalysisError, WallPolynomials
+from dragrig.rig import Contact, FloatArray
+from dragrig.sim_backend.friction import MaxwellBranches, Pieces, shear_strain
 
 MIN_VALID_PEAK_SHARE = 0.5
 """Smallest share of valid samples about the peak."""

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis.estimates import EstimatedQuantity
+from dragrig.analysis import EstimatedQuantity
 from dragrig.analysis.identification.identification import LogLaw, SpeedBandR2, SpeedBoundary, SpeedPoint
-from dragrig.analysis.paper.published import BOUNDARY_MM_S
-from dragrig.rig.arrays import FloatArray
+from dragrig.analysis.paper import BOUNDARY_MM_S
+from dragrig.rig import FloatArray
 
 MIN_SPEEDS_FOR_LAW = 3
 MIN_SPEEDS_FOR_R2 = 3

@@ -15,8 +15,32 @@ from math import hypot, log
 
 import numpy as np
 
-from dragrig.analysis.computation import single_blas_thread
-from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Exclusion, missing
+from dragrig.analysis import (
+    ANGLE_PARAMETER,
+    ANGLE_SD_DEG,
+    FORCE_CHANNEL,
+    FRICTION_SCATTER,
+    MIN_SAMPLES_FOR_MEAN,
+    SPECIMEN_PRIORS,
+    STIFFNESS_SCATTER,
+    Estimate,
+    Exclusion,
+    Experiment,
+    Mask,
+    NoiseModel,
+    RunSelection,
+    at_rest,
+    attribute_number,
+    clipped_samples,
+    default_filter_settings,
+    empty_stretch_reason,
+    estimate_noise,
+    missing,
+    single_blas_thread,
+    smooth_channel,
+    steady_stretch,
+    stretch_mean,
+)
 from dragrig.analysis.identification.identification import CoulombResult, CoulombRun, DragResult, LogLaw, SpeedPoint
 from dragrig.analysis.identification.speed_dependence import (
     ForceDeviation,
@@ -24,27 +48,16 @@ from dragrig.analysis.identification.speed_dependence import (
     fit_log_law,
     r2_by_band,
 )
-from dragrig.analysis.measures import empty_stretch_reason, stretch_mean
-from dragrig.analysis.models.capsule_model import (
-    ANGLE_PARAMETER,
-    ANGLE_SD_DEG,
-    FORCE_CHANNEL,
-    FRICTION_SCATTER,
-    SPECIMEN_PRIORS,
-    STIFFNESS_SCATTER,
+from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.friction import (
+    GRAVITY_M_S2,
+    HemisphereContact,
+    SteadyFriction,
+    gauss_legendre,
+    steady_forces,
+    viscous_force,
 )
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.noise import NoiseModel, estimate_noise
-from dragrig.analysis.savgol import default_filter_settings, smooth_channel
-from dragrig.analysis.segments import Mask, at_rest, attribute_number, clipped_samples, steady_stretch
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule, Fixture
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.contact import gauss_legendre
-from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, SteadyFriction, steady_forces, viscous_force
-from dragrig.sim_backend.friction.wall import HemisphereContact
 
 
 @dataclass(frozen=True, slots=True)

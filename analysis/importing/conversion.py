@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.analysis import Mask, SavgolSettings, gap_starts, mask_spans, smooth
 from dragrig.analysis.importing.foreign import (
     CONVERTIBLE_UNITS,
     TARGET_UNITS,
@@ -27,12 +28,8 @@ from dragrig.analysis.importing.foreign import (
     guess_columns,
     unit_scale,
 )
-from dragrig.analysis.savgol import SavgolSettings, smooth
-from dragrig.analysis.segments import Mask, gap_starts, mask_spans
-from dragrig.config.errors import AnalysisError, ImportDataError
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import RecordedChannel, RunEvent
+from dragrig.config import AnalysisError, ImportDataError
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
 
 IMPORT_EVENT = "import"
 RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})

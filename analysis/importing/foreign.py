@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AwareDatetime, Field, ValidationError, field_validator, model_validator
 
-from dragrig.config.errors import ImportDataError
-from dragrig.config.settings import Settings, describe_validation_error, suggestion
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import ImportDataError, Settings, describe_validation_error, suggestion
+from dragrig.rig import FloatArray
 
 STANDARD_GRAVITY = 9.80665
 """[m/s²]; turns gram-force into millinewtons."""

@@ -14,9 +14,8 @@ import numpy as np
 from dragrig.analysis.importing.conversion import IMPORT_EVENT, ConvertedMeasurement, convert_table
 from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.config.errors import ImportDataError, OutputError
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray
-from dragrig.rig.runfile.model import Attribute, RecordedChannel, RunEvent, RunHeader, RunStatus
+from dragrig.config import ImportDataError, OutputError
+from dragrig.rig import AnyFloatArray, Attribute, PhaseArray, RecordedChannel, RunEvent, RunHeader, RunStatus
 
 NOT_CHANNELS = frozenset({"time", "command", "phase"})
 UNKNOWN_SIZE = float("nan")
@@ -54,7 +53,7 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
     OutputError
         When the target exists already, or cannot be written.
     """
-    from dragrig.rig.runfile import write_run
+    from dragrig.rig import write_run
 
     settings = settings or ImportSettings()
     table = read_foreign(path, settings)
@@ -67,7 +66,7 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
 
 
 def _run_file_path(target: Path, header: RunHeader) -> Path:
-    from dragrig.rig.runfile import run_file_name
+    from dragrig.rig import run_file_name
 
     path = target / run_file_name(header.start_time, header.kind, header.order) if target.is_dir() else target
     if path.suffix != ".h5":
@@ -114,7 +113,7 @@ def _run_header(
 
 def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:
     """Write an exported run again, without its filtered traces; they can be computed again."""
-    from dragrig.rig.runfile import write_run
+    from dragrig.rig import write_run
 
     metadata = table.export
     try:

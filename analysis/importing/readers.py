@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis.export import EXPORT_FORMAT_KEY
+from dragrig.analysis import EXPORT_FORMAT_KEY
 from dragrig.analysis.importing.foreign import (
     ForeignColumn,
     ForeignTable,
@@ -24,8 +24,7 @@ from dragrig.analysis.importing.foreign import (
     canonical_unit,
     split_unit,
 )
-from dragrig.config.errors import ImportDataError
-from dragrig.config.settings import suggestion
+from dragrig.config import ImportDataError, suggestion
 
 if TYPE_CHECKING:
     import h5py

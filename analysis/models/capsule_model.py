@@ -8,15 +8,20 @@ import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile
-from dragrig.sim_backend.friction import RecordedMotion, prepare
-from dragrig.sim_backend.friction.contact import ContactHistory, leading_motion, smooth_intervals
-from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES, GRAVITY_M_S2, NOT_NOMINAL, PreparedForce
-from dragrig.sim_backend.friction.wall import HemisphereContact
+from dragrig.config import Fixture, FrictionModelSettings, Specimen
+from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
+from dragrig.sim_backend.friction import (
+    ELEMENT_SCALES,
+    GRAVITY_M_S2,
+    NOT_NOMINAL,
+    ContactHistory,
+    HemisphereContact,
+    PreparedForce,
+    RecordedMotion,
+    leading_motion,
+    prepare,
+    smooth_intervals,
+)
 
 FORCE_CHANNEL = "force"
 SPECIMEN_PRIORS = {

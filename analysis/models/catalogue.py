@@ -21,10 +21,15 @@ import numpy as np
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
-from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import read_settings_file, suggestion
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import (
+    AnalysisError,
+    DragrigError,
+    FrictionModelSettings,
+    SettingsError,
+    read_settings_file,
+    suggestion,
+)
+from dragrig.rig import FloatArray
 
 ENTRY_POINT_GROUP = "dragrig.models"
 SHIPPED_PREFIX = "dragrig."

@@ -18,8 +18,7 @@ from dragrig.analysis.models.nominal_model import (
     Predictor,
     Variation,
 )
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Contact
+from dragrig.rig import Contact, FloatArray
 
 MOTOR_FORCE_CHANNEL, LOAD_CHANNEL = "motor_force", "force"
 MILLINEWTONS_PER_G_MM_S2 = 1e-3

@@ -17,14 +17,10 @@ from math import log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis.segments import Mask, attribute_number, clipped_samples
-from dragrig.config.errors import AnalysisError
-from dragrig.config.specimen import Capsule, Fixture
-from dragrig.rig.arrays import FloatArray, IndexArray
-from dragrig.rig.devices import Contact
-from dragrig.rig.protocols import protocol_kinds
-from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.friction.motion import (
+from dragrig.analysis import Mask, attribute_number, clipped_samples
+from dragrig.config import AnalysisError, Capsule, Fixture
+from dragrig.rig import Contact, FloatArray, IndexArray, Run, protocol_kinds
+from dragrig.sim_backend.friction import (
     ENCODER_JITTER_MM,
     MIN_SAMPLES,
     SMOOTHING_ORDER,

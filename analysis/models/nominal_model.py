@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

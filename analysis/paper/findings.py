@@ -13,9 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.analysis.estimates import EstimatedQuantity
-from dragrig.analysis.identification.identification import RelaxationResult
-from dragrig.analysis.identification.speed_dependence import r2_eq15, squared_correlation
+from dragrig.analysis import (
+    EstimatedQuantity,
+    RelaxationResult,
+    join_names,
+    r2_eq15,
+    significant_text,
+    squared_correlation,
+)
 from dragrig.analysis.paper.published import (
     BOUNDARY_MM_S,
     COULOMB_DIAMETER_MM,
@@ -37,20 +42,22 @@ from dragrig.analysis.paper.published import (
     FindingNumber,
     PaperFinding,
 )
-from dragrig.analysis.wording import join_names, significant_text
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import Capsule, FrictionModelSettings
+from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import (
+    GRAVITY_M_S2,
+    TABLE1,
+    TABLE1_STRAIN,
+    HemisphereContact,
     ParameterSetDifference,
     SteadyFriction,
     WallParameters,
+    model_wall,
     parameter_set_differences,
     steady_forces,
+    viscous_force,
     wall_parameters,
 )
-from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, viscous_force
-from dragrig.sim_backend.friction.wall import TABLE1, TABLE1_STRAIN, HemisphereContact, model_wall
 
 FINDINGS_FILE = Path(__file__).with_name("findings.toml")
 ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)

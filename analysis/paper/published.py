@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from typing import Final
 
-from dragrig.analysis.wording import significant_text
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
+from dragrig.analysis import significant_text
+from dragrig.config import Capsule, FrictionModelSettings
 
 COULOMB_FORCE_MN: Final = 40.07
 """Mean force of the Coulomb test (Fig. 8)."""

@@ -5,23 +5,48 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig.analysis.comparison.compare import compare_sides
-from dragrig.analysis.comparison.comparison import ComparedSide, Comparison, comparison_frame
-from dragrig.analysis.comparison.sides import model_side, side_from_path, side_from_runs
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.export import CsvStyle, ExportFormat, export_campaign, export_run, write_export
-from dragrig.analysis.importing import ColumnMap, ImportedRun, ImportSettings, import_file, parse_map
-from dragrig.analysis.measures import as_frame, table_row
-from dragrig.analysis.measures import table_rows as table_of
-from dragrig.analysis.savgol import SavgolSettings, default_filter_settings, filter_file, filter_run
-from dragrig.config.errors import AnalysisError
-from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
-from dragrig.config.settings import Table, find_settings, merge_tables, parse, read_toml
-from dragrig.config.specimen import Capsule, Specimen
-from dragrig.present import figures
-from dragrig.present.files import unused_path, write_text
-from dragrig.rig.runfile import Campaign, read_campaign, read_info, read_run
-from dragrig.rig.runfile.model import Run
+from dragrig.analysis import (
+    ColumnMap,
+    ComparedSide,
+    Comparison,
+    CsvStyle,
+    ExportFormat,
+    ImportedRun,
+    ImportSettings,
+    Progress,
+    SavgolSettings,
+    as_frame,
+    compare_sides,
+    comparison_frame,
+    default_filter_settings,
+    export_campaign,
+    export_run,
+    filter_file,
+    filter_run,
+    import_file,
+    model_side,
+    no_progress,
+    parse_map,
+    side_from_path,
+    side_from_runs,
+    table_row,
+    write_export,
+)
+from dragrig.analysis import table_rows as table_of
+from dragrig.config import (
+    AnalysisError,
+    Capsule,
+    EffectSettings,
+    FrictionModelSettings,
+    Specimen,
+    Table,
+    find_settings,
+    merge_tables,
+    parse,
+    read_toml,
+)
+from dragrig.present import figures, unused_path, write_text
+from dragrig.rig import Campaign, Run, read_campaign, read_info, read_run
 from dragrig.run_inputs import run_files
 from dragrig.setup import friction_model, with_effects
 
@@ -238,7 +263,7 @@ def model(
         }
     )
     if settings.effects:
-        from dragrig.sim_backend.devices.simulated_sampler import steady_effect_forces
+        from dragrig.sim_backend.devices import steady_effect_forces
 
         frame.insert(4, "effects_mN", steady_effect_forces(forces.speed_mm_s, settings, body, thickness))
         frame["total_mN"] += frame["effects_mN"]
@@ -396,7 +421,7 @@ def write_comparison(
     RunFileError
         When a run cannot be read.
     """
-    from dragrig.present.files import save_figure_in
+    from dragrig.present import save_figure_in
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1

@@ -9,27 +9,25 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, Unpack
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits
-from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, NextExperiment
-from dragrig.analysis.gap.isolability import Isolability
-from dragrig.analysis.gap.run_data import choose_runs
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.catalogue import find_model
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.selection import RunSelection
+from dragrig.analysis import CapsuleModel, NominalModel, Progress, RunSelection, find_model, no_progress
+from dragrig.analysis.gap import (
+    Diagnosis,
+    ExperimentBudget,
+    GapReduction,
+    Isolability,
+    NextExperiment,
+    RigLimits,
+    choose_runs,
+)
 from dragrig.api.measure import simulate
-from dragrig.config.errors import DragrigError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.settings import absolute_if_file, suggestion, to_toml
+from dragrig.config import DragrigError, FrictionModelSettings, SettingsError, absolute_if_file, suggestion, to_toml
 from dragrig.parallel import map_tasks, open_executor, parallel_map
-from dragrig.present.files import write_text
-from dragrig.rig.runfile.model import Run
+from dragrig.present import write_text
+from dragrig.rig import Run
 from dragrig.setup import PlanLike, SetupChoices, friction_model, resolve
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap.diagnose import DiagnosisOptions
-    from dragrig.analysis.gap.features import Calibration
+    from dragrig.analysis.gap import Calibration, DiagnosisOptions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +224,7 @@ def gap_evaluate(
     RunFileError, SettingsError
         When folder or model cannot be read.
     """
-    from dragrig.analysis.gap.gap_reduction import evaluate
+    from dragrig.analysis.gap import evaluate
 
     runs = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
     return evaluate(runs, friction_model(model))
@@ -236,8 +234,8 @@ def diagnosis_options(
     without: Sequence[str], tolerance_mN: float | None, calibration: str | Path | None = None
 ) -> "DiagnosisOptions":
     """Return checked options; raises `SettingsError` for an unknown effect, a bad tolerance or calibration file."""
-    from dragrig.analysis.gap.diagnose import DiagnosisOptions
-    from dragrig.sim_backend.effects.base import catalogue
+    from dragrig.analysis.gap import DiagnosisOptions
+    from dragrig.sim_backend.effects import catalogue
 
     known = tuple(catalogue())
     for name in without:
@@ -253,7 +251,7 @@ def diagnosis_options(
 def _load_calibration(path: Path) -> "Calibration":
     from pydantic import ValidationError
 
-    from dragrig.analysis.gap.features import Calibration
+    from dragrig.analysis.gap import Calibration
 
     try:
         return Calibration.model_validate_json(path.read_text("utf-8"))
@@ -333,7 +331,7 @@ def isolability(
     >>> result = dragrig.isolability("paper")  # doctest: +SKIP
     >>> result.pair("stribeck", "adhesion").sin2  # doctest: +SKIP
     """
-    from dragrig.analysis.gap.isolability import isolate
+    from dragrig.analysis.gap import isolate
 
     diagnosis_options(without, None)
     runs = runs_to_isolate(plan_or_campaign, **choices)
@@ -401,8 +399,8 @@ def next_experiment(
     >>> experiment = dragrig.next_experiment("runs/first")  # doctest: +SKIP
     >>> experiment.reason, experiment.runs[0].settings  # doctest: +SKIP
     """
-    from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
-    from dragrig.analysis.gap.next_run_force import recommend_for_pair
+    from dragrig.analysis.gap import DiagnosisOptions, recommend_for_pair
+    from dragrig.analysis.gap.diagnose import diagnose
 
     if not (isfinite(minutes) and minutes > 0):
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
@@ -417,7 +415,7 @@ def next_experiment(
 
 def save_next_plan(experiment: NextExperiment, path: Path, *, overwrite: bool = False) -> Path:
     """Write the runs as a plan file; raises `OutputError` when the file exists or cannot be written."""
-    from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
+    from dragrig.analysis.gap import plan_of_next_runs
 
     return write_text(to_toml(plan_of_next_runs(experiment)), path, overwrite=overwrite)
 
@@ -429,7 +427,7 @@ def _stage_range(rig: str | Path | None) -> RigLimits:
 
 
 def _require_two_effects(between: tuple[str, str]) -> None:
-    from dragrig.sim_backend.effects.base import catalogue
+    from dragrig.sim_backend.effects import catalogue
 
     known = [effect.id for effect in catalogue().values() if effect.has_force_signature]
     for name in between:

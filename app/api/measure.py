@@ -14,12 +14,19 @@ from dragrig.campaign_session import (
     run_session,
     start_campaign,
 )
-from dragrig.config.errors import OutputError
-from dragrig.rig.devices import BackendRequest, RigCheck
-from dragrig.rig.programme import Preflight, check_calibration, check_limits, check_wiring, preflight
-from dragrig.rig.runfile import read_run
-from dragrig.rig.runfile.model import Run
-from dragrig.rig.runfile.store import MemoryStore
+from dragrig.config import OutputError
+from dragrig.rig import (
+    BackendRequest,
+    MemoryStore,
+    Preflight,
+    RigCheck,
+    Run,
+    check_calibration,
+    check_limits,
+    check_wiring,
+    preflight,
+    read_run,
+)
 from dragrig.setup import (
     CALIBRATED_QUANTITIES,
     Pace,

@@ -7,28 +7,38 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.identification.identification import Identification, JointFit, ParameterEstimate
-from dragrig.analysis.identification.identify import (
+from dragrig.analysis import (
+    CapsuleModel,
+    Identification,
+    JointFit,
+    NominalModel,
+    ParameterEstimate,
+    Progress,
+    RunSelection,
     determined_values,
+    find_model,
     identified_settings,
+    identify_relaxation,
+    no_progress,
+    select_loaded_runs,
+    select_runs,
     why_no_model,
     with_identified_wall,
 )
-from dragrig.analysis.identification.identify import identify_specimen as identify_selection
-from dragrig.analysis.identification.relaxation_elements import identify_relaxation
-from dragrig.analysis.models.capsule_model import CapsuleModel
-from dragrig.analysis.models.catalogue import find_model
-from dragrig.analysis.models.nominal_model import NominalModel
-from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
-from dragrig.config.errors import AnalysisError, DragrigError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings, IdentificationSummary, IdentifiedValue
-from dragrig.config.settings import absolute_if_file, to_toml
+from dragrig.analysis import identify_specimen as identify_selection
+from dragrig.config import (
+    AnalysisError,
+    DragrigError,
+    FrictionModelSettings,
+    IdentificationSummary,
+    IdentifiedValue,
+    SettingsError,
+    absolute_if_file,
+    to_toml,
+)
 from dragrig.parallel import map_tasks
-from dragrig.present import figures
-from dragrig.present.files import unused_path, write_text
-from dragrig.rig.runfile.model import Run
-from dragrig.rig.runfile.schema import software_version
+from dragrig.present import figures, unused_path, write_text
+from dragrig.rig import Run, software_version
 from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
@@ -210,7 +220,7 @@ def save_identification_pictures(
     identified: IdentifiedCampaign, folder: Path, *, overwrite: bool = False
 ) -> Iterator[Path]:
     """Draw every part that was identified; yields each picture as it is written."""
-    from dragrig.present.files import save_figure_in
+    from dragrig.present import save_figure_in
 
     result, selection = identified.result, identified.selection
     if result.joint is not None:

@@ -6,38 +6,39 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.analysis.export import ExportFormat, export_run
-from dragrig.analysis.savgol import filter_file
+from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress
 from dragrig.api.model_fit import IdentifiedCampaign, identify
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
-from dragrig.config.errors import AnalysisError, OutputError, SettingsError
-from dragrig.present import figures
-from dragrig.present.files import (
+from dragrig.config import AnalysisError, OutputError, SettingsError
+from dragrig.present import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,
     PAPER_TABLES,
     drawn,
     existing_files,
+    figures,
     require_writable,
     write_text,
     write_texts,
 )
-from dragrig.rig.engine import AcquisitionOutcome as RunOutcome
-from dragrig.rig.operator import NullOperator
-from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile import read_campaign, read_run
-from dragrig.rig.runfile.campaigns import session_record_of_run
-from dragrig.rig.runfile.filesystem import remove_file
-from dragrig.rig.runfile.schema import mark_path
+from dragrig.rig import AcquisitionOutcome as RunOutcome
+from dragrig.rig import (
+    NullOperator,
+    PlannedRun,
+    Programme,
+    mark_path,
+    read_campaign,
+    read_run,
+    remove_file,
+    session_record_of_run,
+)
 from dragrig.session_state import STATE_FILE
 from dragrig.setup import Setup, resolve
 
 if TYPE_CHECKING:
-    from dragrig.analysis.identification.identification import Identification
-    from dragrig.analysis.paper.published import PaperFinding
-    from dragrig.present.campaign import CampaignReportData
-    from dragrig.present.paper import PaperReportData
+    from dragrig.analysis import Identification
+    from dragrig.analysis.paper import PaperFinding
+    from dragrig.present import CampaignReportData, PaperReportData
 
 
 MEASURING_SHARE, DRAWING_SHARE = 1, 9
@@ -84,23 +85,21 @@ def report(
 
 def default_report_file(source: Path) -> Path:
     """Return the default path of the report on a run or a campaign."""
-    from dragrig.rig.runfile.schema import run_name
+    from dragrig.rig import run_name
 
     return source / f"{source.resolve().name}.html" if source.is_dir() else source.with_name(f"{run_name(source)}.html")
 
 
 def _run_report(path: Path) -> str:
-    from dragrig.present.html_page import render_page
-    from dragrig.present.run import run_document
-    from dragrig.rig.runfile import read_mark, read_run
+    from dragrig.present import render_page, run_document
+    from dragrig.rig import read_mark, read_run
 
     run, mark = read_run(path), read_mark(path)
     return render_page(run_document(run, None if mark is None else mark.reason))
 
 
 def _campaign_report(folder: Path, progress: Progress) -> str:
-    from dragrig.present.campaign import campaign_document
-    from dragrig.present.html_page import render_page
+    from dragrig.present import campaign_document, render_page
 
     whole = MEASURING_SHARE + DRAWING_SHARE
     data = campaign_results(folder, lambda done, total: progress(MEASURING_SHARE * done, whole * max(total, 1)))
@@ -120,10 +119,9 @@ def campaign_results(folder: Path, progress: Progress = no_progress) -> "Campaig
     RunFileError
         When the folder holds no run file.
     """
-    from dragrig.analysis.measures import table_rows
-    from dragrig.present.campaign import CampaignReportData
-    from dragrig.rig.runfile import read_campaign
-    from dragrig.rig.runfile.campaigns import read_session_records
+    from dragrig.analysis import table_rows
+    from dragrig.present import CampaignReportData
+    from dragrig.rig import read_campaign, read_session_records
     from dragrig.run_inputs import run_files
 
     run_files([folder])
@@ -237,8 +235,7 @@ def _write_paper_files(
     made: Made, identified: IdentifiedCampaign, data: "PaperReportData", progress: Progress
 ) -> PaperReport:
     """Write model, tables and report beside the runs."""
-    from dragrig.present.html_page import render_page
-    from dragrig.present.paper import paper_document, paper_tables
+    from dragrig.present import paper_document, paper_tables, render_page
 
     folder, tables = made.folder, paper_tables(data)
     model: Path | None
@@ -257,11 +254,10 @@ def _write_paper_files(
 
 
 def _paper_data(made: Made, setup: Setup, identified: IdentifiedCampaign) -> "PaperReportData":
-    from dragrig.analysis.paper.findings import all_findings, element_rows
-    from dragrig.config.settings import find_settings
-    from dragrig.config.specimen import Capsule
-    from dragrig.present.paper import PaperReportData
-    from dragrig.sim_backend.devices.variability import draw_run_model
+    from dragrig.analysis.paper import all_findings, element_rows
+    from dragrig.config import Capsule, find_settings
+    from dragrig.present import PaperReportData
+    from dragrig.sim_backend.devices import draw_run_model
 
     simulated, result = setup.rig.simulated, identified.result
     models = {
@@ -358,7 +354,7 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
     DragrigError
         When a file cannot be read or written.
     """
-    from dragrig.present.files import save_figure_in
+    from dragrig.present import save_figure_in
 
     paths = made.files
     shown = {run.path for run in made.session.runs if run.run.follows < 0}

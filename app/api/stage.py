@@ -9,32 +9,34 @@ from pathlib import Path
 from typing import Generic, TypeVar, Unpack
 
 from dragrig.campaign_session import PromptRelay, run_on_worker
-from dragrig.config.errors import AbortedError, DeviceError, SettingsError
-from dragrig.config.rig import Calibration, ContactPoint
-from dragrig.rig.calibration import (
+from dragrig.config import AbortedError, Calibration, ContactPoint, DeviceError, SettingsError
+from dragrig.rig import (
+    JOG_SPEED_MM_S,
+    Backend,
+    BackendRequest,
     CalibrationLine,
+    Engine,
+    Guard,
+    LoadReading,
+    ManualControl,
+    NullOperator,
+    Operator,
+    TravelEnd,
+    TravelReading,
+    Trip,
     append_calibration,
     fit_encoder,
     fit_force,
-    require_loads,
-    write_contact,
-)
-from dragrig.rig.devices import Backend, BackendRequest, TravelEnd, Trip
-from dragrig.rig.engine import Engine
-from dragrig.rig.guard import Guard
-from dragrig.rig.manual import (
-    JOG_SPEED_MM_S,
-    LoadReading,
-    ManualControl,
-    TravelReading,
     measure_driven_travel,
     measure_loads,
     measure_pushed_travel,
+    park,
     require_jog,
+    require_loads,
     require_speed,
     require_touch_off,
+    write_contact,
 )
-from dragrig.rig.operator import NullOperator, Operator, park
 from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
 
 ResultT = TypeVar("ResultT")

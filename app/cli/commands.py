@@ -140,7 +140,7 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the named command; the error for an unknown one suggests the nearest."""
         if args and not args[0].startswith("-") and args[0] not in self.list_commands(ctx):
-            from dragrig.config.settings import suggestion
+            from dragrig.config import suggestion
 
             raise click.UsageError(f"{args[0]} is not a command; {suggestion(args[0], self.list_commands(ctx))}", ctx)
         return super().resolve_command(ctx, args)

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 import click
 
-from dragrig.config.errors import AbortedError, DragrigError
-from dragrig.present.numbers import duration_text, to_json_value
+from dragrig.config import AbortedError, DragrigError
+from dragrig.present import duration_text, to_json_value
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-    from dragrig.present.document import Document
+    from dragrig.present import Document
 
 
 QUIET = "dragrig.quiet"
@@ -114,7 +114,7 @@ def _usage_sentence(error: click.ClickException) -> str:
     path = error.ctx.command_path.removeprefix("dragrig").strip()
     where = f"{path}: " if path else ""
     if isinstance(error, click.NoSuchOption):
-        from dragrig.config.settings import suggestion
+        from dragrig.config import suggestion
 
         known = [
             name for option in error.ctx.command.get_params(error.ctx) for name in option.opts if name.startswith("--")

@@ -18,7 +18,7 @@ from dragrig.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.api.gap import DiagnosedFolder
+    from dragrig.api import DiagnosedFolder
 
 
 FILE = click.Path(path_type=Path)
@@ -65,16 +65,14 @@ def diagnose_command(
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
     where no effect is named.
     """
-    from dragrig.api.gap import DiagnosisRequest, save_amended_model
+    from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present.diagnosis import diagnosis_document
-    from dragrig.present.files import require_writable, write_text
-    from dragrig.present.html_page import render_page
+    from dragrig.present import diagnosis_document, render_page, require_writable, write_text
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
-        from dragrig.api.gap import diagnose_many
+        from dragrig.api import diagnose_many
 
         with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
             folders = diagnose_many(
@@ -115,7 +113,7 @@ def diagnose_command(
 
 def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> None:
     """Print the diagnoses of several campaigns as a table or lines of JSON; raises where one was not diagnosed."""
-    from dragrig.present.diagnosis import campaigns_document, diagnosis_json
+    from dragrig.present import campaigns_document, diagnosis_json
 
     if as_json:
         for folder in folders:
@@ -145,8 +143,8 @@ def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json:
     MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that were not used
     in the diagnosis, preferably at other speeds.
     """
-    from dragrig.api.gap import gap_evaluate
-    from dragrig.present.diagnosis import shrink_document
+    from dragrig.api import gap_evaluate
+    from dragrig.present import shrink_document
 
     print_document(shrink_document(gap_evaluate(model, campaign, specimen=specimen)), as_json=as_json)
 
@@ -176,9 +174,8 @@ def next_command(
     fixed grid of kinds, speeds, strokes, strains, rests and reversals, added one by one, the best each time, until none
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
-    from dragrig.api.gap import next_experiment, save_next_plan
-    from dragrig.present.diagnosis import next_experiment_document
-    from dragrig.present.files import require_writable
+    from dragrig.api import next_experiment, save_next_plan
+    from dragrig.present import next_experiment_document, require_writable
 
     if save_plan is not None:
         require_writable(save_plan, overwrite=overwrite)
@@ -216,10 +213,8 @@ def isolability_command(
     parameters projected out: sin² = 0 means that they cannot be told apart, 1 that they have nothing in common. d′ is
     their distance in standard deviations of the noise, at their default sizes.
     """
-    from dragrig.api.gap import isolability
-    from dragrig.present.files import require_writable, write_text
-    from dragrig.present.html_page import render_page
-    from dragrig.present.isolability import isolability_document
+    from dragrig.api import isolability
+    from dragrig.present import isolability_document, render_page, require_writable, write_text
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -241,8 +236,8 @@ def effects_command(as_json: bool) -> None:
     range, the effects it is easily confused with, and the source of its equation. A simulated rig has an effect with,
     for instance, --effect stribeck:ratio=0.4,speed_mm_s=2.
     """
-    from dragrig.present.effects import effects_document
-    from dragrig.sim_backend.effects.base import catalogue
+    from dragrig.present import effects_document
+    from dragrig.sim_backend.effects import catalogue
 
     print_document(effects_document(tuple(catalogue().values())), as_json=as_json)
 
@@ -291,10 +286,9 @@ def blind_command(
     the verdicts scored, with Wilson intervals. Two exams with the same seed are identical. The exit code is 0 whatever
     the score, and 2 where campaigns could not be diagnosed.
     """
-    from dragrig.config.errors import AnalysisError
-    from dragrig.exam.blind_exam import gap_blind, save_exam_report
-    from dragrig.present.exam import exam_document
-    from dragrig.present.files import require_writable
+    from dragrig.config import AnalysisError
+    from dragrig.exam import gap_blind, save_exam_report
+    from dragrig.present import exam_document, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -343,9 +337,8 @@ def gap_calibrate_command(
 
     Judge the result on an exam with another seed.
     """
-    from dragrig.exam.learning import gap_calibrate, gap_cross_validate
-    from dragrig.present.exam import calibration_document
-    from dragrig.present.files import write_text
+    from dragrig.exam import gap_calibrate, gap_cross_validate
+    from dragrig.present import calibration_document, write_text
 
     calibration = gap_calibrate(exams)
     rates = None if folds is None else gap_cross_validate(exams, folds)

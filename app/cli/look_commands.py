@@ -21,8 +21,7 @@ from dragrig.cli.console import (
     print_remark,
     print_result,
 )
-from dragrig.present import figures
-from dragrig.present.numbers import duration_text, shortest
+from dragrig.present import duration_text, figures, shortest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,8 +40,8 @@ def table_command(campaign: Path, as_json: bool) -> None:
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
     mean steady force of repeated runs, without bad and unfinished ones.
     """
-    from dragrig.analysis.measures import table_rows
-    from dragrig.present.campaign import campaign_table_document
+    from dragrig.analysis import table_rows
+    from dragrig.present import campaign_table_document
 
     with ProgressMeter("measuring") as meter:
         document = campaign_table_document(table_rows(campaign, meter.at))
@@ -104,7 +103,7 @@ class _PictureTarget:
     overwrite: bool
 
     def save(self, figure: "Figure", name: str, beside: Path) -> Path:
-        from dragrig.present.files import save_figure, save_figure_in
+        from dragrig.present import save_figure, save_figure_in
 
         if self.file is not None:
             return save_figure(figure, self.file, overwrite=self.overwrite)
@@ -122,8 +121,7 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 
 
 def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force: bool) -> Path:
-    from dragrig.rig.runfile import read_mark, read_run
-    from dragrig.rig.runfile.schema import run_name
+    from dragrig.rig import read_mark, read_run, run_name
 
     mark = read_mark(path)
     reason = None if mark is None else mark.reason
@@ -132,7 +130,7 @@ def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force
 
 
 def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
-    from dragrig.rig.runfile import read_mark, read_run
+    from dragrig.rig import read_mark, read_run
     from dragrig.run_inputs import run_files
 
     paths = run_files([folder])
@@ -161,7 +159,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     steady force against speed, relaxations, a table and a figure of every run, sessions, and the runs left out with the
     reasons. Figures are embedded, tables sort by any column, and the page prints and fits a phone.
     """
-    from dragrig.api.reports import report
+    from dragrig.api import report
 
     with ProgressMeter("measuring and drawing") as meter:
         written = report(source, out, overwrite=overwrite, progress=meter.at)
@@ -202,9 +200,8 @@ def compare_command(
         raise click.UsageError(
             "name a second campaign or run, or a --model, one of the two", click.get_current_context()
         )
-    from dragrig.api.evaluate import compare, comparison_folder, write_comparison
-    from dragrig.present.comparison import comparison_document, comparison_json
-    from dragrig.present.files import unused_path
+    from dragrig.api import compare, comparison_folder, write_comparison
+    from dragrig.present import comparison_document, comparison_json, unused_path
 
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)

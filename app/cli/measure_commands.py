@@ -23,7 +23,7 @@ from dragrig.cli.console import (
 
 if TYPE_CHECKING:
     from dragrig.campaign_session import Made
-    from dragrig.rig.runfile import RecoveredRecording
+    from dragrig.rig import RecoveredRecording
 
 
 @click.command("init")
@@ -58,8 +58,8 @@ def check_command(
 
     Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
     """
-    from dragrig.api.measure import check
-    from dragrig.present.rig_results import preflight_document
+    from dragrig.api import check
+    from dragrig.present import preflight_document
 
     if plan is None:
         _check_rig(ctx, settings, out, as_json=as_json)
@@ -81,9 +81,9 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
     }
     if unused := [name for name, value in plan_options.items() if value]:
         raise click.UsageError(f"Without a plan the rig itself is checked, so leave out --{' --'.join(unused)}", ctx)
-    from dragrig.api.measure import examine
-    from dragrig.config.errors import DeviceError
-    from dragrig.present.rig_results import rig_check_document
+    from dragrig.api import examine
+    from dragrig.config import DeviceError
+    from dragrig.present import rig_check_document
 
     checks = tuple(
         examine(
@@ -139,8 +139,8 @@ def run_command(
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
     _require_plan_or_campaign(plan, resume, settings, out)
-    from dragrig.api.measure import resume as resume_campaign
-    from dragrig.api.measure import run as run_plan
+    from dragrig.api import resume as resume_campaign
+    from dragrig.api import run as run_plan
     from dragrig.cli.operator import TerminalOperator
 
     if resume is not None:
@@ -226,7 +226,7 @@ def recover_command(ctx: click.Context, places: tuple[Path, ...], as_json: bool)
     PLACE is a folder, searched with its subfolders, or one recording (NAME.recording.h5) (default: the working folder).
     A recording that is still being written is left alone, and so is one that cannot be read.
     """
-    from dragrig.rig.runfile import RecoveryOutcome, left_recordings, recover
+    from dragrig.rig import RecoveryOutcome, left_recordings, recover
 
     folders = places or (Path(),)
     recordings: list[RecoveredRecording] = []
@@ -258,10 +258,10 @@ def demo_command(out: Path) -> None:
     A blank run, a relaxation, a Coulomb test and drags at three speeds, one run file each; every trace filtered,
     exported as CSV and drawn; and an overview picture. Takes some seconds.
     """
-    from dragrig.analysis.measures import table_rows
-    from dragrig.api.reports import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
+    from dragrig.analysis import table_rows
+    from dragrig.api import DEMO_PICTURES, DEMO_TABLES, evaluate_demo, run_demo
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present.campaign import campaign_table_document
+    from dragrig.present import campaign_table_document
 
     print_remark("The simulated rig makes a blank run, a relaxation, a Coulomb test and drags at three speeds:")
     with TerminalOperator(yes=True) as person:
@@ -292,9 +292,8 @@ def gui_command(
     long as the window is open. The engine runs in its own process: when the window is closed or dies, the stage is
     stopped and the run finished.
     """
-    from dragrig.config.errors import SettingsError
-    from dragrig.config.rig import RIG_FILE, rig_file_of
-    from dragrig.engine_host.messages import RigSelection
+    from dragrig.config import RIG_FILE, SettingsError, rig_file_of
+    from dragrig.engine_host import RigSelection
 
     if lab is not None and not (lab / RIG_FILE).is_file():
         raise SettingsError(f"{lab}: is no lab folder, it holds no {RIG_FILE}; make one with dragrig init {lab}.")

@@ -17,12 +17,11 @@ from dragrig.cli.console import (
     print_remark,
     print_result,
 )
-from dragrig.config.errors import AnalysisError, SettingsError
+from dragrig.config import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
-    from dragrig.api.model_fit import IdentifiedFolder
-    from dragrig.api.reports import PaperViscous, PaperWall
-    from dragrig.config.friction_model import FrictionModelSettings
+    from dragrig.api import IdentifiedFolder, PaperViscous, PaperWall
+    from dragrig.config import FrictionModelSettings
 
 
 PAPER_SPEEDS = "0.5,1,2,5,10,15,20,30,40,50,60"
@@ -79,11 +78,9 @@ def model_command(
     paper's Eq. 14 and Table 1 disagree. The force added by effects, on the last half of a drag of 40 mm, is a column of
     its own, which the pictures do not show.
     """
-    from dragrig.api.evaluate import model as steady_forces
-    from dragrig.config.settings import find_settings
-    from dragrig.config.specimen import Capsule, Specimen
-    from dragrig.present.files import save_figures
-    from dragrig.present.friction_model import model_document
+    from dragrig.api import model as steady_forces
+    from dragrig.config import Capsule, Specimen, find_settings
+    from dragrig.present import model_document, save_figures
 
     settings = _load_model(name, wall, viscous, effects)
     frame = steady_forces(speeds, model=settings, capsule=capsule, specimen=specimen)
@@ -102,8 +99,7 @@ def model_command(
 
 
 def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple[str, ...]) -> "FrictionModelSettings":
-    from dragrig.config.friction_model import FrictionModelSettings
-    from dragrig.config.settings import find_settings, parse
+    from dragrig.config import FrictionModelSettings, find_settings, parse
     from dragrig.setup import with_effects
 
     model = find_settings(FrictionModelSettings, "model", name)
@@ -138,7 +134,7 @@ def paper_command(
     the joint fit, and inconsistencies of the paper with numbers. Its tables are written as CSV too,
     and the identified model as model.toml, which dragrig run loads with --model.
     """
-    from dragrig.api.reports import PAPER_SEED, paper
+    from dragrig.api import PAPER_SEED, paper
 
     with ProgressMeter("simulating, identifying, drawing") as meter:
         made = paper(
@@ -150,7 +146,7 @@ def paper_command(
             progress=meter.at,
         )
     if as_json:
-        from dragrig.present.identification import identification_json
+        from dragrig.present import identification_json
 
         print_json(
             {
@@ -223,15 +219,9 @@ def identify_command(
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
     own folder in that of --out.
     """
-    from dragrig.api.model_fit import (
-        identified_folder,
-        identify,
-        identify_many,
-        save_identified_model,
-        write_identified_files,
-    )
+    from dragrig.api import identified_folder, identify, identify_many, save_identified_model, write_identified_files
     from dragrig.parallel import worker_count
-    from dragrig.present.identification import identification_document, identification_json
+    from dragrig.present import identification_document, identification_json
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
@@ -278,7 +268,7 @@ def identify_command(
 
 def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bool) -> None:
     """Print several campaigns as a table or lines of JSON; raises where one was not identified."""
-    from dragrig.present.identification import identification_json, identified_campaigns_document
+    from dragrig.present import identification_json, identified_campaigns_document
 
     if as_json:
         for folder in folders:

@@ -8,12 +8,8 @@ from typing import Self
 import click
 
 from dragrig.cli.console import ProgressMeter, is_quiet
-from dragrig.present.numbers import duration_text
-from dragrig.rig.engine import AcquisitionOutcome
-from dragrig.rig.operator import Answer, Prompt
-from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import RunStatus
+from dragrig.present import duration_text
+from dragrig.rig import AcquisitionOutcome, Answer, PlannedRun, Programme, Prompt, Reading, RunStatus
 
 
 class TerminalOperator:

@@ -9,8 +9,8 @@ import click
 from dragrig.cli.console import QUIET, print_json, print_remark, print_result
 
 if TYPE_CHECKING:
-    from dragrig.api.stage import MoveResult
-    from dragrig.rig.devices import TravelEnd
+    from dragrig.api import MoveResult
+    from dragrig.rig import TravelEnd
 
 
 P = ParamSpec("P")
@@ -146,7 +146,7 @@ def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def require_single_campaign(count: int, **files: Path | None) -> None:
     """Raise `SettingsError` where a file for one campaign is named and there are several campaigns."""
-    from dragrig.config.errors import SettingsError
+    from dragrig.config import SettingsError
 
     for name, path in files.items():
         if path is not None:
@@ -156,7 +156,7 @@ def require_single_campaign(count: int, **files: Path | None) -> None:
 
 def require_all_succeeded(done: str, campaigns: int, reasons: Sequence[str]) -> None:
     """Raise `AnalysisError` with the first reason why campaigns failed, where any did."""
-    from dragrig.config.errors import AnalysisError
+    from dragrig.config import AnalysisError
 
     if reasons:
         more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
@@ -177,7 +177,7 @@ def overwrite(function: Callable[P, R]) -> Callable[P, R]:
 
 def make_folder(folder: Path) -> Path:
     """Make the folder of `--out` where it does not exist; raises `OutputError`."""
-    from dragrig.config.errors import OutputError
+    from dragrig.config import OutputError
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -205,7 +205,7 @@ def override_limit(function: Callable[P, R]) -> Callable[P, R]:
 
 def limit_side(name: str | None) -> "TravelEnd | None":
     """Return the side that `--override-limit` names."""
-    from dragrig.rig.devices import TravelEnd
+    from dragrig.rig import TravelEnd
 
     return None if name is None else TravelEnd(name)
 

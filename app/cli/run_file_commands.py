@@ -21,8 +21,7 @@ from dragrig.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.analysis.importing import ImportedRun
-    from dragrig.analysis.savgol import FilteredRun
+    from dragrig.analysis import FilteredRun, ImportedRun
 
 
 @click.command("info")
@@ -36,8 +35,8 @@ def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_j
 
     With --verify the exit code is 2 when the samples of a file are not those that were recorded.
     """
-    from dragrig.config.errors import RunFileError
-    from dragrig.present.run import InspectedFile, files_document
+    from dragrig.config import RunFileError
+    from dragrig.present import InspectedFile, files_document
     from dragrig.rig import runfile
     from dragrig.run_inputs import run_files
 
@@ -77,7 +76,7 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, as_json: 
     """
     if good == (bad is not None):
         raise click.UsageError("Give either --bad REASON or --good", click.get_current_context())
-    from dragrig.rig.runfile import mark_bad, read_info, unmark
+    from dragrig.rig import mark_bad, read_info, unmark
     from dragrig.run_inputs import run_files
 
     paths = run_files(inputs)
@@ -119,9 +118,9 @@ def filter_command(
     parameters, and replaces an earlier one; the raw trace is not changed. Runs marked bad are left out unless they are
     named themselves.
     """
-    from dragrig.analysis.savgol import filter_file
-    from dragrig.api.evaluate import filter_settings
-    from dragrig.rig.runfile import read_info
+    from dragrig.analysis import filter_file
+    from dragrig.api import filter_settings
+    from dragrig.rig import read_info
 
     def filter_run(path: Path, _progress: FileProgress) -> "FilteredRun":
         rate_hz = read_info(path).header.sample_rate_hz
@@ -215,8 +214,8 @@ def import_command(
     --map time=1:s. A unit of another dimension needs a factor: --map force=Friction:1*1000. An export of this software
     needs no map. Existing files are never overwritten.
     """
-    from dragrig.analysis.importing import import_file
-    from dragrig.api.evaluate import import_settings, next_run_order
+    from dragrig.analysis import import_file
+    from dragrig.api import import_settings, next_run_order
     from dragrig.run_inputs import input_files
 
     batch = FileBatch(input_files(inputs), "importing")
@@ -249,8 +248,7 @@ def import_command(
 
 
 def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
-    from dragrig.config.errors import SettingsError
-    from dragrig.config.settings import parse_assignment
+    from dragrig.config import SettingsError, parse_assignment
 
     parameters: dict[str, object] = {}
     for text in assignments:
@@ -292,7 +290,7 @@ def export_command(
     RUN is a run file, a pattern or a campaign's folder. Without --overwrite no existing file is replaced. Runs
     marked bad are left out unless they are named themselves.
     """
-    from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
+    from dragrig.analysis import CsvStyle, ExportFormat, export_run
 
     if form != "csv" and (decimal or delimiter):
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())

@@ -15,7 +15,7 @@ def home_command(
     override: str | None, pace: options.Pace | None, yes: bool, as_json: bool, **rig: Unpack[options.RigOptions]
 ) -> None:
     """Find the stage's origin; announces the motion and asks first. Prints the stage's position."""
-    from dragrig.api.stage import home
+    from dragrig.api import home
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
@@ -41,7 +41,7 @@ def jog_command(
 
     Guarded as a run is, and not recorded.
     """
-    from dragrig.api.stage import jog
+    from dragrig.api import jog
     from dragrig.cli.operator import TerminalOperator
 
     side = options.limit_side(override)
@@ -87,7 +87,7 @@ def touch_off_command(
     The contact is stored in the lab folder. With stage.start_from = "contact" in the rig settings, start_mm of plans
     counts from it; limits stay absolute.
     """
-    from dragrig.api.stage import touch_off
+    from dragrig.api import touch_off
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
@@ -154,9 +154,9 @@ def calibrate_force_command(
     Needs at least three distinct weights. Prints the points, gain and zero with their standard errors, and the standard
     deviation of the residuals.
     """
-    from dragrig.api.stage import calibrate_force
+    from dragrig.api import calibrate_force
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present.rig_results import force_calibration_document
+    from dragrig.present import force_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_force(
@@ -204,9 +204,9 @@ def calibrate_encoder_command(
 
     Prints the points and the length of a count.
     """
-    from dragrig.api.stage import calibrate_encoder
+    from dragrig.api import calibrate_encoder
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present.rig_results import encoder_calibration_document
+    from dragrig.present import encoder_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_encoder(

@@ -8,4 +8,10 @@
 
 When the client dies or falls silent, the stage is stopped, the run file is finished with the reason in it, and the
 process ends.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -9,11 +9,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.plan import Plan
-from dragrig.rig.devices import RigCheck
-from dragrig.rig.operator import Answer
-from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import PHASE_NAMES, RunStatus
+from dragrig.config import Plan
+from dragrig.rig import PHASE_NAMES, Answer, Reading, RigCheck, RunStatus
 from dragrig.setup import Pace, RigChoices
 
 __all__ = [

@@ -12,10 +12,9 @@ from pathlib import Path
 from threading import Event as Signal
 from threading import Lock, Thread
 
-from dragrig.api.measure import examine
-from dragrig.api.stage import run_on_bench
+from dragrig.api import examine, run_on_bench
 from dragrig.campaign_session import Made, SessionOptions, resume_campaign, start_campaign
-from dragrig.config.errors import DragrigError, TrippedError
+from dragrig.config import DragrigError, TrippedError
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
     AbortSession,
@@ -45,12 +44,7 @@ from dragrig.engine_host.messages import (
     StartSession,
     StopHost,
 )
-from dragrig.rig.devices import RigCheck
-from dragrig.rig.engine import AcquisitionOutcome
-from dragrig.rig.operator import Answer, Prompt
-from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig import AcquisitionOutcome, Answer, PlannedRun, Programme, Prompt, Reading, RigCheck, RunStatus
 from dragrig.setup import resolve, resolve_rig
 
 _POLL_S = 0.25

@@ -20,11 +20,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.config.errors import AnalysisError, OutputError, SettingsError
+from dragrig.analysis import Progress, no_progress
+from dragrig.config import AnalysisError, OutputError, SettingsError
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind, evaluate_blind
 from dragrig.parallel import open_executor, parallel_map, worker_count
-from dragrig.present.exam import score_json
+from dragrig.present import score_json
 from dragrig.scoring import ExamScore, score_exam
 from dragrig.sim_backend.blind import (
     CATALOGUE,
@@ -181,7 +181,7 @@ def remove_unfinished(order: CampaignOrder) -> None:
 
 def hidden_d_prime(case: HiddenCase) -> float:
     """Return the larger d′ of the hidden effects, in the force or in the position."""
-    from dragrig.sim_backend.blind.plant import effect_size
+    from dragrig.sim_backend.blind import effect_size
 
     size = effect_size(case.secret)
     return max(size.force, size.position)
@@ -364,9 +364,7 @@ class BlindExam:
 
 def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
     """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `write_text`."""
-    from dragrig.present.exam import exam_document
-    from dragrig.present.files import write_text
-    from dragrig.present.html_page import render_page
+    from dragrig.present import exam_document, render_page, write_text
 
     document = exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256)
     return write_text(render_page(document), path, overwrite=overwrite)

@@ -34,9 +34,9 @@ class BlindDiagnosis:
 
 def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
     """Diagnose a campaign; an error becomes part of the result, so that the exam goes on."""
-    from dragrig.api.gap import DiagnosisRequest
-    from dragrig.config.settings import to_toml
-    from dragrig.present.diagnosis import diagnosis_json
+    from dragrig.api import DiagnosisRequest
+    from dragrig.config import to_toml
+    from dragrig.present import diagnosis_json
 
     try:
         diagnosed = DiagnosisRequest(without=task.without).diagnose(task.campaign)
@@ -49,9 +49,9 @@ def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
 
 def evaluate_blind(task: tuple[Path, Path]) -> Mapping[str, object]:
     """Evaluate a model file on a folder of fresh runs, as JSON; empty where the runs cannot be used."""
-    from dragrig.api.gap import gap_evaluate
-    from dragrig.config.errors import AnalysisError
-    from dragrig.present.diagnosis import shrink_report_json
+    from dragrig.api import gap_evaluate
+    from dragrig.config import AnalysisError
+    from dragrig.present import shrink_report_json
 
     model, fresh = task
     try:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.gap.classifier import TrainingCase
-from dragrig.analysis.gap.features import Calibration, DecisionInputs
-from dragrig.config.errors import AnalysisError
+from dragrig.analysis.gap import Calibration, DecisionInputs, TrainingCase
+from dragrig.config import AnalysisError
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap.classifier import Classification
+    from dragrig.analysis.gap import Classification
     from dragrig.scoring import AnswerKey, Rate, ScoredCase
 
 CALIBRATION_VERSION = 1
@@ -42,7 +41,7 @@ def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> Cal
     AnalysisError
         When a folder holds no finished exam, or its campaigns are too few to learn from.
     """
-    from dragrig.analysis.gap.classifier import fit_gate, fit_weights
+    from dragrig.analysis.gap import fit_gate, fit_weights
 
     read = [_read_exam(Path(exam)) for exam in exams]
     training = [case for exam in read for case in exam.training]
@@ -83,7 +82,7 @@ def gap_cross_validate(exams: Sequence[str | Path], folds: int = 10, tolerance_m
     AnalysisError
         When a folder holds no finished exam, or there are too few campaigns for this number of folds.
     """
-    from dragrig.analysis.gap.classifier import cross_validate
+    from dragrig.analysis.gap import cross_validate
     from dragrig.scoring import verdict_rates
 
     read = [_read_exam(Path(exam)) for exam in exams]

@@ -5,17 +5,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from dragrig.analysis.measures import UNREADABLE, TableRow, mean_per_speed
-from dragrig.present import figures
-from dragrig.present.document import Cell, Column, Document, Field, Figure, FormattedNumber, Section, Table, Text
-from dragrig.present.numbers import decimals, shortest, shortest_percent, to_json_object, value_with_error
+from dragrig.analysis import UNREADABLE, TableRow, mean_per_speed
+from dragrig.present import (
+    Cell,
+    Column,
+    Document,
+    Field,
+    Figure,
+    FormattedNumber,
+    Section,
+    Table,
+    Text,
+    decimals,
+    figures,
+    run_problem,
+    run_title,
+    shortest,
+    shortest_percent,
+    to_json_object,
+    value_with_error,
+)
 from dragrig.present.run import run_drawing
-from dragrig.present.run_titles import run_problem, run_title
-from dragrig.rig.protocols.return_stroke import ReturnProtocol
-from dragrig.rig.runfile import Campaign, read_run
-from dragrig.rig.runfile.campaigns import SessionRecord
-from dragrig.rig.runfile.model import RunInfo, RunStatus
-from dragrig.rig.runfile.schema import run_name
+from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name
 
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""

@@ -10,19 +10,25 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig.analysis.comparison.comparison import (
+from dragrig.analysis import (
+    NORMAL_95,
     AlignedRuns,
     Comparison,
     DifferenceVerdict,
+    Estimate,
     GroupDifference,
     MeasureDifference,
     RunPair,
+    measure,
 )
-from dragrig.analysis.estimates import NORMAL_95, Estimate
-from dragrig.analysis.measures import measure
-from dragrig.present.drawing import (
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREY,
+    PURPLE,
     SMALL_PT,
     TEXT_PT,
+    VERMILLION,
     CurveLabel,
     LineStyle,
     PanelBox,
@@ -40,13 +46,12 @@ from dragrig.present.drawing import (
     set_y_label,
     shortened_to_width,
     text_width_in,
+    value_with_error,
     write_badge,
     write_problem,
     write_title,
 )
 from dragrig.present.model_figures import spread_selection
-from dragrig.present.numbers import value_with_error
-from dragrig.present.palette import BLACK, BLUE, GREY, PURPLE, VERMILLION
 from dragrig.present.run_figures import (
     CHANNEL_LABELS,
     FOOT_IN,
@@ -62,9 +67,7 @@ from dragrig.present.run_figures import (
     gaps_after_samples,
     relaxation_ramp,
 )
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import Run, RunStatus
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus
 
 STEADY_KINDS = ("drag", "coulomb", "blank")
 """Kinds of run with a steady force that stands in a campaign's picture."""

@@ -2,17 +2,31 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from dragrig.analysis.comparison.comparison import (
+from dragrig.analysis import (
+    NORMAL_95,
     Comparison,
+    Exclusion,
     GroupDifference,
     MeasureDifference,
     RunPair,
     comparison_rows,
 )
-from dragrig.analysis.estimates import NORMAL_95, Exclusion
-from dragrig.present import figures
-from dragrig.present.document import Cell, Column, Document, Facts, Field, Figure, Items, Section, Table
-from dragrig.present.numbers import decimals, percent_difference, shortest, to_json_object
+from dragrig.present import (
+    Cell,
+    Column,
+    Document,
+    Facts,
+    Field,
+    Figure,
+    Items,
+    Section,
+    Table,
+    decimals,
+    figures,
+    percent_difference,
+    shortest,
+    to_json_object,
+)
 
 MAX_UNPAIRED = 12
 """Runs without a partner that a terminal lists."""

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite
 
-from dragrig.analysis.gap.diagnosis import (
+from dragrig.analysis import as_sentence, capitalise, percent_text
+from dragrig.analysis.gap import (
     Diagnosis,
     GapReduction,
     NextExperiment,
@@ -13,22 +14,11 @@ from dragrig.analysis.gap.diagnosis import (
     UnexplainedGap,
     Verdict,
     display_name,
+    run_text,
+    separation_text,
 )
-from dragrig.analysis.gap.next_run_force import run_text, separation_text
 from dragrig.analysis.paper import published
-from dragrig.analysis.wording import as_sentence, capitalise, percent_text
-from dragrig.present import figures
-from dragrig.present.diagnosis_sentences import (
-    axis_texts,
-    calibration_sentence,
-    detection_limit_sentence,
-    domain_sentence,
-    effect_description,
-    is_stated_verdict,
-    shrink_sentences,
-    verdict_sentences,
-)
-from dragrig.present.document import (
+from dragrig.present import (
     Cell,
     Code,
     Column,
@@ -42,10 +32,9 @@ from dragrig.present.document import (
     Table,
     Text,
     TextKind,
-)
-from dragrig.present.numbers import (
     decimals,
     exclusions_json,
+    figures,
     interval_text,
     p_value_text,
     percent,
@@ -55,7 +44,17 @@ from dragrig.present.numbers import (
     to_json_object,
     unit_text,
 )
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.present.diagnosis_sentences import (
+    axis_texts,
+    calibration_sentence,
+    detection_limit_sentence,
+    domain_sentence,
+    effect_description,
+    is_stated_verdict,
+    shrink_sentences,
+    verdict_sentences,
+)
+from dragrig.sim_backend.effects import catalogue
 
 FORMAT, VERSION = "dragrig-gap", 1
 NEXT_FORMAT = "dragrig-next"

@@ -9,30 +9,34 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MultipleLocator
 
-from dragrig.analysis.gap.diagnosis import (
+from dragrig.analysis import capitalise
+from dragrig.analysis.gap import (
+    ALPHA,
+    CHANNELS,
+    CONFUSED_SIN2,
+    DETECTABLE_D_PRIME,
+    PROTOCOLS,
     AxisLocation,
     Diagnosis,
+    EffectPair,
     GapLocation,
+    Isolability,
     PhaseCell,
     RankedHypothesis,
     RunTraces,
     display_name,
-)
-from dragrig.analysis.gap.excess import CHANNELS, PROTOCOLS
-from dragrig.analysis.gap.isolability import (
-    CONFUSED_SIN2,
-    DETECTABLE_D_PRIME,
-    EffectPair,
-    Isolability,
     isolability_sentences,
 )
-from dragrig.analysis.gap.localise import ALPHA
-from dragrig.analysis.wording import capitalise
-from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
-from dragrig.present.drawing import (
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREY,
     HEADER_IN,
+    PALE,
+    SKY,
     SMALL_PT,
     TEXT_PT,
+    VERMILLION,
     LineStyle,
     PanelBox,
     add_panel,
@@ -41,6 +45,7 @@ from dragrig.present.drawing import (
     fit_y_range,
     new_figure,
     panel_width_in,
+    probability_text,
     set_time_range,
     set_y_label,
     shortened_to_width,
@@ -48,9 +53,8 @@ from dragrig.present.drawing import (
     write_legend,
     write_title,
 )
-from dragrig.present.numbers import probability_text
-from dragrig.present.palette import BLACK, BLUE, GREY, PALE, SKY, VERMILLION
-from dragrig.rig.arrays import FloatArray
+from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
+from dragrig.rig import FloatArray
 
 LOCATION_WIDTH_IN, LOCATION_LEFT_IN, LOCATION_RIGHT_IN, LOCATION_FOOT_IN = 14.0, 0.45, 0.45, 0.75
 

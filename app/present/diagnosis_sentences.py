@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from dragrig.analysis.gap.diagnosis import (
+from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
+from dragrig.analysis.gap import (
     AxisLocation,
     Diagnosis,
     GapLocation,
@@ -13,9 +14,8 @@ from dragrig.analysis.gap.diagnosis import (
     Verdict,
     display_name,
 )
-from dragrig.analysis.wording import as_sentence, capitalise, count_text, join_names, percent_text
-from dragrig.present.numbers import force_text, probability_text
-from dragrig.sim_backend.effects.base import catalogue
+from dragrig.present import force_text, probability_text
+from dragrig.sim_backend.effects import catalogue
 
 UNCALIBRATED_NOTE = "The probabilities are not calibrated: use them as a ranking only."
 

@@ -15,7 +15,7 @@ from enum import StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
-from dragrig.analysis.wording import UNKNOWN
+from dragrig.analysis import UNKNOWN
 from dragrig.present.numbers import NumberFormat, significant
 
 if TYPE_CHECKING:

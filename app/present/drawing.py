@@ -21,7 +21,7 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
+from dragrig.rig import AnyFloatArray, FloatArray
 
 TITLE_PT: Final = 19.0
 TEXT_PT: Final = 13.5

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from dragrig.present.document import Document, Facts, Field, Section, Table, Text
-from dragrig.present.numbers import shortest, to_json_object, unit_text
-from dragrig.sim_backend.effects.base import Effect, EffectParameter, Location
+from dragrig.present import Document, Facts, Field, Section, Table, Text, shortest, to_json_object, unit_text
+from dragrig.sim_backend.effects import Effect, EffectParameter, Location
 
 
 def effects_document(effects: Sequence[Effect]) -> Document:

@@ -4,9 +4,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.wording import UNKNOWN
-from dragrig.present import figures
-from dragrig.present.document import (
+from dragrig.analysis import UNKNOWN
+from dragrig.present import (
     Column,
     Document,
     Facts,
@@ -17,12 +16,15 @@ from dragrig.present.document import (
     Table,
     Text,
     TextKind,
+    decimals,
+    figures,
+    shortest,
+    to_json_object,
 )
-from dragrig.present.numbers import decimals, shortest, to_json_object
 from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap.features import Calibration
+    from dragrig.analysis.gap import Calibration
 
 MAX_WRONG_VERDICTS = 40
 """Wrong verdicts that a terminal lists."""

@@ -9,9 +9,17 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from dragrig.present.drawing import (
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    PAPER,
     SMALL_PT,
     TEXT_PT,
+    VERMILLION,
     LineStyle,
     PanelBox,
     add_panel,
@@ -22,7 +30,6 @@ from dragrig.present.drawing import (
     write_legend,
     write_title,
 )
-from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PAPER, VERMILLION
 from dragrig.scoring import ConfusionMatrix, DetectionBin, ProbabilityCalibration, PromiseScore, Rate
 
 RATES_WIDTH_IN, RATES_ROW_IN, RATES_HEAD_IN, RATES_FOOT_IN, RATES_LEFT_IN, RATES_RIGHT_IN = (

@@ -8,8 +8,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.computation import Progress, no_progress
-from dragrig.config.errors import OutputError
+from dragrig.analysis import Progress, no_progress
+from dragrig.config import OutputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

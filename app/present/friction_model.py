@@ -2,12 +2,22 @@
 
 from collections.abc import Sequence
 
-from dragrig.analysis.paper.published import WALL_UNITS
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
-from dragrig.present import figures
-from dragrig.present.document import Column, Document, Field, Figure, Section, Table, Text
-from dragrig.present.numbers import decimals, percent_difference, shortest, shortest_percent
+from dragrig.analysis.paper import WALL_UNITS
+from dragrig.config import Capsule, FrictionModelSettings
+from dragrig.present import (
+    Column,
+    Document,
+    Field,
+    Figure,
+    Section,
+    Table,
+    Text,
+    decimals,
+    figures,
+    percent_difference,
+    shortest,
+    shortest_percent,
+)
 
 WALL_TEXTS = {"eq14": "Eq. 14, as printed", "table1": "the least-squares quadratic through Table 1"}
 

@@ -9,9 +9,8 @@ from zlib import crc32
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from dragrig.present.document import Block, Document
-from dragrig.present.files import svg_text
-from dragrig.rig.runfile.schema import software_version
+from dragrig.present import Block, Document, svg_text
+from dragrig.rig import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")

@@ -6,10 +6,12 @@ from dataclasses import fields
 from math import isnan
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.estimates import Estimate, EstimatedQuantity
-from dragrig.analysis.identification.identification import (
+from dragrig.analysis import (
+    UNKNOWN,
     CoulombResult,
     DragResult,
+    Estimate,
+    EstimatedQuantity,
     Identification,
     JointFit,
     LogLaw,
@@ -19,9 +21,10 @@ from dragrig.analysis.identification.identification import (
     RunResidual,
     SpeedPoint,
     StrainLaw,
+    count_text,
+    join_names,
 )
-from dragrig.analysis.wording import UNKNOWN, count_text, join_names
-from dragrig.present.document import (
+from dragrig.present import (
     Block,
     Cell,
     Column,
@@ -33,8 +36,6 @@ from dragrig.present.document import (
     Section,
     Table,
     Text,
-)
-from dragrig.present.numbers import (
     decimals,
     estimate_text,
     exclusions_json,
@@ -48,7 +49,7 @@ from dragrig.present.numbers import (
     unit_text,
     value_with_error,
 )
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

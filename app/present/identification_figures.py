@@ -9,35 +9,41 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from dragrig.analysis.estimates import NORMAL_95, EstimatedQuantity
-from dragrig.analysis.identification.identification import (
+from dragrig.analysis import (
+    ELEMENT_NAMES,
+    NORMAL_95,
     CoulombRun,
     DragResult,
+    DragSetup,
+    EstimatedQuantity,
+    Experiment,
     JointFit,
     ParameterEstimate,
     RelaxationFit,
+    RelaxationResiduals,
     RelaxationResult,
     RunResidual,
+    RunSelection,
     SpeedBoundary,
     SpeedPoint,
     StrainLaw,
-)
-from dragrig.analysis.identification.relaxation_elements import (
-    ELEMENT_NAMES,
-    RelaxationResiduals,
+    estimate_noise,
     evaluate_strain_law,
     relaxation_residuals,
+    steady_force_parts,
 )
-from dragrig.analysis.identification.steady_sliding import DragSetup, steady_force_parts
-from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.noise import estimate_noise
-from dragrig.analysis.selection import RunSelection
-from dragrig.config.errors import AnalysisError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
-from dragrig.present.drawing import (
+from dragrig.config import AnalysisError, Capsule, FrictionModelSettings
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PALE,
+    PURPLE,
     SMALL_PT,
     TEXT_PT,
+    VERMILLION,
     CurveLabel,
     LineStyle,
     PanelBox,
@@ -48,17 +54,17 @@ from dragrig.present.drawing import (
     hide_time_labels,
     label_curves,
     new_figure,
+    run_problem,
     set_log_x,
     set_y_label,
     shortened_to_width,
     text_width_in,
+    value_with_error,
     write_badge,
     write_problem,
     write_title,
 )
 from dragrig.present.model_figures import TABLE1_DASHES, model_text
-from dragrig.present.numbers import value_with_error
-from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PALE, PURPLE, VERMILLION
 from dragrig.present.run_figures import (
     FOOT_IN,
     LEFT_IN,
@@ -74,11 +80,8 @@ from dragrig.present.run_figures import (
     steady_level,
     write_run_header,
 )
-from dragrig.present.run_titles import run_problem
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.runfile.model import Run
-from dragrig.sim_backend.friction import SteadyFriction
-from dragrig.sim_backend.friction.wall import EQ14, TABLE1, TABLE1_STRAIN
+from dragrig.rig import FloatArray, Run
+from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN, SteadyFriction
 
 JOINT_ROW_IN, JOINT_TIGHT_ROW_IN = 0.36, 0.23
 JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60

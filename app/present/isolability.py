@@ -1,11 +1,24 @@
 """Isolability laid out for a reader: which effects a set of runs can distinguish, and how small a one they show."""
 
-from dragrig.analysis.gap.diagnosis import display_name
-from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, isolability_sentences
-from dragrig.analysis.wording import as_sentence, capitalise
-from dragrig.present import figures
-from dragrig.present.document import Column, Document, Field, Figure, Items, Section, Table, Text, TextKind
-from dragrig.present.numbers import decimals, shortest, significant, to_json_object, unit_text
+from dragrig.analysis import as_sentence, capitalise
+from dragrig.analysis.gap import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, display_name, isolability_sentences
+from dragrig.present import (
+    Column,
+    Document,
+    Field,
+    Figure,
+    Items,
+    Section,
+    Table,
+    Text,
+    TextKind,
+    decimals,
+    figures,
+    shortest,
+    significant,
+    to_json_object,
+    unit_text,
+)
 
 FORMAT, VERSION = "dragrig-isolability", 1
 MAX_PAIRS = 20

@@ -8,13 +8,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig.analysis.estimates import EstimatedQuantity
-from dragrig.analysis.paper.published import SKEW_SPEEDS_MM_S, WALL_UNITS
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
-from dragrig.present.drawing import (
+from dragrig.analysis import EstimatedQuantity
+from dragrig.analysis.paper import SKEW_SPEEDS_MM_S, WALL_UNITS
+from dragrig.config import Capsule, FrictionModelSettings
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
     SMALL_PT,
     TEXT_PT,
+    VERMILLION,
     CurveLabel,
     PanelBox,
     add_panel,
@@ -22,15 +26,14 @@ from dragrig.present.drawing import (
     fit_y_range,
     label_curves,
     new_figure,
+    percent_difference,
     sequential_colours,
     set_log_x,
     set_y_label,
     text_width_in,
     write_title,
 )
-from dragrig.present.numbers import percent_difference
-from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import (
     ParameterSetDifference,
     WallKind,

@@ -10,10 +10,10 @@ from functools import partial
 from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, TypeAlias
 
-from dragrig.analysis.wording import UNKNOWN, significant_text, with_minus_sign
+from dragrig.analysis import UNKNOWN, significant_text, with_minus_sign
 
 if TYPE_CHECKING:
-    from dragrig.analysis.estimates import Estimate, EstimatedQuantity, Exclusion
+    from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
 
 
 NumberFormat: TypeAlias = Callable[[float], str]

@@ -6,28 +6,28 @@ from math import prod
 
 import numpy as np
 
-from dragrig.analysis.estimates import Estimate, EstimatedQuantity
-from dragrig.analysis.identification.identification import (
+from dragrig.analysis import (
+    CAPSULE_COMBINATIONS,
     MIN_LEARNT,
+    RUN_VARIATIONS,
+    CapsuleModel,
     CoulombRun,
     DragResult,
+    DragSetup,
+    Estimate,
+    EstimatedQuantity,
     Identification,
     JointFit,
     ParameterEstimate,
+    identified_settings,
+    steady_force_parts,
 )
-from dragrig.analysis.identification.identify import identified_settings
-from dragrig.analysis.identification.steady_sliding import DragSetup, steady_force_parts
-from dragrig.analysis.models.capsule_model import CAPSULE_COMBINATIONS, RUN_VARIATIONS, CapsuleModel
+from dragrig.analysis.paper import ELEMENT_SYMBOLS, ElementRow, PaperFinding, determination_examples, published
 from dragrig.analysis.paper import findings as paper_findings
-from dragrig.analysis.paper import published
-from dragrig.analysis.paper.findings import ElementRow, determination_examples
-from dragrig.analysis.paper.published import ELEMENT_SYMBOLS, PaperFinding
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
-from dragrig.config.specimen import Capsule
-from dragrig.present import figures
-from dragrig.present.document import (
+from dragrig.config import Capsule, FrictionModelSettings, RigSettings
+from dragrig.present import (
     FOUR_DIGITS,
+    PAPER_TABLES,
     Block,
     Cell,
     Code,
@@ -36,16 +36,13 @@ from dragrig.present.document import (
     Facts,
     Figure,
     Items,
+    NumberFormat,
     Section,
     Table,
     Text,
     TextKind,
-)
-from dragrig.present.files import PAPER_TABLES
-from dragrig.present.friction_model import WALL_TEXTS
-from dragrig.present.numbers import (
-    NumberFormat,
     decimals,
+    figures,
     percent,
     percent_difference,
     shortest,
@@ -53,9 +50,8 @@ from dragrig.present.numbers import (
     significant,
     value_with_error,
 )
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.runfile.model import Run
-from dragrig.rig.runfile.schema import software_version
+from dragrig.present.friction_model import WALL_TEXTS
+from dragrig.rig import FloatArray, Run, software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 
 PAPER_TITLE = "The paper's programme, simulated and identified"

@@ -3,15 +3,22 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-from dragrig.present.document import Document, Field, Items, Section, Table
-from dragrig.present.numbers import decimals, duration_text, shortest, size_text, to_json_object
+from dragrig.present import (
+    Document,
+    Field,
+    Items,
+    Section,
+    Table,
+    decimals,
+    duration_text,
+    shortest,
+    size_text,
+    to_json_object,
+)
 
 if TYPE_CHECKING:
-    from dragrig.config.rig import Calibration
-    from dragrig.rig.calibration import CalibrationLine
-    from dragrig.rig.devices import RigCheck
-    from dragrig.rig.manual import LoadReading, TravelReading
-    from dragrig.rig.programme import Preflight, RunPreview
+    from dragrig.config import Calibration
+    from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 PointT = TypeVar("PointT")
 

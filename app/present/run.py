@@ -4,10 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from dragrig.analysis.estimates import Estimate
-from dragrig.analysis.measures import RunMeasures, measure
-from dragrig.present import figures
-from dragrig.present.document import (
+from dragrig.analysis import Estimate, RunMeasures, measure
+from dragrig.present import (
     Cell,
     Code,
     Column,
@@ -18,18 +16,18 @@ from dragrig.present.document import (
     FormattedNumber,
     Section,
     Table,
-)
-from dragrig.present.numbers import (
     decimals,
     duration_text,
+    figures,
     range_text,
+    run_problem,
+    run_title,
     shortest,
     size_text,
     to_json_object,
     value_with_error,
 )
-from dragrig.present.run_titles import run_problem, run_title
-from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunInfo
+from dragrig.rig import Attribute, Run, RunEvent, RunInfo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure

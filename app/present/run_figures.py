@@ -7,12 +7,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig.analysis.measures import measure
-from dragrig.analysis.savgol import filter_run
-from dragrig.analysis.segments import steady_stretch
-from dragrig.config.errors import AnalysisError
-from dragrig.present.drawing import (
+from dragrig.analysis import filter_run, measure, steady_stretch
+from dragrig.config import AnalysisError
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PALE,
+    PAPER,
+    PURPLE,
     SMALL_PT,
+    VERMILLION,
     LineStyle,
     PanelBox,
     add_panel,
@@ -24,22 +30,34 @@ from dragrig.present.drawing import (
     new_figure,
     panel_height_in,
     panel_width_in,
+    run_problem,
+    run_subtitle,
+    run_title,
     set_log_x,
     set_time_range,
     set_y_label,
     spread_labels,
     text_width_in,
+    value_with_error,
     write_badge,
     write_legend,
     write_problem,
     write_title,
 )
-from dragrig.present.numbers import value_with_error
-from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, PALE, PAPER, PURPLE, VERMILLION
-from dragrig.present.run_titles import run_problem, run_subtitle, run_title
-from dragrig.rig.arrays import AnyFloatArray, BoolArray, FloatArray, PhaseArray
-from dragrig.rig.profile import Phase
-from dragrig.rig.runfile.model import PHASE_NAMES, Attribute, FilteredTrace, Run, RunEvent, RunInfo, RunStatus
+from dragrig.rig import (
+    PHASE_NAMES,
+    AnyFloatArray,
+    Attribute,
+    BoolArray,
+    FilteredTrace,
+    FloatArray,
+    Phase,
+    PhaseArray,
+    Run,
+    RunEvent,
+    RunInfo,
+    RunStatus,
+)
 
 ENVELOPE_COLUMNS = 2000
 """Columns that an envelope keeps; about the pixels that a picture is wide."""

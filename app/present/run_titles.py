@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from dragrig.rig.runfile.model import Attribute, RunInfo, RunStatus
+from dragrig.rig import Attribute, RunInfo, RunStatus
 
 _KIND_TITLES = {
     "drag": "Drag",

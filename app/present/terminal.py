@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from dragrig.present.document import Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
+from dragrig.present import Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

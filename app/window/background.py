@@ -6,9 +6,8 @@ from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
-from dragrig.config.errors import DragrigError
-from dragrig.engine_host.client import EngineClient
-from dragrig.engine_host.messages import HEARTBEAT_S, SILENCE_TIMEOUT_S, HostLost, Request, RigSelection
+from dragrig.config import DragrigError
+from dragrig.engine_host import HEARTBEAT_S, SILENCE_TIMEOUT_S, EngineClient, HostLost, Request, RigSelection
 
 ResultT = TypeVar("ResultT")
 

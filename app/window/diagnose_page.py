@@ -3,10 +3,9 @@
 from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QWidget
 
-from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
-from dragrig.analysis.gap.diagnosis import Diagnosis, RunTraces
-from dragrig.config.errors import DragrigError
-from dragrig.present.palette import BLUE, PALE, VERMILLION
+from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
+from dragrig.config import DragrigError
+from dragrig.present import BLUE, PALE, VERMILLION
 from dragrig.views import (
     CompletedDiagnosis,
     DiagnosisFailed,

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from PySide6.QtWidgets import QCheckBox, QLabel, QWidget
 
 from dragrig.analysis import SavgolSettings, SavgolStream, default_filter_settings
-from dragrig.engine_host.messages import PHASE_NAMES, LiveSamples
-from dragrig.present.palette import BLUE, GREEN, PALE, PURPLE
+from dragrig.engine_host import PHASE_NAMES, LiveSamples
+from dragrig.present import BLUE, GREEN, PALE, PURPLE
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
 from dragrig.window.widgets import card, column, label, row

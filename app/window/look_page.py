@@ -24,8 +24,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.analysis.measures import TableRow
-from dragrig.present.palette import BLACK, CYCLE, PALE, VERMILLION, tint
+from dragrig.analysis import TableRow
+from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, tint
 from dragrig.views import (
     FORMATS,
     ShownCampaign,

@@ -11,7 +11,7 @@ from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
 from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QStackedWidget, QWidget
 
-from dragrig.engine_host.messages import (
+from dragrig.engine_host import (
     SILENCE_TIMEOUT_S,
     Answer,
     Event,

@@ -13,11 +13,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.config.errors import DragrigError
-from dragrig.config.plan import Plan
-from dragrig.engine_host.messages import Pace, RigSelection
-from dragrig.present.numbers import duration_text, size_text
-from dragrig.present.palette import BLUE, PURPLE
+from dragrig.config import DragrigError, Plan
+from dragrig.engine_host import Pace, RigSelection
+from dragrig.present import BLUE, PURPLE, duration_text, size_text
 from dragrig.views import (
     FieldKind,
     FormField,

@@ -9,7 +9,7 @@ import pyqtgraph
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
-from dragrig.present.palette import BLACK, GREY, GRID, PAPER
+from dragrig.present import BLACK, GREY, GRID, PAPER
 from dragrig.window.trace_pyramid import TracePyramid
 from dragrig.window.widgets import SMALL_PX
 

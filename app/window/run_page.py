@@ -7,8 +7,8 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QHeaderView, QProgressBar, QSplitter, QTabWidget, QTreeWidget, QTreeWidgetItem, QWidget
 
-from dragrig.config.errors import DragrigError
-from dragrig.engine_host.messages import (
+from dragrig.config import DragrigError
+from dragrig.engine_host import (
     AbortSession,
     Event,
     ExamineRig,
@@ -27,7 +27,7 @@ from dragrig.engine_host.messages import (
     SessionWaiting,
     StartSession,
 )
-from dragrig.present.numbers import duration_text
+from dragrig.present import duration_text
 from dragrig.views import PlanForm, RigDescription, SessionPreview
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView

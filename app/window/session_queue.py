@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from dragrig.engine_host.messages import (
+from dragrig.engine_host import (
     MirrorStatus,
     QueuedRun,
     RunFinished,

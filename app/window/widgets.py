@@ -28,8 +28,26 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.present.document import Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
-from dragrig.present.palette import BLACK, BLUE, GREEN, GREY, GRID, PALE, PAPER, VERMILLION
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    GRID,
+    PALE,
+    PAPER,
+    VERMILLION,
+    Block,
+    Code,
+    Document,
+    Facts,
+    Figure,
+    Items,
+    Section,
+    Table,
+    Text,
+    TextKind,
+)
 
 WidgetT = TypeVar("WidgetT", bound=QWidget)
 TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32

@@ -1,1 +1,8 @@
-"""The real rig: PCI-6229, NLA-7SL stage and its drive, behind the device protocols of `dragrig.rig.devices`."""
+"""The real rig: PCI-6229, NLA-7SL stage and its drive, behind the device protocols of `dragrig.rig.devices`.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,19 +16,20 @@ from typing import Self, TypeVar
 import numpy as np
 from filelock import FileLock, Timeout
 
-from dragrig.config.errors import DeviceError, DragrigError, reason_of
-from dragrig.config.rig import HardwareSettings, RigSettings
-from dragrig.rig.devices import Acquisition, BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock
-from dragrig.rig.engine import attempt
-from dragrig.rig.hardware.card.connection import Connection, driver_errors_wrapped
-from dragrig.rig.hardware.card.sampler import MAX_AGGREGATE_RATE_HZ, CardSampler
-from dragrig.rig.hardware.card.scaling import Scaling
-from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
-from dragrig.rig.hardware.drive.position_mode import PositionModeStage
-from dragrig.rig.hardware.drive.stage_base import MonitoredStage, write_safeguards, write_travel
-from dragrig.rig.hardware.drive.velocity_stage import VelocityModeStage
+from dragrig.config import DeviceError, DragrigError, HardwareSettings, RigSettings, reason_of
+from dragrig.rig import Acquisition, BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock, attempt
+from dragrig.rig.hardware.card import MAX_AGGREGATE_RATE_HZ, CardSampler, Connection, Scaling, driver_errors_wrapped
+from dragrig.rig.hardware.dialects import find_dialect
+from dragrig.rig.hardware.drive import (
+    DriveLink,
+    MonitoredStage,
+    PositionModeStage,
+    StageDevices,
+    VelocityModeStage,
+    Watchdog,
+    write_safeguards,
+    write_travel,
+)
 from dragrig.rig.hardware.lines import CardLines
 from dragrig.rig.hardware.sync import MotionSamplingSync
 

@@ -14,8 +14,8 @@ from nidaqmx.constants import LineGrouping
 from nidaqmx.stream_readers import DigitalMultiChannelReader
 from nidaqmx.stream_writers import DigitalSingleChannelWriter
 
-from dragrig.rig.devices import Trip, TripCause
-from dragrig.rig.hardware.card.connection import Connection, driver_errors_wrapped
+from dragrig.rig import Trip, TripCause
+from dragrig.rig.hardware.card import Connection, driver_errors_wrapped
 
 _CALL_TIMEOUT_S = 0.1
 _SWITCH_TRIPS = {

@@ -12,12 +12,8 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from dragrig.config.errors import PlanError
-from dragrig.config.settings import Settings, parse, suggestion
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import Attribute
+from dragrig.config import Fixture, PlanError, Settings, Specimen, parse, suggestion
+from dragrig.rig import Attribute, Contact, MotionProfile, Phase, Piece, stationary_piece, trapezoid
 
 MAX_RUNS = 10_000
 """Of a step: more than a year of rig time, and as many as fit into memory."""

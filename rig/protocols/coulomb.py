@@ -2,8 +2,8 @@
 
 from typing import ClassVar
 
-from dragrig.config.specimen import Fixture
-from dragrig.rig.devices import Contact
+from dragrig.config import Fixture
+from dragrig.rig import Contact
 from dragrig.rig.protocols import StrokeProtocol
 
 

@@ -4,10 +4,8 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from dragrig.config.settings import Settings
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase, Piece, stationary_piece, trapezoid
+from dragrig.config import Fixture, Settings, Specimen
+from dragrig.rig import Contact, Phase, Piece, stationary_piece, trapezoid
 from dragrig.rig.protocols import RunProtocol
 
 

@@ -4,9 +4,8 @@ from typing import ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from dragrig.config.specimen import Fixture, Specimen
-from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Piece, trapezoid
+from dragrig.config import Fixture, Specimen
+from dragrig.rig import Contact, Piece, trapezoid
 from dragrig.rig.protocols import RunProtocol
 
 

@@ -9,12 +9,20 @@ from pathlib import Path
 import tomli_w
 from pydantic import AwareDatetime
 
-from dragrig.config.errors import OutputError, RunFileError, SettingsError, reason_of
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.plan import Plan
-from dragrig.config.rig import RigSettings
-from dragrig.config.settings import Settings, parse, read_settings_file, to_toml
-from dragrig.config.specimen import Specimen
+from dragrig.config import (
+    FrictionModelSettings,
+    OutputError,
+    Plan,
+    RigSettings,
+    RunFileError,
+    Settings,
+    SettingsError,
+    Specimen,
+    parse,
+    read_settings_file,
+    reason_of,
+    to_toml,
+)
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import remove_file, replace_text
 from dragrig.rig.runfile.model import RunInfo

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from dragrig.config.errors import OutputError
+from dragrig.config import OutputError
 from dragrig.rig.runfile.schema import lock_path, part_path
 
 MAX_SHARING_WAIT_S = 5.0

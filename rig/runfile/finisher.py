@@ -23,8 +23,7 @@ from typing import Self
 
 import h5py
 
-from dragrig.config import errors
-from dragrig.config.errors import DragrigError, OutputError, RunFileError
+from dragrig.config import DragrigError, OutputError, RunFileError, errors
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import BusyError, free_bytes, lock_run, remove_file
 from dragrig.rig.runfile.model import Attribute, RunEnding, RunStatus

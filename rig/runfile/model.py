@@ -7,8 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Literal, Self
 
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray
-from dragrig.rig.profile import Phase
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray
 
 Attribute = str | float | int | bool
 """What an attribute of the file can be; NumPy scalars become these on reading."""

@@ -16,8 +16,8 @@ from uuid import UUID
 import h5py
 import numpy as np
 
-from dragrig.config.errors import DragrigError, RunFileError
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
+from dragrig.config import DragrigError, RunFileError
+from dragrig.rig import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import brief_error
 from dragrig.rig.runfile.hdf5 import UnfinishedFile, find_damaged_text, is_open_for_writing

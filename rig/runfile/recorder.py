@@ -24,7 +24,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import OutputError, RecordingError, RunFileError
+from dragrig.config import OutputError, RecordingError, RunFileError
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import brief_error, free_bytes, lock_run, remove_quietly
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dragrig.config.errors import OutputError
+from dragrig.config import OutputError
 
 FORMAT = "dragrig-run"
 FORMAT_VERSION = 1

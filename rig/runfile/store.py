@@ -15,8 +15,8 @@ from typing import Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import OutputError, RecordingError
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray, read_only
+from dragrig.config import OutputError, RecordingError
+from dragrig.rig import AnyFloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import mark_bad
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly

@@ -14,8 +14,8 @@ from typing import TypeAlias
 import h5py
 import numpy as np
 
-from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray
+from dragrig.config import OutputError, RunFileError
+from dragrig.rig import AnyFloatArray, PhaseArray
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import brief_error, lock_run, move_into_place, remove_quietly
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file

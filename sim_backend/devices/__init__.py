@@ -1,5 +1,8 @@
-"""The simulated rig behind the device protocols of `dragrig.rig.devices`."""
+"""The simulated rig behind the device protocols of `dragrig.rig.devices`.
 
-from dragrig.sim_backend.devices.simulated_backend import SimulatedBackend, open_backend
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
+"""
 
-__all__ = ["SimulatedBackend", "open_backend"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

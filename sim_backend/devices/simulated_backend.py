@@ -5,9 +5,8 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from threading import Event as Signal
 
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import BackendRequest, Clock, RigCheck, WallClock, with_utc_offset
+from dragrig.config import FrictionModelSettings, RigSettings
+from dragrig.rig import BackendRequest, Clock, RigCheck, WallClock, with_utc_offset
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 from dragrig.sim_backend.devices.simulated_stage import (
     UNDISTURBED,
@@ -17,7 +16,7 @@ from dragrig.sim_backend.devices.simulated_stage import (
     SimulatedStage,
 )
 from dragrig.sim_backend.devices.variability import draw_specimen_model
-from dragrig.sim_backend.effects.base import active_effects
+from dragrig.sim_backend.effects import active_effects
 
 
 class VirtualClock:

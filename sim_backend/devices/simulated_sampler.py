@@ -14,14 +14,33 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import DeviceError, StaleDataError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import ForceSensorSettings, MotorSettings, RigSettings
-from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
-from dragrig.rig.devices import MAX_BLOCK_S, Acquisition, Block, Clock, Contact, RawReading
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
-from dragrig.rig.runfile.model import RecordedChannel
+from dragrig.config import (
+    Capsule,
+    DeviceError,
+    Fixture,
+    ForceSensorSettings,
+    FrictionModelSettings,
+    MotorSettings,
+    RigSettings,
+    Specimen,
+    StaleDataError,
+)
+from dragrig.rig import (
+    MAX_BLOCK_S,
+    Acquisition,
+    AnyFloatArray,
+    Block,
+    Clock,
+    Contact,
+    FloatArray,
+    MotionProfile,
+    Phase,
+    RawReading,
+    RecordedChannel,
+    read_only,
+    stationary_piece,
+    trapezoid,
+)
 from dragrig.sim_backend.devices.simulated_stage import (
     UNDISTURBED,
     Disturbances,
@@ -38,11 +57,8 @@ from dragrig.sim_backend.devices.variability import (
     motor_noise,
     random_generator,
 )
-from dragrig.sim_backend.effects.base import EffectChain, evaluation_rate_hz, evaluation_times
-from dragrig.sim_backend.effects.run_state import gut_run_state
-from dragrig.sim_backend.friction import prepare
-from dragrig.sim_backend.friction.friction_force import PreparedForce
-from dragrig.sim_backend.friction.motion import ProfileMotion, RecordedMotion
+from dragrig.sim_backend.effects import EffectChain, evaluation_rate_hz, evaluation_times, gut_run_state
+from dragrig.sim_backend.friction import PreparedForce, ProfileMotion, RecordedMotion, prepare
 
 BEARING_SPEED_MM_S = 0.05
 """Speed over which the Coulomb friction of the stage's bearing changes sign."""

@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError
-from dragrig.config.rig import EncoderSettings, StageSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import (
+from dragrig.config import DeviceError, EncoderSettings, StageSettings
+from dragrig.rig import (
     Acquisition,
     Clock,
+    FloatArray,
+    MotionProfile,
+    Phase,
     StageLimits,
     StageState,
     TravelEnd,
@@ -25,8 +26,8 @@ from dragrig.rig.devices import (
     limits_with_override,
     require_within_limits,
     stage_limits,
+    stationary_piece,
 )
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,10 +10,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import MotorSettings, NoiseSettings, VariationSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition
+from dragrig.config import FrictionModelSettings, MotorSettings, NoiseSettings, VariationSettings
+from dragrig.rig import Acquisition, FloatArray
 
 
 class RandomStream(IntEnum):

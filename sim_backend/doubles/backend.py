@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 
-from dragrig.rig.devices import BackendRequest
-from dragrig.rig.hardware.backend import HardwareBackend
-from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.sim_backend.devices.variability import draw_specimen_model
+from dragrig.rig import BackendRequest
+from dragrig.rig.hardware import HardwareBackend
+from dragrig.rig.hardware.dialects import find_dialect
+from dragrig.sim_backend.devices import draw_specimen_model
 from dragrig.sim_backend.doubles.c_library import installed
-from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.card import Card
 from dragrig.sim_backend.doubles.drive_double import make_drive_double
 from dragrig.sim_backend.doubles.protocol_double import DoublePort
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, FaultInjector, SimulatedBench

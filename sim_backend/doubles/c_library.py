@@ -20,9 +20,8 @@ import numpy.typing as npt
 from nidaqmx._lib import DaqFunctionImporter, lib_importer
 from nidaqmx.error_codes import DAQmxErrors as Status
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.card.pci6229 import WIDE_ATTRIBUTES, Attribute, AttributeValue, CardError
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.doubles.card import WIDE_ATTRIBUTES, Attribute, AttributeValue, Card, CardError
 
 CFunction: TypeAlias = tuple[tuple[type, ...], Callable[..., int | None]]
 """Types of the arguments, and what is called with them."""

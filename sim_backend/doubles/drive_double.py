@@ -12,18 +12,8 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Self
 
-from dragrig.rig.hardware.dialects.base import (
-    Command,
-    Dialect,
-    FrameError,
-    Halt,
-    Parameter,
-    Refusal,
-    Reply,
-    Request,
-    Status,
-)
-from dragrig.rig.profile import trapezoid
+from dragrig.rig import trapezoid
+from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Halt, Parameter, Refusal, Reply, Request, Status
 from dragrig.sim_backend.doubles.simulated_bench import INDEX_POSITION_MM, SWITCH_OFFSET_MM, SimulatedBench
 
 SWITCH_OVERTRAVEL_MM = 1.0

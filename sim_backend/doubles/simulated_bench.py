@@ -17,14 +17,20 @@ from threading import Event as Signal
 
 import numpy as np
 
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings, VelocityOutputSettings
-from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.devices import Acquisition, Contact, with_utc_offset
-from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
-from dragrig.sim_backend.devices.simulated_sampler import SimulatedChannels
-from dragrig.sim_backend.devices.simulated_stage import UNDISTURBED, Track, evaluate_profile, profile_position
+from dragrig.config import Capsule, Fixture, FrictionModelSettings, RigSettings, Specimen, VelocityOutputSettings
+from dragrig.rig import (
+    Acquisition,
+    AnyFloatArray,
+    Contact,
+    FloatArray,
+    MotionProfile,
+    Phase,
+    Piece,
+    stationary_piece,
+    trapezoid,
+    with_utc_offset,
+)
+from dragrig.sim_backend.devices import UNDISTURBED, SimulatedChannels, Track, evaluate_profile, profile_position
 
 _MIN_REST_S = 1e-3
 _TIME_TOLERANCE_S = 1e-9

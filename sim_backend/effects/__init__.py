@@ -2,4 +2,10 @@
 
 Each is a parameterised change to the simulator at one named place. `base` says what an effect declares, finds them and
 combines several, `run_state` is what they may depend on in a run.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

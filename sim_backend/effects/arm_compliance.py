@@ -2,10 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, MeasuringLink, SensorEffect, Values, shape, size
-from dragrig.sim_backend.effects.dynamics import resonator
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    Location,
+    MeasuringLink,
+    RunState,
+    SensorEffect,
+    Values,
+    resonator,
+    shape,
+    size,
+)
 
 REFERENCE_MASS_G = 1000.0
 """Mass that rings at a share of 1 when jerks alone excite the arm."""

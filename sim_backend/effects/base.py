@@ -23,10 +23,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from dragrig.config.errors import SettingsError
-from dragrig.config.friction_model import EffectSettings, FrictionModelSettings
-from dragrig.config.settings import suggestion
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import EffectSettings, FrictionModelSettings, SettingsError, suggestion
+from dragrig.rig import FloatArray
 from dragrig.sim_backend import effects
 from dragrig.sim_backend.effects.run_state import RunState
 

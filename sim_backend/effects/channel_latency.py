@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
     Channel,
     Coordinate,
     Location,
     MeasuringLink,
     PositionForm,
+    RunState,
     SensorEffect,
     Values,
     size,
 )
-from dragrig.sim_backend.effects.run_state import RunState
 
 
 class ChannelLatency(SensorEffect):

@@ -6,9 +6,8 @@ Linear systems are exact for inputs that are linear between times.
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.friction.motion import Motion
-from dragrig.sim_backend.friction.wall import linear_recursion
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.friction import Motion, linear_recursion
 
 ComplexArray = npt.NDArray[np.complex128]
 

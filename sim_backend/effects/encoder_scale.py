@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, EncoderEffect, Location, PositionForm, Values, size
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, EncoderEffect, Location, PositionForm, Values, size
 
 
 class EncoderScale(EncoderEffect):

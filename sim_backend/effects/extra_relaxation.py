@@ -2,9 +2,17 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.run_state import RunState, force_of_hoop_stress
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    ForceEffect,
+    Location,
+    RunState,
+    Values,
+    force_of_hoop_stress,
+    shape,
+    size,
+)
 
 MIN_SPREAD = 0.01
 """Below this spread one branch is used."""

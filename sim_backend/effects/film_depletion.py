@@ -2,10 +2,17 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.dynamics import distance_travelled
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    ForceEffect,
+    Location,
+    RunState,
+    Values,
+    distance_travelled,
+    shape,
+    size,
+)
 
 REFERENCE_MM = 40.0
 """Distance that its size refers to."""

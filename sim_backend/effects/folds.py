@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, phase, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, ForceEffect, Location, RunState, Values, phase, shape, size
 
 WAVELENGTHS_MM = tuple(round(1 / float(wavenumber), 3) for wavenumber in np.linspace(1 / 20, 1 / 1.5, 40))
 """Evenly spaced in wavenumber: over 40 mm no wavelength is more than a third of a period from one of them."""

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, MeasuringLink, SensorEffect, Values, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Location, MeasuringLink, RunState, SensorEffect, Values, shape, size
 
 
 class ForceDrift(SensorEffect):

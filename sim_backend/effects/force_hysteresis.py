@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, SensorEffect, Values, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
-from dragrig.sim_backend.friction.wall import linear_recursion
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Location, RunState, SensorEffect, Values, shape, size
+from dragrig.sim_backend.friction import linear_recursion
 
 
 class ForceHysteresis(SensorEffect):

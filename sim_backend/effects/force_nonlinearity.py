@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, SensorEffect, Values, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Location, RunState, SensorEffect, Values, shape, size
 
 REFERENCE_LOAD_MN = 500.0
 """Load that the size refers to, between drag forces and the peaks of relaxations."""

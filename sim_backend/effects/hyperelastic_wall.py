@@ -2,9 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.run_state import HoopStress, RunState, force_of_hoop_stress
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    ForceEffect,
+    HoopStress,
+    Location,
+    RunState,
+    Values,
+    force_of_hoop_stress,
+    shape,
+    size,
+)
 
 
 class HyperelasticWall(ForceEffect):

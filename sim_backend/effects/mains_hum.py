@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import (
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
     Coordinate,
     Location,
     MeasuringLink,
+    RunState,
     SensorEffect,
     Values,
     phase,
     shape,
     size,
 )
-from dragrig.sim_backend.effects.run_state import RunState
 
 
 class MainsHum(SensorEffect):

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, ForceEffect, Location, RunState, Values, shape, size
 
 REFERENCE_MM = 10.0
 """Distance beyond the onset that its force refers to."""

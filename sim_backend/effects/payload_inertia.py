@@ -2,10 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, MeasuringLink, SensorEffect, Values, shape, size
-from dragrig.sim_backend.effects.dynamics import first_order
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    Location,
+    MeasuringLink,
+    RunState,
+    SensorEffect,
+    Values,
+    first_order,
+    shape,
+    size,
+)
 
 MIN_LAG_S = 1e-4
 """A shorter lag is taken as 0."""

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, phase, shape, size
-from dragrig.sim_backend.effects.run_state import RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, ForceEffect, Location, RunState, Values, phase, shape, size
 
 PERIODS_S = tuple(round(1 / float(frequency), 3) for frequency in np.linspace(1 / 30, 1 / 3, 60))
 """Evenly spaced in frequency: in a run of 90 s no period is more than a third of a turn from one of them."""

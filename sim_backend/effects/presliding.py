@@ -2,10 +2,18 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.dynamics import bristle_deflection
-from dragrig.sim_backend.effects.run_state import RunState, normal_force
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import (
+    Coordinate,
+    ForceEffect,
+    Location,
+    RunState,
+    Values,
+    bristle_deflection,
+    normal_force,
+    shape,
+    size,
+)
 
 
 class Presliding(ForceEffect):

@@ -9,19 +9,21 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Acquisition, Contact
-from dragrig.sim_backend.friction import prepare
-from dragrig.sim_backend.friction.contact import ContactHistory, gauss_legendre
-from dragrig.sim_backend.friction.friction_force import GRAVITY_M_S2, Components, SlidingForce, StickingForce
-from dragrig.sim_backend.friction.motion import Motion
-from dragrig.sim_backend.friction.wall import (
+from dragrig.config import Fixture, FrictionModelSettings
+from dragrig.rig import Acquisition, Contact, FloatArray
+from dragrig.sim_backend.friction import (
+    GRAVITY_M_S2,
+    Components,
+    ContactHistory,
     HemisphereContact,
     MaxwellBranches,
+    Motion,
+    SlidingForce,
+    StickingForce,
     WallParameters,
+    gauss_legendre,
     model_wall,
+    prepare,
     shear_strain,
 )
 

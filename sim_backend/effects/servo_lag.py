@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, MotorEffect, PositionForm, Values, shape, size
-from dragrig.sim_backend.effects.dynamics import resonator
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Location, MotorEffect, PositionForm, Values, resonator, shape, size
 
 
 class ServoLag(MotorEffect):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, Location, MotorEffect, PositionForm, Values, phase, shape, size
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, Location, MotorEffect, PositionForm, Values, phase, shape, size
 
 PITCHES_MM = tuple(round(float(1 / wave), 3) for wave in np.linspace(1 / 20, 1.0, 40))
 """From 20 to 1 mm, evenly in wavenumber: over a stroke of 20 mm neighbours differ by at most half a period."""

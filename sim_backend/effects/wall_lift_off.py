@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
-from dragrig.sim_backend.effects.base import Coordinate, ForceEffect, Location, Values, shape, size
-from dragrig.sim_backend.effects.run_state import HoopStress, RunState
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import Coordinate, ForceEffect, HoopStress, Location, RunState, Values, shape, size
 
 MIN_LIFTED_MM = 1e-9
 """Avoids a division by a lifted length of 0."""

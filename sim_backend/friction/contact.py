@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import PPoly
 
-from dragrig.rig.arrays import FloatArray, read_only
+from dragrig.rig import FloatArray, read_only
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
 from dragrig.sim_backend.friction.wall import HemisphereContact
 

@@ -14,11 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import PPoly
 
-from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule, Fixture
-from dragrig.rig.arrays import FloatArray, read_only
-from dragrig.rig.devices import Acquisition, Contact
+from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
+from dragrig.rig import Acquisition, Contact, FloatArray, read_only
 from dragrig.sim_backend.friction.contact import (
     FINE_RULE,
     ContactHistory,

@@ -14,9 +14,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import BoolArray, FloatArray, IndexArray
-from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile
+from dragrig.config import AnalysisError
+from dragrig.rig import TIME_TOLERANCE_S, BoolArray, FloatArray, IndexArray, MotionProfile
 
 ROUNDING_MM_S = 1e-9
 """Lower speeds are rounding errors."""

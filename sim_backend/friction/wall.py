@@ -14,10 +14,8 @@ from typing import Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.errors import SettingsError
-from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.specimen import Capsule
-from dragrig.rig.arrays import FloatArray, read_only
+from dragrig.config import Capsule, FrictionModelSettings, SettingsError
+from dragrig.rig import FloatArray, read_only
 from dragrig.sim_backend.friction.motion import Pieces
 
 WallKind = Literal["eq14", "table1"]

@@ -22,8 +22,7 @@ from nidaqmx.errors import (
     RpcError,
 )
 
-from dragrig.config.errors import DeviceError, StaleDataError
-from dragrig.config.rig import CardSettings
+from dragrig.config import CardSettings, DeviceError, StaleDataError
 
 if TYPE_CHECKING:
     import grpc

@@ -14,10 +14,9 @@ from threading import Lock, Thread
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, SettingsError
-from dragrig.config.rig import Calibration, CardSettings, RigSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import MAX_BLOCK_S, Acquisition, Block, Clock, RawReading, Trip, TripCause
+from dragrig.config import Calibration, CardSettings, DeviceError, RigSettings, SettingsError
+from dragrig.rig import MAX_BLOCK_S, Acquisition, Block, Clock, FloatArray, RawReading, RecordedChannel, Trip, TripCause
+from dragrig.rig.hardware import FirstSample, MotionSamplingSync
 from dragrig.rig.hardware.card.connection import (
     Connection,
     device_error,
@@ -27,8 +26,6 @@ from dragrig.rig.hardware.card.connection import (
 )
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import BufferedInput, OverwrittenError, SampledTasks, metres_per_count
-from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
-from dragrig.rig.runfile.model import RecordedChannel
 
 READ_TIMEOUT_S = 0.1
 """Longest wait of one call of the driver, twice a block: shorter ones stall it, longer ones delay a stop."""

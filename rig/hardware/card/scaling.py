@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config.rig import AnalogInputSettings, Calibration, ForceInputSettings, RigSettings
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, read_only
-from dragrig.rig.devices import Trip, TripCause
-from dragrig.rig.runfile.model import RecordedChannel
+from dragrig.config import AnalogInputSettings, Calibration, ForceInputSettings, RigSettings
+from dragrig.rig import AnyFloatArray, FloatArray, RecordedChannel, Trip, TripCause, read_only
 
 
 @dataclass(frozen=True, slots=True)

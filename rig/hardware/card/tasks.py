@@ -27,9 +27,8 @@ from nidaqmx.errors import DaqError, DaqReadError
 from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
-from dragrig.config.errors import DeviceError
-from dragrig.config.rig import AnalogInputSettings, CardSettings, ForceInputSettings, RigSettings
-from dragrig.rig.arrays import FloatArray
+from dragrig.config import AnalogInputSettings, CardSettings, DeviceError, ForceInputSettings, RigSettings
+from dragrig.rig import FloatArray
 from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
 
 _CALL_TIMEOUT_S = 0.1

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
-from dragrig.config.errors import SettingsError
+from dragrig.config import SettingsError
 
 
 class Command(StrEnum):

@@ -16,9 +16,8 @@ from statistics import median
 
 import serial
 
-from dragrig.config.errors import DeviceError
-from dragrig.config.rig import DriveSettings
-from dragrig.rig.hardware.dialects.base import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
+from dragrig.config import DeviceError, DriveSettings
+from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
 
 if sys.platform != "win32":
     import termios

@@ -10,12 +10,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dragrig.config.errors import DeviceError, reason_of
-from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import Clock, Trip, TripCause
+from dragrig.config import DeviceError, RigSettings, reason_of
+from dragrig.rig import Clock, Trip, TripCause
+from dragrig.rig.hardware import DigitalLines, MotionSamplingSync
 from dragrig.rig.hardware.drive.link import DriveLink
-from dragrig.rig.hardware.lines import DigitalLines
-from dragrig.rig.hardware.sync import MotionSamplingSync
 
 _FAST_POLL_S = 0.005
 _POLLS_PER_SILENCE = 4

@@ -9,10 +9,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from dragrig.config.errors import DeviceError, reason_of
-from dragrig.rig.devices import StageLimits, TravelEnd, Trip, TripCause
-from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
-from dragrig.rig.hardware.dialects.base import Command, Parameter, Refusal, Request
+from dragrig.config import DeviceError, reason_of
+from dragrig.rig import LIMIT_SWITCH_CAUSES, MotionProfile, Piece, StageLimits, TravelEnd, Trip, TripCause
+from dragrig.rig.hardware.dialects import Command, Parameter, Refusal, Request
 from dragrig.rig.hardware.drive.link import CancelledByStopError, RefusedError
 from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.hardware.drive.stage_base import (
@@ -21,7 +20,6 @@ from dragrig.rig.hardware.drive.stage_base import (
     write_safeguards,
     write_travel,
 )
-from dragrig.rig.profile import MotionProfile, Piece
 
 _STANDSTILL_MM_S = 1e-6
 _ACCELERATION_TOLERANCE = 1e-6

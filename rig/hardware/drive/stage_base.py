@@ -8,10 +8,11 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from dragrig.config.errors import DeviceError
-from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import (
+from dragrig.config import DeviceError, RigSettings
+from dragrig.rig import (
+    LIMIT_SWITCH_CAUSES,
     MAX_BLOCK_S,
+    MotionProfile,
     StageLimits,
     StageState,
     TravelEnd,
@@ -21,11 +22,9 @@ from dragrig.rig.devices import (
     require_within_limits,
     stage_limits,
 )
-from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
-from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request, Status
+from dragrig.rig.hardware.dialects import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
 from dragrig.rig.hardware.drive.monitor import Monitor, StageDevices
-from dragrig.rig.profile import MotionProfile
 
 POSITION_TOLERANCE_MM = 2e-3
 """A stage that stands a count or two beyond its limit is not refused."""

@@ -12,13 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.config.errors import DeviceError, reason_of
-from dragrig.config.rig import GuardSettings, StageSettings, VelocityOutputSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.devices import Clock, Trip, TripCause
-from dragrig.rig.hardware.card.tasks import AI_START_TRIGGER, AO_RANGE_V, PositionCounter, UnderflowError, VoltageOutput
+from dragrig.config import DeviceError, GuardSettings, StageSettings, VelocityOutputSettings, reason_of
+from dragrig.rig import Clock, FloatArray, MotionProfile, Phase, Trip, TripCause, stationary_piece
+from dragrig.rig.hardware.card import AI_START_TRIGGER, AO_RANGE_V, PositionCounter, UnderflowError, VoltageOutput
 from dragrig.rig.hardware.drive.monitor import StageDevices
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 
 _ZERO_MOTION = MotionProfile.from_pieces([stationary_piece(1.0, Phase.HOLD)])
 

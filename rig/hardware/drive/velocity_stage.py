@@ -9,17 +9,12 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from dragrig.config.errors import DeviceError, SettingsError
-from dragrig.config.rig import Calibration
-from dragrig.rig.devices import StageLimits, TravelEnd, TripCause
-from dragrig.rig.guard import LIMIT_SWITCH_CAUSES
-from dragrig.rig.hardware.card.connection import Connection
-from dragrig.rig.hardware.card.scaling import Scaling
-from dragrig.rig.hardware.card.tasks import AO_RANGE_V, PositionCounter, VoltageOutput
+from dragrig.config import Calibration, DeviceError, SettingsError
+from dragrig.rig import LIMIT_SWITCH_CAUSES, MotionProfile, StageLimits, TravelEnd, TripCause, trapezoid
+from dragrig.rig.hardware.card import AO_RANGE_V, Connection, PositionCounter, Scaling, VoltageOutput
 from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.hardware.drive.stage_base import MonitoredStage, write_safeguards, write_travel
 from dragrig.rig.hardware.drive.velocity_loop import VelocityLoop, first_motion_s
-from dragrig.rig.profile import MotionProfile, trapezoid
 
 _UNREFERENCED_MM = 10_000.0
 """Position of the counter before the index pulse: longer than any stage."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dragrig.sim_backend.blind import Floats, RunPlan
 from dragrig.sim_backend.blind.effects.hidden_effect import (
     DRAG_RUNS,
     PHASE,
@@ -15,7 +16,6 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     in_log,
     signed,
 )
-from dragrig.sim_backend.blind.run_plans import Floats, RunPlan
 
 
 @drawn(amplitude=(0.7, 1.0), speed_mm_s=(15.0, 30.0), power=(2.0, 4.0), front=(0.45, 0.75), back_s=in_log(0.08, 0.2))

@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from dragrig.sim_backend.blind.run_plans import Floats, RunPlan, SampledMotion
+from dragrig.sim_backend.blind import Floats, RunPlan, SampledMotion
 
 DRAG_RUNS = frozenset({"drag"})
 SLIDING_RUNS = frozenset({"drag", "coulomb"})

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dragrig.sim_backend.blind import Floats, SampledMotion
 from dragrig.sim_backend.blind.effects.hidden_effect import (
     PHASE,
     DrawnFrom,
@@ -18,7 +19,6 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     resonance,
     signed,
 )
-from dragrig.sim_backend.blind.run_plans import Floats, SampledMotion
 
 
 @drawn(amplitude=signed(5.0, 14.0))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dragrig.sim_backend.blind import Floats
 from dragrig.sim_backend.blind.effects.hidden_effect import (
     DRAG_RUNS,
     SLIDING_RUNS,
@@ -12,7 +13,6 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     hidden_form,
     in_log,
 )
-from dragrig.sim_backend.blind.run_plans import Floats
 
 REFERENCE_MN = 1000.0
 """Normal force that speeds refer to."""

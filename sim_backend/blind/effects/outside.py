@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dragrig.sim_backend.blind import Floats, RunPlan
 from dragrig.sim_backend.blind.effects.hidden_effect import (
     ALL_RUNS,
     DRAG_RUNS,
@@ -16,7 +17,6 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     resonance,
     signed,
 )
-from dragrig.sim_backend.blind.run_plans import Floats, RunPlan
 
 
 @drawn(amplitude=(0.7, 1.0), load_mN=(500.0, 1000.0))

@@ -1,1 +1,8 @@
-"""The PCI-6229 and NI's driver as their clients know them."""
+"""The PCI-6229 and NI's driver as their clients know them.
+
+`__init__.pyi` lists the public names and their modules, which are loaded on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,7 +20,7 @@ from nidaqmx.constants import (
 from nidaqmx.error_codes import DAQmxErrors as Status
 from nidaqmx.utils import flatten_channel_string, unflatten_channel_string
 
-from dragrig.rig.arrays import BoolArray, FloatArray
+from dragrig.rig import BoolArray, FloatArray
 from dragrig.sim_backend.doubles.card import pci6229
 from dragrig.sim_backend.doubles.card.pci6229 import (
     Attribute,

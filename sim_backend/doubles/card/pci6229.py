@@ -14,7 +14,7 @@ from nidaqmx.error_codes import DAQmxErrors as Status
 from nidaqmx.errors import DaqError
 from nidaqmx.utils import unflatten_channel_string
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 
 AttributeValue = int | float | bool | str
 

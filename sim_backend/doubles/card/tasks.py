@@ -14,7 +14,7 @@ import numpy as np
 from nidaqmx.constants import AcquisitionType, ChannelType, ReadRelativeTo
 from nidaqmx.error_codes import DAQmxErrors as Status
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig import FloatArray
 from dragrig.sim_backend.doubles.card import pci6229
 from dragrig.sim_backend.doubles.card.pci6229 import CardError, EncoderChannel, VirtualChannel
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench

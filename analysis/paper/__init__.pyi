@@ -1,0 +1,9 @@
+from .findings import ElementRow as ElementRow
+from .findings import all_findings as all_findings
+from .findings import determination_examples as determination_examples
+from .findings import element_rows as element_rows
+from .published import BOUNDARY_MM_S as BOUNDARY_MM_S
+from .published import ELEMENT_SYMBOLS as ELEMENT_SYMBOLS
+from .published import SKEW_SPEEDS_MM_S as SKEW_SPEEDS_MM_S
+from .published import WALL_UNITS as WALL_UNITS
+from .published import PaperFinding as PaperFinding

@@ -1,0 +1,10 @@
+from .connection import Connection as Connection
+from .connection import driver_errors_wrapped as driver_errors_wrapped
+from .sampler import MAX_AGGREGATE_RATE_HZ as MAX_AGGREGATE_RATE_HZ
+from .sampler import CardSampler as CardSampler
+from .scaling import Scaling as Scaling
+from .tasks import AI_START_TRIGGER as AI_START_TRIGGER
+from .tasks import AO_RANGE_V as AO_RANGE_V
+from .tasks import PositionCounter as PositionCounter
+from .tasks import UnderflowError as UnderflowError
+from .tasks import VoltageOutput as VoltageOutput

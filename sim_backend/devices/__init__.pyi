@@ -1,0 +1,11 @@
+from .simulated_backend import SimulatedBackend as SimulatedBackend
+from .simulated_backend import VirtualClock as VirtualClock
+from .simulated_backend import open_backend as open_backend
+from .simulated_sampler import SimulatedChannels as SimulatedChannels
+from .simulated_sampler import steady_effect_forces as steady_effect_forces
+from .simulated_stage import UNDISTURBED as UNDISTURBED
+from .simulated_stage import Track as Track
+from .simulated_stage import evaluate_profile as evaluate_profile
+from .simulated_stage import profile_position as profile_position
+from .variability import draw_run_model as draw_run_model
+from .variability import draw_specimen_model as draw_specimen_model
