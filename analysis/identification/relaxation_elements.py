@@ -76,6 +76,8 @@ class ShearRecord:
         Whether a rest before it shows the sensor's zero.
     hold_s
         Time from the ramp's end to the last valid sample.
+    noise_factor
+        Lower Cholesky factor of the covariance of the block means, which whitens them.
     """
 
     file: str
@@ -88,9 +90,10 @@ class ShearRecord:
     rested: bool
     hold_s: float
     step_s: float
+    noise_factor: FloatArray
 
     @classmethod
-    def of(cls, experiment: Experiment) -> "ShearRecord":
+    def of(cls, experiment: Experiment, noise: NoiseModel) -> "ShearRecord":
         """Prepare a run; raises `AnalysisError` with the reason where it shows nothing of the wall."""
         if experiment.contact is not Contact.STICKING:
             raise AnalysisError(f"{experiment.file}: nothing was sheared, the specimen's fixture is none")
@@ -100,17 +103,20 @@ class ShearRecord:
             raise AnalysisError(f"{experiment.file}: it has no ramp, the position does not change")
         ramp = float(breaks_s[0]), float(breaks_s[-1])
         hold_s = _hold_duration(experiment, ramp)
+        blocks = average_in_blocks(experiment, "force", breaks_s, jumps=False)
+        covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
         return cls(
             file=experiment.file,
             shear_strain=experiment.shear_strain,
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
             pieces=experiment.unsmoothed_motion.pieces(),
-            blocks=average_in_blocks(experiment, "force", breaks_s, jumps=False),
+            blocks=blocks,
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
             hold_s=hold_s,
             step_s=1 / experiment.run.trace.sample_rate_hz,
+            noise_factor=np.asarray(np.linalg.cholesky(covariance), dtype=np.float64),
         )
 
     def spring(self) -> FloatArray:
@@ -125,6 +131,29 @@ class ShearRecord:
         """Force of spring and branches [mN] at any times of the run."""
         branches = np.tensordot(moduli, self._prepared(times_s).stress(time_s), axes=1)
         return np.asarray(self.area_mm2 * (spring * shear_strain(self.pieces, self.thickness_mm, time_s) + branches))
+
+    def rows(self, signals: FloatArray) -> FloatArray:
+        """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
+        from scipy.linalg import solve_triangular
+
+        white = solve_triangular(self.noise_factor, signals.T, lower=True, check_finite=False).T
+        return np.hstack((white, np.zeros((len(signals), 1))))
+
+    def zero(self) -> FloatArray:
+        """Row of a zero of 1 mN."""
+        row = self.rows(np.ones((1, self.blocks.samples.size)))
+        row[:, -1] = 0.0 if self.rested else 1 / UNKNOWN_ZERO_SD_MN
+        return row
+
+    def target(self) -> FloatArray:
+        """Row of the measured means, shape `(n + 1,)`."""
+        return np.asarray(self.rows(self.blocks.mean[None])[0])
+
+    @property
+    def grid_s(self) -> FloatArray:
+        """Time constants that the run could show."""
+        slowest = MAX_TIME_CONSTANT_HOLDS * self.hold_s
+        return np.geomspace(min(MIN_TIME_CONSTANT_S, 0.1 * slowest), slowest, GRID_POINTS)
 
     def _prepared(self, times_s: FloatArray) -> MaxwellBranches:
         return MaxwellBranches.integrate(1 / times_s, self.pieces, self.thickness_mm)
@@ -155,44 +184,6 @@ def _hold_duration(experiment: Experiment, ramp_s: tuple[float, float]) -> float
     if np.mean(valid[peak]) < MIN_VALID_PEAK_SHARE:
         raise AnalysisError(f"{experiment.file}: the samples about the peak are clipped or missing (NaN)")
     return float(time[after[-1]]) - end
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WhitenedRecord:
-    """A run whose block means are whitened; `factor` is the lower Cholesky factor of their covariance."""
-
-    record: ShearRecord
-    factor: FloatArray
-
-    @classmethod
-    def of(cls, record: ShearRecord, noise: NoiseModel) -> "WhitenedRecord":
-        """Whiten with the sensor's noise."""
-        blocks = record.blocks
-        covariance = noise.covariance(blocks.start_s, blocks.end_s, blocks.samples)
-        return cls(record, np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
-
-    def rows(self, signals: FloatArray) -> FloatArray:
-        """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
-        from scipy.linalg import solve_triangular
-
-        white = solve_triangular(self.factor, signals.T, lower=True, check_finite=False).T
-        return np.hstack((white, np.zeros((len(signals), 1))))
-
-    def zero(self) -> FloatArray:
-        """Row of a zero of 1 mN."""
-        row = self.rows(np.ones((1, self.record.blocks.samples.size)))
-        row[:, -1] = 0.0 if self.record.rested else 1 / UNKNOWN_ZERO_SD_MN
-        return row
-
-    def target(self) -> FloatArray:
-        """Row of the measured means, shape `(n + 1,)`."""
-        return np.asarray(self.rows(self.record.blocks.mean[None])[0])
-
-    @property
-    def grid_s(self) -> FloatArray:
-        """Time constants that the run could show."""
-        slowest = MAX_TIME_CONSTANT_HOLDS * self.record.hold_s
-        return np.geomspace(min(MIN_TIME_CONSTANT_S, 0.1 * slowest), slowest, GRID_POINTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +240,7 @@ class BranchFit:
         return np.asarray(max(1.0, self.reduced_chi2) * inverse @ inverse.T)
 
 
-def fit_two_branches(whitened: WhitenedRecord) -> BranchFit:
+def fit_two_branches(record: ShearRecord) -> BranchFit:
     """Fit two branches from every start that the grid suggests, and return the best fit.
 
     Raises
@@ -257,21 +248,21 @@ def fit_two_branches(whitened: WhitenedRecord) -> BranchFit:
     AnalysisError
         Where no spring and two branches with positive moduli describe the run.
     """
-    fits = (_refine_branches(whitened, start) for start in _start_values(whitened))
+    fits = (_refine_branches(record, start) for start in _start_values(record))
     return min(fits, key=lambda fit: fit.chi2)
 
 
-def _start_values(whitened: WhitenedRecord) -> list[FloatArray]:
+def _start_values(record: ShearRecord) -> list[FloatArray]:
     """Start values for two branches: the best pair of time constants, and the best pairs further apart.
 
     A time constant between two of the grid is described best by both of them, at the expense of the second branch;
     hence the pairs further apart.
     """
-    record, grid = whitened.record, whitened.grid_s
-    rows = np.vstack((whitened.zero(), whitened.rows(np.vstack((record.spring(), record.branches(grid))))))
+    grid = record.grid_s
+    rows = np.vstack((record.zero(), record.rows(np.vstack((record.spring(), record.branches(grid))))))
     size = np.sqrt((rows**2).sum(axis=1))
     unit_rows = rows / size[:, None]
-    products, right = unit_rows @ unit_rows.T, unit_rows @ whitened.target()
+    products, right = unit_rows @ unit_rows.T, unit_rows @ record.target()
     pairs = np.array([(0, 1, 2 + i, 2 + j) for i, j in combinations(range(grid.size), 2) if j > i + 1])
     matrices = products[pairs[:, :, None], pairs[:, None, :]] + 1e-12 * np.eye(4)
     solved = np.linalg.solve(matrices, right[pairs][..., None])[..., 0]
@@ -293,24 +284,24 @@ def _start_values(whitened: WhitenedRecord) -> list[FloatArray]:
     return starts
 
 
-def _refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
+def _refine_branches(record: ShearRecord, start: FloatArray) -> BranchFit:
     """Fit from start values, and sort the branches by their time constants."""
     from scipy.optimize import least_squares
 
     count = start.size // 2 - 1
-    zero, spring = whitened.zero(), whitened.rows(whitened.record.spring()[None])
-    target = whitened.target()
-    grid = np.log(whitened.grid_s)
+    zero, spring = record.zero(), record.rows(record.spring()[None])
+    target = record.target()
+    grid = np.log(record.grid_s)
 
     def residual(values: FloatArray) -> FloatArray:
         moduli, times = np.exp(values[2 : 2 + count]), np.exp(values[2 + count :])
-        branches = whitened.rows(whitened.record.branches(times))
+        branches = record.rows(record.branches(times))
         return np.asarray(values[0] * zero[0] + np.exp(values[1]) * spring[0] + moduli @ branches - target)
 
     def jacobian(values: FloatArray) -> FloatArray:
         moduli, logs = np.exp(values[2 : 2 + count]), values[2 + count :]
         times = np.exp(np.concatenate((logs, logs + LOG_STEP, logs - LOG_STEP)))
-        here, ahead, behind = np.split(whitened.rows(whitened.record.branches(times)), 3)
+        here, ahead, behind = np.split(record.rows(record.branches(times)), 3)
         by_time = moduli[:, None] * (ahead - behind) / (2 * LOG_STEP)
         return np.vstack((zero, np.exp(values[1]) * spring, moduli[:, None] * here, by_time)).T
 
@@ -325,10 +316,10 @@ def _refine_branches(whitened: WhitenedRecord, start: FloatArray) -> BranchFit:
     return BranchFit(optimum.x[by_speed], optimum.fun, jacobian(optimum.x)[:, by_speed], converged)
 
 
-def third_branch_test(whitened: WhitenedRecord, fit: BranchFit) -> ThirdBranchTest:
+def third_branch_test(record: ShearRecord, fit: BranchFit) -> ThirdBranchTest:
     """Test a fit of two branches against three."""
-    grid = np.append(whitened.grid_s, whitened.grid_s[-1] * np.array([GRID_EXTENSION**0.5, GRID_EXTENSION]))
-    branches = whitened.rows(whitened.record.branches(grid))
+    grid = np.append(record.grid_s, record.grid_s[-1] * np.array([GRID_EXTENSION**0.5, GRID_EXTENSION]))
+    branches = record.rows(record.branches(grid))
     basis, _ = np.linalg.qr(fit.jacobian)
     beyond = branches - (branches @ basis) @ basis.T
     size = np.sqrt((beyond**2).sum(axis=1))
@@ -344,7 +335,7 @@ def third_branch_test(whitened: WhitenedRecord, fit: BranchFit) -> ThirdBranchTe
     p_value = _null_probability(direction, gain / misfit)
     if p_value < SIGNIFICANCE:
         modulus = gain**0.5 / float(size[independent][best])
-        return _significant_third(whitened, fit, float(grid[best]), modulus, p_value)
+        return _significant_third(record, fit, float(grid[best]), modulus, p_value)
     if fit.reduced_chi2 > POOR_FIT_CHI2:
         sentence = f"Neither five elements nor a third branch describe the run (χ² per degree {fit.reduced_chi2:.3g})."
         return ThirdBranchTest(None, p_value, None, None, sentence)
@@ -361,17 +352,16 @@ def _null_probability(direction: FloatArray, gain: float) -> float:
 
 
 def _significant_third(
-    whitened: WhitenedRecord, fit: BranchFit, time_s: float, modulus: float, p_value: float
+    record: ShearRecord, fit: BranchFit, time_s: float, modulus: float, p_value: float
 ) -> ThirdBranchTest:
     """Fit three branches from a first guess of the third, and judge by its largest force."""
     values, count = fit.values, fit.count
     start = np.concatenate((values[: 2 + count], [np.log(max(modulus, 1e-6))], values[2 + count :], [np.log(time_s)]))
-    three = _refine_branches(whitened, start)
+    three = _refine_branches(record, start)
     if three.converged and three.chi2 <= fit.chi2:
         # The weakest of the three is called the third.
         weakest = int(three.moduli.argmin())
         time_s, modulus = float(three.times_s[weakest]), float(three.moduli[weakest])
-    record = whitened.record
     time = np.append(record.ramp_s[1], record.blocks.middle_s)
     shown = record.forces_at(np.array([time_s]), np.array([modulus]), 0.0, time)
     force_mN, largest_mN = float(shown[0]), float(np.abs(shown).max())
@@ -410,11 +400,11 @@ def relaxation_residuals(
     fit: RelaxationFit, experiment: Experiment, noise: NoiseModel, points: int = 400
 ) -> RelaxationResiduals:
     """Evaluate a fit beside its run; raises `AnalysisError` where it has no elements."""
-    record = ShearRecord.of(experiment)
+    record = ShearRecord.of(experiment, noise)
     moduli, times, spring, zero = _branch_values(fit)
     blocks = record.blocks
     predicted = zero + spring * record.spring() + moduli @ record.branches(times)
-    whitened = WhitenedRecord.of(record, noise).rows((blocks.mean - predicted)[None])[0, :-1]
+    whitened = record.rows((blocks.mean - predicted)[None])[0, :-1]
     start = record.ramp_s[0]
     time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, points)
     force = zero + record.forces_at(times, moduli, spring, time)
@@ -462,9 +452,8 @@ def identify_relaxation(selection: RunSelection) -> RelaxationResult:
 def _fit_relaxation(experiment: Experiment, noise: NoiseModel) -> RelaxationFit:
     """Identify the five elements of one run; nothing is raised."""
     try:
-        record = ShearRecord.of(experiment)
-        whitened = WhitenedRecord.of(record, noise)
-        fit = fit_two_branches(whitened)
+        record = ShearRecord.of(experiment, noise)
+        fit = fit_two_branches(record)
     except AnalysisError as error:
         remark = str(error).removeprefix(f"{experiment.file}: ")
         return RelaxationFit(experiment.file, experiment.shear_strain, remark=remark)
@@ -492,7 +481,7 @@ def _fit_relaxation(experiment: Experiment, noise: NoiseModel) -> RelaxationFit:
         zero=Estimate(float(fit.values[0]), float(np.sqrt(covariance[0, 0]))),
         chi2=fit.chi2,
         degrees=fit.degrees,
-        test=third_branch_test(whitened, fit),
+        test=third_branch_test(record, fit),
         converged=True,
         remark="; ".join(remarks),
     )
