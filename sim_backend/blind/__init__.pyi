@@ -6,7 +6,6 @@ from .blind_campaign import without_effects as without_effects
 from .effects import CATALOGUE as CATALOGUE
 from .effects import OUTSIDE as OUTSIDE
 from .effects import effect_group as effect_group
-from .plant import EffectSignature as EffectSignature
 from .plant import effect_signatures as effect_signatures
 from .plant import effect_size as effect_size
 from .plant import write_campaign as write_campaign

@@ -306,23 +306,16 @@ def recorded_run(campaign: BlindCampaign, index: int) -> PlantRecord:
     return _simulate_run(campaign, index, noisy=True)
 
 
-@dataclass(frozen=True, slots=True)
-class EffectSignature:
-    """Effect of the hidden effects on one run: force [mN] and position [mm] with minus without them, shape `(N,)`."""
+def effect_signatures(campaign: BlindCampaign) -> tuple[PlantRecord, ...]:
+    """Return what the hidden effects change in each run, noise-free and on the same specimen.
 
-    run: RunPlan
-    time: Floats
-    force: Floats
-    position: Floats
-
-
-def effect_signatures(campaign: BlindCampaign) -> tuple[EffectSignature, ...]:
-    """Return the signatures run by run, noise-free and on the same specimen."""
+    Force and position of these records are those with the effects minus those without.
+    """
     bare = without_effects(campaign)
     signatures = []
-    for index, plan in enumerate(campaign.runs):
+    for index in range(len(campaign.runs)):
         run, nominal = noise_free_run(campaign, index), noise_free_run(bare, index)
-        signatures.append(EffectSignature(plan, run.time, run.force - nominal.force, run.position - nominal.position))
+        signatures.append(replace(run, force=run.force - nominal.force, position=run.position - nominal.position))
     return tuple(signatures)
 
 

@@ -98,7 +98,7 @@ class _Library(ctypes.CDLL):
         ctypes.memmove(place, text, len(text))
 
 
-class _ResultPointer(Protocol):
+class _Result(Protocol):
     """A pointer to where a result goes."""
 
     def __setitem__(self, index: int, value: object, /) -> None: ...
@@ -112,7 +112,7 @@ class _Unused:
 
 
 def _task_functions(card: Card) -> Mapping[str, CFunction]:
-    def create(name: bytes, handle: _ResultPointer) -> None:
+    def create(name: bytes, handle: _Result) -> None:
         handle[0] = c_void_p(card.create_task(_decoded(name)))
 
     def passed(method: Callable[..., None], *arguments: type | _Unused) -> CFunction:
@@ -149,61 +149,32 @@ def _task_functions(card: Card) -> Mapping[str, CFunction]:
 def _transfer_functions(card: Card) -> Mapping[str, CFunction]:
     def read(call: Callable[[int, int, float, int, FloatArray], int]) -> Callable[..., None]:
         def read_array(
-            task: int,
-            samples: int,
-            timeout_s: float,
-            fill: int,
-            place: int,
-            size: int,
-            count: _ResultPointer,
-            _: object,
+            task: int, samples: int, timeout_s: float, fill: int, place: int, size: int, *out: _Result
         ) -> None:
-            out = _array_at(place, size, np.float64)
-            with _partial_count(count):
-                count[0] = c_int32(call(task, samples, timeout_s, fill, out))
+            with _partial_count(out[0]):
+                out[0][0] = c_int32(call(task, samples, timeout_s, fill, _array_at(place, size, np.float64)))
 
         return read_array
 
     def read_lines(
-        task: int,
-        samples: int,
-        _timeout_s: float,
-        _fill: int,
-        place: int,
-        size: int,
-        count: _ResultPointer,
-        lines_per_channel: _ResultPointer,
-        _: object,
+        task: int, samples: int, _timeout_s: float, _fill: int, place: int, size: int, *out: _Result
     ) -> None:
+        count, lines_per_channel, _ = out
         count[0] = c_int32(card.read_digital_lines(task, samples, _array_at(place, size, np.bool_)))
         lines_per_channel[0] = c_int32(1)
 
     def write_lines(
-        task: int,
-        samples: int,
-        auto_start: int,
-        _timeout_s: float,
-        _layout: int,
-        place: int,
-        count: _ResultPointer,
-        _: object,
+        task: int, samples: int, auto_start: int, _timeout_s: float, _layout: int, place: int, *out: _Result
     ) -> None:
         data = _array_at(place, samples * int(str(card.get_attribute(task, Attribute.WRITE_NUM_CHANNELS))), np.bool_)
-        count[0] = c_int32(card.write_digital_lines(task, samples, bool(auto_start), data))
+        out[0][0] = c_int32(card.write_digital_lines(task, samples, bool(auto_start), data))
 
     def write_volts(
-        task: int,
-        samples: int,
-        auto_start: int,
-        timeout_s: float,
-        _layout: int,
-        place: int,
-        count: _ResultPointer,
-        _: object,
+        task: int, samples: int, auto_start: int, timeout_s: float, _layout: int, place: int, *out: _Result
     ) -> None:
-        with _partial_count(count):
+        with _partial_count(out[0]):
             volts = _array_at(place, samples, np.float64)
-            count[0] = c_int32(card.write_analog_f64(task, bool(auto_start), timeout_s, volts))
+            out[0][0] = c_int32(card.write_analog_f64(task, bool(auto_start), timeout_s, volts))
 
     return {
         "ReadAnalogF64": (_READ_ARGUMENTS, read(card.read_analog_f64)),
@@ -295,7 +266,7 @@ def _decoded_value(present: AttributeValue, whole: int, real: float) -> Attribut
 
 
 @contextmanager
-def _partial_count(count: _ResultPointer) -> Iterator[None]:
+def _partial_count(count: _Result) -> Iterator[None]:
     """Report how many samples were transferred before an error."""
     try:
         yield
