@@ -40,13 +40,13 @@ def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> 
             alone = None
             for some in workers:
                 began = perf_counter()
-                found = diagnose_many(folders[:count], workers=some)
+                result = diagnose_many(folders[:count], workers=some)
                 seconds = perf_counter() - began
                 alone = alone or seconds
-                failed = sum(one.result is None for one in found)
-                told = f"{MANY * seconds / count / 60:.0f} min" + (f", {failed} failed" if failed else "")
+                failed = sum(entry.result is None for entry in result)
+                answer = f"{MANY * seconds / count / 60:.0f} min" + (f", {failed} failed" if failed else "")
                 print(
-                    f"{count:9d}  {some:7d}  {seconds:7.1f}  {seconds / count:14.2f}  {alone / seconds:13.2f}  {told}"
+                    f"{count:9d}  {some:7d}  {seconds:7.1f}  {seconds / count:14.2f}  {alone / seconds:13.2f}  {answer}"
                 )
 
 
@@ -54,12 +54,14 @@ def diagnose(folder: Path) -> None:
     """Diagnose every campaign that has no diagnosis yet."""
     from dragrig.present.diagnosis import diagnosis_json
 
-    waiting = [one for one in sorted(folder.iterdir()) if one.is_dir() and not (one / "diagnosis.json").exists()]
-    for one in diagnose_many(waiting):
-        if one.result is None:
-            print(one.why_not)
+    waiting = [path for path in sorted(folder.iterdir()) if path.is_dir() and not (path / "diagnosis.json").exists()]
+    for entry in diagnose_many(waiting):
+        if entry.result is None:
+            print(entry.why_not)
         else:
-            (Path(one.source) / "diagnosis.json").write_text(json.dumps(diagnosis_json(one.result)), encoding="utf-8")
+            (Path(entry.source) / "diagnosis.json").write_text(
+                json.dumps(diagnosis_json(entry.result)), encoding="utf-8"
+            )
 
 
 def print_score(folder: Path) -> None:
@@ -70,11 +72,11 @@ def print_score(folder: Path) -> None:
     from dragrig.scoring import score_exam
 
     answers: dict[str, dict[str, Any]] = json.loads((folder / "answers.json").read_text(encoding="utf-8"))
-    told = {name: folder / name / "diagnosis.json" for name in answers}
-    there = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in told.items() if path.exists()}
+    answer = {name: folder / name / "diagnosis.json" for name in answers}
+    there = {name: json.loads(path.read_text(encoding="utf-8")) for name, path in answer.items() if path.exists()}
     if len(there) < len(answers):
         print(f"{len(answers) - len(there)} of {len(answers)} campaigns have no diagnosis.json and are left out")
-    score = score_exam([(name, answers[name], said) for name, said in there.items()])
+    score = score_exam([(name, answers[name], text) for name, text in there.items()])
     tables = rates_table("rates", "", score.rates), missed_table(score)
     print_document(Document("How often the diagnosis is right", (Section("rates", "", tables),)))
 
@@ -86,16 +88,16 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
     from dragrig.sim_backend.blind.plant import effect_size, nuisance_directions
 
     bases = [draw_campaign(7 + at) for at in range(draws)]
-    nominal = [nuisance_directions(one) for one in bases]
+    nominal = [nuisance_directions(base) for base in bases]
     print(f"{'effect':20s} {'form':28s} {'force':>6s} {'least':>6s} {'most':>6s}  position")
     for name, forms in {**CATALOGUE, **OUTSIDE}.items():
         for form in forms if name in names or not names else ():
-            found = []
+            result = []
             for base, known in zip(bases, nominal, strict=True):
                 effect = form.drawn(np.random.default_rng(base.seed), 1.0)
-                found.append(effect_size(replace(base, effects=(effect,), sizes=(1.0,)), known))
-            force = sorted(one.force for one in found)
-            place = np.median([one.position for one in found])
+                result.append(effect_size(replace(base, effects=(effect,), sizes=(1.0,)), known))
+            force = sorted(entry.force for entry in result)
+            place = np.median([entry.position for entry in result])
             print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")
 
 
@@ -107,20 +109,20 @@ def main() -> None:
     scale.add_argument("--campaigns", type=int, nargs="+", default=[10, 40])
     scale.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     scale.add_argument("--seed", type=int, default=3)
-    for name, told in (("diagnose", "diagnose what has no diagnosis yet"), ("score", "compare with the answers")):
-        commands.add_parser(name, help=told).add_argument("folder", type=Path)
+    for name, answer in (("diagnose", "diagnose what has no diagnosis yet"), ("score", "compare with the answers")):
+        commands.add_parser(name, help=answer).add_argument("folder", type=Path)
     sizer = commands.add_parser("sizes", help="print how large the effects are")
     sizer.add_argument("--draws", type=int, default=4)
     sizer.add_argument("effects", nargs="*")
-    given = parser.parse_args()
-    if given.command == "scale":
-        print_scale(given.campaigns, given.workers, given.seed)
-    elif given.command == "diagnose":
-        diagnose(given.folder)
-    elif given.command == "score":
-        print_score(given.folder)
+    options = parser.parse_args()
+    if options.command == "scale":
+        print_scale(options.campaigns, options.workers, options.seed)
+    elif options.command == "diagnose":
+        diagnose(options.folder)
+    elif options.command == "score":
+        print_score(options.folder)
     else:
-        print_sizes(given.draws, given.effects)
+        print_sizes(options.draws, options.effects)
 
 
 if __name__ == "__main__":

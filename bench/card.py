@@ -96,10 +96,10 @@ class Stopwatch:
                 setattr(card, name, self._timed(getattr(card, name)))
 
     def _timed(self, method: Callable[..., object]) -> Callable[..., object]:
-        def timed(*given: object) -> object:
+        def timed(*text: object) -> object:
             began_s = time.thread_time()
             try:
-                return method(*given)
+                return method(*text)
             finally:
                 self.spent_s += time.thread_time() - began_s
 

@@ -38,28 +38,28 @@ def wilson(held: int, count: int) -> tuple[float, float]:
 
 def line(name: str, scores: Sequence[Score]) -> str:
     """Return a row: share held, and how the deviations from the truth are distributed."""
-    known = [one for one in scores if isfinite(one.deviation)]
+    known = [score for score in scores if isfinite(score.deviation)]
     if not known:
         return f"  {name:26s} missing in all {len(scores)}"
-    held = sum(one.covered for one in known)
+    held = sum(entry.covered for entry in known)
     low, high = wilson(held, len(known))
-    deviations = [one.deviation for one in known]
+    deviations = [entry.deviation for entry in known]
     mean = fmean(deviations)
-    spread = sqrt(fmean((one - mean) ** 2 for one in deviations))
+    spread = sqrt(fmean((deviation - mean) ** 2 for deviation in deviations))
     verdict = "too few" if high < LEAST else "too many" if low > MOST else ""
     missing = f"  {len(scores) - len(known)} missing" if len(known) < len(scores) else ""
     return (
         f"  {name:26s}{held / len(known):7.1%}  {low:6.1%} to {high:6.1%}  {mean:+6.2f}  {spread:5.2f}"
-        f"  {median(one.half_width for one in known):8.2%}  {fmean(one.learnt for one in known):5.0%}"
-        f"  {verdict}{missing}"
+        f"  {median(estimate.half_width for estimate in known):8.2%}"
+        f"  {fmean(estimate.learnt for estimate in known):5.0%}  {verdict}{missing}"
     )
 
 
 def report(outcomes: Sequence[Outcome]) -> None:
     """Print the table of one kind of campaigns."""
     head = f"  {'':26s}{'held':>7s}  {'95 % of the share':>16s}  {'mean':>6s}  {'sd':>5s}  {'± median':>8s}  learnt"
-    settled = [one for one in outcomes if one.converged]
-    scores = [score for one in settled for score in one.scores]
+    settled = [outcome for outcome in outcomes if outcome.converged]
+    scores = [score for entry in settled for score in entry.scores]
     for group in dict.fromkeys(score.group for score in scores):
         of_group = [score for score in scores if score.group == group]
         print(f"{group}\n{head}")
@@ -68,11 +68,14 @@ def report(outcomes: Sequence[Outcome]) -> None:
         print(line("all", of_group))
     main = [score for score in scores if score.group in {"parameter", "combination"}]
     print(line("parameters, combinations", main))
-    chi2 = [one.chi2 for one in settled]
-    simulated, identified = ([one.simulated_s for one in outcomes], [one.identified_s for one in outcomes])
+    chi2 = [run.chi2 for run in settled]
+    simulated, identified = (
+        [outcome.simulated_s for outcome in outcomes],
+        [outcome.identified_s for outcome in outcomes],
+    )
     print(
         f"{len(outcomes)} campaigns, {len(outcomes) - len(settled)} not converged; χ² per degree {fmean(chi2):.3f} "
-        f"({min(chi2):.3f} to {max(chi2):.3f}), p below 0.01 in {sum(one.p_value < 0.01 for one in settled)}; "
+        f"({min(chi2):.3f} to {max(chi2):.3f}), p below 0.01 in {sum(entry.p_value < 0.01 for entry in settled)}; "
         f"{fmean(simulated):.2f} s to simulate, {fmean(identified):.2f} s to identify (worst {max(identified):.2f} s)\n"
     )
 
@@ -81,7 +84,7 @@ def keep(file: TextIO, kind: str, outcome: Outcome) -> None:
     """Write every score as a row of CSV."""
     rows = csv.writer(file)
     if not file.tell():
-        rows.writerow(["kind", "seed", "white_mN", "converged", "chi2", *(one.name for one in fields(Score))])
+        rows.writerow(["kind", "seed", "white_mN", "converged", "chi2", *(field.name for field in fields(Score))])
     before = [kind, outcome.seed, outcome.white_mN, outcome.converged, outcome.chi2]
     rows.writerows([*before, *astuple(score)] for score in outcome.scores)
     file.flush()
@@ -101,15 +104,15 @@ def arguments() -> argparse.Namespace:
 
 def main() -> None:
     """Simulate, identify, compare, print."""
-    given = arguments()
-    seeds = range(given.seed, given.seed + given.campaigns)
-    with multiprocessing.get_context("spawn").Pool(given.jobs) as pool:
-        for name in given.kinds:
+    options = arguments()
+    seeds = range(options.seed, options.seed + options.campaigns)
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for name in options.kinds:
             outcomes: list[Outcome] = []
-            for one in pool.imap_unordered(partial(examine, KINDS[name], parts=given.parts), seeds):
-                outcomes.append(one)
-                if given.csv:
-                    keep(given.csv, name, one)
+            for entry in pool.imap_unordered(partial(examine, KINDS[name], parts=options.parts), seeds):
+                outcomes.append(entry)
+                if options.csv:
+                    keep(options.csv, name, entry)
                 print(f"\r{name}: {len(outcomes)} of {len(seeds)}", end="", file=sys.stderr, flush=True)
             print(f"\n== {name}: {KINDS[name]}")
             report(outcomes)

@@ -67,10 +67,10 @@ def timed(spent: dict[str, float]) -> Iterator[None]:
     before = [(module, name, getattr(module, name)) for module, names in modules for name in names]
 
     def wrapped(name: str, call: Callable[..., object]) -> Callable[..., object]:
-        def run(*given: object, **named: object) -> object:
+        def run(*text: object, **named: object) -> object:
             began = time.perf_counter()
             try:
-                return call(*given, **named)
+                return call(*text, **named)
             finally:
                 spent[name] += time.perf_counter() - began
 
@@ -98,12 +98,18 @@ def one(folder: Path, *, stages: bool) -> None:
     selection = choose_runs(folder)
     read = time.perf_counter() - began
     with timed(spent) if stages else nullcontext():
-        found = diagnose(selection, MODEL)
+        diagnosis = diagnose(selection, MODEL)
     wall, cpu = time.perf_counter() - began, time.process_time() - own
     memory = psutil.Process().memory_info()
     peak = getattr(memory, "peak_wset", 0) / 1e6 or _peak_mb()
-    told = {"verdict": found.verdict.value, "effects": found.effects, "used": found.runs, "read": read, "wall": wall}
-    print(json.dumps({**told, "cpu": cpu, "peak_MB": peak, "stages": {**found.timings_s, **spent}}))
+    answer = {
+        "verdict": diagnosis.verdict.value,
+        "effects": diagnosis.effects,
+        "used": diagnosis.runs,
+        "read": read,
+        "wall": wall,
+    }
+    print(json.dumps({**answer, "cpu": cpu, "peak_MB": peak, "stages": {**diagnosis.timings_s, **spent}}))
 
 
 def _peak_mb() -> float:
@@ -115,8 +121,8 @@ def _peak_mb() -> float:
 def fresh(folder: Path, *more: str) -> dict[str, object]:
     """Do it in a process of its own."""
     done = subprocess.run([sys.executable, __file__, "--one", str(folder), *more], capture_output=True, check=True)
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
+    answer: dict[str, object] = json.loads(done.stdout)
+    return answer
 
 
 def commanded(folder: Path) -> float:
@@ -127,10 +133,10 @@ def commanded(folder: Path) -> float:
     return time.perf_counter() - began
 
 
-def line(name: str, found: dict[str, object]) -> str:
+def line(name: str, result: dict[str, object]) -> str:
     """Return one measurement as a line."""
     return "  {:>10}  {used:>5}  {read:5.1f}  {wall:6.1f}  {cpu:6.1f}  {peak_MB:7.0f}  {verdict} {effects}".format(
-        name, **found
+        name, **result
     )
 
 
@@ -145,13 +151,13 @@ def report(seed: int, effects: Sequence[str], rounds: int, runs: Sequence[int]) 
         print(f"the command: {median(commands):.1f} s, median of {rounds}\n")
         print("        runs   used   read    wall     CPU  peak MB")
         whole = [fresh(campaign) for _ in range(rounds)]
-        for found in whole:
-            print(line(str(RUNS), found))
-        peaks = [float(str(found["peak_MB"])) for found in whole]
+        for result in whole:
+            print(line(str(RUNS), result))
+        peaks = [float(str(row["peak_MB"])) for row in whole]
         for many in runs:
-            found = fresh(copied(made, Path(place) / str(many), many))
-            print(line(str(many), found))
-            peaks.append(float(str(found["peak_MB"])))
+            result = fresh(copied(made, Path(place) / str(many), many))
+            print(line(str(many), result))
+            peaks.append(float(str(result["peak_MB"])))
         stages = fresh(campaign, "--stages")["stages"]
         print("\nwhere the time goes [s]")
         if isinstance(stages, dict):
@@ -169,11 +175,11 @@ def main() -> None:
     parser.add_argument("--runs", type=int, nargs="*", default=[124, 1000])
     parser.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--stages", action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.one is not None:
-        one(given.one, stages=given.stages)
+    options = parser.parse_args()
+    if options.one is not None:
+        one(options.one, stages=options.stages)
         return
-    sys.exit(0 if report(given.seed, given.effects, given.rounds, given.runs) else 1)
+    sys.exit(0 if report(options.seed, options.effects, options.rounds, options.runs) else 1)
 
 
 if __name__ == "__main__":

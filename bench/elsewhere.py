@@ -63,36 +63,39 @@ def diagnosed(source: Source, data: Path, folder: Path) -> None:
     began = perf_counter()
     for from_s, to_s in source.stretches_s:
         limits = {key: value for key, value in (("from_s", from_s), ("to_s", to_s)) if value is not None}
-        given = {"resample_hz": source.resample_hz, "specimen": source.name, "steady": source.steady, **limits}
-        dragrig.import_run(data / source.file, folder, source.columns, **given)
+        arguments = {"resample_hz": source.resample_hz, "specimen": source.name, "steady": source.steady, **limits}
+        dragrig.import_run(data / source.file, folder, source.columns, **arguments)
     imported = perf_counter()
-    found = dragrig.diagnose(folder, nominal=source.nominal)
+    diagnosis = dragrig.diagnose(folder, nominal=source.nominal)
     done = perf_counter()
-    print(f"\n{source.name}: {found.verdict.value} {' and '.join(found.effects)}".rstrip())
-    for one in found.ranking[:3]:
-        values = ", ".join(f"{each.name} {each.value:.4g}" for each in one.parameters)
-        print(f"    {one.hypothesis} {one.probability:.2f} {values}".rstrip())
-    if found.unknown is not None:
-        print(f"    {found.unknown.location}\n    {found.unknown.dependence}\n    {found.unknown.expression}".rstrip())
-    if found.shrink is not None:
-        print(f"    motor force: {found.shrink.gap_before_mN:.0f} mN, noise {found.shrink.noise_floor_mN:.1f} mN")
+    print(f"\n{source.name}: {diagnosis.verdict.value} {' and '.join(diagnosis.effects)}".rstrip())
+    for hypothesis in diagnosis.ranking[:3]:
+        values = ", ".join(f"{parameter.name} {parameter.value:.4g}" for parameter in hypothesis.parameters)
+        print(f"    {hypothesis.hypothesis} {hypothesis.probability:.2f} {values}".rstrip())
+    if diagnosis.unknown is not None:
+        unknown = diagnosis.unknown
+        print(f"    {unknown.location}\n    {unknown.dependence}\n    {unknown.expression}".rstrip())
+    if diagnosis.shrink is not None:
+        print(
+            f"    motor force: {diagnosis.shrink.gap_before_mN:.0f} mN, noise {diagnosis.shrink.noise_floor_mN:.1f} mN"
+        )
     if source.steady:
         print(f"    position less command: {1000 * strays_mm(folder) / RADIUS_MM:.1f} mrad")
     seconds = f"{imported - began:.1f} s to import, {done - imported:.1f} s to diagnose"
-    print(f"    would have seen {found.detection_limit_mN:.0f} mN; {seconds}", flush=True)
+    print(f"    would have seen {diagnosis.detection_limit_mN:.0f} mN; {seconds}", flush=True)
 
 
 def strays_mm(folder: Path) -> float:
     """Return the root mean square by which runs stray from their commands."""
     runs = [dragrig.load(path) for path in sorted(folder.glob("*.h5"))]
-    squares = [float(((one.trace.position - one.trace.command) ** 2).mean()) for one in runs]
+    squares = [float(((run.trace.position - run.trace.command) ** 2).mean()) for run in runs]
     return (sum(squares) / len(squares)) ** 0.5
 
 
 def main(data: Path, names: list[str]) -> None:
     """Diagnose all, or those named."""
     print(f"72 periods a turn are {2 * pi * RADIUS_MM / 72:.4f} mm long")
-    for source in (one for one in SOURCES if not names or one.name in names):
+    for source in (source for source in SOURCES if not names or source.name in names):
         with TemporaryDirectory() as folder:
             diagnosed(source, data, Path(folder))
 

@@ -51,7 +51,7 @@ def tables(rows: int = 300_000) -> None:
     rng = np.random.default_rng(2)
     names = ("time_s", "force_mN", "position_mm", "command_mm")
     values = [np.arange(rows) / 1000, *(rng.normal(size=rows).astype(np.float32) for _ in names[1:])]
-    columns = tuple(ExportColumn(name, name, "", one) for name, one in zip(names, values, strict=True))
+    columns = tuple(ExportColumn(name, name, "", value) for name, value in zip(names, values, strict=True))
     frame = pd.DataFrame(dict(zip(names, values, strict=True)))
     with tempfile.TemporaryDirectory() as folder:
         ours, theirs = Path(folder) / "ours.csv", Path(folder) / "theirs.csv"

@@ -91,13 +91,13 @@ def seen_of(secret: BlindCampaign, *, fine_s: float, shortest: int | None = None
     conditions = {(run.kind, run.speed_mm_s, run.strain): at for at, run in reversed(list(enumerate(secret.runs)))}
     indices = sorted(conditions.values(), key=lambda at: secret.runs[at].samples)[:shortest]
     bare = without_effects(secret)
-    found = []
+    result = []
     for at in indices:
         trace = noise_free_run(bare, at)
         every = shortest is not None or secret.runs[at].kind == "relaxation"
         chosen = np.arange(trace.time.size) if every else _samples(secret.runs[at], trace.time, fine_s)
-        found.append(Seen(at, trace, chosen))
-    return found
+        result.append(Seen(at, trace, chosen))
+    return result
 
 
 def _samples(run: RunPlan, times: Floats, fine_s: float) -> npt.NDArray[np.intp]:
@@ -124,16 +124,16 @@ def hidden_change(secret: BlindCampaign, hidden: Hidden, seen: Seen) -> Floats:
     """Return the signature of a hidden effect in the channel that it shows in, at all `N` samples."""
     with_it = noise_free_run(replace(secret, effects=(hidden,), sizes=(1.0,)), seen.index)
     channel = find_effect(hidden.name).channel
-    one, other = (
+    entry, second = (
         (with_it.force, seen.bare.force) if channel is Channel.FORCE else (with_it.position, seen.bare.position)
     )
-    return one - other
+    return entry - second
 
 
 def bounds(effect: Effect) -> tuple[Floats, Floats]:
     """Return the ranges of all parameters: the prior's, for a size of either sign a wide one."""
-    low, high = np.array([[one.low, one.high] for one in effect.parameters]).T
-    size = [one.name for one in effect.parameters].index(effect.size.name)
+    low, high = np.array([[parameter.low, parameter.high] for parameter in effect.parameters]).T
+    size = [parameter.name for parameter in effect.parameters].index(effect.size.name)
     if low[size] < 0:
         low[size], high[size] = min(low[size], -20 * effect.size.default), max(high[size], 20 * effect.size.default)
     return low, high
@@ -143,18 +143,18 @@ def left(effect: Effect, runs: Sequence[Seen], targets: Sequence[Floats]) -> tup
     """Return the share of the norm that the best fit leaves, and its parameters."""
     from scipy.optimize import least_squares
 
-    names = [one.name for one in effect.parameters]
-    unit = np.array([abs(one.default) or 1.0 for one in effect.parameters])
-    low, high = (one / unit for one in bounds(effect))
+    names = [parameter.name for parameter in effect.parameters]
+    unit = np.array([abs(parameter.default) or 1.0 for parameter in effect.parameters])
+    low, high = (bound / unit for bound in bounds(effect))
     size = names.index(effect.size.name)
-    target = np.concatenate([one.root * wanted for one, wanted in zip(runs, targets, strict=True)])
+    target = np.concatenate([run.root * wanted for run, wanted in zip(runs, targets, strict=True)])
     norm = float(np.linalg.norm(target))
     if norm == 0:
         return float("nan"), {}
 
     def residual(scaled: Floats) -> Floats:
         values = dict(zip(names, (scaled * unit).tolist(), strict=True))
-        return np.asarray((np.concatenate([one.root * changed(effect, one, values) for one in runs]) - target) / norm)
+        return np.asarray((np.concatenate([run.root * changed(effect, run, values) for run in runs]) - target) / norm)
 
     starts: list[tuple[float, Floats]] = []
     for values in _starts(effect):
@@ -169,15 +169,15 @@ def left(effect: Effect, runs: Sequence[Seen], targets: Sequence[Floats]) -> tup
     inside = 1e-6 * (high - low)
     for scaled in _apart(starts):
         begin = np.clip(scaled, low + inside, high - inside)
-        found = least_squares(residual, begin, bounds=(low, high), max_nfev=STEPS, x_scale=np.maximum(abs(begin), 0.1))
-        if np.sqrt(2 * found.cost) < best:
-            best, fitted = float(np.sqrt(2 * found.cost)), found.x
+        result = least_squares(residual, begin, bounds=(low, high), max_nfev=STEPS, x_scale=np.maximum(abs(begin), 0.1))
+        if np.sqrt(2 * result.cost) < best:
+            best, fitted = float(np.sqrt(2 * result.cost)), result.x
     return best, dict(zip(names, (fitted * unit).tolist(), strict=True))
 
 
 def _starts(effect: Effect) -> Iterator[dict[str, float]]:
     """Yield parameters with all shapes that a diagnosis looks at; of what is periodic, many periods and phases."""
-    grids = {one.name: one.start_values for one in effect.shapes}
+    grids = {shape.name: shape.start_values for shape in effect.shapes}
     if effect.phase is not None:
         grids[effect.phase.name] = tuple((np.arange(6) * np.pi / 3 - 0.9 * np.pi).tolist())
         period = effect.shapes[0]
@@ -190,8 +190,8 @@ def _starts(effect: Effect) -> Iterator[dict[str, float]]:
 def _apart(starts: list[tuple[float, Floats]]) -> Iterator[Floats]:
     """Yield the best starts, of those that differ by little only the best."""
     taken: list[Floats] = []
-    for _, scaled in sorted(starts, key=lambda one: one[0]):
-        if all((np.abs(scaled - other)[1:] > 0.004 * np.abs(other[1:])).any() for other in taken):
+    for _, scaled in sorted(starts, key=lambda first: first[0]):
+        if all((np.abs(scaled - second)[1:] > 0.004 * np.abs(second[1:])).any() for second in taken):
             taken.append(scaled)
             yield scaled
         if len(taken) == STARTS:
@@ -200,7 +200,7 @@ def _apart(starts: list[tuple[float, Floats]]) -> Iterator[Floats]:
 
 def left_run_by_run(effect: Effect, runs: Sequence[Seen], targets: Sequence[Floats]) -> tuple[float, dict[str, float]]:
     """Return the share that is left where every run has a phase, and so parameters, of its own."""
-    found = [left(effect, [one], [wanted]) for one, wanted in zip(runs, targets, strict=True)]
-    squares = np.array([float(np.sum((one.root * two) ** 2)) for one, two in zip(runs, targets, strict=True)])
-    shares = np.array([share for share, _ in found])
-    return float(np.sqrt((shares**2 @ squares) / squares.sum())), found[0][1]
+    result = [left(effect, [run], [wanted]) for run, wanted in zip(runs, targets, strict=True)]
+    squares = np.array([float(np.sum((run.root * two) ** 2)) for run, two in zip(runs, targets, strict=True)])
+    shares = np.array([share for share, _ in result])
+    return float(np.sqrt((shares**2 @ squares) / squares.sum())), result[0][1]

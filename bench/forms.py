@@ -45,52 +45,54 @@ class Bench:
         """Lay it out."""
         secret = nominal(seed)
         usual = seen_of(secret, fine_s=0.15)
-        kept = replace(secret, runs=tuple(one.plan for one in usual), variations=secret.variations[: len(usual)])
+        remaining = replace(
+            secret, runs=tuple(entry.plan for entry in usual), variations=secret.variations[: len(usual)]
+        )
         ringing, fast = seen_of(secret, fine_s=1.0), seen_of(secret, fine_s=0.15, shortest=5)
-        return cls(secret, usual, ringing, fast, nuisance_directions(kept))
+        return cls(secret, usual, ringing, fast, nuisance_directions(remaining))
 
     def seen(self, residuals: dict[int, Floats]) -> float:
         """Return d′ of force residuals of some runs."""
-        filled = [residuals.get(one.index, np.zeros_like(one.bare.time)) for one in self.usual]
+        filled = [residuals.get(entry.index, np.zeros_like(entry.bare.time)) for entry in self.usual]
         return float(np.sqrt(max(residual_chi2(self.nominal, filled), 0.0)))
 
     def least_seen(self, effect: Effect, acting: list[Seen], marks: list[Floats], values: dict[str, float]) -> float:
         """Return d′ of what the effect leaves, moved on from a fit by steps that count nominal directions as free."""
         names = list(values)
         low, high = bounds(effect)
-        unit = np.array([abs(one.default) or 1.0 for one in effect.parameters])
+        unit = np.array([abs(parameter.default) or 1.0 for parameter in effect.parameters])
 
         def rest(at: Floats) -> dict[int, Floats]:
             now = dict(zip(names, at.tolist(), strict=True))
-            shown = [one.everywhere(changed(effect, one, now)) for one in acting]
-            return {one.index: mark - each for one, mark, each in zip(acting, marks, shown, strict=True)}
+            shown = [entry.everywhere(changed(effect, entry, now)) for entry in acting]
+            return {entry.index: mark - now_shown for entry, mark, now_shown in zip(acting, marks, shown, strict=True)}
 
         at = np.array(list(values.values()))
-        left, least = rest(at), np.inf
+        left, minimum = rest(at), np.inf
         step = np.ones(0)
         for _ in range(MOST_STEPS):
             now = self.seen(left)
-            if now < least:
-                least, best = now, at
-                ends = [np.where(at + 1e-3 * unit > high, -1e-3, 1e-3) * unit * one for one in np.eye(at.size)]
-                moved = [rest(at + one) for one in ends]
-                step = self._step(left, [{key: left[key] - one[key] for key in left} for one in moved])
-                step *= np.array([one.sum() for one in ends])
+            if now < minimum:
+                minimum, best = now, at
+                ends = [np.where(at + 1e-3 * unit > high, -1e-3, 1e-3) * unit * entry for entry in np.eye(at.size)]
+                moved = [rest(at + end) for end in ends]
+                step = self._step(left, [{key: left[key] - entry[key] for key in left} for entry in moved])
+                step *= np.array([end.sum() for end in ends])
             else:
                 step = step / 3
             at = np.clip(best + step, low, high)
             left = rest(at)
-        return min(least, self.seen(left))
+        return min(minimum, self.seen(left))
 
     def _step(self, left: dict[int, Floats], slopes: list[dict[int, Floats]]) -> Floats:
         """Return how many slopes to take, by least squares through the noise beside the nominal directions."""
         size = self.nominal.shared[0].shape[1] + len(slopes)
         gram, right = np.zeros((size, size)), np.zeros(size)
-        for one, shared, own in zip(self.usual, self.nominal.shared, self.nominal.own, strict=True):
-            if one.index not in left:
+        for entry, shared, own in zip(self.usual, self.nominal.shared, self.nominal.own, strict=True):
+            if entry.index not in left:
                 gram += np.pad(_beside(shared, own), (0, len(slopes)))
                 continue
-            columns = np.column_stack([*(slope[one.index] for slope in slopes), left[one.index]])
+            columns = np.column_stack([*(slope[entry.index] for slope in slopes), left[entry.index]])
             both = _beside(np.column_stack([shared, whiten(columns, self.nominal.noise)]), own)
             gram += both[:-1, :-1]
             right += both[:-1, -1]
@@ -102,13 +104,13 @@ class Bench:
         effect = find_effect(hidden.name)
         by_run = effect.coordinate is Coordinate.FREQUENCY
         runs = self.fast if by_run else self.ringing if effect.coordinate is Coordinate.TRANSIENT else self.usual
-        acting = [one for one in runs if one.plan.kind in hidden.kinds]
-        marks = [hidden_change(self.secret, hidden, one) for one in acting]
-        targets = [mark[one.chosen] for one, mark in zip(acting, marks, strict=True)]
+        acting = [run for run in runs if run.plan.kind in hidden.kinds]
+        marks = [hidden_change(self.secret, hidden, entry) for entry in acting]
+        targets = [mark[entry.chosen] for entry, mark in zip(acting, marks, strict=True)]
         share, values = (left_run_by_run if by_run else left)(effect, acting, targets)
         seen = f"{'':9s}"
         if effect.channel == "force" and not by_run:
-            whole = self.seen({one.index: mark for one, mark in zip(acting, marks, strict=True)})
+            whole = self.seen({entry.index: mark for entry, mark in zip(acting, marks, strict=True)})
             seen = f"{whole:4.0f} {self.least_seen(effect, acting, marks, values) / whole:4.0%}"
         return share, f"{seen}  " + " ".join(f"{key}={value:.3g}" for key, value in values.items())
 
@@ -126,14 +128,14 @@ def verdict(share: float) -> str:
 
 def summary(shares: dict[str, list[float]]) -> None:
     """Print the range, and the effects that lie outside of what it should be."""
-    everything = np.array([share for found in shares.values() for share in found])
+    everything = np.array([share for result in shares.values() for share in result])
     low, middle, high = np.quantile(everything, (0.0, 0.5, 1.0))
     near, far = np.count_nonzero(everything < NEAR), np.count_nonzero(everything > FAR)
     print(f"{everything.size} forms leave {low:.0%} to {high:.0%}, median {middle:.0%}")
     print(f"{near} lie nearer than {NEAR:.0%}, {far} further than {FAR:.0%}:")
-    for name, found in shares.items():
-        if any(verdict(share) for share in found):
-            print(f"  {name}: {', '.join(f'{share:.0%}' for share in found)}")
+    for name, result in shares.items():
+        if any(verdict(share) for share in result):
+            print(f"  {name}: {', '.join(f'{share:.0%}' for share in result)}")
 
 
 def main() -> None:
@@ -142,15 +144,15 @@ def main() -> None:
     parser.add_argument("effects", nargs="*", help="ids; all of the catalogue unless given")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--draws", type=int, default=1, help="of each form's shape")
-    given = parser.parse_args()
-    bench = Bench.of(given.seed)
+    options = parser.parse_args()
+    bench = Bench.of(options.seed)
     shares: dict[str, list[float]] = {}
     print(f"{'effect':20s} {'form':28s} {'left':>6s}        d′ left  best fit")
     for name, forms in CATALOGUE.items():
-        if given.effects and name not in given.effects:
+        if options.effects and name not in options.effects:
             continue
-        for form, number in product(forms, range(given.draws)):
-            random = np.random.default_rng((given.seed, number, crc32(form.form.encode())))
+        for form, number in product(forms, range(options.draws)):
+            random = np.random.default_rng((options.seed, number, crc32(form.form.encode())))
             share, rest = bench.row(form.drawn(random, 1.0))
             shares.setdefault(name, []).append(share)
             print(f"{name:20s} {form.form:28s} {share:6.1%} {verdict(share):4s} {rest}", flush=True)

@@ -161,13 +161,13 @@ Stage = Callable[[Shell], dict[str, Json]]
 
 def commands(shell: Shell) -> dict[str, Json]:
     """Record options of all commands, the public API, the catalogue, and answers to wrong input."""
-    found: dict[str, Json] = {f"options of {command}": _options(shell, command) for command in COMMANDS}
-    found["public API"] = shell.evaluate(PUBLIC_API)
-    found["effects"] = shell.answer("gap", "effects")
-    found["check beyond limits"] = shell.answer("check", "drag", "--set", "speed_mm_s=5000")
-    found["check with a wrong key"] = shell.answer("check", "drag", "--set", "sped_mm_s=5")
-    found["run of no plan"] = shell.answer("run", "no-such-plan", "--yes")
-    return found
+    result: dict[str, Json] = {f"options of {command}": _options(shell, command) for command in COMMANDS}
+    result["public API"] = shell.evaluate(PUBLIC_API)
+    result["effects"] = shell.answer("gap", "effects")
+    result["check beyond limits"] = shell.answer("check", "drag", "--set", "speed_mm_s=5000")
+    result["check with a wrong key"] = shell.answer("check", "drag", "--set", "sped_mm_s=5")
+    result["run of no plan"] = shell.answer("run", "no-such-plan", "--yes")
+    return result
 
 
 def _options(shell: Shell, command: str) -> Json:
@@ -181,7 +181,7 @@ def _options(shell: Shell, command: str) -> Json:
 
 def rig(shell: Shell) -> dict[str, Json]:
     """Record the friction model, what plans would do, and motion by hand on the simulated rig."""
-    found: dict[str, Json] = {f"check {name}": shell.answer("check", name) for name in PLANS}
+    result: dict[str, Json] = {f"check {name}": shell.answer("check", name) for name in PLANS}
     for name, words in {
         "model": (),
         "model table1": ("--wall", "table1", "--speeds", "0.5,5,50"),
@@ -189,26 +189,26 @@ def rig(shell: Shell) -> dict[str, Json]:
         "model stribeck": ("--effect", "stribeck:ratio=0.4,speed_mm_s=2"),
         "model rough": ("--capsule", "rough", "--model", "table1"),
     }.items():
-        found[name] = shell.answer("model", *words)
-    found["check of the rig"] = shell.answer("check")
+        result[name] = shell.answer("model", *words)
+    result["check of the rig"] = shell.answer("check")
     shell.call("init", "lab")
     choices = ("--rig", "lab/rig.toml", "--yes")
     shell.call("demo", "-o", "demo")
-    found["demo"] = {
+    result["demo"] = {
         shell.cleaner.text(path.name): traces(path) for path in sorted((shell.folder / "demo").rglob("*.h5"))
     }
-    found["home"] = shell.answer("home", *choices)
-    found["jog"] = shell.answer("jog", "5", *choices)
-    found["calibrate encoder"] = shell.answer("calibrate", "encoder", "--travel", "50", *choices)
-    found["touch-off"] = shell.answer("touch-off", *choices)
-    return found
+    result["home"] = shell.answer("home", *choices)
+    result["jog"] = shell.answer("jog", "5", *choices)
+    result["calibrate encoder"] = shell.answer("calibrate", "encoder", "--travel", "50", *choices)
+    result["touch-off"] = shell.answer("touch-off", *choices)
+    return result
 
 
 def thin(shell: Shell) -> dict[str, Json]:
     """Record every command that reads runs, on the thin campaign."""
     shutil.copytree(shell.inputs.data / "campaign", shell.folder / "thin")
     drags = sorted(path.relative_to(shell.folder).as_posix() for path in (shell.folder / "thin").glob("*-drag.h5"))
-    found: dict[str, Json] = {
+    result: dict[str, Json] = {
         "info": shell.answer("info", "thin"),
         "verify": shell.answer("info", "thin", "--verify"),
         **campaign(shell, "thin"),
@@ -228,16 +228,16 @@ def thin(shell: Shell) -> dict[str, Json]:
         "table after a mark": shell.answer("table", "thin"),
     }
     for ending in ("csv", "npz", "mat", "parquet"):
-        found[f"export {ending}"] = shell.answer("export", "thin", "-f", ending, "-o", ending)
+        result[f"export {ending}"] = shell.answer("export", "thin", "-f", ending, "-o", ending)
         written = sorted((shell.folder / ending).glob(f"*.{ending}"))
-        kept = written if ending == "csv" else written[:2]
-        found[f"{ending} files"] = {path.name: exported(path, shell.cleaner) for path in kept}
-    return found
+        remaining = written if ending == "csv" else written[:2]
+        result[f"{ending} files"] = {path.name: exported(path, shell.cleaner) for path in remaining}
+    return result
 
 
 def campaign(shell: Shell, name: str) -> dict[str, Json]:
     """Ask for all that is said of a campaign: table, comparison, identification, diagnosis, isolability, next runs."""
-    found = {
+    result = {
         "table": shell.answer("table", name),
         "compare with the model": shell.answer("compare", name, "--model", "paper"),
         "identify": shell.answer("identify", name, "--save-model", "identified.toml"),
@@ -247,10 +247,10 @@ def campaign(shell: Shell, name: str) -> dict[str, Json]:
         "next": shell.answer("gap", "next", name, "--save-plan", "next.toml"),
     }
     for model in ("identified", "amended", "next"):
-        found[f"{model}.toml"] = toml_file(shell.folder / f"{model}.toml", shell.cleaner)
+        result[f"{model}.toml"] = toml_file(shell.folder / f"{model}.toml", shell.cleaner)
     if (shell.folder / "amended.toml").exists():
-        found["evaluate"] = shell.answer("gap", "evaluate", "amended.toml", name)
-    return found
+        result["evaluate"] = shell.answer("gap", "evaluate", "amended.toml", name)
+    return result
 
 
 def practice(folder: Path) -> Stage:
@@ -282,18 +282,18 @@ def plan(name: str) -> Stage:
     """Return a stage for a shipped plan on the simulated rig."""
 
     def record(shell: Shell) -> dict[str, Json]:
-        found = simulated(shell, name)
-        found["table"] = shell.answer("table", "runs")
-        found["watch"] = shell.answer("watch", "runs", "--once")
-        found["report"] = shell.answer("report", "runs", "-o", "runs.html")
-        found["isolability"] = shell.answer("gap", "isolability", name)
-        found["next"] = shell.answer("gap", "next", name)
+        result = simulated(shell, name)
+        result["table"] = shell.answer("table", "runs")
+        result["watch"] = shell.answer("watch", "runs", "--once")
+        result["report"] = shell.answer("report", "runs", "-o", "runs.html")
+        result["isolability"] = shell.answer("gap", "isolability", name)
+        result["next"] = shell.answer("gap", "next", name)
         first = sorted((shell.folder / "runs").glob("*.h5"))[0].relative_to(shell.folder).as_posix()
-        found["filter"] = shell.answer("filter", first)
-        found["export"] = shell.answer("export", first, "-o", "exported")
+        result["filter"] = shell.answer("filter", first)
+        result["export"] = shell.answer("export", first, "-o", "exported")
         files = sorted((shell.folder / "exported").glob("*.csv"))
-        found["csv files"] = {shell.cleaner.text(path.name): exported(path, shell.cleaner) for path in files}
-        return found
+        result["csv files"] = {shell.cleaner.text(path.name): exported(path, shell.cleaner) for path in files}
+        return result
 
     return record
 
@@ -309,31 +309,31 @@ def effects(shell: Shell) -> dict[str, Json]:
     """Record every effect of the catalogue on the simulated rig, at its usual size."""
     (shell.folder / "short.toml").write_text(EVERY_EFFECT_PLAN, "utf-8")
     catalogue = json.loads(shell.call("gap", "effects", "--json")[1])["effects"]
-    found: dict[str, Json] = {}
+    result: dict[str, Json] = {}
     for effect in sorted(entry["id"] for entry in catalogue):
         out = f"runs-{effect}"
-        found[f"run {effect}"] = shell.answer("run", "short.toml", "--yes", "-o", out, "--effect", effect)
+        result[f"run {effect}"] = shell.answer("run", "short.toml", "--yes", "-o", out, "--effect", effect)
         files = sorted((shell.folder / out).glob("*.h5"))
-        found[f"samples {effect}"] = {shell.cleaner.text(path.name): traces(path) for path in files}
-        found[f"model {effect}"] = shell.answer("model", "--effect", effect)
-    return found
+        result[f"samples {effect}"] = {shell.cleaner.text(path.name): traces(path) for path in files}
+        result[f"model {effect}"] = shell.answer("model", "--effect", effect)
+    return result
 
 
 def made(shell: Shell) -> dict[str, Json]:
     """Record a campaign of the simulated rig with an effect, the stage alone, and a run made again from its file."""
-    found = simulated(
+    result = simulated(
         shell, "diagnose", "--effect", "stribeck:ratio=0.4,speed_mm_s=2", "--set", "rig.simulated.seed=11"
     )
-    found |= campaign(shell, "runs")
-    found["diagnose drive"] = shell.answer("gap", "diagnose", "runs", "--nominal", "drive")
-    found["identify drive"] = shell.answer("identify", "runs", "--nominal", "drive")
+    result |= campaign(shell, "runs")
+    result["diagnose drive"] = shell.answer("gap", "diagnose", "runs", "--nominal", "drive")
+    result["identify drive"] = shell.answer("identify", "runs", "--nominal", "drive")
     fresh = simulated(shell, "drag-sweep", "--model", "amended.toml", out="fresh")
-    found["run amended"], found["fresh run files"] = fresh["run"], fresh["run files"]
-    found["evaluate fresh"] = shell.answer("gap", "evaluate", "amended.toml", "fresh")
+    result["run amended"], result["fresh run files"] = fresh["run"], fresh["run files"]
+    result["evaluate fresh"] = shell.answer("gap", "evaluate", "amended.toml", "fresh")
     again = sorted((shell.folder / "fresh").glob("*.h5"))[0].relative_to(shell.folder).as_posix()
     repeated = simulated(shell, again, out="again")
-    found["run again"], found["again run files"] = repeated["run"], repeated["run files"]
-    return found
+    result["run again"], result["again run files"] = repeated["run"], repeated["run files"]
+    return result
 
 
 def elsewhere(shell: Shell) -> dict[str, Json]:
@@ -342,7 +342,7 @@ def elsewhere(shell: Shell) -> dict[str, Json]:
     slip = ("--map", "time=Time:s", "--map", "position=Displ:um", "--map", "force=Friction:1*1000")
     turn = ("--map", "time=Time:s", "--map", "position=Position:rad*10", "--map", "motor_force=Iq:A*1000")
     shutil.copy(shell.inputs.own_model, shell.folder / "own_model.py")
-    found: dict[str, Json] = {}
+    result: dict[str, Json] = {}
     for name, file, words in (
         ("sepiolite", "velocity-steps/sepiolite.txt", (*slip, "--resample-hz", "1", "--from-s", "21326")),
         ("basalt", "velocity-steps/basalt.txt", (*slip, "--resample-hz", "10", "--from-s", "11676.5")),
@@ -351,13 +351,13 @@ def elsewhere(shell: Shell) -> dict[str, Json]:
          (*turn, "--resample-hz", "1000", "--from-s", "1.9", "--to-s", "3.3", "--steady")),
     ):  # fmt: skip
         shutil.copy(data / file, shell.folder / "trace.txt")
-        found[f"import {name}"] = shell.answer("import", "trace.txt", *words, "--specimen", name, "-o", name)
+        result[f"import {name}"] = shell.answer("import", "trace.txt", *words, "--specimen", name, "-o", name)
         shell.cleaner.learn_runs(shell.folder / name)
-        found[f"run files {name}"] = runs(shell.folder / name, shell.cleaner)
+        result[f"run files {name}"] = runs(shell.folder / name, shell.cleaner)
         nominal = "drive" if "motor" in name else "own_model.py"
-        found[f"diagnose {name}"] = shell.answer("gap", "diagnose", name, "--nominal", nominal)
-        found[f"identify {name}"] = shell.answer("identify", name, "--nominal", nominal)
-    return found
+        result[f"diagnose {name}"] = shell.answer("gap", "diagnose", name, "--nominal", nominal)
+        result[f"identify {name}"] = shell.answer("identify", name, "--nominal", nominal)
+    return result
 
 
 def paper(shell: Shell) -> dict[str, Json]:
@@ -379,19 +379,19 @@ def exam(*words: str) -> Stage:
         score = shell.answer(*words, "--out", "exam", "--workers", str(shell.inputs.workers))
         folder = shell.folder / "exam"
         parts = {path: path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*.json"))}
-        found: dict[str, Json] = {
+        result: dict[str, Json] = {
             name: documents(path.read_text("utf-8"), shell.cleaner)
             for path, name in parts.items()
             if not name.startswith(("campaigns/", "fresh/"))
         }
         for path in sorted(folder.rglob("*.toml")):
-            found[path.relative_to(folder).as_posix()] = toml_file(path, shell.cleaner)
+            result[path.relative_to(folder).as_posix()] = toml_file(path, shell.cleaner)
         for kind in ("campaigns", "fresh"):
             for made_folder in sorted((folder / kind).iterdir()):
                 files = sorted(made_folder.glob("*.h5"))
-                found[f"samples of {kind}/{made_folder.name}"] = {path.name: traces(path) for path in files}
+                result[f"samples of {kind}/{made_folder.name}"] = {path.name: traces(path) for path in files}
         calibrated = shell.answer("gap", "calibrate", "exam", "--folds", "4")
-        return {"score": score, "calibrate": calibrated, **found}
+        return {"score": score, "calibrate": calibrated, **result}
 
     return record
 
@@ -461,10 +461,10 @@ def record(inputs: Inputs, folder: Path, names: Sequence[str], jobs: int) -> Non
             return
         begun, used = time.perf_counter(), _child_seconds()
         with TemporaryDirectory(prefix="freeze-") as scratch:
-            found = available[name](Shell(inputs, Path(scratch).resolve()))
-        _save(_file(folder, name), found)
+            result = available[name](Shell(inputs, Path(scratch).resolve()))
+        _save(_file(folder, name), result)
         alone = f", {_child_seconds() - used:.0f} s of CPU" if jobs == 1 else ""
-        print(f"{name}: {len(found)} cases in {time.perf_counter() - begun:.0f} s{alone}", flush=True)
+        print(f"{name}: {len(result)} cases in {time.perf_counter() - begun:.0f} s{alone}", flush=True)
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(carry_out, names))
@@ -479,15 +479,15 @@ def _file(folder: Path, stage: str) -> Path:
     return folder / f"{stage}.json.gz"
 
 
-def _save(path: Path, found: Mapping[str, Json]) -> None:
-    text = json.dumps(found, ensure_ascii=False, separators=(",", ":"))
+def _save(path: Path, result: Mapping[str, Json]) -> None:
+    text = json.dumps(result, ensure_ascii=False, separators=(",", ":"))
     path.write_bytes(gzip.compress(text.encode(), mtime=0))
 
 
 def _load(path: Path) -> dict[str, Json]:
-    found = json.loads(gzip.decompress(path.read_bytes()))
-    assert isinstance(found, dict)
-    return found
+    answer = json.loads(gzip.decompress(path.read_bytes()))
+    assert isinstance(answer, dict)
+    return answer
 
 
 def compare_folders(before: Path, after: Path, names: Sequence[str], tolerance: float, *, sentences: bool) -> bool:
@@ -566,28 +566,30 @@ def practice_campaigns(folders: Sequence[Path]) -> tuple[Path, ...]:
     for folder in folders:
         if not folder.is_dir():
             print(f"{folder} is not there: its campaigns are left out", file=sys.stderr)
-    found = [path for folder in folders if folder.is_dir() for path in folder.iterdir() if any(path.glob("*.h5"))]
-    return tuple(sorted((path.resolve() for path in found), key=lambda path: (len(path.name), path.name)))
+    result = [path for folder in folders if folder.is_dir() for path in folder.iterdir() if any(path.glob("*.h5"))]
+    return tuple(sorted((path.resolve() for path in result), key=lambda path: (len(path.name), path.name)))
 
 
 def main() -> None:
     """Record or compare."""
-    given = arguments()
-    campaigns = practice_campaigns(given.campaigns)
-    recording = given.command == "record"
+    options = arguments()
+    campaigns = practice_campaigns(options.campaigns)
+    recording = options.command == "record"
     inputs = (
-        Inputs(given.python.absolute(), given.data.resolve(), campaigns, given.workers, given.own_model.resolve())
+        Inputs(
+            options.python.absolute(), options.data.resolve(), campaigns, options.workers, options.own_model.resolve()
+        )
         if recording
         else None
     )
     available = stages(inputs or Inputs(Path(), Path(), campaigns, 1, Path()))
-    chosen = given.only or (QUICK if given.quick else available)
+    chosen = options.only or (QUICK if options.quick else available)
     names = [name for name in chosen if name in available]
     for name in sorted(set(chosen) - set(names)):
         print(f"{name}: there is no such stage with these campaigns", file=sys.stderr)
     if inputs is not None:
-        record(inputs, given.folder, names, given.jobs)
-    elif not compare_folders(given.before, given.after, names, given.tolerance, sentences=given.sentences):
+        record(inputs, options.folder, names, options.jobs)
+    elif not compare_folders(options.before, options.after, names, options.tolerance, sentences=options.sentences):
         sys.exit(1)
 
 

@@ -37,16 +37,16 @@ LEFT_OUT = ("entry/settings", "entry/events")
 
 def double_run(path: Path, cleaner: Cleaner) -> Json:
     """Return what is the same in every call of a run on the doubles."""
-    found: dict[str, Json] = {}
+    result: dict[str, Json] = {}
     with h5py.File(path) as file:
 
         def visit(name: str, node: h5py.Group | h5py.Dataset) -> None:
-            found[f"{name} attributes"] = _attributes(cleaner.value(dict(node.attrs)))
+            result[f"{name} attributes"] = _attributes(cleaner.value(dict(node.attrs)))
             if isinstance(node, h5py.Dataset) and name not in LEFT_OUT:
-                found[name] = _dataset(name.rpartition("/")[2], node, file["entry/trace"])
+                result[name] = _dataset(name.rpartition("/")[2], node, file["entry/trace"])
 
         file.visititems(visit)
-    return found
+    return result
 
 
 def _attributes(values: Json) -> Json:
@@ -70,10 +70,10 @@ def _within(name: str, phase: str) -> float:
 
 def _means(values: NDArray[np.float32], phases: NDArray[np.uint8], rate_hz: float) -> dict[str, float]:
     """Return the mean of each phase that lasts, without the first and last tenth of it."""
-    found = {}
+    result = {}
     for phase in np.unique(phases):
         chosen = np.flatnonzero(phases == phase)
         edge = chosen.size // 10
         if chosen.size >= LASTS_S * rate_hz:
-            found[str(phase)] = float(values[chosen[edge : chosen.size - edge]].mean(dtype=np.float64))
-    return found
+            result[str(phase)] = float(values[chosen[edge : chosen.size - edge]].mean(dtype=np.float64))
+    return result

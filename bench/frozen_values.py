@@ -106,15 +106,15 @@ def brief(values: Json) -> Json:
 def run_file(path: Path, cleaner: Cleaner) -> Json:
     """Return all that a run file holds: attributes, digests of arrays, events, settings."""
     with h5py.File(path) as file:
-        found: dict[str, Json] = {"/": cleaner.value(dict(file.attrs))}
+        result: dict[str, Json] = {"/": cleaner.value(dict(file.attrs))}
 
         def visit(name: str, node: h5py.Group | h5py.Dataset) -> None:
-            found[f"{name} attributes"] = cleaner.value(dict(node.attrs))
+            result[f"{name} attributes"] = cleaner.value(dict(node.attrs))
             if isinstance(node, h5py.Dataset):
-                found[name] = _dataset(name, node, cleaner)
+                result[name] = _dataset(name, node, cleaner)
 
         file.visititems(visit)
-    return found
+    return result
 
 
 def _dataset(name: str, node: h5py.Dataset, cleaner: Cleaner) -> Json:

@@ -42,12 +42,12 @@ class Difference:
     mean_mN: float
 
 
-def lateness_s(one: Run, other: Run) -> float:
+def lateness_s(first: Run, second: Run) -> float:
     """How much later `one` moved than `other`: where its way is half done."""
-    half = 0.5 * (other.trace.position[0] + other.trace.position[-1])
-    if abs(other.trace.position[-1] - other.trace.position[0]) < 0.1:
+    half = 0.5 * (second.trace.position[0] + second.trace.position[-1])
+    if abs(second.trace.position[-1] - second.trace.position[0]) < 0.1:
         return 0.0
-    return crossing_s(one, half) - crossing_s(other, half)
+    return crossing_s(first, half) - crossing_s(second, half)
 
 
 def crossing_s(run: Run, position_mm: float) -> float:
@@ -64,20 +64,20 @@ def quiet(run: Run) -> FloatArray:
     return apart > AWAY_FROM_STEPS_S
 
 
-def difference(one: Run, other: Run) -> Difference:
+def difference(first: Run, second: Run) -> Difference:
     """Compare a run on the doubles with the simulated one."""
-    late = lateness_s(one, other)
-    at = other.trace.time
-    force = np.interp(at + late, one.trace.time, one.trace.force.astype(float))
-    position = np.interp(at + late, one.trace.time, one.trace.position.astype(float))
-    here = quiet(other)
-    off = (force - other.trace.force)[here]
+    late = lateness_s(first, second)
+    at = second.trace.time
+    force = np.interp(at + late, first.trace.time, first.trace.force.astype(float))
+    position = np.interp(at + late, first.trace.time, first.trace.position.astype(float))
+    here = quiet(second)
+    off = (force - second.trace.force)[here]
     return Difference(
         late_ms=1000 * late,
-        stated_ms=1000 * float(one.info.header.entry["command_t0_uncertainty_s"]),
-        position_um=1000 * float(np.abs(position - other.trace.position).max()),
+        stated_ms=1000 * float(first.info.header.entry["command_t0_uncertainty_s"]),
+        position_um=1000 * float(np.abs(position - second.trace.position).max()),
         rms_mN=float(np.sqrt(np.mean(off**2))),
-        noise_mN=float(other.info.checks["rest_noise_mN"]),
+        noise_mN=float(second.info.checks["rest_noise_mN"]),
         mean_mN=float(abs(off.mean())),
     )
 
@@ -87,37 +87,42 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--pace", type=float, default=5.0)
     options.add_argument("--plan", default="paper")
-    given = options.parse_args()
+    arguments = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         begun = time.perf_counter()
         real = dragrig.run(
-            given.plan, backend="hardware", double=True, pace=given.pace, out=Path(folder) / "hardware", person=Hands()
+            arguments.plan,
+            backend="hardware",
+            double=True,
+            pace=arguments.pace,
+            out=Path(folder) / "hardware",
+            person=Hands(),
         )
         took = time.perf_counter() - begun
         real.session.require()
-        simulated = dragrig.run(given.plan, backend="simulated", out=Path(folder) / "simulated")
+        simulated = dragrig.run(arguments.plan, backend="simulated", out=Path(folder) / "simulated")
         pairs = [
-            (dragrig.load(one.path), dragrig.load(other.path))
-            for one, other in zip(real.session.runs, simulated.session.runs, strict=True)
-            if one.path is not None and other.path is not None
+            (dragrig.load(run.path), dragrig.load(model_run.path))
+            for run, model_run in zip(real.session.runs, simulated.session.runs, strict=True)
+            if run.path is not None and model_run.path is not None
         ]
-        sampled_s = sum(float(one.trace.time[-1]) for one, _ in pairs)
-        complete = sum(one.info.status is RunStatus.COMPLETE for one, _ in pairs)
+        sampled_s = sum(float(run.trace.time[-1]) for run, _ in pairs)
+        complete = sum(run.info.status is RunStatus.COMPLETE for run, _ in pairs)
         print(f"{complete} of {len(pairs)} runs complete, {sampled_s:.0f} s of samples in {took:.0f} s")
-        lost = sum(int(one.info.checks["lost_samples"]) for one, _ in pairs)
-        same = sum(len(one.trace.time) == len(other.trace.time) for one, other in pairs)
+        lost = sum(int(run.info.checks["lost_samples"]) for run, _ in pairs)
+        same = sum(len(run.trace.time) == len(model_run.trace.time) for run, model_run in pairs)
         print(f"{lost} samples lost; {same} runs of the same length as the simulated ones")
-        found = [difference(one, other) for one, other in pairs]
-        for pair, one in zip(pairs, found, strict=True):
+        result = [difference(run, model_run) for run, model_run in pairs]
+        for pair, entry in zip(pairs, result, strict=True):
             print(
-                f"  {pair[0].info.kind:10} late {one.late_ms:+7.2f} ms (stated {one.stated_ms:6.2f})  "
-                f"position {one.position_um:7.1f} µm  force rms {one.rms_mN:6.2f} mN, "
-                f"mean {one.mean_mN:5.2f} mN, noise {one.noise_mN:4.2f} mN"
+                f"  {pair[0].info.kind:10} late {entry.late_ms:+7.2f} ms (stated {entry.stated_ms:6.2f})  "
+                f"position {entry.position_um:7.1f} µm  force rms {entry.rms_mN:6.2f} mN, "
+                f"mean {entry.mean_mN:5.2f} mN, noise {entry.noise_mN:4.2f} mN"
             )
-        within = sum(abs(one.late_ms) <= one.stated_ms + 1 for one in found)
-        print(f"start within the stated uncertainty: {within} of {len(found)}")
-        print(f"worst mean difference {max(one.mean_mN for one in found):.2f} mN")
-        print(f"median rms over noise {np.median([one.rms_mN / one.noise_mN for one in found]):.2f}")
+        within = sum(abs(entry.late_ms) <= entry.stated_ms + 1 for entry in result)
+        print(f"start within the stated uncertainty: {within} of {len(result)}")
+        print(f"worst mean difference {max(entry.mean_mN for entry in result):.2f} mN")
+        print(f"median rms over noise {np.median([entry.rms_mN / entry.noise_mN for entry in result]):.2f}")
 
 
 if __name__ == "__main__":

@@ -65,8 +65,8 @@ class House:
         project = tomllib.loads((repository / "pyproject.toml").read_text("utf-8"))
         folders: Mapping[str, str] = project["tool"]["setuptools"]["package-dir"]
         self.rooms = {package: repository / folder for package, folder in folders.items()}
-        found = (module for package, folder in self.rooms.items() for module in _modules(package, folder))
-        self.modules = {module.name: module for module in found}
+        result = (module for package, folder in self.rooms.items() for module in _modules(package, folder))
+        self.modules = {module.name: module for module in result}
 
     @cached_property
     def imports(self) -> Mapping[str, tuple[Import, ...]]:
@@ -149,7 +149,7 @@ def circles(graph: Graph) -> list[tuple[str, ...]]:
     order: dict[str, int] = {}
     lowest: dict[str, int] = {}
     stack: list[str] = []
-    found: list[tuple[str, ...]] = []
+    result: list[tuple[str, ...]] = []
 
     def visit(name: str) -> None:
         order[name] = lowest[name] = len(order)
@@ -165,12 +165,12 @@ def circles(graph: Graph) -> list[tuple[str, ...]]:
             group = tuple(sorted(stack[first:]))
             del stack[first:]
             if len(group) > 1:
-                found.append(group)
+                result.append(group)
 
     for name in sorted(graph):
         if name not in order:
             visit(name)
-    return found
+    return result
 
 
 def longest_chain(graph: Graph) -> tuple[str, ...]:
@@ -188,13 +188,13 @@ def longest_chain(graph: Graph) -> tuple[str, ...]:
 
 def private_functions(house: House) -> Mapping[str, int]:
     """Return how often each private function or method is named in its own module, but for its definition."""
-    found = {}
+    result = {}
     for module in house.modules.values():
         uses = Counter(_names(module.tree))
         for node in ast.walk(module.tree):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and _is_private(node.name):
-                found[f"{module.name}.{node.name}:{node.lineno}"] = uses[node.name]
-    return found
+                result[f"{module.name}.{node.name}:{node.lineno}"] = uses[node.name]
+    return result
 
 
 def _is_private(name: str) -> bool:
@@ -223,11 +223,11 @@ def class_names(house: House) -> Sequence[str]:
 
 def importers(graph: Graph) -> Mapping[str, frozenset[str]]:
     """Return which modules import each module."""
-    found: dict[str, set[str]] = defaultdict(set)
+    result: dict[str, set[str]] = defaultdict(set)
     for name, targets in graph.items():
         for target in targets:
-            found[target].add(name)
-    return {name: frozenset(names) for name, names in found.items()}
+            result[target].add(name)
+    return {name: frozenset(names) for name, names in result.items()}
 
 
 def measures(house: House) -> Iterator[tuple[str, str, str]]:
@@ -272,8 +272,8 @@ def details(house: House) -> Iterator[str]:
     yield "classes: " + ", ".join(f"{name} {count}" for name, count in repeated(class_names(house)).items())
     files = repeated([module.path.name for module in house.files])
     yield "files: " + ", ".join(f"{name} {count}" for name, count in files.items())
-    most = sorted(everything.items(), key=lambda entry: -len(entry[1]))[:15]
-    yield "most imports: " + ", ".join(f"{name} {len(targets)}" for name, targets in most)
+    maximum = sorted(everything.items(), key=lambda entry: -len(entry[1]))[:15]
+    yield "most imports: " + ", ".join(f"{name} {len(targets)}" for name, targets in maximum)
     longest = sorted(house.modules.values(), key=lambda module: -module.lines)[:15]
     yield "longest modules: " + ", ".join(f"{module.name} {module.lines}" for module in longest)
     unused = [name for name, count in private_functions(house).items() if not count]
@@ -285,12 +285,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repository", type=Path, default=Path(__file__).resolve().parents[1])
     parser.add_argument("--list", action="store_true", help="say which modules and names they are")
-    given = parser.parse_args()
-    house = House(given.repository)
-    for what, value, beside in measures(house):
-        print(f"{what:40} {value:>24}   {beside}".rstrip())
+    options = parser.parse_args()
+    house = House(options.repository)
+    for subject, value, beside in measures(house):
+        print(f"{subject:40} {value:>24}   {beside}".rstrip())
     print(f"\npeer: {PEER}")
-    if given.list:
+    if options.list:
         print("\n".join(("", *details(house))))
 
 

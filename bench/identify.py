@@ -39,7 +39,7 @@ from dragrig.sim_backend.friction import prepare
 BAR_S = 3.0
 LEAST = 1e-5
 """A narrower interval is that of a parameter on which no sample depends."""
-NAMES = tuple(one.name for one in MODEL.parameters)
+NAMES = tuple(parameter.name for parameter in MODEL.parameters)
 STEPS = (
     {"kind": "relaxation", "shear_strain": [0.5, 1.0, 1.5, 2.0]},
     {"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 40.0},
@@ -87,10 +87,10 @@ def timed(action: Callable[[], object]) -> Spent:
     return Spent(wall, after.user - before.user + after.children_user - before.children_user)
 
 
-def plain_fit(folder: Path, most: int) -> Plain:
+def plain_fit(folder: Path, maximum: int) -> Plain:
     """Fit every sample of every run with the friction model, as one would write it down."""
-    runs = [one for one in select_runs(folder).experiments if one.contact is not Contact.NONE]
-    measured = [np.asarray(one.run.trace.force, dtype=np.float64) for one in runs]
+    runs = [experiment for experiment in select_runs(folder).experiments if experiment.contact is not Contact.NONE]
+    measured = [np.asarray(run.run.trace.force, dtype=np.float64) for run in runs]
     evaluations = 0
 
     def residual(unknown: FloatArray) -> FloatArray:
@@ -99,14 +99,14 @@ def plain_fit(folder: Path, most: int) -> Plain:
         settings = MODEL.settings.model_copy(update=dict(zip(NAMES, unknown[: len(NAMES)].tolist(), strict=True)))
         zeros = unknown[len(NAMES) :]
         parts = zip(runs, measured, zeros, strict=True)
-        return np.concatenate([force_of(one, settings) + zero - force for one, force, zero in parts])
+        return np.concatenate([force_of(entry, settings) + zero - force for entry, force, zero in parts])
 
-    start = np.concatenate(([one.nominal for one in MODEL.parameters], np.zeros(len(runs))))
-    low = [1e-3 if one.positive else -20.0 for one in MODEL.parameters] + [-np.inf] * len(runs)
-    high = [10.0 if one.positive else 20.0 for one in MODEL.parameters] + [np.inf] * len(runs)
-    found = least_squares(residual, start, bounds=(low, high), max_nfev=most)
+    start = np.concatenate(([parameter.nominal for parameter in MODEL.parameters], np.zeros(len(runs))))
+    low = [1e-3 if parameter.positive else -20.0 for parameter in MODEL.parameters] + [-np.inf] * len(runs)
+    high = [10.0 if parameter.positive else 20.0 for parameter in MODEL.parameters] + [np.inf] * len(runs)
+    result = least_squares(residual, start, bounds=(low, high), max_nfev=maximum)
     samples = sum(map(len, measured))
-    return Plain(found.x[: len(NAMES)], own_covariance(found, samples), found.status > 0, evaluations, samples)
+    return Plain(result.x[: len(NAMES)], own_covariance(result, samples), result.status > 0, evaluations, samples)
 
 
 def force_of(experiment: Experiment, settings: FrictionModelSettings) -> FloatArray:
@@ -115,11 +115,11 @@ def force_of(experiment: Experiment, settings: FrictionModelSettings) -> FloatAr
     return prepare(acquisition_of(experiment), settings, motion).force(experiment.time_s)
 
 
-def own_covariance(found: OptimizeResult, samples: int) -> FloatArray:
+def own_covariance(result: OptimizeResult, samples: int) -> FloatArray:
     """Return the textbook's covariance of the parameters, s² (JᵀJ)⁻¹, directions that nothing determines left out."""
-    free = samples - len(found.x)
-    inverse = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-10, hermitian=True)
-    return np.asarray(2 * found.cost / free * inverse)[: len(NAMES), : len(NAMES)]
+    free = samples - len(result.x)
+    inverse = np.linalg.pinv(result.jac.T @ result.jac, rcond=1e-10, hermitian=True)
+    return np.asarray(2 * result.cost / free * inverse)[: len(NAMES), : len(NAMES)]
 
 
 def report(true: FrictionModelSettings, joint: JointFit, plain: Plain) -> None:
@@ -129,14 +129,14 @@ def report(true: FrictionModelSettings, joint: JointFit, plain: Plain) -> None:
     print(f"{ours}{'plain':>10}{'off':>8}{'its own ± 95 %':>17}{'off':>8}")
     values = {name: float(getattr(true, name)) for name in NAMES}
     plainly = dict(zip(NAMES, plain.values.tolist(), strict=True))
-    for one in joint.parameters:
-        place = NAMES.index(one.name)
-        line(one, values[one.name], plainly[one.name], float(plain.covariance[place, place]) ** 0.5)
-    for combination, one in zip(MODEL.combinations, joint.combinations, strict=True):
+    for entry in joint.parameters:
+        place = NAMES.index(entry.name)
+        line(entry, values[entry.name], plainly[entry.name], float(plain.covariance[place, place]) ** 0.5)
+    for combination, entry in zip(MODEL.combinations, joint.combinations, strict=True):
         powers = np.array([combination.powers.get(name, 0.0) for name in NAMES])
         at = float(np.prod(plain.values**powers))
         along = at * powers / plain.values
-        line(one, product(values, powers), at, float(along @ plain.covariance @ along) ** 0.5)
+        line(entry, product(values, powers), at, float(along @ plain.covariance @ along) ** 0.5)
 
 
 def product(values: dict[str, float], powers: FloatArray) -> float:
@@ -144,11 +144,11 @@ def product(values: dict[str, float], powers: FloatArray) -> float:
     return float(np.prod([values[name] ** power for name, power in zip(NAMES, powers, strict=True) if power]))
 
 
-def line(one: ParameterEstimate | EstimatedQuantity, true: float, plain: float, error: float) -> None:
+def line(first: ParameterEstimate | EstimatedQuantity, true: float, plain: float, error: float) -> None:
     """Print one quantity."""
-    half, own = 0.5 * (one.interval[1] - one.interval[0]), NORMAL_95 * error
+    half, own = 0.5 * (first.interval[1] - first.interval[0]), NORMAL_95 * error
     print(
-        f"{one.name:26}{true:9.4f}{one.value:11.4f}{half:9.4f}{abs(one.value - true) / half:7.2f}{plain:10.4f}"
+        f"{first.name:26}{true:9.4f}{first.value:11.4f}{half:9.4f}{abs(first.value - true) / half:7.2f}{plain:10.4f}"
         f"{abs(plain - true) / half:8.2f}"
         + (f"{own:17.5f}{abs(plain - true) / own:8.1f}" if own > LEAST * abs(true) else f"{'none':>17}{'-':>8}")
     )
@@ -156,10 +156,10 @@ def line(one: ParameterEstimate | EstimatedQuantity, true: float, plain: float, 
 
 def show(name: str, spent: list[Spent]) -> None:
     """Print the times of one way."""
-    each = ", ".join(f"{one.wall:.2f}" for one in spent)
+    walls = ", ".join(f"{entry.wall:.2f}" for entry in spent)
     print(
-        f"{name:42}{median(one.wall for one in spent):9.2f} s wall{median(one.user for one in spent):9.2f} s user CPU"
-        f"   ({each})"
+        f"{name:42}{median(entry.wall for entry in spent):9.2f} s wall"
+        f"{median(entry.user for entry in spent):9.2f} s user CPU   ({walls})"
     )
 
 
@@ -191,7 +191,7 @@ def main() -> None:
     for name, times in spent.items():
         show(name, times)
     ours, theirs = (spent[name] for name in (*ways,)[::2])
-    ratio = median(one.wall for one in theirs) / median(one.wall for one in ours)
+    ratio = median(their.wall for their in theirs) / median(our.wall for our in ours)
     done = "" if plain.finished else f" AND did not converge within {chosen.most} steps"
     print(
         f"plain least squares takes {ratio:.0f} times as long{done} ({plain.evaluations} evaluations of the campaign)"

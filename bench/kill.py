@@ -27,14 +27,14 @@ def kill(folder: Path, way: str, draw: random.Random) -> Loss | None:
     path, rate_hz = folder / "run.h5", draw.choice(RATES_HZ)
     if way in STEPS:
         times = draw.randint(1, 6) if way in {"appending", "flushing", "noting"} else 1
-        said, killed = run_victim(path, seconds=1.0, die_at=way, times=times, rate_hz=rate_hz)
+        text, killed = run_victim(path, seconds=1.0, die_at=way, times=times, rate_hz=rate_hz)
     else:
         moment = draw.uniform(0.0, 1.5)
-        said, killed = run_victim(path, kill_after_s=moment, in_a_flush=way == "in a flush", rate_hz=rate_hz)
-    if not said:
+        text, killed = run_victim(path, kill_after_s=moment, in_a_flush=way == "in a flush", rate_hz=rate_hz)
+    if not text:
         recover(folder)
         return None
-    loss = loss_of(path, said, killed, rate_hz)
+    loss = loss_of(path, text, killed, rate_hz)
     if not verify(path).holds or recover(folder):
         raise SystemExit(f"{path}: does not verify, or recovering again found more")
     return loss

@@ -45,8 +45,8 @@ class Kind:
 
 
 KINDS = {
-    one.name: one
-    for one in (Kind("usual"), Kind("table1", wall="table1"), Kind("half", drags=0.5), Kind("1khz", rate_hz=1000.0))
+    entry.name: entry
+    for entry in (Kind("usual"), Kind("table1", wall="table1"), Kind("half", drags=0.5), Kind("1khz", rate_hz=1000.0))
 }
 
 
@@ -144,11 +144,11 @@ def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
     made = time.perf_counter()
     nominal = CapsuleModel(FrictionModelSettings(wall=kind.wall))
     selection = select_loaded_runs(known.runs)
-    found = identify_specimen(selection, nominal) if parts else None
-    joint = fit_jointly(selection, nominal) if found is None else found.joint
+    result = identify_specimen(selection, nominal) if parts else None
+    joint = fit_jointly(selection, nominal) if result is None else result.joint
     assert joint is not None
     done = time.perf_counter()
-    scores = [*of_joint(known, joint), *(of_parts(known, selection, found) if found else ())]
+    scores = [*of_joint(known, joint), *(of_parts(known, selection, result) if result else ())]
     return Outcome(
         seed, known.rig.simulated.noise.white_mN, joint.converged, joint.chi2 / joint.degrees, joint.p_value,
         made - begin, done - made, tuple(scores), joint.remarks,
@@ -157,9 +157,9 @@ def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
 
 def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
     """Compare parameters, combinations, and each run's own zero and factors."""
-    true = {one.name: float(getattr(known.specimen, one.name)) for one in joint.parameters}
-    for one in joint.parameters:
-        yield _of_quantity("parameter", one, true[one.name], one.learnt)
+    true = {parameter.name: float(getattr(known.specimen, parameter.name)) for parameter in joint.parameters}
+    for element in joint.parameters:
+        yield _of_quantity("parameter", element, true[element.name], element.learnt)
     for combination, quantity in zip(CAPSULE_COMBINATIONS, joint.combinations, strict=True):
         yield _of_quantity("combination", quantity, prod(true[name] ** n for name, n in combination.powers.items()))
     for run in joint.runs:
@@ -173,36 +173,36 @@ def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
             yield _of_estimate("run", f"friction {run.kind}", run.factors["friction"], friction)
 
 
-def of_parts(known: Known, selection: RunSelection, found: Identification) -> Iterator[Score]:
+def of_parts(known: Known, selection: RunSelection, result: Identification) -> Iterator[Score]:
     """Compare what is derived from relaxations, Coulomb runs and drags on their own."""
-    if found.relaxation:
-        yield from _of_relaxation(known, found.relaxation)
-    if found.coulomb:
-        yield from _of_coulomb(known, selection, found.coulomb)
-    if found.drag:
-        yield from _of_drag(known, selection, found.drag)
+    if result.relaxation:
+        yield from _of_relaxation(known, result.relaxation)
+    if result.coulomb:
+        yield from _of_coulomb(known, selection, result.coulomb)
+    if result.drag:
+        yield from _of_drag(known, selection, result.drag)
 
 
-def _of_relaxation(known: Known, found: RelaxationResult) -> Iterator[Score]:
-    for fit in found.fits:
+def _of_relaxation(known: Known, result: RelaxationResult) -> Iterator[Score]:
+    for fit in result.fits:
         wall = model_wall(known.of_run(fit.file), fit.shear_strain)
         # Nobody knows the true gain: the elements are those that the force channel shows.
-        true = {one: known.specimen.force_gain * float(getattr(wall, one)) for one in ELEMENTS}
+        true = {element: known.specimen.force_gain * float(getattr(wall, element)) for element in ELEMENTS}
         true |= {"tau1": true["eta1"] / true["E1"], "tau2": true["eta2"] / true["E2"]}
         for one in (*fit.elements, *fit.times):
             yield _of_quantity("relaxation", one, true[one.name])
 
 
-def _of_coulomb(known: Known, selection: RunSelection, found: CoulombResult) -> Iterator[Score]:
+def _of_coulomb(known: Known, selection: RunSelection, result: CoulombResult) -> Iterator[Score]:
     mu = known.specimen.friction_coefficient
-    yield _of_estimate("coulomb", "mu_without_viscous", found.mu_without_viscous, mu)
+    yield _of_estimate("coulomb", "mu_without_viscous", result.mu_without_viscous, mu)
     slowest = _steady(known, selection.of_kind("coulomb")[0], SPEEDS_MM_S[0])
     weight = selection.of_kind("coulomb")[0].capsule.mass_g * GRAVITY_M_S2
-    yield _of_estimate("coulomb", "mu", found.mu, mu + float(slowest.f_v[0]) / weight)
+    yield _of_estimate("coulomb", "mu", result.mu, mu + float(slowest.f_v[0]) / weight)
 
 
-def _of_drag(known: Known, selection: RunSelection, found: DragResult) -> Iterator[Score]:
-    for point in found.points:
+def _of_drag(known: Known, selection: RunSelection, result: DragResult) -> Iterator[Score]:
+    for point in result.points:
         steady = _steady(known, selection.of_kind("drag")[0], point.speed_mm_s)
         true = known.specimen.force_gain * float(steady.total[0])
         yield _of_estimate("drag", f"{point.speed_mm_s:4.1f} mm/s", point.force, true)
@@ -212,16 +212,16 @@ def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyFr
     return steady_forces([speed_mm_s], known.specimen, experiment.capsule, experiment.wall_thickness_mm)
 
 
-def _of_quantity(group: str, one: EstimatedQuantity, true: float, learnt: float = 1.0) -> Score:
+def _of_quantity(group: str, first: EstimatedQuantity, true: float, learnt: float = 1.0) -> Score:
     # A positive quantity is lognormal.
-    of = log if one.interval[0] > 0 else float
-    low, value, high = map(of, (one.interval[0], one.value, one.interval[1]))
+    of = log if first.interval[0] > 0 else float
+    low, value, high = map(of, (first.interval[0], first.value, first.interval[1]))
     deviation = 2 * NORMAL_95 * (value - of(true)) / (high - low)
-    return Score(group, one.name, one.value, true, deviation, one.half_width, learnt)
+    return Score(group, first.name, first.value, true, deviation, first.half_width, learnt)
 
 
-def _of_estimate(group: str, name: str, one: Estimate, true: float) -> Score:
-    if one.value is None or not one.standard_error:
+def _of_estimate(group: str, name: str, first: Estimate, true: float) -> Score:
+    if first.value is None or not first.standard_error:
         return Score(group, name, float("nan"), true, float("nan"), float("nan"))
-    half = NORMAL_95 * one.standard_error / abs(one.value or inf)
-    return Score(group, name, one.value, true, (one.value - true) / one.standard_error, half)
+    half = NORMAL_95 * first.standard_error / abs(first.value or inf)
+    return Score(group, name, first.value, true, (first.value - true) / first.standard_error, half)

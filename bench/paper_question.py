@@ -35,15 +35,15 @@ HIDDEN = (
 def parts() -> dict[str, Plan]:
     """Return the paper's programme, and parts of it."""
     whole = resolve("paper", backend="simulated").plan
-    drags = tuple(one for one in whole.steps if one.kind == "drag")
+    drags = tuple(step for step in whole.steps if step.kind == "drag")
     speeds = drags[0].parameters["speed_mm_s"]
-    slow = [one for one in speeds if one <= 20] if isinstance(speeds, list) else []
+    slow = [speed for speed in speeds if speed <= 20] if isinstance(speeds, list) else []
     slowly = drags[0].model_copy(update={"parameters": {**drags[0].parameters, "speed_mm_s": slow}})
     return {
         "paper": whole,
         "drags alone": replace_steps(whole, drags),
         "drags up to 20 mm/s alone": replace_steps(whole, (slowly,)),
-        "relaxations alone": replace_steps(whole, tuple(one for one in whole.steps if one.kind == "relaxation")),
+        "relaxations alone": replace_steps(whole, tuple(step for step in whole.steps if step.kind == "relaxation")),
         "diagnose": resolve("diagnose", backend="simulated").plan,
     }
 
@@ -56,15 +56,17 @@ def replace_steps(plan: Plan, steps: tuple[object, ...]) -> Plan:
 def angles() -> None:
     """Print how far the two are apart, and from their nearest rivals."""
     for name, plan in parts().items():
-        found = dragrig.isolability(plan, without=POSITION)
-        seen = {one.effect: one for one in found.effects}
+        isolability = dragrig.isolability(plan, without=POSITION)
+        seen = {effect.effect: effect for effect in isolability.effects}
         for effect in PAIR:
-            one = seen[effect]
-            least = "not seen" if one.smallest is None else f"from {one.smallest:.3f} on ({one.smallest_mN:.1f} mN)"
-            near = [each for each in found.pairs if effect in each.effects][:2]
-            said = [f"{each.effects} sin² {each.sin2:.2f} d′ {each.separation:.0f}" for each in near]
-            print(f"{name}: {effect} d′ {one.d_prime:.0f}, {least}; nearest {'; '.join(said)}", flush=True)
-        pair = found.pair(*PAIR)
+            entry = seen[effect]
+            minimum = (
+                "not seen" if entry.smallest is None else f"from {entry.smallest:.3f} on ({entry.smallest_mN:.1f} mN)"
+            )
+            near = [pair for pair in isolability.pairs if effect in pair.effects][:2]
+            text = [f"{pair.effects} sin² {pair.sin2:.2f} d′ {pair.separation:.0f}" for pair in near]
+            print(f"{name}: {effect} d′ {entry.d_prime:.0f}, {minimum}; nearest {'; '.join(text)}", flush=True)
+        pair = isolability.pair(*PAIR)
         if pair is not None:
             print(f"{name}: sin² {pair.sin2:.3f}, d′ {pair.d_prime[0]:.0f} and {pair.d_prime[1]:.0f}", flush=True)
 
@@ -76,16 +78,21 @@ def campaigns() -> None:
         chosen = choose_runs(dragrig.simulate("paper", effects=list(effects)))
         drags = replace(chosen, experiments=chosen.of_kind("drag"))
         for name, selection in (("paper", chosen), ("its drags alone", drags)):
-            found = diagnose(selection, model)
-            top = found.ranking[0]
-            values = ", ".join(f"{one.name} {one.value:.3g} ± {one.standard_error:.2g}" for one in top.parameters)
-            rivals = [f"{one.hypothesis} {one.probability:.2f}" for one in found.ranking[1:3]]
-            print(f"{effects or 'nothing'} by {name}: {found.verdict.value} {found.effects} {top.probability:.2f}")
-            print(f"    {values}; next {rivals}; confusable {found.confusable_with}")
-            if found.shrink is not None:
-                ratio, squared = found.shrink.r2_eq15, found.shrink.r2_corr
-                told = [ratio.before_below, ratio.before_above, squared.before_below, squared.before_above]
-                spelled = ["none" if one is None else f"{one:.3f}" for one in told]
+            diagnosis = diagnose(selection, model)
+            top = diagnosis.ranking[0]
+            values = ", ".join(
+                f"{parameter.name} {parameter.value:.3g} ± {parameter.standard_error:.2g}"
+                for parameter in top.parameters
+            )
+            rivals = [f"{hypothesis.hypothesis} {hypothesis.probability:.2f}" for hypothesis in diagnosis.ranking[1:3]]
+            print(
+                f"{effects or 'nothing'} by {name}: {diagnosis.verdict.value} {diagnosis.effects} {top.probability:.2f}"
+            )
+            print(f"    {values}; next {rivals}; confusable {diagnosis.confusable_with}")
+            if diagnosis.shrink is not None:
+                ratio, squared = diagnosis.shrink.r2_eq15, diagnosis.shrink.r2_corr
+                answer = [ratio.before_below, ratio.before_above, squared.before_below, squared.before_above]
+                spelled = ["none" if entry is None else f"{entry:.3f}" for entry in answer]
                 print(
                     f"    R², ratio of Eq. 15 and squared correlation, below and above 20 mm/s: {spelled}", flush=True
                 )

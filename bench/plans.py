@@ -58,15 +58,15 @@ class Case:
 
 def tables(plan: PlanLike, begin_s: float = 0.0) -> tuple[list[Mapping[str, str | float]], float]:
     """Return a plan's runs as the plant reads them, and when the last one ends, rests and ways back counted."""
-    found: list[Mapping[str, str | float]] = []
+    result: list[Mapping[str, str | float]] = []
     time_s = begin_s
     for run in resolve(plan, backend="simulated").programme().runs:
         time_s += run.wait_s + run.tare_s
         settings = {key: value for key, value in run.protocol.attributes().items() if isinstance(value, str | float)}
         if run.protocol.kind in KINDS:
-            found.append({**settings, "start_s": time_s, "dwell_s": run.wait_s})
+            result.append({**settings, "start_s": time_s, "dwell_s": run.wait_s})
         time_s += run.duration_s
-    return found, time_s
+    return result, time_s
 
 
 def told(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None = None) -> Diagnosis:
@@ -79,26 +79,29 @@ def told(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None
 
 def entry(diagnosis: Diagnosis, truth: Sequence[str]) -> Mapping[str, object]:
     """Return what was said and whether it is right: the name among those said, or the verdict without one."""
-    said = diagnosis.effects or (diagnosis.verdict.value,)
+    text = diagnosis.effects or (diagnosis.verdict.value,)
     meant = set(truth)
-    sure = max((one.probability for one in diagnosis.ranking if meant <= set(one.hypothesis.split("+"))), default=0.0)
-    return {"said": list(said), "right": meant <= set(said), "alone": meant == set(said), "of_truth": round(sure, 3)}
+    sure = max(
+        (hypothesis.probability for hypothesis in diagnosis.ranking if meant <= set(hypothesis.hypothesis.split("+"))),
+        default=0.0,
+    )
+    return {"said": list(text), "right": meant <= set(text), "alone": meant == set(text), "of_truth": round(sure, 3)}
 
 
 def mix(cases: int, seed: int) -> list[Case]:
     """Return what is hidden: of ten, five at a third, two at full size, one at a tenth, one foreign, one nothing."""
     names = list(CATALOGUE)
     sizes = (1 / 3, 1 / 3, 1.0, 1 / 3, 1 / 10, 1 / 3, 1.0, 1 / 3)
-    found = []
+    result = []
     for number in range(cases):
         place = number % 10
         if place == 8:
-            found.append(Case(seed + number, list(OUTSIDE)[(3 * number) % len(OUTSIDE)], 1.0))
+            result.append(Case(seed + number, list(OUTSIDE)[(3 * number) % len(OUTSIDE)], 1.0))
         elif place == 9:
-            found.append(Case(seed + number, "", 0.0))
+            result.append(Case(seed + number, "", 0.0))
         else:
-            found.append(Case(seed + number, names[(7 * number) % len(names)], sizes[place]))
-    return found
+            result.append(Case(seed + number, names[(7 * number) % len(names)], sizes[place]))
+    return result
 
 
 def compared(case: Case) -> dict[str, object]:
@@ -123,23 +126,23 @@ def advised(case: Case) -> dict[str, object]:
         "repeated": entry(told(secret, RunList.of("first", [*first, *again])), [case.effect]),
         "advised": entry(told(secret, RunList.of("first", [*first, *more])), [case.effect]),
         "minutes": 0.0 if advice is None else round(advice.minutes, 2),
-        "runs": [] if advice is None else [f"{one.step.kind} {dict(one.settings)}" for one in advice.runs],
+        "runs": [] if advice is None else [f"{run.step.kind} {dict(run.settings)}" for run in advice.runs],
     }
 
 
-def hold(what: str, cases: Sequence[Case], out: Path, workers: int) -> None:
+def hold(subject: str, cases: Sequence[Case], out: Path, workers: int) -> None:
     """Diagnose all cases that have no line in the results yet."""
-    there = {one["seed"] for one in lines_of(out)}
-    waiting = [one for one in cases if one.seed not in there]
+    there = {row["seed"] for row in lines_of(out)}
+    waiting = [case for case in cases if case.seed not in there]
     with open_executor(workers) as here:
-        parallel_map(here, WAYS[what].work, waiting, lambda case, found: keep(out, {**asdict(case), **found}))
+        parallel_map(here, WAYS[subject].work, waiting, lambda case, result: keep(out, {**asdict(case), **result}))
 
 
-def keep(out: Path, one: Mapping[str, object]) -> None:
+def keep(out: Path, first: Mapping[str, object]) -> None:
     """Add a line to the results."""
     with out.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(one) + "\n")
-    print(json.dumps({key: value for key, value in one.items() if key != "runs"}), flush=True)
+        file.write(json.dumps(first) + "\n")
+    print(json.dumps({key: value for key, value in first.items() if key != "runs"}), flush=True)
 
 
 def lines_of(out: Path) -> list[dict[str, Any]]:
@@ -152,21 +155,21 @@ def summarise(out: Path, ways: Sequence[str]) -> None:
     from scipy.stats import binomtest
 
     lines = lines_of(out)
-    sizes = sorted({round(one["size"], 3) for one in lines}, reverse=True)
+    sizes = sorted({round(line["size"], 3) for line in lines}, reverse=True)
     groups = [("all", lines), *((str(size), [o for o in lines if round(o["size"], 3) == size]) for size in sizes)]
-    for label, kept in groups:
+    for label, remaining in groups:
         for way in ways:
-            right, alone = (sum(one[way][key] for one in kept) for key in ("right", "alone"))
-            interval = binomtest(right, len(kept)).proportion_ci(method="wilson")
-            mean = sum(one[way]["of_truth"] for one in kept) / len(kept)
-            sure = sum(one[way]["right"] and one[way]["of_truth"] > SURE for one in kept)
+            right, alone = (sum(element[way][key] for element in remaining) for key in ("right", "alone"))
+            interval = binomtest(right, len(remaining)).proportion_ci(method="wilson")
+            mean = sum(element[way]["of_truth"] for element in remaining) / len(remaining)
+            sure = sum(element[way]["right"] and element[way]["of_truth"] > SURE for element in remaining)
             print(
-                f"{label:6s} {way:9s} {right} of {len(kept)} right ({interval.low:.2f} to {interval.high:.2f}), "
+                f"{label:6s} {way:9s} {right} of {len(remaining)} right ({interval.low:.2f} to {interval.high:.2f}), "
                 f"{alone} alone, {sure} above {SURE}, mean probability of the truth {mean:.2f}"
             )
     before, after = ways[-2:]
-    for key, least in (("right", 0.0), (f"right above {SURE}", SURE)):
-        held = [[one[way]["right"] and one[way]["of_truth"] > least for way in (before, after)] for one in lines]
+    for key, minimum in (("right", 0.0), (f"right above {SURE}", SURE)):
+        held = [[line[way]["right"] and line[way]["of_truth"] > minimum for way in (before, after)] for line in lines]
         won, lost = held.count([False, True]), held.count([True, False])
         chance = binomtest(won, won + lost).pvalue if won + lost else 1.0
         print(f"{key}: {won} cases with {after} only, {lost} with {before} only (sign test: p = {chance:.1g})")
@@ -192,11 +195,16 @@ def main() -> None:
     parser.add_argument("--sizes", type=float, nargs="+", default=[1 / 3, 1.0])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("plans.jsonl"))
-    given = parser.parse_args()
-    hidden = [(size, effect) for size in given.sizes for effect in OF_THE_FORCE]
-    of_advice = [Case(given.seed + number, effect, size) for number, (size, effect) in enumerate(hidden)]
-    hold(given.what, of_advice if given.what == "advice" else mix(given.cases, given.seed), given.out, given.workers)
-    summarise(given.out, WAYS[given.what].told)
+    arguments = parser.parse_args()
+    hidden = [(size, effect) for size in arguments.sizes for effect in OF_THE_FORCE]
+    of_advice = [Case(arguments.seed + number, effect, size) for number, (size, effect) in enumerate(hidden)]
+    hold(
+        arguments.what,
+        of_advice if arguments.what == "advice" else mix(arguments.cases, arguments.seed),
+        arguments.out,
+        arguments.workers,
+    )
+    summarise(arguments.out, WAYS[arguments.what].told)
 
 
 if __name__ == "__main__":

@@ -121,10 +121,12 @@ def in_real_time(folder: Path, seconds: float) -> None:
         blocks = round(seconds * RATE_HZ / BLOCK)
         _, processor = record(folder / "run.h5", samples(BLOCK), blocks, BLOCK / RATE_HZ)
         wall, repack = time.perf_counter(), time.process_time()
-        kept = read_info(finish(folder / "run.recording.h5")).samples
+        remaining = read_info(finish(folder / "run.recording.h5")).samples
         wall, repack = time.perf_counter() - wall, time.process_time() - repack
         print(f"real time, 3 channels at {RATE_HZ / 1e3:.0f} kS/s for {seconds:.0f} s in blocks of {BLOCK}:")
-        print(f"  {100 * processor / seconds:.1f} % of one core, {blocks * BLOCK - kept} samples lost (bar: 10 %, 0)")
+        print(
+            f"  {100 * processor / seconds:.1f} % of one core, {blocks * BLOCK - remaining} samples lost (bar: 10 %, 0)"
+        )
         print(f"  finishing apart: {wall:.2f} s of wall, {repack:.2f} s of processor time for {seconds:.0f} s of run")
 
 

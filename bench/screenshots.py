@@ -66,15 +66,15 @@ class Photographer:
     @contextmanager
     def nobodys_folder(self) -> Iterator[None]:
         """Show folders as if the lab were at home; where the pictures are made is nobody's business."""
-        told = [(one, one.text()) for kind in (QLineEdit, QLabel) for one in self.window.findChildren(kind)]
-        told = [(one, text) for one, text in told if str(self.place) in text]
-        for one, text in told:
-            one.blockSignals(True)
-            one.setText(text.replace(str(self.place), "/home/person"))
+        answer = [(button, button.text()) for kind in (QLineEdit, QLabel) for button in self.window.findChildren(kind)]
+        answer = [(entry, text) for entry, text in answer if str(self.place) in text]
+        for button, text in answer:
+            button.blockSignals(True)
+            button.setText(text.replace(str(self.place), "/home/person"))
         yield
-        for one, text in told:
-            one.setText(text)
-            one.blockSignals(False)
+        for button, text in answer:
+            button.setText(text)
+            button.blockSignals(False)
 
 
 def run_page(camera: Photographer) -> None:

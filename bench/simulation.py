@@ -53,10 +53,10 @@ def whole(backend: Backend, programme: list[Acquisition]) -> int:
     """Arm, move and read every block; returns the number of samples."""
     cancel = threading.Event()
     samples = 0
-    for one in programme:
+    for entry in programme:
         backend.stage.home()
-        backend.sampler.arm(one)
-        backend.stage.move(one.profile)
+        backend.sampler.arm(entry)
+        backend.stage.move(entry.profile)
         backend.sampler.start()
         while (block := backend.sampler.read(cancel)) is not None:
             samples += block.samples
@@ -64,36 +64,36 @@ def whole(backend: Backend, programme: list[Acquisition]) -> int:
     return samples
 
 
-def chunks(one: Acquisition) -> list[tuple[int, int]]:
+def chunks(item: Acquisition) -> list[tuple[int, int]]:
     """Return stretches of samples as the sampler computes them."""
-    total = one.profile.samples(RATE_HZ)
+    total = item.profile.samples(RATE_HZ)
     return [(first, min(first + CHUNK_SAMPLES, total)) for first in range(0, total, CHUNK_SAMPLES)]
 
 
 def friction(programme: list[Acquisition]) -> None:
     """Prepare and evaluate the friction alone."""
-    for one in programme:
-        prepared = prepare(one, MODEL)
-        for first, end in chunks(one):
+    for entry in programme:
+        prepared = prepare(entry, MODEL)
+        for first, end in chunks(entry):
             prepared.force(np.arange(first, end) / RATE_HZ)
 
 
 def noise(programme: list[Acquisition]) -> None:
     """Draw the noise of sensor and motor alone."""
     simulated = RIG.simulated
-    for one in programme:
-        force = force_noise(simulated.noise, simulated.seed, one, RATE_HZ)
-        motor = motor_noise(simulated.motor, simulated.seed, one)
-        for first, end in chunks(one):
+    for entry in programme:
+        force = force_noise(simulated.noise, simulated.seed, entry, RATE_HZ)
+        motor = motor_noise(simulated.motor, simulated.seed, entry)
+        for first, end in chunks(entry):
             force.read(first, end)
             motor.read(first, end)
 
 
 def signals(programme: list[Acquisition]) -> None:
     """Compute all channels, without stage, clock and blocks."""
-    for one in programme:
-        computed = SimulatedChannels(RIG, MODEL, one, UNDISTURBED)
-        for first, end in chunks(one):
+    for entry in programme:
+        computed = SimulatedChannels(RIG, MODEL, entry, UNDISTURBED)
+        for first, end in chunks(entry):
             computed.compute(first, end, RIG.stage.start_mm)
 
 
@@ -116,7 +116,7 @@ def main() -> None:
     backend = open_backend(BackendRequest(RIG, MODEL))
     backend.stage.enable()
     samples = whole(backend, programme)
-    blocks = sum(-(-one.profile.samples(RATE_HZ) // round(RIG.sampling.block_s * RATE_HZ)) for one in programme)
+    blocks = sum(-(-entry.profile.samples(RATE_HZ) // round(RIG.sampling.block_s * RATE_HZ)) for entry in programme)
     recorded_s = samples / RATE_HZ
 
     total = best_of(lambda: whole(backend, programme))

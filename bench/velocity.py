@@ -41,7 +41,7 @@ def sine(speed_mm_s: float, period_s: float) -> MotionProfile:
     time_s = np.arange(0.0, 2 * period_s + 0.005, 0.01)
     changes = np.diff(speed_mm_s * np.sin(2 * np.pi * time_s / period_s)) / 0.01
     return MotionProfile.from_pieces(
-        (*(Piece(0.01, one, Phase.STEADY) for one in changes), stationary_piece(1.0, Phase.HOLD))
+        (*(Piece(0.01, change, Phase.STEADY) for change in changes), stationary_piece(1.0, Phase.HOLD))
     )
 
 
@@ -116,9 +116,11 @@ def main(stops: int) -> None:
             speed = np.abs(np.gradient(seen)) * RATE
             begins.append((np.flatnonzero(speed > 59.0)[-1] + 1) / RATE - stopped_s)
             ends.append((np.flatnonzero(speed > 0.5)[-1] + 1) / RATE - stopped_s)
-        for what, times in (("braking begins", begins), ("the stage stands", ends)):
+        for subject, times in (("braking begins", begins), ("the stage stands", ends)):
             ms = 1000.0 * np.array(times)
-            print(f"{what} {np.median(ms):.0f} ms after stop(), at most {ms.max():.0f} ms ({len(ms)} stops at 60 mm/s)")
+            print(
+                f"{subject} {np.median(ms):.0f} ms after stop(), at most {ms.max():.0f} ms ({len(ms)} stops at 60 mm/s)"
+            )
         print(f"{bench.dry} of {bench.runs} runs ended early, because this computer let the voltage run dry")
     finally:
         backend.close()

@@ -38,7 +38,7 @@ def main() -> None:
         )
         (fit,) = identify_relaxation(select_loaded_runs(run for run in runs if run.info.kind == "relaxation")).fits
         name = ", ".join(f"{key} {value:g}" for key, value in change.items()) or "20 s, 20 mm/s, 500 Hz"
-        widths = "".join(f"{100 * one.half_width:8.2g}" for one in fit.elements)
+        widths = "".join(f"{100 * element.half_width:8.2g}" for element in fit.elements)
         print(f"{name:28}{widths or '  none: ' + fit.remark}")
 
 

@@ -63,11 +63,11 @@ def table(fits: Mapping[str, JointFit]) -> None:
     print(f"{'learnt, %':26}" + "".join(f"{name:>14}" for name in fits))
     for index, parameter in enumerate(MODEL.parameters):
         learnt = (100 * fit.parameters[index].learnt for fit in fits.values())
-        print(f"{parameter.name:26}" + "".join(f"{one:14.0f}" for one in learnt))
+        print(f"{parameter.name:26}" + "".join(f"{entry:14.0f}" for entry in learnt))
     print("half width of the 95 % interval, %")
     for index, combination in enumerate(MODEL.combinations):
         widths = (100 * fit.combinations[index].half_width for fit in fits.values())
-        print(f"{combination.name:26}" + "".join(f"{one:14.2g}" for one in widths))
+        print(f"{combination.name:26}" + "".join(f"{width:14.2g}" for width in widths))
     print(f"{'converged':26}" + "".join(f"{'yes' if fit.converged else 'no':>14}" for fit in fits.values()))
 
 

@@ -64,8 +64,10 @@ def frames(draw: Callable[[int], None], *plots: TimePlot) -> np.ndarray:
 def told(name: str, took: np.ndarray) -> None:
     """Print what was measured."""
     median, worst = float(np.median(took)), float(took.max())
-    fine = "ok" if 1 / median >= WANTED_HZ else "TOO SLOW"
-    print(f"{name:58} median {1000 * median:6.1f} ms, worst {1000 * worst:6.1f} ms, {1 / median:5.0f} frames/s  {fine}")
+    passed = "ok" if 1 / median >= WANTED_HZ else "TOO SLOW"
+    print(
+        f"{name:58} median {1000 * median:6.1f} ms, worst {1000 * worst:6.1f} ms, {1 / median:5.0f} frames/s  {passed}"
+    )
 
 
 def still() -> None:
@@ -138,8 +140,8 @@ def one_core(*, busy: bool) -> Iterator[None]:
     try:
         yield
     finally:
-        for one in spinning:
-            one.kill()
+        for entry in spinning:
+            entry.kill()
 
 
 if __name__ == "__main__":

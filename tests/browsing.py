@@ -18,24 +18,24 @@ Scheme = Literal["light", "dark"]
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    found = next((path for path in map(shutil.which, NAMES) if path), None)
-    if found is None:
-        told = "no Chromium here: apt-get install chromium"
+    result = next((path for path in map(shutil.which, NAMES) if path), None)
+    if result is None:
+        answer = "no Chromium here: apt-get install chromium"
         if os.environ.get("CI") == "true":
-            pytest.fail(told)
-        pytest.skip(told)
+            pytest.fail(answer)
+        pytest.skip(answer)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"], timeout=120_000)
+        browser = playwright.chromium.launch(executable_path=result, args=["--no-sandbox"], timeout=120_000)
         yield browser
         browser.close()
 
 
 @dataclass
 class Heard:
-    """What a page said and asked for."""
+    """Console messages and requested addresses of a page."""
 
-    said: list[str] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
+    requests: list[str] = field(default_factory=list)
 
 
 @contextmanager
@@ -43,9 +43,9 @@ def opened(browser: Browser, url: str, width: int = DESK_PX, scheme: Scheme = "l
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
     context.set_default_timeout(120_000)
     page, heard = context.new_page(), Heard()
-    page.on("console", lambda message: heard.said.append(f"{message.type}: {message.text}"))
-    page.on("pageerror", lambda error: heard.said.append(f"error: {error}"))
-    page.on("request", lambda request: heard.asked.append(request.url))
+    page.on("console", lambda message: heard.messages.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: heard.messages.append(f"error: {error}"))
+    page.on("request", lambda request: heard.requests.append(request.url))
     page.goto(url)
     yield page, heard
     context.close()
@@ -56,8 +56,8 @@ def must_be_presentable(browser: Browser, file: Path) -> None:
     for width, scheme in ((DESK_PX, "light"), (PHONE_PX, "light"), (DESK_PX, "dark")):
         with opened(browser, file.as_uri(), width, scheme) as (page, heard):
             _unfold(page)
-            assert heard.said == []
-            assert heard.asked == [file.as_uri()]
+            assert heard.messages == []
+            assert heard.requests == [file.as_uri()]
             assert page.evaluate("document.documentElement.scrollWidth") <= width, f"wider than {width} px"
             assert _contrast(page) > 7.0
             assert _figures(page) == []
@@ -70,7 +70,7 @@ def must_sort(browser: Browser, file: Path, table: str, column: int) -> None:
     with opened(browser, file.as_uri()) as (page, heard):
         head = page.locator(f"{table} thead th").nth(column)
         as_was = _numbers(page, table, column)
-        there = sorted(one for one in as_was if one is not None)
+        there = sorted(entry for entry in as_was if entry is not None)
         lost = [None] * (len(as_was) - len(there))
         assert as_was not in (there + lost, there[::-1] + lost)
         head.locator("button").focus()
@@ -82,12 +82,12 @@ def must_sort(browser: Browser, file: Path, table: str, column: int) -> None:
             page.keyboard.press(key)
             assert head.get_attribute("aria-sort") == order
             assert _numbers(page, table, column) == wanted
-        assert heard.said == []
+        assert heard.messages == []
 
 
 def _numbers(page: Page, table: str, column: int) -> list[float | None]:
     cells = page.locator(f"{table} tbody tr td:nth-child({column + 1})").all_inner_texts()
-    return [None if one == "–" else float(one.replace("−", "-")) for one in cells]
+    return [None if cell == "–" else float(cell.replace("−", "-")) for cell in cells]
 
 
 def _unfold(page: Page) -> None:
@@ -120,6 +120,7 @@ def _contrast(page: Page) -> float:
 
 def _luminance(rgb: list[float]) -> float:
     red, green, blue = (
-        one / 12.92 if one <= 0.03928 else ((one + 0.055) / 1.055) ** 2.4 for one in (part / 255 for part in rgb)
+        entry / 12.92 if entry <= 0.03928 else ((entry + 0.055) / 1.055) ** 2.4
+        for entry in (part / 255 for part in rgb)
     )
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue

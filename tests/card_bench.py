@@ -32,13 +32,13 @@ class Witness(SimulatedBench):
         super().begin_sampling(rate_hz)
 
     def sample(self, first: int, end: int) -> Mapping[str, FloatArray]:
-        given = super().sample(first, end)
-        for name, values in given.items():
+        sample = super().sample(first, end)
+        for name, values in sample.items():
             self.seen.setdefault(name, {}).update(zip(range(first, end), values.tolist(), strict=True))
-        return given
+        return sample
 
     def at(self, name: str, index: np.ndarray) -> np.ndarray:
-        return np.array([self.seen[name][one] for one in index.tolist()])
+        return np.array([self.seen[name][entry] for entry in index.tolist()])
 
 
 @dataclass

@@ -71,8 +71,8 @@ class AttributeCalls:
 
 def message_class(method: str, kind: str) -> type[Message]:
     """Return the class of a call's messages; kind is Request or Response."""
-    found: type[Message] = getattr(pb, method + kind)
-    return found
+    result: type[Message] = getattr(pb, method + kind)
+    return result
 
 
 def _with_value(response: Message, value: AttributeValue) -> Message:

@@ -82,7 +82,7 @@ class Watched:
 
 @contextmanager
 def worker_killed_at_its_second(
-    function: Callable[..., object], address: str, kept: Callable[[], int]
+    function: Callable[..., object], address: str, stored: Callable[[], int]
 ) -> Iterator[Watched]:
     """Watch a cluster, and kill the first worker that is seen in a function for the second time.
 
@@ -115,8 +115,8 @@ def worker_killed_at_its_second(
                     seen[worker].add(key)
                 finished = set().union(*seen.values()) - set(now.values())
                 at = next((worker for worker in now if len(seen[worker]) == 2), "")
-                if at and kept() >= len(finished):
-                    watched.killed, watched.kept = at, kept()
+                if at and stored() >= len(finished):
+                    watched.killed, watched.kept = at, stored()
                     os.kill(pids[at], signal.SIGKILL)
                     return
 
@@ -128,4 +128,4 @@ def worker_killed_at_its_second(
             finally:
                 over.set()
                 killer.join()
-        watched.finished = [str(one["key"]) for one in stream.data]
+        watched.finished = [str(row["key"]) for row in stream.data]

@@ -49,8 +49,8 @@ def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Bench]":
     """The real rig's devices, doubled in another process for all tests of a worker, with a lab folder."""
     from rig_faults import bench
 
-    with bench(tmp_path_factory.mktemp("lab")) as one:
-        yield one
+    with bench(tmp_path_factory.mktemp("lab")) as entry:
+        yield entry
 
 
 @pytest.fixture
@@ -99,5 +99,5 @@ def browser() -> "Iterator[Browser]":
     """A real Chromium without a window; where there is none, the test is skipped, and fails where CI is true."""
     from browsing import chromium
 
-    with chromium() as one:
-        yield one
+    with chromium() as entry:
+        yield entry

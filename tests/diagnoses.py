@@ -65,7 +65,7 @@ def where(present: bool = True) -> GapLocation:
     speeds = [share * part for share in (0.4, 0.25, 0.14, 0.09, 0.05, 0.03, 0.02, 0.01, 0.01)]
     tenth = [(4.0 * at, 4.0 * at + 4.0) for at in range(10)]
     eighth = [(400.0 * at, 400.0 * at + 400.0) for at in range(8)]
-    strains = [(one, one) for one in (0.5, 1.0, 1.5, 2.0)]
+    strains = [(entry, entry) for entry in (0.5, 1.0, 1.5, 2.0)]
     bands = [(0.1, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0), (10.0, 100.0)]
     return GapLocation(
         present=present,
@@ -75,7 +75,7 @@ def where(present: bool = True) -> GapLocation:
             named("channel", {"force": 0.98 * part, "position": 0.02 * part}),
             named("protocol", {"drag": 0.9 * part, "coulomb": 0.1 * part, "relaxation": 0.0, "blank": 0.0}),
             named("phase", {"rest": 0.0, "accelerate": 0.1 * part, "steady": 0.9 * part, "decelerate": 0, "hold": 0}),
-            ranged("speed_mm_s", [(one, one) for one in SPEEDS], speeds),
+            ranged("speed_mm_s", [(entry, entry) for entry in SPEEDS], speeds),
             ranged("position", tenth, [0.1 * part + 0.001] * 10, 0.6),
             ranged("session", eighth, [0.125 * part] * 8, 0.7),
             ranged("strain", strains, [0.0] * 4),

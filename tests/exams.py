@@ -15,7 +15,7 @@ def truth(*effects: str, size: float = 1.0, outside: bool = False, rough: bool =
             "truth": ", ".join(effects) or "nothing", "form": ["one"] * len(effects)}  # fmt: skip
 
 
-def said(
+def diagnosis_record(
     *effects: str,
     p: float = 0.9,
     verdict: str = "",
@@ -24,11 +24,11 @@ def said(
     closed: float | None = None,
     interval: tuple[float, float] | None = None,
 ) -> Document:
-    told = verdict or ("effect" if len(effects) == 1 else "several")
-    first = "+".join(effects) or told
+    answer = verdict or ("effect" if len(effects) == 1 else "several")
+    first = "+".join(effects) or answer
     shrink = {"closed": closed, "closed_95ci": None if interval is None else list(interval)}
     return {
-        "verdict": told,
+        "verdict": answer,
         "effects": list(effects),
         "ranking": [{"hypothesis": first, "probability": p}, {"hypothesis": "rest", "probability": 1 - p}],
         "confusable_with": list(confusable),
@@ -48,19 +48,21 @@ def large_exam(cases: int = 160, seed: int = 4) -> ExamScore:
         amount = float(60.0 * size * np.exp(random.normal(0.0, 0.8)))
         p = float(random.uniform(0.55, 0.99))
         right = random.random() < p * min(amount / 5.0, 1.0)
-        other = names[(number + 3) % len(names)]
+        second = names[(number + 3) % len(names)]
         closed = float(1.0 - abs(random.normal(0.0, 0.05)))
-        told = said(effect if right else other, p=p, closed=closed, interval=(closed - 0.02, closed + 0.01))
+        answer = diagnosis_record(
+            effect if right else second, p=p, closed=closed, interval=(closed - 0.02, closed + 0.01)
+        )
         if amount < 4.0:
-            told = said(verdict="no_gap", p=p)
+            answer = diagnosis_record(verdict="no_gap", p=p)
         hidden = truth(effect, size=size)
         if number % 11 == 0:
-            hidden, told = truth(), said(verdict="no_gap" if number % 33 else "unknown", p=p)
+            hidden, answer = truth(), diagnosis_record(verdict="no_gap" if number % 33 else "unknown", p=p)
         elif number % 13 == 0:
-            hidden, told = truth(outside=True), said(verdict="unknown", p=p)
+            hidden, answer = truth(outside=True), diagnosis_record(verdict="unknown", p=p)
         else:
             amounts[name] = amount
-            withheld[name] = said(verdict="unknown", p=p) if number % 5 else said(other, p=p)
+            withheld[name] = diagnosis_record(verdict="unknown", p=p) if number % 5 else diagnosis_record(second, p=p)
             achieved[name] = {"shrink": {"closed": closed + float(random.normal(0.0, 0.03)), "closed_95ci": None}}
-        pairs.append((name, hidden, told))
+        pairs.append((name, hidden, answer))
     return score_exam(pairs, withheld=withheld, achieved=achieved, amounts=amounts)

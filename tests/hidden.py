@@ -31,14 +31,14 @@ def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float]
 
 def thinned(whole: RunSelection) -> RunSelection:
     seen: dict[tuple[str, object], int] = {}
-    kept = []
+    remaining = []
     for experiment in whole.experiments:
         protocol = experiment.run.info.header.protocol
         condition = experiment.kind, protocol.get("shear_strain", protocol.get("speed_mm_s"))
         seen[condition] = seen.get(condition, 0) + 1
         if seen[condition] <= (2 if condition[1] in {2.0, 20.0} else 1):
-            kept.append(experiment)
-    return replace(whole, experiments=tuple(kept))
+            remaining.append(experiment)
+    return replace(whole, experiments=tuple(remaining))
 
 
 def simulated(model: FrictionModelSettings) -> RunSelection:

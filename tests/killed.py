@@ -82,10 +82,10 @@ def _die(owner: object, name: str, times: int) -> None:
     step: Callable[..., object] = getattr(owner, name)
     taken = 0
 
-    def deadly(*given: object, **named: object) -> object:
+    def deadly(*text: object, **named: object) -> object:
         nonlocal taken
         taken += 1
-        result = step(*given, **named)
+        result = step(*text, **named)
         if taken >= times:
             os.kill(os.getpid(), signal.SIGKILL)
         return result
@@ -107,8 +107,8 @@ def run_victim(
 
     With `in_a_flush` the kill waits for the next time that the recording changes.
     """
-    given = json.dumps([rate_hz, seconds, die_at, times])
-    with subprocess.Popen([sys.executable, __file__, str(path), given], stdout=subprocess.PIPE) as process:
+    dumps = json.dumps([rate_hz, seconds, die_at, times])
+    with subprocess.Popen([sys.executable, __file__, str(path), dumps], stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         first = process.stdout.readline()
         if kill_after_s is not None:
@@ -127,17 +127,17 @@ def run_victim(
     return [(int(samples), float(moment)) for samples, moment in lines], killed
 
 
-def loss_of(path: Path, said: list[tuple[int, float]], killed: float, rate_hz: float = 1000.0) -> Loss:
+def loss_of(path: Path, message: list[tuple[int, float]], killed: float, rate_hz: float = 1000.0) -> Loss:
     """Recover a victim's run, make sure of every sample in it, and say what is missing."""
-    assert [found for found in recover(path.parent) if found.path is None] == []
+    assert [result for result in recover(path.parent) if result.path is None] == []
     run = read_run(path)
-    kept = run.info.samples
+    remaining = run.info.samples
     trace = {"time": run.trace.time, "command": run.trace.command, "phase": run.trace.phase, **run.trace.channels}
-    for name, values in arrays(0, kept, rate_hz).items():
+    for name, values in arrays(0, remaining, rate_hz).items():
         np.testing.assert_array_equal(trace[name], values, err_msg=name)
-    lost = next((moment for samples, moment in said if samples > kept), killed)
-    stall = float(np.diff([moment for _, moment in said], prepend=said[0][1], append=killed).max())
-    return Loss(said[-1][0], kept, killed - lost, stall)
+    lost = next((moment for samples, moment in message if samples > remaining), killed)
+    stall = float(np.diff([moment for _, moment in message], prepend=message[0][1], append=killed).max())
+    return Loss(message[-1][0], remaining, killed - lost, stall)
 
 
 if __name__ == "__main__":

@@ -196,10 +196,10 @@ class Running:
         try:
             session.require()
         except DragrigError as error:
-            told, code = str(error), error.exit_code
+            answer, code = str(error), error.exit_code
         else:
-            told, code = "", 0
-        return Ended(self.folder, session.status, session.reason, code, told, self.bench.look())
+            answer, code = "", 0
+        return Ended(self.folder, session.status, session.reason, code, answer, self.bench.look())
 
     def _run(self) -> None:
         try:
@@ -210,8 +210,10 @@ class Running:
 
 def begin(bench: Bench, **choices: Any) -> Running:
     folder = choices.pop("out", None) or bench.folder()
-    given = {"rig": bench.lab / "rig.toml", **choices}
-    return Running(bench, folder, lambda person: api.run(bench.lab / "plan.toml", out=folder, person=person, **given))
+    arguments = {"rig": bench.lab / "rig.toml", **choices}
+    return Running(
+        bench, folder, lambda person: api.run(bench.lab / "plan.toml", out=folder, person=person, **arguments)
+    )
 
 
 def resume(bench: Bench, folder: Path) -> Running:
@@ -246,12 +248,12 @@ class Program:
     def end(self) -> tuple[int, Any, str]:
         """Exit code, what it printed as a result, and the last line that it told the person."""
         try:
-            printed, told = self.process.communicate(timeout=PATIENCE_S)
+            printed, answer = self.process.communicate(timeout=PATIENCE_S)
         except subprocess.TimeoutExpired as error:
             # It tells where each of its threads is.
             self.process.send_signal(signal.SIGABRT)
             raise AssertionError(self.process.communicate()[1]) from error
-        lines = [line for line in told.splitlines() if line]
+        lines = [line for line in answer.splitlines() if line]
         return (
             self.process.returncode,
             json.loads(printed) if printed else None,

@@ -93,10 +93,10 @@ class Recorded:
     def index(self) -> np.ndarray:
         return np.concatenate([np.arange(block.first_index, block.end_index) for block in self.blocks])
 
-    def same_as(self, other: "Recorded") -> bool:
+    def same_as(self, second: "Recorded") -> bool:
         names = self.blocks[0].channels.keys()
-        return names == other.blocks[0].channels.keys() and all(
-            self[name].dtype == other[name].dtype and np.array_equal(self[name], other[name]) for name in names
+        return names == second.blocks[0].channels.keys() and all(
+            self[name].dtype == second[name].dtype and np.array_equal(self[name], second[name]) for name in names
         )
 
 

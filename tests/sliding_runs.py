@@ -79,17 +79,23 @@ def with_force(run: Run, force: AnyFloatArray) -> Run:
 
 def without_rest(run: Run) -> Run:
     """Cut off what was recorded before the motion."""
-    kept = run.trace.phase != Phase.REST
+    remaining = run.trace.phase != Phase.REST
     trace = run.trace
-    channels = {name: values[kept] for name, values in trace.channels.items()}
-    cut = replace(trace, time=trace.time[kept], command=trace.command[kept], phase=trace.phase[kept], channels=channels)
+    channels = {name: values[remaining] for name, values in trace.channels.items()}
+    cut = replace(
+        trace,
+        time=trace.time[remaining],
+        command=trace.command[remaining],
+        phase=trace.phase[remaining],
+        channels=channels,
+    )
     return replace(run, trace=cut)
 
 
 def with_capsule(run: Run, **changes: float | None) -> Run:
     """Change what a run says of its capsule; None takes it away."""
-    said = {**run.info.header.capsule, **changes}
-    header = replace(run.info.header, capsule={key: value for key, value in said.items() if value is not None})
+    text = {**run.info.header.capsule, **changes}
+    header = replace(run.info.header, capsule={key: value for key, value in text.items() if value is not None})
     return replace(run, info=replace(run.info, header=header))
 
 

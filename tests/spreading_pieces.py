@@ -28,9 +28,9 @@ def traced(folder_and_number: tuple[Path, int]) -> bytes:
             time.sleep(0.01)
         raise RuntimeError("nobody killed this process")
     ended = len(list(folder.glob(f"{number}-ended-*")))
-    found = product(number)
+    result = product(number)
     (folder / f"{number}-ended-{ended}").touch()
-    return found
+    return result
 
 
 def deadly(number: int) -> int:

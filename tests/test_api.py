@@ -51,15 +51,15 @@ def test_memory_and_files_hold_the_same_samples(run: dragrig.Run, tmp_path: Path
     assert np.array_equal(filed.trace.time, run.trace.time)
     assert filed.info.path.parent == tmp_path / "c"
     assert dragrig.load(filed.info.path).info.header.run_id == filed.info.header.run_id
-    assert [one.path for one in dragrig.campaign(tmp_path / "c").good] == [filed.info.path]
+    assert [entry.path for entry in dragrig.campaign(tmp_path / "c").good] == [filed.info.path]
 
 
 def test_a_model_in_memory_is_simulated_as_its_settings_are(run: dragrig.Run) -> None:
     slippery = FrictionModelSettings(friction_coefficient=0.02)
-    (given,) = dragrig.simulate(DRAG, model=slippery)
+    (arguments,) = dragrig.simulate(DRAG, model=slippery)
     (assigned,) = dragrig.simulate(DRAG, assignments=["model.friction_coefficient=0.02"])
-    assert np.array_equal(given.trace.force, assigned.trace.force)
-    assert not np.array_equal(given.trace.force, run.trace.force)
+    assert np.array_equal(arguments.trace.force, assigned.trace.force)
+    assert not np.array_equal(arguments.trace.force, run.trace.force)
 
 
 def test_a_filter_leaves_a_run_in_memory_as_it_is_and_stores_in_a_file(run: dragrig.Run, tmp_path: Path) -> None:

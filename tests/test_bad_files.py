@@ -80,13 +80,13 @@ def test_a_file_that_is_no_run_is_reported_and_left_alone(
     spoil(tmp_path / "bad.h5")
     before = (tmp_path / "bad.h5").read_bytes()
     assert main(arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1, told.err
-    assert "bad.h5" in told.err
-    assert words in told.err
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1, output.err
+    assert "bad.h5" in output.err
+    assert words in output.err
     assert (tmp_path / "bad.h5").read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == ["bad.h5"]
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.h5"]
 
 
 @pytest.mark.parametrize("spoilt", SPOILT)
@@ -126,7 +126,7 @@ def test_a_place_that_cannot_be_written_is_reported(
     shutil.copy(GOOD, tmp_path / "good.h5")
     (tmp_path / "taken").write_text("mine", "utf-8")
     assert main([word.format(place) for word in arguments]) == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith("dragrig: ")
-    assert "taken" in told
+    answer = capsys.readouterr().err.splitlines()[-1]
+    assert answer.startswith("dragrig: ")
+    assert "taken" in answer
     assert (tmp_path / "taken").read_text("utf-8") == "mine"

@@ -89,7 +89,7 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "answer"),
     [
         (["--cases", "0"], "at least one case"),
         (["--seed", "-1"], "whole number from 0 on"),
@@ -99,9 +99,11 @@ def test_a_folder_of_another_exam_or_of_something_else_is_left_alone(
         (["--report", "gone/report.html"], "there is no folder gone"),
     ],
 )
-def test_what_cannot_be_asked_for_is_told(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_asked_for_is_told(
+    arguments: list[str], answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["gap", "blind", *arguments]) == 2
-    assert told in capsys.readouterr().err
+    assert answer in capsys.readouterr().err
 
 
 class StoppedError(Exception):
@@ -125,11 +127,11 @@ def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_
 
     with pytest.raises(StoppedError):
         gap_blind(2, 5, tmp_path / "stopped", workers=1, sizes=False, progress=stop_after_a_diagnosis)
-    [kept] = (tmp_path / "stopped" / "said").glob("*.json")
-    before = kept.stat().st_mtime_ns
+    [path] = (tmp_path / "stopped" / "said").glob("*.json")
+    before = path.stat().st_mtime_ns
     assert not (tmp_path / "stopped" / "answers.json").exists()
     again = gap_blind(2, 5, tmp_path / "stopped", workers=1, sizes=False)
-    assert kept.stat().st_mtime_ns == before
+    assert path.stat().st_mtime_ns == before
     assert told_of(again) == told_of(whole)
     text = (tmp_path / "whole" / "answers.json").read_bytes()
     assert (tmp_path / "whole" / "answers.sha256").read_text("utf-8").split()[0] == sha256(text).hexdigest()
@@ -144,7 +146,7 @@ def frozen_while_it_writes(exam: int, out: Path) -> psutil.Process:
     deadline = time.monotonic() + 600
     while time.monotonic() < deadline:
         if unfinished(out):
-            [worker] = [one for one in psutil.Process(exam).children() if "spawn_main" in " ".join(one.cmdline())]
+            [worker] = [child for child in psutil.Process(exam).children() if "spawn_main" in " ".join(child.cmdline())]
             worker.suspend()
             if unfinished(out):
                 return worker
@@ -161,19 +163,19 @@ def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "exam"
-    asked = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
-    with subprocess.Popen([sys.executable, "-m", "dragrig", *asked]) as exam:
+    arguments = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
+    with subprocess.Popen([sys.executable, "-m", "dragrig", *arguments]) as exam:
         worker = frozen_while_it_writes(exam.pid, out)
         begun = unfinished(out)
-        assert main(asked) == 2
+        assert main(arguments) == 2
         assert "another program uses it" in capsys.readouterr().err
         assert unfinished(out) == begun
         exam.kill()
         worker.kill()
         psutil.wait_procs([worker])
     others = [begun[0].with_name(".mine"), begun[0].with_name(".0002-mine.begun")]
-    for other in others:
-        other.mkdir()
+    for path in others:
+        path.mkdir()
 
     def stop_when_made(done: int, of: int) -> None:
         raise StoppedError
@@ -181,7 +183,7 @@ def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
     with pytest.raises(StoppedError):
         gap_blind(1, 5, out, workers=1, sizes=False, progress=stop_when_made)
     assert unfinished(out) == []
-    assert all(other.is_dir() for other in others)
+    assert all(path.is_dir() for path in others)
     assert len(list((out / "campaigns" / "0001").glob("*.h5"))) >= 27
 
 
@@ -192,8 +194,8 @@ def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path
         first = {"hypothesis": "+".join(case.effects), "probability": 0.9}
         write_json(folder.diagnosis_file(case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
         write_json(folder.amount(case.name), {"d": 30.0})
-    asked = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
-    with subprocess.Popen([sys.executable, "-m", "dragrig", *asked], stdout=subprocess.DEVNULL) as exam:
+    arguments = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
+    with subprocess.Popen([sys.executable, "-m", "dragrig", *arguments], stdout=subprocess.DEVNULL) as exam:
         frozen_while_it_writes(exam.pid, out).kill()
         assert exam.wait() == 0
     assert unfinished(out) == []
@@ -203,20 +205,20 @@ def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path
 def test_the_diagnosis_is_as_right_as_it_was() -> None:
     """A short exam. Where 93 % of verdicts are right, one such exam in a hundred and twenty has fewer than 9 of 12."""
     exam = gap_blind(12, SEED, workers=2, sizes=False)
-    found = exam.score
+    score = exam.score
     assert exam.failed == {}
-    assert len(found.missed) <= 3
-    assert found["all, wrong above 0.8"].held <= 1
-    assert found["full size, right name"].held >= 3
-    assert found.calibration.brier_skill > 0.5
-    assert found.promises.difference < 0.1
+    assert len(score.missed) <= 3
+    assert score["all, wrong above 0.8"].held <= 1
+    assert score["full size, right name"].held >= 3
+    assert score.calibration.brier_skill > 0.5
+    assert score.promises.difference < 0.1
 
 
 def test_the_command_prints_what_the_exam_says_and_writes_its_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """An exam that was held already, as its folder has it."""
-    out, said = tmp_path / "exam", {"timings_s": {}}
+    out, message = tmp_path / "exam", {"timings_s": {}}
     planned = draw_cases(2, 5)
     with open_exam_folder(out, 2, 5, "exam") as folder:
         seal_answers(folder, planned)
@@ -227,18 +229,18 @@ def test_the_command_prints_what_the_exam_says_and_writes_its_page(
             first = {"hypothesis": "+".join(case.effects) or "no_gap", "probability": 0.9}
             write_json(
                 folder.diagnosis_file(case.name),
-                {**said, "verdict": verdict, "effects": case.effects, "ranking": [first]},
+                {**message, "verdict": verdict, "effects": case.effects, "ranking": [first]},
             )
             write_json(folder.amount(case.name), {"d": 30.0})
         write_json(folder.diagnosis_file("0002"), {"failed": "it broke"})
     report = tmp_path / "exam.html"
-    asked = ["gap", "blind", "--cases", "2", "--seed", "5", "--out", str(out), "--quiet"]
-    assert main([*asked, "--report", str(report)]) == 2
-    told = capsys.readouterr()
-    assert "1 of 1 verdicts are right" in told.out
-    assert "1 of 2 campaigns were not diagnosed; of 0002: it broke" in told.err
+    arguments = ["gap", "blind", "--cases", "2", "--seed", "5", "--out", str(out), "--quiet"]
+    assert main([*arguments, "--report", str(report)]) == 2
+    output = capsys.readouterr()
+    assert "1 of 1 verdicts are right" in output.out
+    assert "1 of 2 campaigns were not diagnosed; of 0002: it broke" in output.err
     assert "verdicts are right" in report.read_text("utf-8")
-    assert main([*asked, "--json"]) == 2
+    assert main([*arguments, "--json"]) == 2
     document = json.loads(capsys.readouterr().out)
     assert document["failed"] == {"0002": "it broke"}
     assert document["rates"][0]["name"] == "full size, right name"

@@ -35,6 +35,6 @@ def test_dahls_state_is_that_of_its_equation_step_by_step(loads: list[float], wi
 def test_hysteresis_does_not_depend_on_how_fast_the_input_goes(loads: list[float], width: float, finer: int) -> None:
     values = np.array(loads)
     at = np.arange(values.size)
-    fine = np.interp(np.arange((values.size - 1) * finer + 1) / finer, at, values)
+    interp = np.interp(np.arange((values.size - 1) * finer + 1) / finer, at, values)
     for hysteron in (play_operator, dahl_operator):
-        assert np.allclose(hysteron(fine, width)[::finer], hysteron(values, width), atol=1e-9)
+        assert np.allclose(hysteron(interp, width)[::finer], hysteron(values, width), atol=1e-9)

@@ -169,10 +169,10 @@ def test_card_unplugged_in_motion_is_told_and_the_next_run_is_possible(trouble: 
         under_test.begin(stroke(travel_mm=100.0))
         got = [under_test.sampler.read(NEVER)]
         under_test.bench.faults.inject(**trouble)
-        with pytest.raises(DeviceError, match=r"card Dev1 .*unplugged.*NI MAX") as told:
+        with pytest.raises(DeviceError, match=r"card Dev1 .*unplugged.*NI MAX") as raises:
             got.extend(under_test.blocks())
-        assert "\n" not in str(told.value)
-        assert str(told.value).count(". ") == 0
+        assert "\n" not in str(raises.value)
+        assert str(raises.value).count(". ") == 0
         with pytest.raises(DeviceError, match="unplugged"):
             under_test.sampler.read(NEVER)
         under_test.stop_stage()
@@ -442,12 +442,12 @@ def test_a_check_without_moving_finds_what_is_wrong() -> None:
             checks = check_card(under_test.connection, rig, under_test.sampler, scaling, lines)
             return {check.name: (check.passed, check.detail) for check in checks}
 
-        fine = look()
-        assert all(ok for ok, _ in fine.values()), fine
-        assert "PCI-6229" in fine["card"][1]
-        assert "zero" in fine["force sensor"][1]
+        state = look()
+        assert all(ok for ok, _ in state.values()), state
+        assert "PCI-6229" in state["card"][1]
+        assert "zero" in state["force sensor"][1]
         faults = under_test.bench.faults
-        for trouble, what, words in (
+        for trouble, subject, words in (
             ({"sensor_open": True}, "force sensor", "unplugged"),
             ({"force_added_mN": 3000.0}, "force sensor", "hanging"),
             ({"e_stop_pressed": True}, "switches", "emergency stop"),
@@ -456,7 +456,7 @@ def test_a_check_without_moving_finds_what_is_wrong() -> None:
             ({"card_stalled": True}, "card", "no sample"),
         ):
             faults.inject(**trouble)
-            ok, detail = look()[what]
+            ok, detail = look()[subject]
             assert not ok, trouble
             assert words in detail
             faults.clear()
@@ -464,6 +464,6 @@ def test_a_check_without_moving_finds_what_is_wrong() -> None:
 
 @pytest.mark.parametrize("code", [-200361, -200141, -200279])
 def test_samples_lost_on_their_way_are_told_as_such(code: int) -> None:
-    told = str(device_error(DaqError("The manual says more.", code), CardSettings(), "it samples"))
-    assert "lost samples" in told
-    assert str(code) in told
+    answer = str(device_error(DaqError("The manual says more.", code), CardSettings(), "it samples"))
+    assert "lost samples" in answer
+    assert str(code) in answer

@@ -77,11 +77,11 @@ def test_what_is_not_fine_is_marked_and_the_rest_is_looked_at(
 ) -> None:
     (site / "findings.json").write_text('[["card", false, "Dev1 is not there"], ["drive", true, "answers"]]', "utf-8")
     assert main(["check", "--backend", "handed", "--json"]) == 5
-    found = {one["what"]: one for one in json.loads(capsys.readouterr().out)}
-    assert not found["card"]["fine"]
-    assert found["drive"]["fine"]
-    assert "calibrate force" in found["calibration of force"]["detail"]
-    assert not found["calibration of encoder"]["fine"]
+    result = {load["what"]: load for load in json.loads(capsys.readouterr().out)}
+    assert not result["card"]["fine"]
+    assert result["drive"]["fine"]
+    assert "calibrate force" in result["calibration of force"]["detail"]
+    assert not result["calibration of encoder"]["fine"]
 
 
 @pytest.mark.parametrize(
@@ -103,12 +103,12 @@ def test_limits_that_make_no_sense_together_are_found() -> None:
     fast = RigSettings.model_validate({"stage": {"max_speed_mm_s": 400.0}})
     assert not sanity.check_limits(RigSettings.model_validate({"stage": {"max_speed_mm_s": 2000.0}})).passed
     assert sanity.check_limits(fast).passed
-    assert all(one.passed for one in sanity.check_wiring(fast, {}))
+    assert all(check.passed for check in sanity.check_wiring(fast, {}))
     slow_filter = HardwareSettings(card=CardSettings(encoder=EncoderInputSettings(filter_ns=6425)))
     filtered = fast.model_copy(update={"hardware": slow_filter})
-    assert [one.passed for one in sanity.check_wiring(filtered, {})] == [True, False]
+    assert [check.passed for check in sanity.check_wiring(filtered, {})] == [True, False]
     weak = Calibration(id="a", made_at=NOW, quantity="force", gain=-500.0)
-    assert [one.passed for one in sanity.check_wiring(fast, {"force": weak})] == [False, True]
+    assert [check.passed for check in sanity.check_wiring(fast, {"force": weak})] == [False, True]
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str, typed: str = "") -> int:
@@ -129,8 +129,8 @@ def test_a_double_is_told_its_pace_and_a_campaign_stays_with_it(
     assert run(monkeypatch, "--resume", "c", *raised, "--yes", typed="\n" * 9) == 0
     first, again = opened(site)
     assert (first["which"], first["pace"], again["which"], again["pace"]) == ("double", 20.0, "double", 1.0)
-    for one in read_campaign(lab / "c").runs:
-        entry = one.header.entry
+    for element in read_campaign(lab / "c").runs:
+        entry = element.header.entry
         assert entry["double"] == "handed"
         assert (entry["calibration_id"], entry["encoder_calibration_id"]) == ("force-a", "encoder-a")
     assert run(monkeypatch, *QUICK[:-1], "d", "--backend", "handed", "--yes", typed="\n" * 9) == 0
@@ -142,9 +142,9 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
     lab: Path, site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, *QUICK, "--backend", "handed", "--double", "--yes") == 3
-    told = capsys.readouterr().err
-    assert "Check the rig" in told
-    assert "hands" in told
+    errors = capsys.readouterr().err
+    assert "Check the rig" in errors
+    assert "hands" in errors
     assert read_campaign(lab / "c").runs == ()
 
 
@@ -169,9 +169,9 @@ def test_what_has_no_double_or_no_such_pace_is_told(
     sentence: str,
 ) -> None:
     assert run(monkeypatch, *QUICK, "--yes", *words) == 2
-    told = capsys.readouterr().err
-    assert sentence in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert sentence in errors
+    assert errors.count("\n") == 1
     assert not (lab / "c").exists()
 
 

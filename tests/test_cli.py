@@ -59,8 +59,8 @@ def test_the_overview_names_commands_that_exist(name: str, line: str) -> None:
 def test_the_help_names_the_plans_that_ship(name: str) -> None:
     from dragrig.config.settings import shipped_files
 
-    told = " ".join(CliRunner().invoke(dragrig_group, [name, "--help"]).output.split())
-    assert f"Shipped plans: {', '.join(shipped_files('plan'))}." in told
+    answer = " ".join(CliRunner().invoke(dragrig_group, [name, "--help"]).output.split())
+    assert f"Shipped plans: {', '.join(shipped_files('plan'))}." in answer
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,9 @@ def test_a_mistyped_line_gets_one_sentence(
     arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(arguments) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err == f"dragrig: {sentence}\n"
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err == f"dragrig: {sentence}\n"
 
 
 def _failing(error: BaseException) -> click.Command:
@@ -92,10 +92,10 @@ def _failing(error: BaseException) -> click.Command:
 
 def test_a_bug_is_reported_with_the_place_of_its_details(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line(_failing(ZeroDivisionError("division by zero")), []) == 1
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "ZeroDivisionError" in told
-    report = Path(told.rsplit(" in ", 1)[1].strip().removesuffix("."))
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert "ZeroDivisionError" in errors
+    report = Path(errors.rsplit(" in ", 1)[1].strip().removesuffix("."))
     try:
         assert "Traceback" in report.read_text("utf-8")
     finally:
@@ -159,16 +159,16 @@ def run_json(
 
 
 def test_check_says_what_a_plan_would_do(run_json: Callable[..., dict[str, list[dict[str, object]]]]) -> None:
-    found = run_json("check", "paper", "--json")
-    kinds = [run["kind"] for run in found["runs"] if run["kind"] != "return"]
+    answer = run_json("check", "paper", "--json")
+    kinds = [run["kind"] for run in answer["runs"] if run["kind"] != "return"]
     assert [kinds.count(kind) for kind in ("relaxation", "blank", "coulomb", "drag")] == [4, 2, 1, 22]
-    assert found["findings"] == []
+    assert answer["findings"] == []
 
 
 def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[str, list[str]]], tmp_path: Path) -> None:
-    found = run_json("check", "drag", "--set", "travel_mm=140", "--json", code=2)
-    assert len(found["findings"]) == 2
-    assert all("outside the stage's travel of 0 to 150 mm" in text for text in found["findings"])
+    answer = run_json("check", "drag", "--set", "travel_mm=140", "--json", code=2)
+    assert len(answer["findings"]) == 2
+    assert all("outside the stage's travel of 0 to 150 mm" in text for text in answer["findings"])
     assert list(tmp_path.iterdir()) == []
 
 

@@ -41,12 +41,12 @@ def campaigns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return ["first", "empty", "second"]
 
 
-def told(asked: list[str], capsys: pytest.CaptureFixture[str], code: int) -> list[dict[str, object]]:
+def json_answers(command: list[str], capsys: pytest.CaptureFixture[str], code: int) -> list[dict[str, object]]:
     """Return what a command says of each campaign for programs, less how long it took."""
-    assert main([*asked, "--json", "--quiet"]) == code
+    assert main([*command, "--json", "--quiet"]) == code
     documents = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    for one in documents:
-        one.pop("timings_s", None)
+    for document in documents:
+        document.pop("timings_s", None)
     return documents
 
 
@@ -65,10 +65,10 @@ def files_in(folder: Path) -> list[str]:
 def test_a_cluster_says_the_same_of_campaigns_as_workers_do(
     command: list[str], cluster: str, campaigns: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = [*command, *campaigns]
-    here = told([*asked, "--workers", "1"], capsys, 2)
-    assert [(one["source"], "error" in one) for one in here] == [("first", False), ("empty", True), ("second", False)]
-    assert told([*asked, "--scheduler", cluster], capsys, 2) == here
+    arguments = [*command, *campaigns]
+    here = json_answers([*arguments, "--workers", "1"], capsys, 2)
+    assert [(row["source"], "error" in row) for row in here] == [("first", False), ("empty", True), ("second", False)]
+    assert json_answers([*arguments, "--scheduler", cluster], capsys, 2) == here
 
 
 def score_in(exam: Path) -> dict[str, object]:
@@ -87,18 +87,18 @@ def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
         with open_exam_folder(out, CASES, SEED, "exam") as folder:
             for case in draw_cases(CASES, SEED):
                 write_json(folder.amount(case.name), {"d": 30.0})
-    asked = ["gap", "blind", "--cases", str(CASES), "--seed", str(SEED), "--quiet", "--out"]
-    assert main([*asked, str(here), "--workers", "2"]) == 0
-    said_here = capsys.readouterr().out
+    arguments = ["gap", "blind", "--cases", str(CASES), "--seed", str(SEED), "--quiet", "--out"]
+    assert main([*arguments, str(here), "--workers", "2"]) == 0
+    output_here = capsys.readouterr().out
 
-    def kept() -> int:
+    def stored_count() -> int:
         return len(list((there / "said").glob("*.json")))
 
-    with worker_killed_at_its_second(diagnose_blind, cluster, kept) as watched:
-        assert main([*asked, str(there), "--scheduler", cluster]) == 0
+    with worker_killed_at_its_second(diagnose_blind, cluster, stored_count) as watched:
+        assert main([*arguments, str(there), "--scheduler", cluster]) == 0
     assert watched.killed
     assert 1 <= watched.kept < CASES
-    assert capsys.readouterr().out == said_here
+    assert capsys.readouterr().out == output_here
     assert score_in(there) == score_in(here)
     assert files_in(there) == files_in(here)
     # A campaign is made and diagnosed, and its model, where one was amended, tried on fresh runs.

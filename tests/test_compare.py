@@ -49,7 +49,7 @@ def drag(*assignments: str) -> Run:
 
 
 def measure(pair: RunPair, name: str) -> MeasureDifference:
-    return next(one for one in pair.differences if one.measure == name)
+    return next(difference for difference in pair.differences if difference.measure == name)
 
 
 def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
@@ -57,8 +57,10 @@ def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
     return replace(run, trace=replace(run.trace, channels={**run.trace.channels, "force": force}))
 
 
-def beyond(found: Comparison) -> list[str]:
-    return [f"{one.condition}, {one.measure}" for one in found.groups if one.verdict is DifferenceVerdict.BEYOND]
+def beyond(result: Comparison) -> list[str]:
+    return [
+        f"{group.condition}, {group.measure}" for group in result.groups if group.verdict is DifferenceVerdict.BEYOND
+    ]
 
 
 conditions = st.builds(
@@ -78,15 +80,15 @@ candidates = st.lists(st.builds(PairingCandidate, st.text(max_size=3), condition
 def test_pairs_hold_equal_runs_each_once_and_leave_none_that_could_be_paired(
     a: list[PairingCandidate], b: list[PairingCandidate]
 ) -> None:
-    found = pair_runs(a, b)
-    firsts, seconds = [one for one, _ in found.pairs], [other for _, other in found.pairs]
+    result = pair_runs(a, b)
+    firsts, seconds = [entry for entry, _ in result.pairs], [second for _, second in result.pairs]
     assert len(set(firsts)) == len(firsts)
     assert len(set(seconds)) == len(seconds)
-    assert all(not a[one].condition.differs_from(b[other].condition) for one, other in found.pairs)
-    assert (len(found.alone_a), len(found.alone_b)) == (len(a) - len(firsts), len(b) - len(seconds))
-    lone_a = [one for at, one in enumerate(a) if at not in firsts]
-    lone_b = [one for at, one in enumerate(b) if at not in seconds]
-    assert all(one.condition.differs_from(other.condition) for one in lone_a for other in lone_b)
+    assert all(not a[entry].condition.differs_from(b[second].condition) for entry, second in result.pairs)
+    assert (len(result.alone_a), len(result.alone_b)) == (len(a) - len(firsts), len(b) - len(seconds))
+    lone_a = [entry for at, entry in enumerate(a) if at not in firsts]
+    lone_b = [entry for at, entry in enumerate(b) if at not in seconds]
+    assert all(run_a.condition.differs_from(run_b.condition) for run_a in lone_a for run_b in lone_b)
 
 
 def test_repeats_are_paired_in_order_and_the_reason_of_a_lone_run_is_said() -> None:
@@ -97,11 +99,11 @@ def test_repeats_are_paired_in_order_and_the_reason_of_a_lone_run_is_said() -> N
         PairingCandidate(name, condition, "s")
         for name, condition in (("b1", base), ("b2", base), ("b3", base), ("b4", back))
     ]
-    found = pair_runs(a, b)
-    assert found.pairs == ((0, 0), (1, 1))
-    assert "1 against 10 mm/s" in found.alone_a[0].reason
-    assert "A has only 2 runs like it" in found.alone_b[0].reason
-    assert "-20 against 20 mm of travel" in found.alone_b[1].reason
+    result = pair_runs(a, b)
+    assert result.pairs == ((0, 0), (1, 1))
+    assert "1 against 10 mm/s" in result.alone_a[0].reason
+    assert "A has only 2 runs like it" in result.alone_b[0].reason
+    assert "-20 against 20 mm of travel" in result.alone_b[1].reason
 
 
 def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_friction() -> None:
@@ -110,23 +112,25 @@ def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_fr
     assert len(again.pairs) == len(calm)
     assert len(beyond(again)) <= 1
     rough = made("demo", "rig.simulated.seed=2", "model.friction_coefficient=0.11")
-    found = dragrig.compare(calm, rough)
-    kinds = {one.split(",")[0].split(" at")[0] for one in beyond(found)}
+    comparison = dragrig.compare(calm, rough)
+    kinds = {line.split(",")[0].split(" at")[0] for line in beyond(comparison)}
     assert kinds == {"coulomb", "drag"}
-    assert all(one.value > 0 for one in found.groups if one.verdict is DifferenceVerdict.BEYOND)
-    assert found.groups[0].condition.kind == "coulomb"
-    assert [one.times_error for one in found.groups] == sorted((one.times_error for one in found.groups), reverse=True)
-    assert any("coulomb, steady force: B is above A" in one for one in found.sentences)
+    assert all(group.value > 0 for group in comparison.groups if group.verdict is DifferenceVerdict.BEYOND)
+    assert comparison.groups[0].condition.kind == "coulomb"
+    assert [group.times_error for group in comparison.groups] == sorted(
+        (group.times_error for group in comparison.groups), reverse=True
+    )
+    assert any("coulomb, steady force: B is above A" in sentence for sentence in comparison.sentences)
 
 
 def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -> None:
     early, late = drag(), drag("rest_s=1.7303", "rig.sampling.rate_hz=1250", "rig.simulated.seed=5")
     (pair,) = dragrig.compare(early, late).pairs
     assert pair.shift_s == pytest.approx(-0.7303, abs=2e-4)
-    assert any("A was sampled at 500 Hz and B at 1250 Hz: B is interpolated" in one for one in pair.remarks)
-    assert any("rest 1 against 1.73 s" in one for one in pair.remarks)
+    assert any("A was sampled at 500 Hz and B at 1250 Hz: B is interpolated" in remark for remark in pair.remarks)
+    assert any("rest 1 against 1.73 s" in remark for remark in pair.remarks)
     # Shifted by one sample, 60 mN of start-up would differ by tens of millinewtons.
-    unlike = next(one for one in pair.phases if one.phase == "accelerate")
+    unlike = next(phase for phase in pair.phases if phase.phase == "accelerate")
     assert abs(unlike.largest_mN) < 10
     overlay = pair.overlay()
     assert overlay.time_s.size == pytest.approx(early.trace.time.size, abs=2)
@@ -155,13 +159,13 @@ def test_position_against_command_is_told_of_each() -> None:
     run = drag()
     late = np.interp(run.trace.time - 0.005, run.trace.time, run.trace.position)
     lagging = replace(run, trace=replace(run.trace, channels={**run.trace.channels, "position": late}))
-    found = dragrig.compare(run, lagging)
-    motion = found.pairs[0].motion
+    comparison = dragrig.compare(run, lagging)
+    motion = comparison.pairs[0].motion
     assert motion.b is not None
     assert motion.b.lag_s == pytest.approx(0.005, rel=0.01)
     assert motion.b.largest_mm == pytest.approx(-0.05, rel=0.1)
-    assert any("Motion of B" in one and "5.0 ms late" in one for one in found.sentences)
-    assert found.pairs[0].shift_s == pytest.approx(-0.005, abs=1e-4)
+    assert any("Motion of B" in sentence and "5.0 ms late" in sentence for sentence in comparison.sentences)
+    assert comparison.pairs[0].shift_s == pytest.approx(-0.005, abs=1e-4)
 
 
 def test_the_true_model_explains_a_foreign_campaign_and_the_papers_does_not() -> None:
@@ -172,24 +176,24 @@ def test_the_true_model_explains_a_foreign_campaign_and_the_papers_does_not() ->
     assert all(pair.motion.b is None for pair in right.pairs)
     wrong = dragrig.compare(PRACTICE, model="paper")
     assert len(beyond(wrong)) > 5
-    assert max(one.times_error for one in wrong.groups) > 2 * max(one.times_error for one in right.groups)
+    assert max(group.times_error for group in wrong.groups) > 2 * max(group.times_error for group in right.groups)
 
 
 def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(PRACTICE, tmp_path / "b"))
     mark_bad(folder / "010-drag.h5", "capsule slipped")
     (folder / "999-drag.h5").write_bytes(b"no run")
-    found = dragrig.compare(PRACTICE, folder)
-    reasons = {one.item: one.reason for one in found.b.left_out}
+    comparison = dragrig.compare(PRACTICE, folder)
+    reasons = {exclusion.item: exclusion.reason for exclusion in comparison.b.left_out}
     assert "capsule slipped" in reasons["010-drag.h5"]
     assert "999-drag.h5" in reasons
-    assert [one.item for one in found.alone_a] == ["010-drag.h5"]
+    assert [exclusion.item for exclusion in comparison.alone_a] == ["010-drag.h5"]
     named = dragrig.compare(PRACTICE / "010-drag.h5", folder / "010-drag.h5")
     assert "B: it is marked bad: capsule slipped" in named.pairs[0].remarks
     run = drag()
     aborted = replace(run, info=replace(run.info, status=RunStatus.ABORTED, reason="Ctrl-C"))
     partly = dragrig.compare([run, drag("rig.simulated.seed=4")], [aborted, run])
-    assert [one.reason for one in partly.b.left_out] == ["it is aborted, not complete (Ctrl-C)"]
+    assert [exclusion.reason for exclusion in partly.b.left_out] == ["it is aborted, not complete (Ctrl-C)"]
     assert len(partly.pairs) == len(partly.alone_a) == 1
 
 
@@ -206,7 +210,7 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
     assert measure(pair, "rest").value == 0
     assert pair.verdict is DifferenceVerdict.UNKNOWN
     assert pair.phases[-1].rms_mN == pytest.approx(0, abs=0.5)
-    assert any("10 samples are missing" in one for one in pair.remarks)
+    assert any("10 samples are missing" in remark for remark in pair.remarks)
     empty = with_force(run, lambda force: np.full_like(force, np.nan))
     with pytest.raises(AnalysisError, match="none of its samples is a number"):
         dragrig.compare(run, empty)
@@ -217,25 +221,25 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
 
 
 def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) -> None:
-    found = dragrig.compare(PRACTICE, PRACTICE)
-    assert any("compared with itself" in one for one in found.remarks)
-    assert not beyond(found)
-    assert all(one.value == 0 for one in found.groups)
-    run, other = drag(), drag("specimen.name=other")
-    mixed = dragrig.compare([run, other], [other])
+    comparison = dragrig.compare(PRACTICE, PRACTICE)
+    assert any("compared with itself" in remark for remark in comparison.remarks)
+    assert not beyond(comparison)
+    assert all(group.value == 0 for group in comparison.groups)
+    run, second = drag(), drag("specimen.name=other")
+    mixed = dragrig.compare([run, second], [second])
     assert [pair.a.info.header.specimen["name"] for pair in mixed.pairs] == ["other"]
-    assert any("A holds runs of several specimens: jejunum, other" in one for one in mixed.remarks)
-    assert any("different specimens" in one for one in dragrig.compare(run, other).remarks)
+    assert any("A holds runs of several specimens: jejunum, other" in remark for remark in mixed.remarks)
+    assert any("different specimens" in remark for remark in dragrig.compare(run, second).remarks)
 
 
 def test_an_altered_copy_and_opposite_directions_are_said() -> None:
     run = drag("speed_mm_s=20")
     altered = dragrig.compare([run], [with_force(run, lambda force: 0.5 * force)])
-    assert any("one is an altered copy" in one for one in altered.remarks)
-    assert not any("compared with itself" in one for one in altered.remarks)
+    assert any("one is an altered copy" in remark for remark in altered.remarks)
+    assert not any("compared with itself" in remark for remark in altered.remarks)
     back = replace(run, trace=replace(run.trace, channels={**run.trace.channels, "position": -run.trace.position}))
     turned = dragrig.compare([run], [back])
-    assert any("move in opposite directions" in one for one in turned.remarks)
+    assert any("move in opposite directions" in remark for remark in turned.remarks)
 
 
 def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> None:
@@ -259,18 +263,18 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> Non
 
 
 def texts(figure: Figure) -> str:
-    return " ".join(one.get_text() for axes in figure.axes for one in axes.texts)
+    return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
 
 
 def test_pictures_show_both_sides() -> None:
-    found = dragrig.compare(PRACTICE, model="paper")
-    for pair in found.pairs:
+    comparison = dragrig.compare(PRACTICE, model="paper")
+    for pair in comparison.pairs:
         if pair.condition.kind in {"drag", "relaxation"} and pair.a.file in {"001-relaxation.h5", "010-drag.h5"}:
             figure = comparison_figure(pair, ("practice", "model paper"))
-            labels = [one.get_label() for one in figure.axes[0].lines]
+            labels = [line.get_label() for line in figure.axes[0].lines]
             assert {"A raw", "A", "B"} <= set(labels)
             assert figure.axes[1].get_xlabel() or figure.axes[-1].get_xlabel()
-    overview = comparison_overview_figure(found)
+    overview = comparison_overview_figure(comparison)
     assert "Steady force" in texts(overview)
     assert "Difference of relaxations" in texts(overview)
     alone = dragrig.compare(PRACTICE / "001-relaxation.h5", model="paper")
@@ -298,9 +302,9 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     assert (tmp_path / "a" / "compared-with-b-2").is_dir()
     capsys.readouterr()
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["pairs"][0]["verdict"] == "differs"
-    assert told["conditions"][0]["b_minus_a_mN"] < 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["pairs"][0]["verdict"] == "differs"
+    assert answer["conditions"][0]["b_minus_a_mN"] < 0
     assert main(["compare", "a", "b", "--model", "paper"]) == 2
     assert "one of the two" in capsys.readouterr().err
     assert main(["compare", "a", "--model", "papr"]) == 2

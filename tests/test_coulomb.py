@@ -38,21 +38,21 @@ def reference_run() -> Run:
 def test_the_papers_mean_force_gives_the_papers_coefficient() -> None:
     run = reference_run()
     steady = float(run.trace.force[run.trace.phase == 2].mean())
-    found = identify_coulomb(selected([with_force(run, run.trace.force * (40.07 / steady))]), PAPER)
-    (one,) = found.runs
-    assert one.force.value == pytest.approx(40.07, abs=1e-3)
-    assert one.mu.value == pytest.approx(0.0816, abs=5e-5)
-    assert f"{one.mu.value:.3f}" == "0.082"
-    assert one.mu_without_viscous.value == pytest.approx(0.0801, abs=5e-5)
-    assert one.viscous_mN == pytest.approx(0.73, abs=5e-3)
-    assert one.viscous_share == pytest.approx(0.73 / 40.07, rel=0.01)
-    assert found.mu.value == pytest.approx(40.07 / WEIGHT_MN, rel=1e-4)
-    assert found.mu.standard_error == pytest.approx(0.0816 * np.hypot(0.015, 0.005), rel=0.01)
+    result = identify_coulomb(selected([with_force(run, run.trace.force * (40.07 / steady))]), PAPER)
+    (entry,) = result.runs
+    assert entry.force.value == pytest.approx(40.07, abs=1e-3)
+    assert entry.mu.value == pytest.approx(0.0816, abs=5e-5)
+    assert f"{entry.mu.value:.3f}" == "0.082"
+    assert entry.mu_without_viscous.value == pytest.approx(0.0801, abs=5e-5)
+    assert entry.viscous_mN == pytest.approx(0.73, abs=5e-3)
+    assert entry.viscous_share == pytest.approx(0.73 / 40.07, rel=0.01)
+    assert result.mu.value == pytest.approx(40.07 / WEIGHT_MN, rel=1e-4)
+    assert result.mu.standard_error == pytest.approx(0.0816 * np.hypot(0.015, 0.005), rel=0.01)
 
 
 def test_the_reference_runs_coefficient_comes_back() -> None:
-    found = identify_coulomb(selected([reference_run()]), PAPER)
-    assert found.mu_without_viscous.value == pytest.approx(0.082, rel=1e-3)
+    result = identify_coulomb(selected([reference_run()]), PAPER)
+    assert result.mu_without_viscous.value == pytest.approx(0.082, rel=1e-3)
 
 
 def test_filtering_changes_the_mean_by_nothing_that_matters() -> None:
@@ -73,8 +73,8 @@ def test_intervals_hold_the_coefficient_of_the_specimen() -> None:
         mucus = float(np.exp(0.2 * np.random.default_rng(seed).standard_normal()))
         model = PAPER.model_copy(update={"mucus_scale": mucus})
         runs = [slid("coulomb", speed, seed, model, travel_mm=20.0) for speed in (2.0, 8.0, 40.0)]
-        found = identify_coulomb(selected(runs), PAPER)
-        interval = found.mu_without_viscous.interval
+        result = identify_coulomb(selected(runs), PAPER)
+        interval = result.mu_without_viscous.interval
         assert interval is not None
         held += interval[0] < 0.082 < interval[1]
     assert held >= 25  # of 30 at 95 %, fewer come 3 times in 1000
@@ -82,23 +82,23 @@ def test_intervals_hold_the_coefficient_of_the_specimen() -> None:
 
 def test_a_run_backward_says_the_same() -> None:
     there, back = (slid("coulomb", 5.0, 4, travel_mm=travel) for travel in (20.0, -20.0))
-    found = identify_coulomb(selected([there, back]), PAPER)
-    forward, backward = found.runs
+    result = identify_coulomb(selected([there, back]), PAPER)
+    forward, backward = result.runs
     assert (forward.speed_mm_s, backward.speed_mm_s) == pytest.approx((5.0, -5.0), rel=1e-3)
     assert forward.mu.value is not None
     assert backward.mu.value is not None
     assert backward.force.value == pytest.approx(forward.force.value, abs=4)
-    assert found.mu.value == pytest.approx((forward.mu.value + backward.mu.value) / 2, rel=0.02)
+    assert result.mu.value == pytest.approx((forward.mu.value + backward.mu.value) / 2, rel=0.02)
 
 
 @pytest.mark.parametrize("travel_mm", [20.0, -20.0])
 def test_the_picture_shows_the_trace_from_zero_and_its_mean(travel_mm: float) -> None:
     run = slid("coulomb", 5.0, 4, travel_mm=travel_mm, zero_mN=9.0)
-    (found,) = identify_coulomb(selected([run]), PAPER).runs
-    (axes,) = (one for one in coulomb_figure(run, found, 40.07).axes if one.get_ylabel())
+    (result,) = identify_coulomb(selected([run]), PAPER).runs
+    (axes,) = (axis for axis in coulomb_figure(run, result, 40.07).axes if axis.get_ylabel())
     levels = [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2]
     means = [float(level[0]) for level in levels if level[0] == level[1]]
-    assert any(mean == pytest.approx(np.copysign(found.force.value or 0, travel_mm), abs=0.05) for mean in means)
+    assert any(mean == pytest.approx(np.copysign(result.force.value or 0, travel_mm), abs=0.05) for mean in means)
     texts = [text.get_text() for text in axes.texts]
     assert any("mean" in text and "μ = 0.08" in text for text in texts)
     assert any("40.07" in text for text in texts)
@@ -117,8 +117,8 @@ def test_what_a_run_does_not_support_has_a_reason() -> None:
         (with_capsule(good, mass_g=0.0), "mass_g"),
         (slid("coulomb", 5.0, 1, travel_mm=20.0, fixture=Fixture.FOAM), "fixture is foam"),
     ):
-        found = identify_coulomb(selected([run]), PAPER)
-        for estimate in (found.runs[0].mu, found.runs[0].mu_without_viscous, found.mu, found.mu_without_viscous):
+        result = identify_coulomb(selected([run]), PAPER)
+        for estimate in (result.runs[0].mu, result.runs[0].mu_without_viscous, result.mu, result.mu_without_viscous):
             assert estimate.value is None
             assert reason in estimate.reason
     without_mass = identify_coulomb(selected([with_capsule(good, mass_g=None)]), PAPER)
@@ -149,9 +149,9 @@ def test_one_bad_run_does_not_spoil_the_others() -> None:
 def test_the_viscous_share_follows_the_reading_of_eq_10() -> None:
     newtonian = PAPER.model_copy(update={"viscous": "newtonian"})
     run = slid("coulomb", 5.0, 1, newtonian, travel_mm=20.0)
-    found = identify_coulomb(selected([run]), newtonian)
-    assert found.runs[0].viscous_mN > 10
-    assert found.mu_without_viscous.value == pytest.approx(0.082, rel=0.1)
+    result = identify_coulomb(selected([run]), newtonian)
+    assert result.runs[0].viscous_mN > 10
+    assert result.mu_without_viscous.value == pytest.approx(0.082, rel=0.1)
     blind = identify_coulomb(selected([with_capsule(run, contact_angle_deg=None)]), newtonian)
     assert blind.mu.value is not None
     assert "viscous friction is not known" in blind.mu_without_viscous.reason
@@ -172,14 +172,14 @@ def test_a_coefficient_that_falls_with_speed_is_said() -> None:
 
 
 def test_the_thin_campaign_has_one_fast_run() -> None:
-    found = identify_coulomb(select_runs(CAMPAIGN), PAPER)
-    (one,) = found.runs
-    assert one.speed_mm_s == pytest.approx(40.0, rel=1e-3)
-    interval = found.mu_without_viscous.interval
+    result = identify_coulomb(select_runs(CAMPAIGN), PAPER)
+    (run,) = result.runs
+    assert run.speed_mm_s == pytest.approx(40.0, rel=1e-3)
+    interval = result.mu_without_viscous.interval
     assert interval is not None
     assert interval[0] < 0.09 < interval[1]  # its specimen's answer
-    assert one.viscous_share == pytest.approx(6.55 / 51.4, rel=0.03)
-    assert any("of the force at 40 mm/s" in remark for remark in found.remarks)
+    assert run.viscous_share == pytest.approx(6.55 / 51.4, rel=0.03)
+    assert any("of the force at 40 mm/s" in remark for remark in result.remarks)
 
 
 @given(
@@ -190,12 +190,12 @@ def test_a_pooled_mean_lies_among_the_values_and_holds_the_scatter(
     runs: list[tuple[float, float]], usual: float
 ) -> None:
     values, errors = np.array(runs).T
-    found = pool_estimates(values, np.diag(errors**2), usual)
-    assert found.mean.value is not None
-    assert found.mean.standard_error is not None
-    assert values.min() - 1e-9 <= found.mean.value <= values.max() + 1e-9
-    assert found.scatter >= usual
-    assert found.mean.standard_error >= usual / np.sqrt(len(values)) * 0.999
+    result = pool_estimates(values, np.diag(errors**2), usual)
+    assert result.mean.value is not None
+    assert result.mean.standard_error is not None
+    assert values.min() - 1e-9 <= result.mean.value <= values.max() + 1e-9
+    assert result.scatter >= usual
+    assert result.mean.standard_error >= usual / np.sqrt(len(values)) * 0.999
 
 
 def test_a_pooled_means_interval_covers_also_when_runs_scatter_more_than_usual() -> None:

@@ -19,16 +19,16 @@ def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
     assert main(["demo"]) == 0
     (folder,) = (tmp_path / "dragrig-demo").iterdir()
     runs = read_campaign(folder).runs
-    own = [one for one in runs if one.kind != "return"]
-    assert [one.kind for one in own] == ["blank", "relaxation", "coulomb", "drag", "drag", "drag"]
-    for one in runs:
-        filtered = read_run(one.path).filtered
+    own = [run for run in runs if run.kind != "return"]
+    assert [run.kind for run in own] == ["blank", "relaxation", "coulomb", "drag", "drag", "drag"]
+    for run in runs:
+        filtered = read_run(run.path).filtered
         assert filtered is not None
         assert np.isfinite(filtered.channels["force"]).all()
-    assert {path.stem for path in (folder / "csv").glob("*.csv")} == {one.path.stem for one in runs}
+    assert {path.stem for path in (folder / "csv").glob("*.csv")} == {run.path.stem for run in runs}
     pictures = [*(folder / "pictures").glob("*.png"), folder / "overview.png"]
-    assert {path.stem for path in pictures} == {*(one.path.stem for one in own), "overview"}
+    assert {path.stem for path in pictures} == {*(entry.path.stem for entry in own), "overview"}
     assert all(path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 20_000 for path in pictures)
-    told = capsys.readouterr()
-    assert str(Path("dragrig-demo") / folder.name) in told.out
-    assert "Traceback" not in told.err
+    output = capsys.readouterr()
+    assert str(Path("dragrig-demo") / folder.name) in output.out
+    assert "Traceback" not in output.err

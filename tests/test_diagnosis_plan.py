@@ -65,10 +65,12 @@ def test_the_plant_makes_a_list_of_runs(tmp_path: Path) -> None:
     secret = draw_campaign(7, effects=["stribeck"])
     listed = RunList.of("mine", [table("relaxation", 60.0), table("drag", 200.0, speed_mm_s=20.0, dwell_s=10.0)])
     write_campaign(secret, tmp_path / "mine", runs=listed)
-    found = choose_runs(tmp_path / "mine").experiments
-    assert [experiment.kind for experiment in found] == ["relaxation", "drag"]
-    assert [experiment.insertion_dwell_s for experiment in found] == [60.0, 10.0]
-    assert (found[1].run.info.header.start_time - found[0].run.info.header.start_time).total_seconds() == 140.0
+    experiments = choose_runs(tmp_path / "mine").experiments
+    assert [experiment.kind for experiment in experiments] == ["relaxation", "drag"]
+    assert [experiment.insertion_dwell_s for experiment in experiments] == [60.0, 10.0]
+    assert (
+        experiments[1].run.info.header.start_time - experiments[0].run.info.header.start_time
+    ).total_seconds() == 140.0
     with pytest.raises(ValueError, match="no runs of kind motion"):
         RunList.of("mine", [table("motion", 0.0)])
     with pytest.raises(ValueError, match="go forward"):
@@ -77,10 +79,10 @@ def test_the_plant_makes_a_list_of_runs(tmp_path: Path) -> None:
 
 def test_a_run_of_a_list_is_the_plants_own_with_its_rest_before(tmp_path: Path) -> None:
     secret = draw_campaign(7)
-    first = next(one for one in secret.runs if one.kind == "drag")
+    first = next(run for run in secret.runs if run.kind == "drag")
     aged = [RunList("mine", (replace(first, order=0, dwell_s=dwell),)) for dwell in (60.0, 60.0, 0.5)]
-    one, same, fresher = (recorded_run(parallel_session(secret, each), 0) for each in aged)
-    assert (one.force == same.force).all()
+    entry, same, fresher = (recorded_run(parallel_session(secret, entry), 0) for entry in aged)
+    assert (entry.force == same.force).all()
     # Wall that has relaxed for less pushes harder before the capsule moves on.
-    start = (one.time > 1.0) & (one.time < 1.2)
-    assert abs(fresher.force[start]).mean() > abs(one.force[start]).mean()
+    start = (entry.time > 1.0) & (entry.time < 1.2)
+    assert abs(fresher.force[start]).mean() > abs(entry.force[start]).mean()

@@ -59,18 +59,18 @@ def values(parameter: Parameter) -> st.SearchStrategy[float]:
 PARAMETERS = st.sampled_from(Parameter)
 REQUESTS = st.one_of(
     st.sampled_from(PLAIN).map(Request),
-    PARAMETERS.map(lambda one: Request(Command.READ, one)),
-    PARAMETERS.flatmap(lambda one: values(one).map(lambda value: Request(Command.SET, one, value))),
+    PARAMETERS.map(lambda first: Request(Command.READ, first)),
+    PARAMETERS.flatmap(lambda first: values(first).map(lambda value: Request(Command.SET, first, value))),
     NUMBERS.map(lambda value: Request(Command.GO, value=value)),
     st.sampled_from([-1.0, 1.0]).map(lambda towards: Request(Command.HOME, value=towards)),
 )
 STATUSES = st.builds(Status, st.booleans(), st.booleans(), st.booleans(), st.integers(0, 255), st.sampled_from(Halt))
 REPLIES = st.one_of(
     st.sampled_from([*PLAIN[2:], Command.GO, Command.HOME]).map(Reply),
-    PARAMETERS.map(lambda one: Reply(Command.SET, one)),
+    PARAMETERS.map(lambda first: Reply(Command.SET, first)),
     STATUSES.map(lambda status: Reply(Command.STATUS, status=status)),
     NUMBERS.map(lambda value: Reply(Command.POSITION, value=value)),
-    PARAMETERS.flatmap(lambda one: values(one).map(lambda value: Reply(Command.READ, one, value))),
+    PARAMETERS.flatmap(lambda first: values(first).map(lambda value: Reply(Command.READ, first, value))),
     st.builds(lambda request, refusal: Reply(request.command, request.parameter, refusal=refusal), REQUESTS,
               st.sampled_from(Refusal)),
 )  # fmt: skip

@@ -43,11 +43,11 @@ class Assets(HTMLParser):
         self.fetched: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
+        result = dict(attrs)
         if tag in {"script", "img", "iframe"} or (
-            tag == "link" and found.get("rel") not in {"canonical", "prev", "next"}
+            tag == "link" and result.get("rel") not in {"canonical", "prev", "next"}
         ):
-            self.fetched += [value for key in ("src", "href") if (value := found.get(key))]
+            self.fetched += [value for key in ("src", "href") if (value := result.get(key))]
 
 
 def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> None:
@@ -57,8 +57,8 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> No
         read = Assets()
         read.feed(page.read_text("utf-8"))
         assert read.fetched
-        assert not [one for one in read.fetched if "//" in one], page
-    styles = "".join(one.read_text("utf-8") for one in site.rglob("*.css"))
+        assert not [entry for entry in read.fetched if "//" in entry], page
+    styles = "".join(path.read_text("utf-8") for path in site.rglob("*.css"))
     assert not re.findall(r"url\([\"']?(?:https?:)?//", styles)
     assert not (site / "hooks").exists()
 
@@ -73,7 +73,7 @@ def test_the_reference_is_that_of_the_code(site: Path) -> None:
     assert "Standstill before the motion." in settings
     run_file = (site / "reference" / "run-file.html").read_text("utf-8")
     assert schema.FORMAT in run_file
-    assert all(one in run_file for one in ("contact_angle_deg", "SHA-256", "decelerate"))
+    assert all(entry in run_file for entry in ("contact_angle_deg", "SHA-256", "decelerate"))
 
 
 def test_every_command_of_the_tutorial_runs(
@@ -85,13 +85,13 @@ def test_every_command_of_the_tutorial_runs(
     Path("first.toml").write_text(plan, "utf-8")
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.strip().splitlines()]
     assert len(lines) > 7
-    told = {}
+    answer = {}
     for line in lines:
         program, *arguments = shlex.split(line)
         assert program == "dragrig"
         assert main(arguments) == 0, line
-        told[line] = capsys.readouterr().out
-    diagnosis = next(said for line, said in told.items() if "gap diagnose" in line)
+        answer[line] = capsys.readouterr().out
+    diagnosis = next(text for line, text in answer.items() if "gap diagnose" in line)
     assert "stribeck" in diagnosis.lower()
     assert Path("gap.html").stat().st_size > 10_000
     assert Path("first.html").stat().st_size > 10_000

@@ -62,9 +62,9 @@ def inputs(
 
 @contextmanager
 def encoder(clocked: bool = True, counter: str = "Dev1/ctr0", **options: object) -> Iterator[nidaqmx.Task]:
-    told = {"decoding_type": EncoderType.X_4, "units": LengthUnits.METERS, "dist_per_pulse": 4e-6} | options
+    answer = {"decoding_type": EncoderType.X_4, "units": LengthUnits.METERS, "dist_per_pulse": 4e-6} | options
     with nidaqmx.Task() as task:
-        task.ci_channels.add_ci_lin_encoder_chan(counter, **told)
+        task.ci_channels.add_ci_lin_encoder_chan(counter, **answer)
         if clocked:
             task.timing.cfg_samp_clk_timing(
                 RATE, source=CLOCK, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=4000
@@ -108,8 +108,8 @@ def test_force_and_encoder_are_the_benchs_sample_for_sample(moves: bool) -> None
             bench.follow(trapezoid(3.0, 40.0, 2000.0))
         read = [(volts(ai, 50, 2), positions(ci, 50)) for _ in range(10)]
         truth = bench.sample(0, 500)
-    force, temperature = np.concatenate([one for one, _ in read], axis=1)
-    position = np.concatenate([one for _, one in read])
+    force, temperature = np.concatenate([entry for entry, _ in read], axis=1)
+    position = np.concatenate([entry for _, entry in read])
     np.testing.assert_array_equal(force, np.rint(truth["force_V"] / STEP_V) * STEP_V)
     np.testing.assert_allclose(temperature, 3.7, atol=STEP_V)
     np.testing.assert_allclose(position, truth["encoder_counts"] * 1e-6, atol=1e-12)
@@ -127,8 +127,8 @@ def test_a_counter_started_after_the_inputs_is_behind_by_what_it_missed() -> Non
         truth = bench.sample(0, bench.available())["encoder_counts"]
         behind = ai.in_stream.total_samp_per_chan_acquired - ci.in_stream.total_samp_per_chan_acquired
     steps = np.rint(np.diff(late) * 1e6)
-    found = [at for at in range(len(truth) - 200) if np.array_equal(np.diff(truth[at : at + 200]), steps)]
-    assert found == [pytest.approx(behind, abs=1)]
+    result = [at for at in range(len(truth) - 200) if np.array_equal(np.diff(truth[at : at + 200]), steps)]
+    assert result == [pytest.approx(behind, abs=1)]
     assert behind >= 100
 
 
@@ -215,9 +215,9 @@ def test_digital_lines_are_read_and_set_on_demand() -> None:
         assert [bench.read_line(f"port2/line{line}") for line in range(4)] == [False, True, False, True]
         assert port.read() == [False, True, False, True]
         do.start()
-        with nidaqmx.Task() as other:
-            other.do_channels.add_do_chan("Dev1/port1/line0")
-            assert code_of(lambda: other.write(False)) == -200587
+        with nidaqmx.Task() as task:
+            task.do_channels.add_do_chan("Dev1/port1/line0")
+            assert code_of(lambda: task.write(False)) == -200587
     assert bench.read_line("port1/line0")
 
 
@@ -345,8 +345,8 @@ def test_inputs_and_counters_belong_to_one_task_at_a_time() -> None:
             ci.start()
             assert code_of(second.start) == -50103
             assert code_of(third.start) == -50103
-            with encoder(counter="Dev1/ctr1", clocked=False) as other:
-                other.start()
+            with encoder(counter="Dev1/ctr1", clocked=False) as neighbour:
+                neighbour.start()
         second.start()
         second.stop()
         bench.faults.inject(card_reserved=True)
@@ -365,8 +365,8 @@ def test_a_waiting_read_hears_at_once_that_the_card_is_gone(trouble: str, code: 
         reader.join(600)
         assert codes == [code]
         assert code_of(ai.stop) == code
-        with nidaqmx.Task() as other:
-            assert code_of(lambda: other.di_channels.add_di_chan("Dev1/port1/line1")) == code
+        with nidaqmx.Task() as task:
+            assert code_of(lambda: task.di_channels.add_di_chan("Dev1/port1/line1")) == code
         bench.faults.clear()
         ai.start()
         assert volts(ai, 5).shape == (1, 5)
@@ -428,10 +428,10 @@ def test_what_nobody_read_in_time_is_lost_and_the_rest_found_by_its_index() -> N
         total = ai.in_stream.total_samp_per_chan_acquired
         truth = bench.sample(0, total)["force_V"]
         ai.in_stream.relative_to, ai.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, total - 400
-        found = volts(ai, 100)
+        result = volts(ai, 100)
         ai.in_stream.relative_to, ai.in_stream.offset = ReadRelativeTo.CURRENT_READ_POSITION, 0
         further = volts(ai, 100)
-    for got, index in ((first, 0), (found, total - 400), (further, total - 300)):
+    for got, index in ((first, 0), (result, total - 400), (further, total - 300)):
         np.testing.assert_allclose(got[0], truth[index : index + got.shape[1]], atol=STEP_V)
 
 

@@ -234,17 +234,17 @@ def test_without_grpc_one_sentence_says_what_to_install(monkeypatch: pytest.Monk
 
 
 def test_an_acquisition_is_the_same_on_the_other_side() -> None:
-    given = replace(acquire(stroke()), shear_strain=0.1, sheared_from=0.3)
+    arguments = replace(acquire(stroke()), shear_strain=0.1, sheared_from=0.3)
     presented: list[Acquisition] = []
     with ControlServer(FaultInjector(), presented.append, standing, threading.Event()) as server:
         control = ControlClient(server.port)
-        control.present(given)
+        control.present(arguments)
         assert control.stage() == standing()
         control.close()
     (got,) = presented
-    times = np.linspace(0, given.profile.duration_s, 1001)
-    np.testing.assert_allclose(got.profile.position(times), given.profile.position(times), atol=1e-12)
-    assert replace(got, profile=given.profile) == given
+    times = np.linspace(0, arguments.profile.duration_s, 1001)
+    np.testing.assert_allclose(got.profile.position(times), arguments.profile.position(times), atol=1e-12)
+    assert replace(got, profile=arguments.profile) == arguments
 
 
 def standing() -> StageStatus:

@@ -75,13 +75,13 @@ def test_r2_as_printed_is_no_share_and_the_squared_correlation_is() -> None:
 )
 def test_the_squared_correlation_knows_no_scale_and_no_zero(pairs: list[tuple[int, int]], gain: int, zero: int) -> None:
     model, measured = np.array(pairs, dtype=float).T
-    found = squared_correlation(model, measured)
-    if found is None:
+    result = squared_correlation(model, measured)
+    if result is None:
         assert np.ptp(model) == 0 or np.ptp(measured) == 0
         return
-    assert -1e-12 <= found <= 1 + 1e-12
-    assert squared_correlation(model, gain * measured + zero) == pytest.approx(found, abs=1e-9)
-    assert squared_correlation(measured, model) == pytest.approx(found, abs=1e-9)
+    assert -1e-12 <= result <= 1 + 1e-12
+    assert squared_correlation(model, gain * measured + zero) == pytest.approx(result, abs=1e-9)
+    assert squared_correlation(measured, model) == pytest.approx(result, abs=1e-9)
 
 
 def test_bands_with_fewer_than_three_speeds_have_no_r2() -> None:
@@ -131,9 +131,9 @@ def deviation(rng: np.random.Generator, hinge_at: float = 0.0, slope: float = 0.
 
 def test_of_campaigns_without_a_boundary_about_5_in_100_are_said_to_have_one() -> None:
     rng = np.random.default_rng(11)
-    found = [find_boundary(deviation(rng)) for _ in range(200)]
-    assert 2 <= sum(one.speed_mm_s is not None for one in found) <= 20
-    none = next(one for one in found if one.speed_mm_s is None)
+    result = [find_boundary(deviation(rng)) for _ in range(200)]
+    assert 2 <= sum(point.speed_mm_s is not None for point in result) <= 20
+    none = next(point for point in result if point.speed_mm_s is None)
     assert none.interval is None
     assert "No boundary is supported" in none.sentence
     assert "about 5 in 100" in none.sentence
@@ -141,13 +141,13 @@ def test_of_campaigns_without_a_boundary_about_5_in_100_are_said_to_have_one() -
 
 def test_a_boundary_is_found_and_its_interval_holds_it() -> None:
     rng = np.random.default_rng(12)
-    covered, told = 0, 0
+    covered, answer = 0, 0
     for _ in range(100):
-        found = find_boundary(deviation(rng, 15.0, -12.0))
-        told += found.speed_mm_s is not None
-        covered += found.interval is not None and found.interval[0] <= 15 <= found.interval[1]
-    assert told >= 80
-    assert covered / told >= 0.88
+        boundary = find_boundary(deviation(rng, 15.0, -12.0))
+        answer += boundary.speed_mm_s is not None
+        covered += boundary.interval is not None and boundary.interval[0] <= 15 <= boundary.interval[1]
+    assert answer >= 80
+    assert covered / answer >= 0.88
 
 
 def test_on_which_side_they_part_is_said() -> None:
@@ -165,29 +165,29 @@ def test_on_which_side_they_part_is_said() -> None:
 
 
 def test_the_same_points_give_the_same_boundary() -> None:
-    one, other = (find_boundary(deviation(np.random.default_rng(1), 15.0, -6.0)) for _ in range(2))
-    assert one == other
+    entry, second = (find_boundary(deviation(np.random.default_rng(1), 15.0, -6.0)) for _ in range(2))
+    assert entry == second
 
 
 def test_too_few_speeds_for_a_boundary() -> None:
     four = np.array([1.0, 5.0, 20.0, 60.0])
-    found = find_boundary(ForceDeviation(four, np.array([0.0, 0.0, 0.0, -50.0]), np.ones(4), np.empty((0, 4))))
-    assert (found.speed_mm_s, found.interval, found.p_value) == (None, None, None)
-    assert found.sentence == "With 4 speeds a boundary cannot be estimated; at least 5 are needed."
+    boundary = find_boundary(ForceDeviation(four, np.array([0.0, 0.0, 0.0, -50.0]), np.ones(4), np.empty((0, 4))))
+    assert (boundary.speed_mm_s, boundary.interval, boundary.p_value) == (None, None, None)
+    assert boundary.sentence == "With 4 speeds a boundary cannot be estimated; at least 5 are needed."
 
 
 def test_without_noise_the_points_are_the_models_and_so_are_its_parts() -> None:
-    found = identify_drag(selected(slid("drag", speed) for speed in FAST), PAPER)
+    result = identify_drag(selected(slid("drag", speed) for speed in FAST), PAPER)
     steady = steady_forces(FAST, PAPER, SMOOTH, 2.5)
-    assert [point.speed_mm_s for point in found.points] == pytest.approx(FAST, rel=1e-3)
-    for point, f_e, f_v, f_c in zip(found.points, steady.f_e, steady.f_v, steady.f_c, strict=True):
+    assert [point.speed_mm_s for point in result.points] == pytest.approx(FAST, rel=1e-3)
+    for point, f_e, f_v, f_c in zip(result.points, steady.f_e, steady.f_v, steady.f_c, strict=True):
         assert (point.f_e_mN, point.f_v_mN, point.f_c_mN) == pytest.approx((f_e, f_v, f_c), rel=1e-3)
         assert point.model_mN == pytest.approx(f_e + f_v + f_c, rel=1e-3)
         assert point.force.value == pytest.approx(point.model_mN, abs=0.15)
         assert point.force.standard_error > 0.5  # runs differ, also where the sensor is quiet
-    assert found.boundary is not None
-    assert found.boundary.speed_mm_s is None
-    assert found.determination[0].correlation == pytest.approx(1, abs=1e-4)
+    assert result.boundary is not None
+    assert result.boundary.speed_mm_s is None
+    assert result.determination[0].correlation == pytest.approx(1, abs=1e-4)
 
 
 def test_the_resting_wall_presses_as_it_does_in_the_reference() -> None:
@@ -200,22 +200,22 @@ def test_intervals_hold_the_specimens_drag_and_slope() -> None:
     held, points_seen, slopes = 0, 0, 0
     for seed in range(12):
         specimen = draw_specimen_model(PAPER, seed)
-        found = identify_drag(campaign(seed, specimen, FAST[2:]), specimen)
-        speeds = np.array([point.speed_mm_s for point in found.points])
+        result = identify_drag(campaign(seed, specimen, FAST[2:]), specimen)
+        speeds = np.array([point.speed_mm_s for point in result.points])
         truth = true_drag(specimen, speeds)
-        for point, force in zip(found.points, truth, strict=True):
+        for point, force in zip(result.points, truth, strict=True):
             interval = point.force.interval
             assert interval is not None
             assert point.runs == 2
             held += interval[0] < force < interval[1]
             points_seen += 1
-        assert found.log_law is not None
-        errors = np.array([point.force.standard_error for point in found.points])
+        assert result.log_law is not None
+        errors = np.array([point.force.standard_error for point in result.points])
         ideal = fit_log_law(
             [SpeedPoint(v, 2, Estimate(f, e), 0, 0, 0) for v, f, e in zip(speeds, truth, errors, strict=True)]
         )
         assert ideal is not None
-        low, high = found.log_law.slope.interval
+        low, high = result.log_law.slope.interval
         slopes += low < ideal.slope.value < high
     assert 0.90 <= held / points_seen <= 0.995
     assert slopes >= 9  # of 12 at 95 %, fewer come twice in 1000 times
@@ -244,12 +244,12 @@ def test_a_run_that_says_too_little_is_left_out_with_the_reason() -> None:
         "not foam": slid("drag", 25.0, 7, fixture=Fixture.VACUUM),
         "differs": with_capsule(slid("drag", 45.0, 7), diameter_mm=11.0),
     }
-    found = identify_drag(selected([*good, *bad.values()]), PAPER)
-    assert [point.speed_mm_s for point in found.points] == pytest.approx([10, 20, 30], rel=1e-3)
+    result = identify_drag(selected([*good, *bad.values()]), PAPER)
+    assert [point.speed_mm_s for point in result.points] == pytest.approx([10, 20, 30], rel=1e-3)
     for reason, run in bad.items():
-        assert any(reason in remark and run.info.path.name in remark for remark in found.remarks)
-    assert found.boundary is not None
-    assert "With 3 speeds" in found.boundary.sentence
+        assert any(reason in remark and run.info.path.name in remark for remark in result.remarks)
+    assert result.boundary is not None
+    assert "With 3 speeds" in result.boundary.sentence
     nothing = identify_drag(selected([slid("coulomb", 5.0)]), PAPER)
     assert (nothing.points, nothing.log_law, nothing.boundary) == ((), None, None)
     assert nothing.remarks == ("the campaign has no usable drag run",)
@@ -259,15 +259,15 @@ def test_a_run_that_says_too_little_is_left_out_with_the_reason() -> None:
 def test_forward_and_backward_stand_apart() -> None:
     there = [slid("drag", speed, 8) for speed in (5.0, 10.0, 20.0, 40.0)]
     back = [slid("drag", speed, 9, travel_mm=-40.0) for speed in (5.0, 10.0, 20.0)]
-    found = identify_drag(selected([*back, *there]), PAPER)
-    assert [round(point.speed_mm_s) for point in found.points] == [5, 10, 20, 40, -5, -10, -20]
-    for point in found.points:
+    result = identify_drag(selected([*back, *there]), PAPER)
+    assert [round(point.speed_mm_s) for point in result.points] == [5, 10, 20, 40, -5, -10, -20]
+    for point in result.points:
         assert point.force.value == pytest.approx(point.model_mN, abs=5 * point.force.standard_error)
         assert point.model_mN > 0
-    bands = {one.band: one.speeds for one in found.determination}
+    bands = {entry.band: entry.speeds for entry in result.determination}
     assert bands["all speeds"] == 4
     assert bands["backward, all speeds"] == 3
-    assert any("4 forward speeds" in remark for remark in found.remarks)
+    assert any("4 forward speeds" in remark for remark in result.remarks)
 
 
 def lifted(run: Run, speed_mm_s: float) -> Run:
@@ -278,34 +278,34 @@ def lifted(run: Run, speed_mm_s: float) -> Run:
 
 def test_a_wall_that_lifts_off_above_15_mm_s_is_found() -> None:
     runs = [lifted(slid("drag", speed, 10), speed) for speed in FAST]
-    found = identify_drag(selected(runs), PAPER)
-    assert found.boundary is not None
-    assert found.boundary.interval is not None
-    assert found.boundary.interval[0] < 15 < found.boundary.interval[1]
-    assert "above" in found.boundary.sentence
-    assert "lower" in found.boundary.sentence
-    estimated = [one for one in found.determination if "estimated" in one.band]
+    result = identify_drag(selected(runs), PAPER)
+    assert result.boundary is not None
+    assert result.boundary.interval is not None
+    assert result.boundary.interval[0] < 15 < result.boundary.interval[1]
+    assert "above" in result.boundary.sentence
+    assert "lower" in result.boundary.sentence
+    estimated = [entry for entry in result.determination if "estimated" in entry.band]
     assert len(estimated) == 2
 
 
 def words(figure: Figure) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(lambda one: hasattr(one, "get_text")))
+    return "\n".join(text.get_text() for text in figure.findobj(lambda first: hasattr(first, "get_text")))
 
 
 def test_the_picture_shows_the_parts_the_law_and_the_boundary() -> None:
     there = [lifted(slid("drag", speed, 10), speed) for speed in FAST]
     back = [slid("drag", speed, 11, travel_mm=-40.0) for speed in (10.0, 20.0)]
-    found = identify_drag(selected([*there, *back]), PAPER)
-    assert found.boundary is not None
-    figure = drag_figure(found, PAPER, SMOOTH, 2.5, boundary_mm_s=20.0, accuracy_mN=5.0)
+    result = identify_drag(selected([*there, *back]), PAPER)
+    assert result.boundary is not None
+    figure = drag_figure(result, PAPER, SMOOTH, 2.5, boundary_mm_s=20.0, accuracy_mN=5.0)
     above, below = figure.axes[0], figure.axes[1]
     for axes in (above, below):
         lines = [line.get_xdata() for line in axes.lines]
-        assert any(len(x) == 2 and x[0] == x[1] == found.boundary.speed_mm_s for x in map(np.asarray, lines))
+        assert any(len(x) == 2 and x[0] == x[1] == result.boundary.speed_mm_s for x in map(np.asarray, lines))
     shown = words(figure)
     for text in ("Coulomb", "environmental", "viscous", "law of ln v", "measured", "the paper's boundary"):
         assert text in shown
-    assert f"{found.boundary.speed_mm_s:.3g} mm/s (" in shown
+    assert f"{result.boundary.speed_mm_s:.3g} mm/s (" in shown
     dots = [line for line in above.lines if line.get_marker() == "o"]
     assert sum(line.get_markerfacecolor() == "white" for line in dots) == 2
     assert all(np.asarray(line.get_xdata())[0] > 0 for line in dots)
@@ -317,7 +317,8 @@ def test_repeats_that_scatter_widely_widen_the_errors() -> None:
     calm = campaign(12)
     rng = np.random.default_rng(13)
     wild = selected(
-        with_force(one.run, one.run.trace.force * (1 + 0.1 * rng.standard_normal())) for one in calm.experiments
+        with_force(experiment.run, experiment.run.trace.force * (1 + 0.1 * rng.standard_normal()))
+        for experiment in calm.experiments
     )
     few, many = identify_drag(calm, PAPER), identify_drag(wild, PAPER)
     assert many.points[0].force.standard_error > 2 * few.points[0].force.standard_error
@@ -332,16 +333,16 @@ def test_the_simulated_rigs_drag_is_the_models() -> None:
             "rig.simulated.variation.specimen=true",
         ],
     )  # fmt: skip
-    found = identify_drag(select_loaded_runs(runs), draw_specimen_model(PAPER, 4))
-    assert len(found.points) == 3
-    for point in found.points:
+    result = identify_drag(select_loaded_runs(runs), draw_specimen_model(PAPER, 4))
+    assert len(result.points) == 3
+    for point in result.points:
         assert point.force.value == pytest.approx(point.model_mN, abs=4 * point.force.standard_error)
 
 
 def test_the_thin_campaign_has_four_speeds_and_no_boundary() -> None:
-    found = identify_drag(select_runs(CAMPAIGN), PAPER)
-    assert [(round(point.speed_mm_s), point.runs) for point in found.points] == [(5, 1), (30, 1), (45, 1), (60, 2)]
-    assert found.log_law is not None
-    assert found.log_law.slope.interval[0] > 10
-    assert found.boundary is not None
-    assert "With 4 speeds" in found.boundary.sentence
+    result = identify_drag(select_runs(CAMPAIGN), PAPER)
+    assert [(round(point.speed_mm_s), point.runs) for point in result.points] == [(5, 1), (30, 1), (45, 1), (60, 2)]
+    assert result.log_law is not None
+    assert result.log_law.slope.interval[0] > 10
+    assert result.boundary is not None
+    assert "With 4 speeds" in result.boundary.sentence

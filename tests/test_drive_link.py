@@ -159,10 +159,10 @@ def test_a_pulled_cable_is_told_in_words_at_once_and_from_then_on(kind: type[Dri
         link.exchange(STATUS)
         drive.bench.faults.inject(drive_unplugged=True)
         # The double hangs up from a thread of its own.
-        told = until_told(link)
-        assert re.search(r"failed \(.*check the cable.*hardware\.drive\.port", told)
-        assert link.port in told
-        with pytest.raises(DeviceError, match=re.escape(told)):
+        answer = until_told(link)
+        assert re.search(r"failed \(.*check the cable.*hardware\.drive\.port", answer)
+        assert link.port in answer
+        with pytest.raises(DeviceError, match=re.escape(answer)):
             link.exchange(STATUS)
         link.stop()
 

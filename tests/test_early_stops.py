@@ -110,7 +110,7 @@ def test_a_look_does_not_touch_a_rig_that_another_program_is_at() -> None:
     with RigLock(rig.hardware):
         findings = list(backend.examine())
         backend.close()
-    assert [(one.name, one.passed) for one in findings] == [("owner", False)]
+    assert [(finding.name, finding.passed) for finding in findings] == [("owner", False)]
 
 
 def test_an_emergency_stop_between_two_motions_stays_until_the_drive_was_switched_off() -> None:

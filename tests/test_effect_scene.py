@@ -81,11 +81,11 @@ def test_starts_and_stops_are_counted_from_where_they_happen() -> None:
 
 def test_dynamics_do_not_depend_on_where_a_straight_input_is_sampled() -> None:
     coarse = np.array([0.0, 0.3, 0.35, 0.9, 2.0])
-    fine = np.union1d(coarse, np.linspace(0.0, 2.0, 501))
+    passed = np.union1d(coarse, np.linspace(0.0, 2.0, 501))
     driving = np.array([0.0, 1.0, 1.0, -2.0, 3.0])
-    inside = np.searchsorted(fine, coarse)
-    dense = np.interp(fine, coarse, driving)
-    assert first_order(coarse, driving, 0.1) == pytest.approx(first_order(fine, dense, 0.1)[inside])
-    assert resonator(coarse, driving, 3.0, 0.1) == pytest.approx(resonator(fine, dense, 3.0, 0.1)[inside])
-    assert resonator(fine, np.ones_like(fine), 3.0, 0.1) == pytest.approx(1.0)
-    assert first_order(fine, fine, 0.01)[-1] == pytest.approx(2.0 - 0.01, rel=1e-3)
+    inside = np.searchsorted(passed, coarse)
+    dense = np.interp(passed, coarse, driving)
+    assert first_order(coarse, driving, 0.1) == pytest.approx(first_order(passed, dense, 0.1)[inside])
+    assert resonator(coarse, driving, 3.0, 0.1) == pytest.approx(resonator(passed, dense, 3.0, 0.1)[inside])
+    assert resonator(passed, np.ones_like(passed), 3.0, 0.1) == pytest.approx(1.0)
+    assert first_order(passed, passed, 0.01)[-1] == pytest.approx(2.0 - 0.01, rel=1e-3)

@@ -58,10 +58,10 @@ def test_its_declarations_agree(effect: Effect) -> None:
     assert effect.spectral_line <= (effect.period is not None)
     assert effect.moves_stage <= (effect.channel is Channel.POSITION)
     assert (effect.position_form is not None) == (Channel.POSITION in effect.channels)
-    for other in effect.similar_to:
-        assert effect.id in similar_effects(other)
-    for other in effect.confused_with:
-        assert effect.id in confusable_effects(other)
+    for second in effect.similar_to:
+        assert effect.id in similar_effects(second)
+    for second in effect.confused_with:
+        assert effect.id in confusable_effects(second)
 
 
 @every
@@ -135,7 +135,7 @@ def test_no_module_but_its_own_knows_an_effect_by_id_by_class_or_by_a_parameters
     # Others, such as speed_mm_s and mass_g, are names of settings and columns of runs too.
     names = {parameter.name for effect in EFFECTS for parameter in (effect.period, effect.phase) if parameter}
     classes = {"ForceEffect", "SensorEffect", "MotorEffect", "EncoderEffect"}
-    found = []
+    result = []
     for room in ("app", "analysis", "sim_backend", "rig", "config"):
         for path in (root / room).rglob("*.py"):
             inside = path.relative_to(root).as_posix()
@@ -147,7 +147,7 @@ def test_no_module_but_its_own_knows_an_effect_by_id_by_class_or_by_a_parameters
             for node in ast.walk(ast.parse(text)):
                 match node:
                     case ast.Constant(value=str(word)) if word in ids | names:
-                        found.append(f"{inside}:{node.lineno} {word}")
+                        result.append(f"{inside}:{node.lineno} {word}")
                     case ast.Name(id=name) if name in classes and path.parent.name != "effects":
-                        found.append(f"{inside}:{node.lineno} {name}")
-    assert not found
+                        result.append(f"{inside}:{node.lineno} {name}")
+    assert not result

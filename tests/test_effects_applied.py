@@ -92,9 +92,9 @@ def test_what_cannot_be_is_refused_in_one_sentence_before_anything_moves(typed: 
 @pytest.mark.parametrize("double", [(), ("--double",)])
 def test_effects_are_not_for_the_real_rig(double: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "drag", "--backend", "hardware", *double, "--effect", "stribeck"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("dragrig: --effect: effects act in the simulated rig")
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert errors.startswith("dragrig: --effect: effects act in the simulated rig")
+    assert errors.count("\n") == 1
 
 
 def test_a_double_takes_no_model_with_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,12 +150,12 @@ def test_the_stage_ripples_and_its_encoder_counts_wrong_while_the_command_stays(
 def test_a_ripple_in_speed_shows_in_the_force_and_in_the_motor() -> None:
     slow = (*QUICK, "speed_mm_s=2")
     plain, rippled = made(assignments=slow)[0], made("velocity_ripple:amplitude_mm=0.2,pitch_mm=2", assignments=slow)[0]
-    for channel, least in (("force", 1.0), ("motor_force", 2.0)):
+    for channel, minimum in (("force", 1.0), ("motor_force", 2.0)):
         change = np.asarray(rippled.trace.channels[channel]) - np.asarray(plain.trace.channels[channel])
         sliding = change[np.asarray(plain.trace.phase) == 2]
         spectrum = np.abs(np.fft.rfft(sliding[-4000:] - sliding[-4000:].mean()))
         assert np.argmax(spectrum[1:]) + 1 == 4  # 1 Hz in 4 s
-        assert np.ptp(sliding) > least
+        assert np.ptp(sliding) > minimum
 
 
 def test_effects_go_by_the_clock_that_the_files_tell_through_tares_and_after_a_resumption(tmp_path: Path) -> None:
@@ -223,11 +223,11 @@ def test_a_run_with_effects_is_what_the_model_with_them_says() -> None:
     steps = (*QUICK, "speed_mm_s=3", "way_back=stay", "repeats=2", "rig.stage.start_mm=20")
     first, second = made(*effects, assignments=steps)
     own = FrictionModelSettings(effects=parse_effects(effects))
-    for model, least, most in ((own, 0.0, 2.5), (FrictionModelSettings(), 10.0, 100.0)):
+    for model, minimum, maximum in ((own, 0.0, 2.5), (FrictionModelSettings(), 10.0, 100.0)):
         for run in (first, second):
             again = resimulate(run, model, first.info.header.start_time)
             off = (np.asarray(again.trace.force) - np.asarray(run.trace.force))[np.asarray(run.trace.phase) != 1]
-            assert least <= np.sqrt(np.mean(off**2)) <= most
+            assert minimum <= np.sqrt(np.mean(off**2)) <= maximum
 
 
 def test_the_force_gain_acts_on_effects_in_the_gut_and_not_on_those_of_the_sensor_or_the_motor() -> None:

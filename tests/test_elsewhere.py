@@ -38,31 +38,34 @@ def turning(folder: Path, from_s: float, **given: object) -> Path:
     return folder
 
 
-def shape(found: Diagnosis) -> str:
-    assert found.unknown is not None
-    return found.unknown.dependence
+def shape(result: Diagnosis) -> str:
+    assert result.unknown is not None
+    return result.unknown.dependence
 
 
-def decay_of(found: Diagnosis) -> tuple[float, float, float]:
+def decay_of(result: Diagnosis) -> tuple[float, float, float]:
     """Return way [mm] and root mean squares [mN] without and with the exponential that is told."""
-    told = re.search(
-        r"along the travel .* mN over ([\d.]+) mm.*line: ([\d.]+) mN without .*, ([\d.]+) mN with", shape(found)
+    search = re.search(
+        r"along the travel .* mN over ([\d.]+) mm.*line: ([\d.]+) mN without .*, ([\d.]+) mN with", shape(result)
     )
-    assert told is not None, shape(found)
-    way, before, after = map(float, told.groups())
+    assert search is not None, shape(result)
+    way, before, after = map(float, search.groups())
     return way, before, after
 
 
-def unknown_without_a_rival(found: Diagnosis) -> bool:
-    ranked = {one.hypothesis: one.probability for one in found.ranking}
-    return found.verdict is Verdict.UNKNOWN and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
+def unknown_without_a_rival(result: Diagnosis) -> bool:
+    ranked = {hypothesis.hypothesis: hypothesis.probability for hypothesis in result.ranking}
+    return result.verdict is Verdict.UNKNOWN and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
 
 
 def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path) -> None:
-    found = step(tmp_path, "sepiolite", 1.0)
-    assert unknown_without_a_rival(found), found.ranking
-    assert any("cannot be separated from friction that changes along the stroke" in one for one in found.limitations)
-    way, before, after = decay_of(found)
+    result = step(tmp_path, "sepiolite", 1.0)
+    assert unknown_without_a_rival(result), result.ranking
+    assert any(
+        "cannot be separated from friction that changes along the stroke" in limitation
+        for limitation in result.limitations
+    )
+    way, before, after = decay_of(result)
     # Published over the same stretch: 0.0034 without, 0.0013 with one exponential over about 210 µm; 1 is 1000 mN here.
     assert way == pytest.approx(0.21, abs=0.03)
     assert before == pytest.approx(3.4, abs=0.3)
@@ -70,23 +73,23 @@ def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path
 
 
 def test_basalt_is_unknown_and_evolves_over_a_short_slip(tmp_path: Path) -> None:
-    found = step(tmp_path, "basalt", 10.0)
-    assert unknown_without_a_rival(found), found.ranking
-    assert decay_of(found)[0] == pytest.approx(0.012, abs=0.005)
+    result = step(tmp_path, "basalt", 10.0)
+    assert unknown_without_a_rival(result), result.ranking
+    assert decay_of(result)[0] == pytest.approx(0.012, abs=0.005)
 
 
 def test_a_motors_cogging_is_periodic_in_position_with_72_to_a_turn(tmp_path: Path) -> None:
     gaps = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):
-        found = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive")
-        assert found.verdict is Verdict.UNKNOWN, found.ranking
-        assert found.where.domain == "position"
-        told = re.search(
-            r"periodic along the stroke with a period of ([\d.]+) mm and an amplitude of ([\d.]+) mN", shape(found)
+        diagnosis = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive")
+        assert diagnosis.verdict is Verdict.UNKNOWN, diagnosis.ranking
+        assert diagnosis.where.domain == "position"
+        search = re.search(
+            r"periodic along the stroke with a period of ([\d.]+) mm and an amplitude of ([\d.]+) mN", shape(diagnosis)
         )
-        assert told is not None, shape(found)
-        assert 2 * pi * RADIUS_MM / float(told[1]) == pytest.approx(72, abs=0.5)
-        gaps[name] = float(told[2])
+        assert search is not None, shape(diagnosis)
+        assert 2 * pi * RADIUS_MM / float(search[1]) == pytest.approx(72, abs=0.5)
+        gaps[name] = float(search[2])
     assert gaps["uncompensated"] > 1.5 * gaps["compensated"]
 
 
@@ -99,7 +102,7 @@ def test_a_speed_that_is_not_kept_is_neither_a_lag_nor_a_wrong_scale(tmp_path: P
     best, *others = score_model_classes(position_errors([Experiment(run) for run in runs]))
     assert best.effect == "velocity_ripple"
     assert 2 * pi * RADIUS_MM * best.shape_value == pytest.approx(72, abs=1.0)
-    assert max(one.held_out_share for one in others) < 0.1
+    assert max(entry.held_out_share for entry in others) < 0.1
 
 
 def test_a_command_is_not_made_where_there_is_one(tmp_path: Path) -> None:

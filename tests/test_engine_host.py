@@ -41,8 +41,8 @@ CLIENT = Path(__file__).with_name("engine_clients.py")
 @pytest.fixture(scope="module")
 def host() -> Iterator[Listener]:
     # Between tests nobody says that the client lives.
-    with listening(silence_s=600.0) as one:
-        yield one
+    with listening(silence_s=600.0) as entry:
+        yield entry
 
 
 @pytest.fixture
@@ -52,11 +52,11 @@ def heard(host: Listener) -> Listener:
 
 
 def only_run(folder: Path) -> Run:
-    found = read_campaign(folder)
-    assert len(found.runs) == 1
-    assert not found.recordings
-    assert not found.unreadable
-    return read_run(found.runs[0].path)
+    campaign = read_campaign(folder)
+    assert len(campaign.runs) == 1
+    assert not campaign.recordings
+    assert not campaign.unreadable
+    return read_run(campaign.runs[0].path)
 
 
 def require_whole(run: Run) -> None:
@@ -78,7 +78,7 @@ def client(folder: Path, seconds: float, hold_s: float) -> "subprocess.Popen[str
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
-def said(process: "subprocess.Popen[str]", word: str) -> str:
+def line_with(process: "subprocess.Popen[str]", word: str) -> str:
     assert process.stdout is not None
     first, rest = process.stdout.readline().split(maxsplit=1)
     assert first == word
@@ -87,9 +87,9 @@ def said(process: "subprocess.Popen[str]", word: str) -> str:
 
 def test_a_client_blocked_for_five_seconds_loses_no_sample(tmp_path: Path) -> None:
     with client(tmp_path / "c", 5.5, 5.0) as process:
-        said(process, "moving")
-        assert float(said(process, "held")) >= 5.0
-        assert said(process, "ended") == "complete"
+        line_with(process, "moving")
+        assert float(line_with(process, "held")) >= 5.0
+        assert line_with(process, "ended") == "complete"
     assert process.returncode == 0
     run = only_run(tmp_path / "c")
     assert run.info.status is RunStatus.COMPLETE
@@ -99,7 +99,7 @@ def test_a_client_blocked_for_five_seconds_loses_no_sample(tmp_path: Path) -> No
 
 def test_killing_the_client_stops_the_stage_and_finishes_the_run(tmp_path: Path) -> None:
     with client(tmp_path / "c", 60.0, 0.0) as process:
-        host = psutil.Process(int(said(process, "moving")))
+        host = psutil.Process(int(line_with(process, "moving")))
         process.kill()
         host.wait()
     run = only_run(tmp_path / "c")
@@ -127,11 +127,11 @@ def test_a_session_reports_its_runs_and_its_end(tmp_path: Path, heard: Listener)
     heard.client.ask(StartSession(SessionJob(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
     ended = heard.until(SessionFinished)
     assert ended == SessionFinished(7, RunStatus.COMPLETE, "", tmp_path / "c")
-    asked = [one for one in heard.heard if isinstance(one, PromptShown)]
-    assert [one.text for one in asked] == ["Put it in"]
-    runs = [one for one in heard.heard if isinstance(one, RunFinished)]
-    assert [(one.order, one.status) for one in runs] == [(0, RunStatus.COMPLETE), (1, RunStatus.COMPLETE)]
-    assert any(isinstance(one, SessionWaiting) and one.duration_s == pytest.approx(3.0) for one in heard.heard)
+    arguments = [entry for entry in heard.heard if isinstance(entry, PromptShown)]
+    assert [button.text for button in arguments] == ["Put it in"]
+    runs = [entry for entry in heard.heard if isinstance(entry, RunFinished)]
+    assert [(run.order, run.status) for run in runs] == [(0, RunStatus.COMPLETE), (1, RunStatus.COMPLETE)]
+    assert any(isinstance(entry, SessionWaiting) and entry.duration_s == pytest.approx(3.0) for entry in heard.heard)
     assert len(read_campaign(tmp_path / "c").runs) == 2
 
 
@@ -142,10 +142,10 @@ def test_a_resumed_campaign_reports_repeated_runs(tmp_path: Path, heard: Listene
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     heard.client.ask(StartSession(SessionJob(2, short, resume=tmp_path / "c")))
     assert heard.until(SessionFinished) == SessionFinished(2, RunStatus.COMPLETE, "", tmp_path / "c")
-    [told] = [one for one in heard.heard if isinstance(one, SessionStarted) and one.job == 2]
-    made = [one.run for one in heard.heard if isinstance(one, RunStarted)][3:]
+    [answer] = [entry for entry in heard.heard if isinstance(entry, SessionStarted) and entry.job == 2]
+    made = [entry.run for entry in heard.heard if isinstance(entry, RunStarted)][3:]
     assert [run.index for run in made] == [0]
-    assert told.runs == tuple(made)
+    assert answer.runs == tuple(made)
 
 
 def test_an_abort_stops_the_stage_at_once_with_its_reason(tmp_path: Path, heard: Listener) -> None:
@@ -190,7 +190,7 @@ def test_a_prompt_gets_the_clients_answer(tmp_path: Path, heard: Listener) -> No
     heard.client.ask(PromptReply(99, Answer.DONE))
     assert isinstance(ended, SessionFinished)
     assert ended.status is RunStatus.COMPLETE
-    assert not [one for one in heard.heard if isinstance(one, RunStarted)]
+    assert not [entry for entry in heard.heard if isinstance(entry, RunStarted)]
 
 
 def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
@@ -223,9 +223,9 @@ def test_a_plan_beyond_the_limits_is_refused(tmp_path: Path, heard: Listener) ->
 
 def test_every_device_is_reported(tmp_path: Path, heard: Listener) -> None:
     heard.client.ask(ExamineRig())
-    found = heard.until(RigExamined)
-    assert isinstance(found, RigExamined)
-    assert found.devices
-    assert found.devices
-    assert all(check.passed for check in found.devices)
-    assert not found.error
+    result = heard.until(RigExamined)
+    assert isinstance(result, RigExamined)
+    assert result.devices
+    assert result.devices
+    assert all(check.passed for check in result.devices)
+    assert not result.error

@@ -56,12 +56,12 @@ def test_csv_is_read_back_exactly_in_every_style(filtered: Path, decimal: str, d
 
 def test_csv_says_first_what_the_run_is(filtered: Path) -> None:
     lines = export_run(filtered, filtered.parent).read_text("utf-8").splitlines()
-    said = dict(line.removeprefix("# ").split(": ", 1) for line in lines if line.startswith("# "))
-    assert json.loads(said["dragrig-export"]) == 1
-    assert json.loads(said["kind"]) == "drag"
-    assert json.loads(said["protocol"])["speed_mm_s"] == 60.0
-    assert json.loads(said["filter"])["window_s"] == 0.05
-    assert json.loads(said["columns"])["force_filtered_mN"] == ["filtered/force", "mN", "float64"]
+    text = dict(line.removeprefix("# ").split(": ", 1) for line in lines if line.startswith("# "))
+    assert json.loads(text["dragrig-export"]) == 1
+    assert json.loads(text["kind"]) == "drag"
+    assert json.loads(text["protocol"])["speed_mm_s"] == 60.0
+    assert json.loads(text["filter"])["window_s"] == 0.05
+    assert json.loads(text["columns"])["force_filtered_mN"] == ["filtered/force", "mN", "float64"]
 
 
 def test_missing_values_are_empty_cells(filtered: Path) -> None:

@@ -59,12 +59,12 @@ ON_DISK = 250
 
 def recorded(folder: Path) -> int:
     """How many samples are on disk right now."""
-    found = list(folder.glob("*.recording.h5"))
-    return read_run(found[0]).info.samples if found else 0
+    paths = list(folder.glob("*.recording.h5"))
+    return read_run(paths[0]).info.samples if paths else 0
 
 
 def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Bench, start: Start) -> None:
-    first = start("plan.toml", "--out", one := faulty_rig.folder(), "--set", "speed_mm_s=0.4")
+    first = start("plan.toml", "--out", folder := faulty_rig.folder(), "--set", "speed_mm_s=0.4")
     first.until_under_way()
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
@@ -74,7 +74,7 @@ def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Ben
     assert faulty_rig.look().moving
     first.process.send_signal(signal.SIGTERM)
     first.end()
-    run = only_run(one)
+    run = only_run(folder)
     assert (run.info.reason, run.info.checks["lost_samples"]) == ("ended by SIGTERM", 0)
     assert_kept(run, 1000)
 
@@ -82,17 +82,17 @@ def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Ben
 def test_sigterm_ends_the_run_in_good_order(faulty_rig: Bench, start: Start) -> None:
     program = start("plan.toml", "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
-    kept = recorded(folder)
+    remaining = recorded(folder)
     program.process.send_signal(signal.SIGTERM)
-    code, printed, told = program.end()
+    code, printed, answer = program.end()
     run = only_run(folder)
     assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
-    assert sentence("SIGTERM").fullmatch(told), told
+    assert sentence("SIGTERM").fullmatch(answer), answer
     assert printed["reason"] == run.info.reason == "ended by SIGTERM"
     look = faulty_rig.look()
     assert_stopped(struck, look, Halt.STOP)
     assert not look.enabled
-    assert_kept(run, kept)
+    assert_kept(run, remaining)
     assert_goes_on(faulty_rig, folder)
 
 
@@ -100,7 +100,7 @@ def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_
     program = start("plan.toml", "--set", SOON_SILENT, "--set", "speed_mm_s=3", "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
-    kept = recorded(folder)
+    remaining = recorded(folder)
     program.process.kill()
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE)
@@ -108,24 +108,24 @@ def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_
     (lost,) = (info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
     assert lost.status is RunStatus.RECOVERED
     assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
-    assert_kept(read_run(lost.path), kept)
+    assert_kept(read_run(lost.path), remaining)
 
 
 def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Bench, start: Start) -> None:
     program = start("plan.toml", "--set", SOON_SILENT, "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
-    kept = recorded(folder)
+    remaining = recorded(folder)
     program.process.send_signal(signal.SIGSTOP)
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE)
     program.process.send_signal(signal.SIGCONT)
-    code, printed, told = program.end()
+    code, printed, answer = program.end()
     run = only_run(folder)
     assert (code, printed["status"], run.info.status) == (4, "tripped", RunStatus.TRIPPED)
-    assert sentence("program frozen").fullmatch(told), told
+    assert sentence("program frozen").fullmatch(answer), answer
     assert printed["reason"] == run.info.reason
     assert not faulty_rig.look().enabled
-    assert_kept(run, kept)
+    assert_kept(run, remaining)
     assert_goes_on(faulty_rig, folder)
 
 
@@ -167,7 +167,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     running = begin(faulty_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
     running.until_under_way()
     struck = faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: running.alive)
-    kept = recorded(folder)
+    remaining = recorded(folder)
     filler = fill(small_disk)
     ended = running.end()
     assert ended.exit_code == 5
@@ -177,7 +177,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     filler.unlink()
     assert_goes_on(faulty_rig, folder)
     lost = next(info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
-    assert_kept(read_run(lost.path), kept)
+    assert_kept(read_run(lost.path), remaining)
     assert lost.status is RunStatus.RECOVERED or "MB are free" in lost.reason
 
 
@@ -219,7 +219,7 @@ def test_a_clock_that_is_put_back_changes_no_time_and_no_order(faulty_rig: Bench
     mark_bad(first.info.path, "made again")
     code, printed, _ = start("--resume", folder, **clock.environment).end()
     assert (code, printed["status"]) == (0, "complete")
-    earlier, later = sorted(read_campaign(folder).runs, key=lambda one: one.header.order)
+    earlier, later = sorted(read_campaign(folder).runs, key=lambda first: first.header.order)
     assert earlier.end_time is not None
     assert later.header.start_time >= earlier.end_time
     assert later.path.name > earlier.path.name
@@ -231,7 +231,7 @@ def test_a_clock_that_is_put_back_changes_no_time_and_no_order(faulty_rig: Bench
 
 def test_the_page_on_faults_shows_what_the_tests_hear() -> None:
     rows = [line.split("|")[1:3] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("| ")]
-    shown = {fault.strip() for fault, said in rows if said.strip().startswith("`")}
-    told = "".join(path.read_text("utf-8") for path in Path(__file__).parent.glob("test_faults_*.py"))
+    shown = {fault.strip() for fault, line in rows if line.strip().startswith("`")}
+    answer = "".join(path.read_text("utf-8") for path in Path(__file__).parent.glob("test_faults_*.py"))
     assert len(shown) > 20
-    assert [fault for fault in sorted(shown) if f'"{fault}"' not in told] == []
+    assert [fault for fault in sorted(shown) if f'"{fault}"' not in answer] == []

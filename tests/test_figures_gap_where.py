@@ -21,30 +21,34 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 
 
-def fast(one: ResidualBlocks) -> FloatArray:
-    under_way = (one.phase != Phase.REST) & (one.phase != Phase.HOLD)
-    return np.asarray(-30.0 * under_way * (one.kind == "drag") * (one.speed_mm_s > 25.0))
+def fast(first: ResidualBlocks) -> FloatArray:
+    under_way = (first.phase != Phase.REST) & (first.phase != Phase.HOLD)
+    return np.asarray(-30.0 * under_way * (first.kind == "drag") * (first.speed_mm_s > 25.0))
 
 
-def everything(one: ResidualBlocks) -> FloatArray:
-    return 500.0 * (1 + np.sin(one.time_s) + one.strain) * (one.phase != Phase.REST)
+def everything(first: ResidualBlocks) -> FloatArray:
+    return 500.0 * (1 + np.sin(first.time_s) + first.strain) * (first.phase != Phase.REST)
 
 
 def drawn(planted: Planted | None, present: bool | None = None) -> tuple[GapLocation, Figure]:
-    found = localise(campaign(1) if planted is None else campaign(1, planted), present=present)
-    return found, location_figure(found, "a campaign with a rather long name, " * 6)
+    location = localise(campaign(1) if planted is None else campaign(1, planted), present=present)
+    return location, location_figure(location, "a campaign with a rather long name, " * 6)
 
 
 def texts(figure: Figure) -> list[Text]:
     assert isinstance(figure.canvas, FigureCanvasAgg)
     figure.canvas.draw()
-    found = list(figure.texts)
+    result = list(figure.texts)
     for axes in figure.axes:
-        found += [axes.xaxis.label, axes.yaxis.label, *(one for one in axes.get_children() if isinstance(one, Text))]
+        result += [
+            axes.xaxis.label,
+            axes.yaxis.label,
+            *(get_child for get_child in axes.get_children() if isinstance(get_child, Text)),
+        ]
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
-            found += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-    return [one for one in found if one.get_text().strip() and one.get_visible()]
+            result += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    return [label for label in result if label.get_text().strip() and label.get_visible()]
 
 
 def panel(figure: Figure, title: str) -> Axes:
@@ -55,33 +59,35 @@ def panel(figure: Figure, title: str) -> Axes:
 def test_every_word_is_inside_and_none_lies_on_another(planted: Planted | None) -> None:
     _, figure = drawn(planted)
     page = figure.bbox
-    boxes = [(one.get_text(), one.get_window_extent()) for one in texts(figure)]
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts(figure)]
     for words, box in boxes:
         assert box.x0 >= page.x0, words
         assert box.x1 <= page.x1, words
         assert box.y0 >= page.y0, words
         assert box.y1 <= page.y1, words
     for number, (words, box) in enumerate(boxes):
-        for others, other in boxes[number + 1 :]:
-            apart = box.x1 <= other.x0 or other.x1 <= box.x0 or box.y1 <= other.y0 or other.y1 <= box.y0
+        for others, second in boxes[number + 1 :]:
+            apart = box.x1 <= second.x0 or second.x1 <= box.x0 or box.y1 <= second.y0 or second.y1 <= box.y0
             assert apart, (words, others)
 
 
 def test_the_bins_that_have_most_stand_out() -> None:
-    found, figure = drawn(fast)
+    result, figure = drawn(fast)
     axes = panel(figure, "Speed")
     colours = [patch.get_facecolor() for patch in axes.patches]
-    levels = [one.low for one in found.location("speed_mm_s").bins]
-    assert [one == to_rgba(VERMILLION) for one in colours] == [level is not None and level >= 30.0 for level in levels]
+    levels = [entry.low for entry in result.location("speed_mm_s").bins]
+    assert [colour == to_rgba(VERMILLION) for colour in colours] == [
+        level is not None and level >= 30.0 for level in levels
+    ]
     assert {patch.get_facecolor() for patch in panel(figure, "Session").patches} == {to_rgba(PALE)}
     assert "30 to 60" in axes.get_xlabel()
 
 
 def test_without_a_gap_it_says_so() -> None:
     _, figure = drawn(None)
-    said = [one.get_text() for one in texts(figure)]
-    assert "No gap beyond noise and repeatability" in said
-    assert said.count("no excess here") == 5
+    message = [text.get_text() for text in texts(figure)]
+    assert "No gap beyond noise and repeatability" in message
+    assert message.count("no excess here") == 5
 
 
 def test_it_is_the_same_picture_each_time(tmp_path: Path) -> None:

@@ -31,13 +31,17 @@ def words(figure: Figure) -> list[Text]:
     """Return every text that is drawn; ticks beyond an axis are not."""
     assert isinstance(figure.canvas, FigureCanvasAgg)
     figure.canvas.draw()
-    found = list(figure.texts)
+    result = list(figure.texts)
     for axes in figure.axes:
-        found += [*axes.texts, axes.xaxis.label, *(one for one in axes.get_children() if isinstance(one, Text))]
+        result += [
+            *axes.texts,
+            axes.xaxis.label,
+            *(get_child for get_child in axes.get_children() if isinstance(get_child, Text)),
+        ]
         for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
-            found += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
-    return [one for one in dict.fromkeys(found) if one.get_text().strip()]
+            result += [tick.label1 for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+    return [fromkey for fromkey in dict.fromkeys(result) if fromkey.get_text().strip()]
 
 
 def panel(figure: Figure, title: str) -> Axes:
@@ -45,7 +49,7 @@ def panel(figure: Figure, title: str) -> Axes:
 
 
 def names(axes: Axes) -> list[str]:
-    return [one.get_text() for one in axes.get_yticklabels()]
+    return [get_yticklabel.get_text() for get_yticklabel in axes.get_yticklabels()]
 
 
 LONG = "2026-05-04-a-campaign-with-a-name-that-never-comes-to-an-end-at-least-not-soon"
@@ -65,14 +69,14 @@ LONG = "2026-05-04-a-campaign-with-a-name-that-never-comes-to-an-end-at-least-no
 )
 def test_every_word_stays_on_the_page_and_clear_of_the_others(drawn: JointFit) -> None:
     figure = joint_fit_figure(drawn)
-    boxes = [one.get_window_extent() for one in words(figure)]
+    boxes = [word.get_window_extent() for word in words(figure)]
     page = figure.bbox
     for box in boxes:
         assert page.x0 <= box.x0 < box.x1 <= page.x1
         assert page.y0 <= box.y0 < box.y1 <= page.y1
     for place, box in enumerate(boxes):
-        for other in boxes[place + 1 :]:
-            apart = max(box.x0, other.x0) - min(box.x1, other.x1), max(box.y0, other.y0) - min(box.y1, other.y1)
+        for second in boxes[place + 1 :]:
+            apart = max(box.x0, second.x0) - min(box.x1, second.x1), max(box.y0, second.y0) - min(box.y1, second.y1)
             assert max(apart) > -3.0
 
 
@@ -99,13 +103,13 @@ def dots(axes: Axes) -> int:
 def test_no_number_stands_where_runs_say_nothing() -> None:
     unknown = replace(ANGLE, learnt=0.05)
     axes = panel(joint_fit_figure(fit(parameters=(STIFFNESS, unknown))), "before")
-    assert [one.get_text() for one in axes.texts] == ["1.050 ± 0.030", "not determined"]
+    assert [text.get_text() for text in axes.texts] == ["1.050 ± 0.030", "not determined"]
     assert dots(axes) == 1
 
 
 def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
     axes = panel(joint_fit_figure(replace(fit(), converged=False)), "before")
-    assert [one.get_text() for one in axes.texts] == ["1.05", "−0.2 deg"]
+    assert [text.get_text() for text in axes.texts] == ["1.05", "−0.2 deg"]
     assert dots(axes) == 2
     assert all(np.ptp(line.get_xdata()) == 0 for line in axes.lines)
 
@@ -113,18 +117,18 @@ def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
 def test_runs_that_are_left_badly_are_shown_on_a_scale_for_all() -> None:
     axes = panel(joint_fit_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
     assert axes.get_xscale() == "log"
-    assert "1000" in [one.get_text() for one in axes.get_xticklabels()]
+    assert "1000" in [get_xticklabel.get_text() for get_xticklabel in axes.get_xticklabels()]
     assert names(axes) == ["a.h5", "b.h5"]
 
 
 def test_of_very_many_runs_those_are_shown_that_are_left_worst() -> None:
     runs = [run(f"{number:03d}.h5", 1.0 + number / 100) for number in range(3 * JOINT_MAX_RUNS)]
     figure = joint_fit_figure(fit(*runs))
-    assert names(panel(figure, "each run")) == [one.file for one in runs[-JOINT_MAX_RUNS:]]
-    assert any(f"{3 * JOINT_MAX_RUNS} runs, the {JOINT_MAX_RUNS} that" in one.get_text() for one in figure.texts)
+    assert names(panel(figure, "each run")) == [entry.file for entry in runs[-JOINT_MAX_RUNS:]]
+    assert any(f"{3 * JOINT_MAX_RUNS} runs, the {JOINT_MAX_RUNS} that" in text.get_text() for text in figure.texts)
 
 
 def test_channels_are_named_where_there_are_several() -> None:
     figure = joint_fit_figure(fit(run("a.h5"), run("a.h5", channel="motor_force")))
     assert names(panel(figure, "each run")) == ["a.h5 force", "a.h5 motor_force"]
-    assert any(one.get_text().endswith("1 run") for one in figure.texts)
+    assert any(text.get_text().endswith("1 run") for text in figure.texts)

@@ -24,7 +24,7 @@ REFERENCE = Path(__file__).parent / "data" / "reference" / "steady.csv"
 
 
 def texts(figure: Figure) -> str:
-    return "\n".join(text.get_text() for text in figure.findobj(lambda one: hasattr(one, "get_text")))
+    return "\n".join(text.get_text() for text in figure.findobj(lambda first: hasattr(first, "get_text")))
 
 
 def run(*arguments: str) -> Result:

@@ -37,8 +37,8 @@ def test_an_envelope_keeps_every_columns_extremes(value: np.ndarray, columns: in
     assert t.size <= max(4 * columns, 2 * columns + 2)
     edges = np.linspace(time[0], time[-1], columns, endpoint=False)
     for low, high in zip(edges, [*edges[1:], np.inf], strict=True):
-        inside, kept = value[(time >= low) & (time < high)], y[(t >= low) & (t < high)]
-        assert inside.size == 0 or (kept.min(), kept.max()) == (inside.min(), inside.max())
+        inside, remaining = value[(time >= low) & (time < high)], y[(t >= low) & (t < high)]
+        assert inside.size == 0 or (remaining.min(), remaining.max()) == (inside.min(), inside.max())
 
 
 @given(st.sets(st.integers(1, 9999), max_size=30), st.sets(st.integers(0, 9999), max_size=30))
@@ -92,14 +92,14 @@ def test_phases_end_where_the_next_begins_and_a_ramp_is_one() -> None:
     time = np.arange(10.0)
     phase = np.array([0, 0, 1, 2, 2, 3, 4, 4, 4, 4], dtype=np.uint8)
     parts = phase_intervals(time, phase)
-    assert [(one.name, one.start_s, one.end_s) for one in parts] == [
+    assert [(part.name, part.start_s, part.end_s) for part in parts] == [
         ("rest", 0.0, 2.0),
         ("accelerate", 2.0, 3.0),
         ("steady", 3.0, 5.0),
         ("decelerate", 5.0, 6.0),
         ("hold", 6.0, 9.0),
     ]
-    assert [(one.name, one.start_s, one.end_s) for one in merge_ramp(parts)] == [
+    assert [(entry.name, entry.start_s, entry.end_s) for entry in merge_ramp(parts)] == [
         ("rest", 0.0, 2.0),
         ("ramp", 2.0, 6.0),
         ("hold", 6.0, 9.0),
@@ -200,4 +200,4 @@ def test_a_failed_save_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "taken.png").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
         save_figure(figure, tmp_path / "taken.png", overwrite=True)
-    assert sorted(one.name for one in tmp_path.iterdir()) == ["file", "taken.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken.png"]

@@ -48,12 +48,12 @@ def panel(figure: Figure, label: str) -> Axes:
 
 
 def line(axes: Axes, word: str) -> tuple[np.ndarray, np.ndarray]:
-    (found,) = [one for one in axes.lines if str(one.get_label()).startswith(word)]
-    return np.asarray(found.get_xdata(), dtype=float), np.asarray(found.get_ydata(), dtype=float)
+    (result,) = [artist for artist in axes.lines if str(artist.get_label()).startswith(word)]
+    return np.asarray(result.get_xdata(), dtype=float), np.asarray(result.get_ydata(), dtype=float)
 
 
 def texts(figure: Figure) -> list[str]:
-    return [one.get_text() for one in figure.findobj(Text) if one.get_text()]
+    return [label.get_text() for label in figure.findobj(Text) if label.get_text()]
 
 
 def drawn(figure: Figure) -> bytes:
@@ -65,8 +65,8 @@ def drawn(figure: Figure) -> bytes:
 
 def without(run: Run, lost: Sequence[slice]) -> Run:
     keep = np.ones(run.trace.time.size, dtype=bool)
-    for one in lost:
-        keep[one] = False
+    for entry in lost:
+        keep[entry] = False
     trace = run.trace
     return replace(
         run,
@@ -328,9 +328,9 @@ def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, 
         assert everything.y1 <= height
         for place, (text, box) in enumerate(zip(labels, boxes, strict=True)):
             covered = [
-                other.get_text() for other, area in zip(labels[:place], boxes, strict=False) if box.overlaps(area)
+                label.get_text() for label, area in zip(labels[:place], boxes, strict=False) if box.overlaps(area)
             ]
-            assert not [other for other in covered if other], text
+            assert not [second for second in covered if second], text
 
 
 def test_a_sentence_is_cut_to_the_room_it_has() -> None:
@@ -379,9 +379,9 @@ def test_show_draws_a_folder_and_its_overview(tmp_path: Path) -> None:
     folder.mkdir()
     for name in ("005-blank.h5", "014-drag.h5"):
         shutil.copy(CAMPAIGN / name, folder)
-    found = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "out")))
-    assert [Path(one["source"]).name for one in found] == ["005-blank.h5", "014-drag.h5", "camp"]
-    assert all(Path(one["picture"]).read_bytes().startswith(b"\x89PNG") for one in found)
+    answer = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "out")))
+    assert [Path(row["source"]).name for row in answer] == ["005-blank.h5", "014-drag.h5", "camp"]
+    assert all(Path(row["picture"]).read_bytes().startswith(b"\x89PNG") for row in answer)
     assert {path.name for path in folder.iterdir()} == {"005-blank.h5", "014-drag.h5"}
 
 
@@ -391,10 +391,10 @@ def test_show_to_a_named_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert picture.read_text("utf-8").startswith("<?xml")
     assert main(["show", run, "--out", str(picture)]) == 2
     assert main(["show", run, str(CAMPAIGN / "014-drag.h5"), "--out", str(tmp_path / "two.png")]) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert "is there already" in said[0]
-    assert "2 pictures do not fit into" in said[1]
-    assert len(said) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert "is there already" in lines[0]
+    assert "2 pictures do not fit into" in lines[1]
+    assert len(lines) == 2
 
 
 def test_runs_in_a_folder_that_takes_no_files_are_drawn_here(
@@ -415,9 +415,9 @@ def test_a_damaged_run_does_not_keep_the_others_from_being_drawn(
     (tmp_path / "1.h5").write_bytes(whole.read_bytes()[:9000])
     assert main(["show", str(tmp_path)]) == 2
     assert (tmp_path / "2.png").is_file()
-    said = capsys.readouterr()
-    assert "2.png" in said.out
-    assert "1.h5" in said.err
+    output = capsys.readouterr()
+    assert "2.png" in output.out
+    assert "1.h5" in output.err
 
 
 def test_what_is_no_run_file_is_refused_in_a_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -434,12 +434,16 @@ def test_samples_on_their_own_are_seen_and_a_crowd_of_gaps_is_summed_up(drag: Ru
     keep[1000:] = True
     sparse = without(drag, [slice(at, at + 1) for at in np.flatnonzero(~keep)])
     figure = run_figure(sparse)
-    dots = [one for one in panel(figure, "Force (mN)").lines if one.get_marker() == "." and one.get_color() != "k"]
-    assert max(len(one.get_xdata()) for one in dots) == 100
+    dots = [
+        artist
+        for artist in panel(figure, "Force (mN)").lines
+        if artist.get_marker() == "." and artist.get_color() != "k"
+    ]
+    assert max(len(dot.get_xdata()) for dot in dots) == 100
     assert "100 gaps, 0.9 s missing" in texts(figure)
 
 
 def test_only_steady_sliding_has_a_steady_level(drag: Run) -> None:
-    other = replace(drag, info=replace(drag.info, header=replace(drag.info.header, kind="motion")))
-    assert not any(text.startswith("steady ") for text in texts(run_figure(other)))
+    second = replace(drag, info=replace(drag.info, header=replace(drag.info.header, kind="motion")))
+    assert not any(text.startswith("steady ") for text in texts(run_figure(second)))
     assert any(text.startswith("steady ") for text in texts(run_figure(drag)))

@@ -21,11 +21,15 @@ DRAG, RELAXATION = CAMPAIGN / "014-drag.h5", CAMPAIGN / "001-relaxation.h5"
 
 def with_gap(run: Run, keep: list[slice]) -> Run:
     """Lose the samples outside of some slices, as a sampler does: the time jumps."""
-    kept = np.concatenate([np.arange(len(run.trace.time))[piece] for piece in keep])
+    concatenate = np.concatenate([np.arange(len(run.trace.time))[piece] for piece in keep])
     trace = run.trace
-    channels = {name: values[kept] for name, values in trace.channels.items()}
+    channels = {name: values[concatenate] for name, values in trace.channels.items()}
     shorter = replace(
-        trace, time=trace.time[kept], command=trace.command[kept], phase=trace.phase[kept], channels=channels
+        trace,
+        time=trace.time[concatenate],
+        command=trace.command[concatenate],
+        phase=trace.phase[concatenate],
+        channels=channels,
     )
     return replace(run, trace=shorter)
 

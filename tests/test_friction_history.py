@@ -160,5 +160,5 @@ def test_the_quadrature_has_converged() -> None:
         rule = QuadratureRule(2 * FINE_RULE.ages, FINE_RULE.times)
         finer = SlidingForce.of(prepared.contact, prepared.history, ROUGH.mass_g, pressing=True, rule=rule)
         time = np.linspace(0.0, profile.duration_s, 2000)
-        coarse, fine = prepared.total(time), finer.total(time)
-        assert np.abs(coarse - fine).max() < 1e-5 * np.ptp(fine)
+        coarse, total = prepared.total(time), finer.total(time)
+        assert np.abs(coarse - total).max() < 1e-5 * np.ptp(total)

@@ -64,8 +64,8 @@ def test_a_value_does_not_depend_on_what_else_is_asked_for(profile: MotionProfil
 def test_a_mirrored_motion_gives_the_mirrored_force(profile: MotionProfile) -> None:
     time = np.linspace(0.0, profile.duration_s, 500)
     for acquisition, opposite in zip(acquisitions(profile), acquisitions(mirrored(profile)), strict=True):
-        force, other = prepare(acquisition, MODEL).force(time), prepare(opposite, MODEL).force(time)
-        np.testing.assert_allclose(other, -force, atol=1e-6)
+        force, second = prepare(acquisition, MODEL).force(time), prepare(opposite, MODEL).force(time)
+        np.testing.assert_allclose(second, -force, atol=1e-6)
 
 
 def test_at_rest_the_wall_relaxes_from_the_insertion_on() -> None:
@@ -101,16 +101,16 @@ def test_scales_act_where_they_say() -> None:
 
     def parts(**scales: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         prepared = prepare(sliding(profile), FrictionModelSettings(**scales))
-        found = prepared.components(time)
-        return found.f_e, found.f_v, found.f_c, prepared.force(time)
+        components = prepared.components(time)
+        return components.f_e, components.f_v, components.f_c, prepared.force(time)
 
     f_e, f_v, f_c, force = parts()
     np.testing.assert_allclose(f_e + f_v + f_c, force)
     stiff = parts(stiffness_scale=2.0)
     np.testing.assert_allclose(stiff[0], 2 * f_e, rtol=1e-9)
     np.testing.assert_allclose(stiff[1], f_v)
-    each = parts(e1_scale=2.0, e2_scale=2.0, e3_scale=2.0, eta1_scale=2.0, eta2_scale=2.0)
-    np.testing.assert_allclose(each[3], stiff[3], rtol=1e-9)
+    entry = parts(e1_scale=2.0, e2_scale=2.0, e3_scale=2.0, eta1_scale=2.0, eta2_scale=2.0)
+    np.testing.assert_allclose(entry[3], stiff[3], rtol=1e-9)
     np.testing.assert_allclose(parts(mucus_scale=3.0)[3], f_e + 3 * f_v + f_c)
     np.testing.assert_allclose(parts(friction_coefficient=0.164)[3], f_e + f_v + 2 * f_c)
     np.testing.assert_allclose(parts(force_gain=1.1)[3], 1.1 * force)
@@ -177,9 +177,9 @@ def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
     model = FrictionModelSettings.model_validate({"wall": wall, "e2_scale": 1.1, "force_gain": 1.02})
     run = sliding(moves((12.0, 5.0), (-9.0, 20.0), between=0.1))
     time = np.linspace(0.0, run.profile.duration_s, 400)
-    found = prepare(run, model).log_derivatives(time)
+    log_derivatives = prepare(run, model).log_derivatives(time)
     step = 0.02
-    for name, slopes in zip(ELEMENT_SCALES, found, strict=True):
+    for name, slopes in zip(ELEMENT_SCALES, log_derivatives, strict=True):
         ahead, behind = (
             prepare(run, model.model_copy(update={name: getattr(model, name) * factor})).force(time)
             for factor in (np.exp(step), np.exp(-step))

@@ -45,11 +45,11 @@ def test_counts_give_the_force_of_the_motion(name: str, rate: float) -> None:
     profile = PROFILES[name]
     time, position = counts(profile, rate)
     truth = prepare(sliding(profile), MODEL).force(time)
-    found = prepare(sliding(profile), MODEL, RecordedMotion.of(time, position)).force(time)
+    force = prepare(sliding(profile), MODEL, RecordedMotion.of(time, position)).force(time)
     away = away_from_starts_and_stops(profile, time)
     assert away.mean() > 0.9
     # f_c jumps when fresh wall comes to the equator: a sample or two may fall on the other side of that.
-    error = np.sort(np.abs(found - truth)[away])[:-3]
+    error = np.sort(np.abs(force - truth)[away])[:-3]
     assert error.max() < 0.005 * np.ptp(truth)
 
 
@@ -64,8 +64,8 @@ def test_the_quadrature_of_a_counted_motion_is_as_fine_as_a_sensor_can_tell() ->
     coarse = prepare(sliding(moves()), MODEL, motion).friction
     assert isinstance(coarse, SlidingForce)
     assert coarse.rule == COUNTED_RULE
-    fine = SlidingForce.of(coarse.contact, coarse.history, 0.0, pressing=True, rule=FINE_RULE)
-    error = coarse.components(time).f_e - fine.components(time).f_e
+    of = SlidingForce.of(coarse.contact, coarse.history, 0.0, pressing=True, rule=FINE_RULE)
+    error = coarse.components(time).f_e - of.components(time).f_e
     assert 0.0 < np.sqrt(np.mean(error**2)) < 0.05
     assert np.abs(error).max() < 0.4
 
@@ -98,9 +98,9 @@ def test_a_dithering_encoder_is_still_at_rest_when_its_jitter_is_told() -> None:
     motion = RecordedMotion.of(time, noisy, jitter_mm=0.007)
     assert motion.signs.tolist() == [0, *[1] * (motion.signs.size - 2), 0]
     truth = prepare(sliding(profile), MODEL).force(time)
-    found = prepare(sliding(profile), MODEL, motion).force(time)
+    force = prepare(sliding(profile), MODEL, motion).force(time)
     away = np.abs(time[:, None] - profile.start_s[[1, -1]]).min(axis=1) > 0.02
-    assert np.abs(found - truth)[away].max() < 0.01 * np.ptp(truth)
+    assert np.abs(force - truth)[away].max() < 0.01 * np.ptp(truth)
 
 
 def test_a_sticking_run_takes_a_recorded_motion_too() -> None:
@@ -108,19 +108,19 @@ def test_a_sticking_run_takes_a_recorded_motion_too() -> None:
     time, position = counts(profile, 1000.0)
     acquisition = sticking(profile, 1.0)
     truth = prepare(acquisition, MODEL).force(time)
-    found = prepare(acquisition, MODEL, RecordedMotion.of(time, position)).force(time)
-    assert np.abs(found - truth).max() < 0.02 * np.ptp(truth)
-    assert np.abs(found - truth)[time > 1.2].max() < 0.002 * np.ptp(truth)
+    force = prepare(acquisition, MODEL, RecordedMotion.of(time, position)).force(time)
+    assert np.abs(force - truth).max() < 0.02 * np.ptp(truth)
+    assert np.abs(force - truth)[time > 1.2].max() < 0.002 * np.ptp(truth)
 
 
 def test_a_gap_is_bridged() -> None:
     profile = moves((20.0, 5.0))
     time, position = counts(profile, 1000.0)
-    kept = (time < 3.0) | (time > 3.1)
+    remaining = (time < 3.0) | (time > 3.1)
     truth = prepare(sliding(profile), MODEL).force(time)
-    found = prepare(sliding(profile), MODEL, RecordedMotion.of(time[kept], position[kept])).force(time)
+    force = prepare(sliding(profile), MODEL, RecordedMotion.of(time[remaining], position[remaining])).force(time)
     away = away_from_starts_and_stops(profile, time)
-    assert np.abs(found - truth)[away].max() < 0.01 * np.ptp(truth)
+    assert np.abs(force - truth)[away].max() < 0.01 * np.ptp(truth)
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -165,8 +165,8 @@ def test_a_computed_position_is_taken_as_it_is(name: str) -> None:
     motion = RecordedMotion.computed(time, profile.position(time))
     assert motion.position(time) == pytest.approx(profile.position(time), abs=3e-4)
     truth = prepare(sliding(profile), MODEL).force(time)
-    found = prepare(sliding(profile), MODEL, motion).force(time)
-    error = np.sort(np.abs(found - truth)[away_from_starts_and_stops(profile, time)])[:-3]
+    force = prepare(sliding(profile), MODEL, motion).force(time)
+    error = np.sort(np.abs(force - truth)[away_from_starts_and_stops(profile, time)])[:-3]
     assert error.max() < 0.002 * np.ptp(truth)
 
 
@@ -182,6 +182,6 @@ def test_the_shortest_ways_back_cost_hardly_more_than_none() -> None:
     time = np.arange(3000) / 2000
     ringing = np.clip(10.0 * time, 0.0, 12.0) + 0.1 * np.sin(2 * np.pi * 20.0 * time) * (time > 1.0)
     profile = moves((12.0, 10.0))
-    found = prepare(sliding(profile), MODEL, RecordedMotion.computed(time, ringing)).friction
-    assert isinstance(found, SlidingForce)
-    assert len(found.intervals) < 200
+    friction = prepare(sliding(profile), MODEL, RecordedMotion.computed(time, ringing)).friction
+    assert isinstance(friction, SlidingForce)
+    assert len(friction.intervals) < 200

@@ -40,10 +40,10 @@ def test_what_cannot_be_asked_for_is_told_in_one_sentence(
     arguments: list[str], text: str, campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gap", "diagnose", str(campaign), "--quiet", *arguments]) == 2
-    said = capsys.readouterr()
-    assert text in said.err
-    assert len(said.err.strip().splitlines()) == 1
-    assert said.out == ""
+    output = capsys.readouterr()
+    assert text in output.err
+    assert len(output.err.strip().splitlines()) == 1
+    assert output.out == ""
 
 
 def test_a_file_that_is_there_is_not_replaced_unasked(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +94,7 @@ def test_the_saved_model_runs_the_simulator(tmp_path: Path) -> None:
     assert path is not None
     assert read_settings_file(FrictionModelSettings, path) == amended
     slow = ["speed_mm_s=0.5", "travel_mm=2", "way_back=stay"]
-    with_it, without = (dragrig.simulate("drag", model=one, assignments=slow)[0] for one in (path, "paper"))
+    with_it, without = (dragrig.simulate("drag", model=entry, assignments=slow)[0] for entry in (path, "paper"))
     steady = with_it.trace.phase == 2
     assert with_it.trace.force[steady].mean() > without.trace.force[steady].mean() + 5
     assert save_amended_model(NO_GAP, tmp_path / "none.toml") is None

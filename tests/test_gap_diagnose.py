@@ -59,14 +59,14 @@ def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosi
 
 
 def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection, diagnosis: Diagnosis) -> None:
-    other = diagnose(stribeck, MODEL, DiagnosisOptions(excluded=("stribeck",)))
-    assert "stribeck" not in {hypothesis.hypothesis for hypothesis in other.ranking}
-    if other.verdict is not Verdict.UNKNOWN:
-        assert set(other.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
-        assert other.ranking[0].probability < min(0.85, diagnosis.ranking[0].probability)
-        assert other.confusable_with or other.residual_unknown
-    assert other.unknown is not None
-    assert "drag" in other.unknown.location
+    case = diagnose(stribeck, MODEL, DiagnosisOptions(excluded=("stribeck",)))
+    assert "stribeck" not in {hypothesis.hypothesis for hypothesis in case.ranking}
+    if case.verdict is not Verdict.UNKNOWN:
+        assert set(case.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
+        assert case.ranking[0].probability < min(0.85, diagnosis.ranking[0].probability)
+        assert case.confusable_with or case.residual_unknown
+    assert case.unknown is not None
+    assert "drag" in case.unknown.location
 
 
 def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> None:
@@ -118,18 +118,18 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
 
 
 @pytest.mark.parametrize(
-    ("kinds", "said"),
+    ("kinds", "message"),
     [
         (("relaxation",), {"No drag runs", "No Coulomb runs"}),
         (("drag",), {"No relaxation runs", "No blank runs"}),
         (("relaxation", "coulomb", "drag"), {"No blank runs"}),
     ],
 )
-def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], said: set[str]) -> None:
+def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], message: set[str]) -> None:
     runs = [experiment for experiment in choose_runs(PRACTICE).experiments if experiment.kind in kinds]
     diagnosis = diagnose(choose_runs(experiment.run for experiment in runs), MODEL)
     assert diagnosis.runs == len(runs)
-    for name in said:
+    for name in message:
         assert any(sentence.startswith(name) for sentence in diagnosis.limitations)
     assert json.loads(json.dumps(diagnosis_json(diagnosis)))["verdict"] == diagnosis.verdict
 

@@ -91,12 +91,12 @@ def test_near_ones_stand_together() -> None:
 def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = tmp_path / "apart.html"
     assert main(["gap", "isolability", str(CAMPAIGN), "--json", "--quiet", "--report", str(report)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["format"], told["planned"], told["duration_s"]) == ("dragrig-isolability", False, None)
-    assert sum(told["runs"].values()) == 8
-    assert {"id", "d_prime", "least_seen", "least_seen_mN", "unit"} <= set(told["effects"][0])
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["format"], answer["planned"], answer["duration_s"]) == ("dragrig-isolability", False, None)
+    assert sum(answer["runs"].values()) == 8
+    assert {"id", "d_prime", "least_seen", "least_seen_mN", "unit"} <= set(answer["effects"][0])
     text = report.read_text("utf-8")
-    assert told["in_words"][0].replace("'", "’")[:40] in text.replace("\u00a0", " ")
+    assert answer["in_words"][0].replace("'", "’")[:40] in text.replace("\u00a0", " ")
     assert 'role="img"' in text
     assert "://" not in text.split("<main>")[0]
 

@@ -192,10 +192,10 @@ def everything(draw: st.DrawFn) -> DecisionInputs:
             HypothesisSummary(both, draw(left), draw(left), draw(changed), True, draw(GAINS), draw(left), draw(GAINS))
         )
     position = draw(st.lists(st.tuples(st.sampled_from(["servo_lag", "encoder_scale"]), SHARES), max_size=2))
-    kept = dict(position)
+    remaining = dict(position)
     return DecisionInputs(
         blocks, squares, tuple(tried), draw(GAINS), draw(GAINS),
-        tuple(sorted(kept.items(), key=lambda pair: -pair[1])), bool(kept) or draw(st.booleans()),
+        tuple(sorted(remaining.items(), key=lambda pair: -pair[1])), bool(remaining) or draw(st.booleans()),
         draw(st.sampled_from([(), ("mains_hum",)])),
     )  # fmt: skip
 

@@ -60,9 +60,9 @@ def test_what_was_learnt_holds_on_other_campaigns() -> None:
 
 def test_probabilities_are_as_often_right_as_they_say() -> None:
     calibration = learnt(lessons(1, 200))
-    told = [(classify(case.inputs, DEFAULT_TOLERANCE_MN, calibration), case) for case in lessons(3, 200)]
-    chances = [max(classification.probabilities.values()) for classification, _ in told]
-    right = [set(classification.effects) == case.effects for classification, case in told]
+    answer = [(classify(case.inputs, DEFAULT_TOLERANCE_MN, calibration), case) for case in lessons(3, 200)]
+    chances = [max(classification.probabilities.values()) for classification, _ in answer]
+    right = [set(classification.effects) == case.effects for classification, case in answer]
     assert np.mean(chances) == pytest.approx(np.mean(right), abs=0.05)
 
 
@@ -93,8 +93,8 @@ def exam(folder: Path, made: list[TrainingCase]) -> Path:
     for number, case in enumerate(made):
         verdict = "unknown" if case.outside else "effect" if case.effects else "no_gap"
         answers[f"{number:04d}"] = {"verdict": verdict, "effects": sorted(case.effects), "size": [case.size]}
-        said = {"evidence": case.inputs.document()}
-        (folder / "said" / f"{number:04d}.json").write_text(json.dumps(said), "utf-8")
+        text = {"evidence": case.inputs.document()}
+        (folder / "said" / f"{number:04d}.json").write_text(json.dumps(text), "utf-8")
     (folder / "answers.json").write_text(json.dumps(answers), "utf-8")
     return folder
 
@@ -114,7 +114,7 @@ def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:
     taught = [learnt(made[1::2]), learnt(made[::2])]
     in_turn = cross_validate(made, DEFAULT_TOLERANCE_MN, folds=2)
     assert in_turn == tuple(classify(case.inputs, DEFAULT_TOLERANCE_MN, taught[at % 2]) for at, case in enumerate(made))
-    rates = {one.name: one for one in dragrig.gap_cross_validate([exam(tmp_path / "learnt", made)], folds=2)}
+    rates = {entry.name: entry for entry in dragrig.gap_cross_validate([exam(tmp_path / "learnt", made)], folds=2)}
     quiet = [
         classification
         for classification, case in zip(in_turn, made, strict=True)
@@ -134,9 +134,9 @@ def test_more_parts_than_campaigns_are_told_in_one_sentence(tmp_path: Path) -> N
 
 def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -> None:
     folder = str(exam(tmp_path / "learnt", lessons(6)))
-    told = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
-    assert told.exit_code == 0
-    assert "How often verdicts learnt from the other campaigns are right" in told.output
+    result = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
+    assert result.exit_code == 0
+    assert "How often verdicts learnt from the other campaigns are right" in result.output
     printed = json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3", "--json"]).output)
     assert printed["cross_validated"][0]["name"] == "full size, right name"
     assert "cross_validated" not in json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--json"]).output)
@@ -168,10 +168,10 @@ def test_a_calibration_of_ones_own_decides(tmp_path: Path) -> None:
     assert dragrig.diagnose(campaign, calibration=file).effects == ()
 
 
-@pytest.mark.parametrize(("text", "told"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
-def test_a_calibration_that_is_none_is_told_in_one_sentence(tmp_path: Path, text: str | None, told: str) -> None:
+@pytest.mark.parametrize(("text", "answer"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
+def test_a_calibration_that_is_none_is_told_in_one_sentence(tmp_path: Path, text: str | None, answer: str) -> None:
     file = tmp_path / "some.json"
     if text is not None:
         file.write_text(text, "utf-8")
-    with pytest.raises(SettingsError, match=told):
+    with pytest.raises(SettingsError, match=answer):
         dragrig.diagnose(tmp_path, calibration=file)

@@ -76,7 +76,7 @@ LAWS: dict[str, Law] = {
 def test_a_force_of_one_coordinate_is_found_as_that(law: str, study: Study, nominal: Design) -> None:
     best, *others = fit_nonparametric_laws(planted(study, nominal, LAWS[law]), study.runs, PERIOD_S)
     assert best.name == law
-    assert all(one.chi2 > best.chi2 + 20 for one in others)
+    assert all(entry.chi2 > best.chi2 + 20 for entry in others)
     assert 3.0 < best.change_mN < 20.0
 
 

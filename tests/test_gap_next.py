@@ -83,9 +83,9 @@ def test_rig_time_and_limits_are_kept(next_experiment: NextExperiment) -> None:
     # A plan's orders and prompts change no run, so that it takes as long as was said.
     assert checked.duration_s / 60 == pytest.approx(next_experiment.minutes, rel=1e-6)
     slow = RigLimits(travel_mm=20.0, speed_mm_s=10.0, accel_mm_s2=400.0)
-    kept = [candidate.run.profile.extremes() for candidate in full_grid(SPECIMEN) if slow.allow(candidate)]
-    assert kept
-    assert all(extremes.speed_mm_s <= 10 and extremes.highest_mm <= 20 for extremes in kept)
+    remaining = [candidate.run.profile.extremes() for candidate in full_grid(SPECIMEN) if slow.allow(candidate)]
+    assert remaining
+    assert all(extremes.speed_mm_s <= 10 and extremes.highest_mm <= 20 for extremes in remaining)
     assert len(short_grid(SPECIMEN)) < len(full_grid(SPECIMEN))
 
 
@@ -118,11 +118,11 @@ def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
 
 def test_a_diagnosis_tells_it_in_text_page_and_json(next_experiment: NextExperiment) -> None:
     diagnosis = replace(STRIBECK, next_experiment=next_experiment)
-    said = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["next_experiment"]
-    assert said["protocol"] == "coulomb"
-    assert said["speed_mm_s"] > 0
-    assert said["why"] == next_experiment.reason
-    assert set(said["between"]) == set(BETWEEN)
+    text = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["next_experiment"]
+    assert text["protocol"] == "coulomb"
+    assert text["speed_mm_s"] > 0
+    assert text["why"] == next_experiment.reason
+    assert set(text["between"]) == set(BETWEEN)
     assert next_experiment.reason in document_text(diagnosis_document(diagnosis))
     assert "What to run next" in render_page(diagnosis_document(diagnosis))
     assert "What to run next" not in render_page(diagnosis_document(STRIBECK))
@@ -135,9 +135,9 @@ def test_the_command_prints_json_and_refuses_what_is_no_effect(
     file.write_text(to_toml(plan(DRAGS)), "utf-8")
     command = ["gap", "next", str(file), "--quiet"]
     assert main([*command, "--json", "--minutes", "2", "--between", *BETWEEN, "--save-plan", str(out)]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["format"] == "dragrig-next"
-    assert said["minutes"] <= 2
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["format"] == "dragrig-next"
+    assert answer["minutes"] <= 2
     assert main(["check", str(out)]) == 0
     capsys.readouterr()
     assert main([*command, "--between", "stribek", "adhesion"]) == 2

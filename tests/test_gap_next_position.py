@@ -29,7 +29,7 @@ def plan(*steps: dict[str, object], seed: int = 3) -> Plan:
     return Plan.model_validate({"name": "tried", "seed": seed, "steps": steps})
 
 
-def told(runs: tuple[Run, ...]) -> Diagnosis:
+def diagnosis_of(runs: tuple[Run, ...]) -> Diagnosis:
     return diagnose(choose_runs(runs), MODEL)
 
 
@@ -47,7 +47,7 @@ def margin(position: PositionAnalysis, truth: str) -> float:
 def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str) -> None:
     truth = effect.split(":", 1)[0]
     thin = dragrig.simulate(plan(THIN), effects=[effect])
-    advised = told(thin).next_experiment
+    advised = diagnosis_of(thin).next_experiment
     assert advised is not None
     (run,) = advised.runs
     assert not run.optional
@@ -70,7 +70,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
 
 
 def test_what_is_told_apart_already_is_said_to_be() -> None:
-    settled = told(dragrig.simulate(plan(FULL), effects=["velocity_ripple"]))
+    settled = diagnosis_of(dragrig.simulate(plan(FULL), effects=["velocity_ripple"]))
     assert settled.effects == ("velocity_ripple",)
     assert settled.next_experiment is not None
     assert all(run.optional for run in settled.next_experiment.runs)
@@ -78,14 +78,16 @@ def test_what_is_told_apart_already_is_said_to_be() -> None:
 
 
 def test_what_no_run_tells_apart_is_said() -> None:
-    lag = told(dragrig.simulate(plan({**FULL, "travel_mm": 10.0}), effects=["servo_lag:lag_s=0.01,frequency_hz=60"]))
+    lag = diagnosis_of(
+        dragrig.simulate(plan({**FULL, "travel_mm": 10.0}), effects=["servo_lag:lag_s=0.01,frequency_hz=60"])
+    )
     assert {*lag.effects, *lag.confusable_with} >= {"servo_lag", "channel_latency"}
     assert lag.next_experiment is None
     assert any(name.startswith("No candidate run would distinguish") for name in lag.limitations)
 
 
 def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> None:
-    unnamed = told(dragrig.simulate(plan(FULL), effects=MIXED))
+    unnamed = diagnosis_of(dragrig.simulate(plan(FULL), effects=MIXED))
     assert unnamed.verdict is Verdict.UNKNOWN
     assert unnamed.next_experiment is not None
     (run,) = unnamed.next_experiment.runs
@@ -94,7 +96,7 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
     assert "acceleration" in unnamed.next_experiment.reason
     ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
-    covered = told(dragrig.simulate(everything, effects=MIXED))
+    covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED))
     assert covered.verdict is Verdict.UNKNOWN
     assert covered.next_experiment is None
     assert NO_NEW_MOTION in covered.limitations
@@ -102,7 +104,7 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
 
 def test_the_more_doubtful_question_comes_first() -> None:
     steps = {**FULL, "speed_mm_s": [0.5, 1.0, 4.0, 30.0]}
-    both = told(dragrig.simulate(plan(steps), effects=["stribeck:ratio=0.4,speed_mm_s=2", SCALE]))
+    both = diagnosis_of(dragrig.simulate(plan(steps), effects=["stribeck:ratio=0.4,speed_mm_s=2", SCALE]))
     assert both.verdict is Verdict.SEVERAL
     assert "encoder_scale" in both.effects
     assert both.next_experiment is not None

@@ -42,8 +42,8 @@ def coarse(force: FloatArray, time: FloatArray, step_s: float) -> FloatArray:
 
 def test_a_ramp_between_coarse_steps_is_doubted_as_much_as_it_is_off() -> None:
     seen = scene("relaxation", until_s=1.5)
-    fine = np.abs(seen.acceleration_mm_s2) > 0
+    passed = np.abs(seen.acceleration_mm_s2) > 0
     off = np.abs(coarse(seen.shear, seen.time_s, 2 * INTEGRATION_STEP_S) - seen.shear)
     expected = ramp_integration_sd(seen)
-    assert not expected[~fine].any()
-    assert 0.3 < np.sqrt(np.mean(expected[fine] ** 2) / np.mean(off[fine] ** 2)) < 3.0
+    assert not expected[~passed].any()
+    assert 0.3 < np.sqrt(np.mean(expected[passed] ** 2) / np.mean(off[passed] ** 2)) < 3.0

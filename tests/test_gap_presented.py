@@ -155,9 +155,9 @@ def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
 
 
 def test_nothing_is_cut_off_in_a_pipe() -> None:
-    told = text(STRIBECK)
-    assert "…" not in told
-    assert max(map(len, told.splitlines())) > 100
+    answer = text(STRIBECK)
+    assert "…" not in answer
+    assert max(map(len, answer.splitlines())) > 100
 
 
 @CASES
@@ -269,7 +269,7 @@ def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
     read = Report.model_validate_json(sentence)
     assert read.model == "amended.toml"
     assert read.campaign.used_for_fit[:2] == ["id-0", "001-drag.h5"]
-    assert sum(one.probability for one in read.ranking) == pytest.approx(1.0, abs=1e-6)
+    assert sum(hypothesis.probability for hypothesis in read.ranking) == pytest.approx(1.0, abs=1e-6)
     assert read.effects == list(diagnosis.effects)
     assert set(read.effects) <= set(catalogue())
     truth = {"verdict": diagnosis.verdict.value, "effects": list(diagnosis.effects)}
@@ -277,11 +277,11 @@ def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
 
 
 def test_json_tells_parameters_with_their_unit() -> None:
-    said = diagnosis_json(STRIBECK)
-    ranking = TypeAdapter(list[RankedPart]).validate_python(said["ranking"])
+    message = diagnosis_json(STRIBECK)
+    ranking = TypeAdapter(list[RankedPart]).validate_python(message["ranking"])
     assert ranking[0].parameters["ratio"].sd == pytest.approx(0.05)
     assert ranking[0].parameters["speed_mm_s"].unit == "mm/s"
-    assert said["unknown"] is None
+    assert message["unknown"] is None
     assert diagnosis_json(UNKNOWN)["shrink"] is None
 
 
@@ -296,22 +296,22 @@ def test_json_knows_no_nan_and_no_infinity() -> None:
         shrink=replace(shrink(), closed=nan, r2_eq15=R2BeforeAfter(nan, inf, -inf, None)),
         timings_s={"fit": nan},
     )
-    said = json.loads(json.dumps(diagnosis_json(ill), allow_nan=False))
-    assert said["would_have_seen_mN"] is None
-    assert said["shrink"]["closed"] is None
-    assert said["where"]["p"] is None
-    assert said["shrink"] == json.loads(json.dumps(shrink_report_json(ill.shrink or shrink())))["shrink"]
+    answer = json.loads(json.dumps(diagnosis_json(ill), allow_nan=False))
+    assert answer["would_have_seen_mN"] is None
+    assert answer["shrink"]["closed"] is None
+    assert answer["where"]["p"] is None
+    assert answer["shrink"] == json.loads(json.dumps(shrink_report_json(ill.shrink or shrink())))["shrink"]
     assert "nan" not in text(ill).lower().split()
     assert "the detection limit of these runs is not known" in text(ill).lower()
     diagnosis_page(ill)
 
 
-@given(st.lists(st.floats(0, 1), min_size=1, max_size=40).filter(lambda given: sum(given) > 1e-9))
-def test_rounded_probabilities_still_sum_to_one(given: list[float]) -> None:
-    told = round_probabilities(given)
-    assert sum(told) == pytest.approx(1.0, abs=1e-9)
-    assert all(abs(a - b / sum(given)) <= 2e-6 for a, b in zip(told, given, strict=True))
-    assert all(0 <= value <= 1 for value in told)
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=40).filter(lambda shares: sum(shares) > 1e-9))
+def test_rounded_probabilities_still_sum_to_one(shares: list[float]) -> None:
+    answer = round_probabilities(shares)
+    assert sum(answer) == pytest.approx(1.0, abs=1e-9)
+    assert all(abs(a - b / sum(shares)) <= 2e-6 for a, b in zip(answer, shares, strict=True))
+    assert all(0 <= value <= 1 for value in answer)
 
 
 def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind() -> None:
@@ -330,7 +330,10 @@ def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind(
 
 def test_the_ranking_marks_the_verdict_and_what_cannot_be_told_from_it() -> None:
     axes = ranking_figure(TOGETHER).axes[0]
-    assert next(one.get_text() for one in axes.get_yticklabels()) == "Velocity ripple and Stribeck friction"
+    assert (
+        next(get_yticklabel.get_text() for get_yticklabel in axes.get_yticklabels())
+        == "Velocity ripple and Stribeck friction"
+    )
     colours = [patch.get_facecolor() for patch in ranking_figure(STRIBECK).axes[0].patches]
     assert colours[0] != colours[1] == colours[2] != colours[3]
 

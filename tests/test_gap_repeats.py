@@ -19,7 +19,7 @@ from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import ForceEffect, SensorEffect, catalogue
 from dragrig.sim_backend.effects.run_state import RunState
 
-EFFECTS = [one for one in catalogue().values() if isinstance(one, ForceEffect | SensorEffect)]
+EFFECTS = [effect for effect in catalogue().values() if isinstance(effect, ForceEffect | SensorEffect)]
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 DWELL_S = 240.0
 
@@ -46,7 +46,9 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return prepare_study(choose_runs(folder), MODEL, EFFECTS)
 
 
-@pytest.mark.parametrize("effect", [one for one in EFFECTS if not one.varies_in_session], ids=lambda one: one.id)
+@pytest.mark.parametrize(
+    "effect", [effect for effect in EFFECTS if not effect.varies_in_session], ids=lambda first: first.id
+)
 def test_what_is_said_not_to_know_the_session_does_not(effect: ForceEffect | SensorEffect) -> None:
     for kind in KINDS:
         seen = scene(kind, until_s=3.0)
@@ -60,14 +62,14 @@ def test_what_an_effect_adds_to_a_sticking_wall_varies_as_its_stiffness_does() -
     candidate = Candidate(catalogue()["hyperelastic_wall"], catalogue()["hyperelastic_wall"].defaults)
     plain, stiffer = (linearise(relaxing, relaxing.initial_z, chosen) for chosen in ((), (candidate,)))
     seen = 0
-    for run, run_design, other in zip(relaxing.runs, plain.runs, stiffer.runs, strict=True):
-        before, after = run_design.whitening.run_effects, other.whitening.run_effects
+    for run, run_design, second in zip(relaxing.runs, plain.runs, stiffer.runs, strict=True):
+        before, after = run_design.whitening.run_effects, second.whitening.run_effects
         if run.experiment.kind != "relaxation":
             assert np.array_equal(before, after)
             continue
-        share = np.linalg.norm(other.effect_force) / np.linalg.norm(run_design.predicted)
+        share = np.linalg.norm(second.effect_force) / np.linalg.norm(run_design.predicted)
         stiff = -len(relaxing.problem.variation_sds)
-        more = run_design.whitening.whiten_noise(relaxing.problem.variation_sds[0] * other.effect_force)
+        more = run_design.whitening.whiten_noise(relaxing.problem.variation_sds[0] * second.effect_force)
         assert after[:, stiff] == pytest.approx(before[:, stiff] + more)
         assert share > 0.01
         seen += 1

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 from math import inf
 
 import pytest
-from exams import large_exam, said, truth
+from exams import diagnosis_record, large_exam, truth
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,27 +16,27 @@ from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 
 PAIRS = [
-    ("right", truth("stribeck"), said("stribeck")),
-    ("other name", truth("stribeck"), said("adhesion", p=0.95)),
-    ("lag in the wrong channel", truth("servo_lag"), said("servo_lag", channel="force")),
-    ("latency in either channel", truth("channel_latency"), said("channel_latency", channel="position")),
-    ("a third", truth("folds", size=1 / 3), said("folds")),
-    ("tiny, not seen", truth("folds", size=0.1), said(verdict="no_gap")),
-    ("tiny, called something else", truth("folds", size=0.1), said("mains_hum", p=0.6)),
-    ("nothing", truth(), said(verdict="no_gap")),
-    ("false alarm", truth(), said("folds", p=0.55)),
-    ("foreign", truth(outside=True), said(verdict="unknown")),
-    ("foreign, named", truth(outside=True), said("folds", p=0.7)),
-    ("pair", truth("folds", "servo_lag"), said("servo_lag", "folds")),
-    ("half a pair", truth("folds", "servo_lag"), said("folds", p=0.95)),
-    ("rough", truth("adhesion", rough=True), said("adhesion")),
-    ("rough nothing", truth(rough=True), said(verdict="unknown", p=0.4)),
+    ("right", truth("stribeck"), diagnosis_record("stribeck")),
+    ("other name", truth("stribeck"), diagnosis_record("adhesion", p=0.95)),
+    ("lag in the wrong channel", truth("servo_lag"), diagnosis_record("servo_lag", channel="force")),
+    ("latency in either channel", truth("channel_latency"), diagnosis_record("channel_latency", channel="position")),
+    ("a third", truth("folds", size=1 / 3), diagnosis_record("folds")),
+    ("tiny, not seen", truth("folds", size=0.1), diagnosis_record(verdict="no_gap")),
+    ("tiny, called something else", truth("folds", size=0.1), diagnosis_record("mains_hum", p=0.6)),
+    ("nothing", truth(), diagnosis_record(verdict="no_gap")),
+    ("false alarm", truth(), diagnosis_record("folds", p=0.55)),
+    ("foreign", truth(outside=True), diagnosis_record(verdict="unknown")),
+    ("foreign, named", truth(outside=True), diagnosis_record("folds", p=0.7)),
+    ("pair", truth("folds", "servo_lag"), diagnosis_record("servo_lag", "folds")),
+    ("half a pair", truth("folds", "servo_lag"), diagnosis_record("folds", p=0.95)),
+    ("rough", truth("adhesion", rough=True), diagnosis_record("adhesion")),
+    ("rough nothing", truth(rough=True), diagnosis_record(verdict="unknown", p=0.4)),
 ]
 
 
 def test_every_rate_counts_what_it_says() -> None:
-    found = score_exam(PAIRS)
-    counts = {one.name: (one.held, one.count) for one in found.rates}
+    result = score_exam(PAIRS)
+    counts = {rate.name: (rate.held, rate.count) for rate in result.rates}
     assert counts == {
         "full size, right name": (3, 4),
         "full size, right name alone": (3, 4),
@@ -53,22 +53,22 @@ def test_every_rate_counts_what_it_says() -> None:
         "all, wrong above 0.8": (1, 15),
         "above 0.8, right": (9, 11),
     }
-    assert [case.name for case in found.missed] == [
+    assert [case.name for case in result.missed] == [
         "other name", "tiny, called something else", "false alarm", "foreign, named", "half a pair", "rough nothing",
     ]  # fmt: skip
 
 
 def test_the_interval_is_wilsons() -> None:
-    pairs = [(str(at), truth("folds"), said("folds" if at else "adhesion")) for at in range(40)]
+    pairs = [(str(at), truth("folds"), diagnosis_record("folds" if at else "adhesion")) for at in range(40)]
     rate = score_exam(pairs)["full size, right name"]
     assert (rate.held, rate.count) == (39, 40)
     assert (rate.low, rate.high) == (pytest.approx(0.871, abs=0.001), pytest.approx(0.996, abs=0.001))
 
 
 def test_a_rate_without_cases_is_left_out_of_the_table() -> None:
-    found = score_exam(PAIRS[:1])
-    assert found["outside, unknown"].count == 0
-    text = document_text(exam_document(found, 1, 7, "0" * 64))
+    result = score_exam(PAIRS[:1])
+    assert result["outside, unknown"].count == 0
+    text = document_text(exam_document(result, 1, 7, "0" * 64))
     assert "outside, unknown" not in text
     assert "full size, right name" in text
     assert "1.00" in text
@@ -81,26 +81,29 @@ def test_a_diagnosis_that_breaks_the_format_is_refused_by_name() -> None:
 
 @given(st.lists(st.sampled_from(PAIRS), min_size=1, max_size=30))
 def test_rates_lie_within_their_intervals_and_do_not_depend_on_order(pairs: list[tuple[str, dict, dict]]) -> None:  # type: ignore[type-arg]
-    found, turned = score_exam(pairs), score_exam(pairs[::-1])
-    assert [(one.held, one.count) for one in found.rates] == [(one.held, one.count) for one in turned.rates]
-    for one in found.rates:
-        assert not one.count or one.low - 1e-9 <= one.share <= one.high + 1e-9
+    result, turned = score_exam(pairs), score_exam(pairs[::-1])
+    assert [(rate.held, rate.count) for rate in result.rates] == [(rate.held, rate.count) for rate in turned.rates]
+    for rate in result.rates:
+        assert not rate.count or rate.low - 1e-9 <= rate.share <= rate.high + 1e-9
 
 
 def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_alias() -> None:
-    asked = {
-        "unknown": said(verdict="unknown"),
-        "alias, unsure": said("adhesion", p=0.45),
-        "alias, sure": said("adhesion", p=0.7),
-        "alias, others not told from it": said("adhesion", p=0.7, confusable=("film_depletion",)),
-        "no alias": said("folds", p=0.4),
-        "no gap": said(verdict="no_gap"),
+    arguments = {
+        "unknown": diagnosis_record(verdict="unknown"),
+        "alias, unsure": diagnosis_record("adhesion", p=0.45),
+        "alias, sure": diagnosis_record("adhesion", p=0.7),
+        "alias, others not told from it": diagnosis_record("adhesion", p=0.7, confusable=("film_depletion",)),
+        "no alias": diagnosis_record("folds", p=0.4),
+        "no gap": diagnosis_record(verdict="no_gap"),
     }
-    pairs = [(name, truth("stribeck"), said("stribeck")) for name in asked]
-    asked["tiny"], small = said(verdict="no_gap"), ("tiny", truth("stribeck", size=0.1), said("stribeck"))
-    found = score_exam([*pairs, small], withheld=asked)
-    told = {one.name: (one.held, one.count) for one in found.withheld}
-    assert told == {
+    pairs = [(name, truth("stribeck"), diagnosis_record("stribeck")) for name in arguments]
+    arguments["tiny"], small = (
+        diagnosis_record(verdict="no_gap"),
+        ("tiny", truth("stribeck", size=0.1), diagnosis_record("stribeck")),
+    )
+    result = score_exam([*pairs, small], withheld=arguments)
+    answer = {entry.name: (entry.held, entry.count) for entry in result.withheld}
+    assert answer == {
         "withheld, unknown, or its near-alias with doubt": (3, 6),
         "withheld, unknown": (1, 6),
         "withheld, a name above 0.5": (2, 6),
@@ -109,11 +112,11 @@ def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_
 
 
 def test_what_was_said_is_counted_by_what_was_hidden() -> None:
-    found = score_exam(PAIRS).confusion
+    confusion = score_exam(PAIRS).confusion
     counts = {
         (row, column): count
-        for row, told in zip(found.hidden, found.counts, strict=True)
-        for column, count in zip(found.said, told, strict=True)
+        for row, answer in zip(confusion.hidden, confusion.counts, strict=True)
+        for column, count in zip(confusion.said, answer, strict=True)
         if count
     }
     assert sum(counts.values()) == len(PAIRS)
@@ -122,15 +125,15 @@ def test_what_was_said_is_counted_by_what_was_hidden() -> None:
     assert counts["several", "folds"] == 1
     assert counts["unknown", "folds"] == 1
     assert counts["no_gap", "unknown"] == 1
-    assert found.hidden[-3:] == ("several", "unknown", "no_gap")
+    assert confusion.hidden[-3:] == ("several", "unknown", "no_gap")
 
 
 def test_detection_goes_by_size_and_leaves_rough_campaigns_out() -> None:
     pairs = [
-        ("seen", truth("folds"), said("folds")),
-        ("named wrongly", truth("folds"), said("adhesion")),
-        ("not seen", truth("folds", size=0.1), said(verdict="no_gap")),
-        ("rough", truth("folds", rough=True), said("adhesion")),
+        ("seen", truth("folds"), diagnosis_record("folds")),
+        ("named wrongly", truth("folds"), diagnosis_record("adhesion")),
+        ("not seen", truth("folds", size=0.1), diagnosis_record(verdict="no_gap")),
+        ("rough", truth("folds", rough=True), diagnosis_record("adhesion")),
     ]
     amounts = {"seen": 40.0, "named wrongly": 30.0, "not seen": 2.0, "rough": 30.0}
     low, high = score_exam(pairs, amounts=amounts).detection
@@ -139,70 +142,72 @@ def test_detection_goes_by_size_and_leaves_rough_campaigns_out() -> None:
 
 
 def test_probabilities_that_are_true_have_skill_and_lie_in_their_bands() -> None:
-    sure = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds" if at % 2 else "stribeck", p=1.0))
-            for at in range(20)]  # fmt: skip
-    found = score_exam(sure).calibration
-    assert found.brier == pytest.approx(0.0)
-    assert found.brier_base_rate == pytest.approx(0.5)
-    assert found.brier_skill == pytest.approx(1.0)
-    [top] = found.reliability
+    hidden = ["folds" if number % 2 else "stribeck" for number in range(20)]
+    sure = [(str(number), truth(name), diagnosis_record(name, p=1.0)) for number, name in enumerate(hidden)]
+    calibration = score_exam(sure).calibration
+    assert calibration.brier == pytest.approx(0.0)
+    assert calibration.brier_base_rate == pytest.approx(0.5)
+    assert calibration.brier_skill == pytest.approx(1.0)
+    [top] = calibration.reliability
     assert (top.low, top.high, top.count, top.right, top.band) == (0.95, 1.0, 20, 20, (1.0, 1.0))
-    guesses = [(str(at), truth("folds" if at % 2 else "stribeck"), said("folds", p=0.5)) for at in range(20)]
+    guesses = [
+        (str(at), truth("folds" if at % 2 else "stribeck"), diagnosis_record("folds", p=0.5)) for at in range(20)
+    ]
     assert score_exam(guesses).calibration.brier_skill < 0.5
     [middle] = score_exam(guesses).calibration.reliability
     assert middle.band[0] <= middle.share <= middle.band[1]
 
 
 def test_an_effect_too_small_to_see_may_pass_for_no_gap_in_the_brier_score() -> None:
-    tiny = score_exam([("a", truth("folds", size=0.1), said(verdict="no_gap", p=1.0))])
+    tiny = score_exam([("a", truth("folds", size=0.1), diagnosis_record(verdict="no_gap", p=1.0))])
     assert tiny.calibration.brier == pytest.approx(0.0)
-    large = score_exam([("a", truth("folds"), said(verdict="no_gap", p=1.0))])
+    large = score_exam([("a", truth("folds"), diagnosis_record(verdict="no_gap", p=1.0))])
     assert large.calibration.brier == pytest.approx(2.0)
 
 
 def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
     pairs = [
-        ("kept", truth("folds"), said("folds", closed=0.95, interval=(0.9, 0.97))),
-        ("not kept", truth("folds"), said("folds", closed=0.95, interval=(0.94, 0.96))),
-        ("wrong", truth("folds"), said("adhesion", closed=0.8)),
-        ("no effect named", truth("folds"), said(verdict="unknown", closed=0.3)),
-        ("no fresh runs", truth("folds"), said("folds", closed=0.9)),
+        ("kept", truth("folds"), diagnosis_record("folds", closed=0.95, interval=(0.9, 0.97))),
+        ("not kept", truth("folds"), diagnosis_record("folds", closed=0.95, interval=(0.94, 0.96))),
+        ("wrong", truth("folds"), diagnosis_record("adhesion", closed=0.8)),
+        ("no effect named", truth("folds"), diagnosis_record(verdict="unknown", closed=0.3)),
+        ("no fresh runs", truth("folds"), diagnosis_record("folds", closed=0.9)),
     ]
     closed = {"kept": 0.93, "not kept": 0.65, "wrong": 0.1, "no effect named": 0.2}
-    achieved = {name: {"shrink": {"closed": one, "closed_95ci": None}} for name, one in closed.items()}
-    found = score_exam(pairs, achieved=achieved).promises
-    assert [one.case for one in found.outcomes] == ["kept", "not kept", "wrong"]
-    assert found.difference == pytest.approx(0.3)
-    assert found.right_difference == pytest.approx(0.16)
-    assert (found.within.held, found.within.count) == (1, 2)
-    assert (found.closed.held, found.closed.count) == (1, 2)
+    achieved = {name: {"shrink": {"closed": entry, "closed_95ci": None}} for name, entry in closed.items()}
+    promises = score_exam(pairs, achieved=achieved).promises
+    assert [outcome.case for outcome in promises.outcomes] == ["kept", "not kept", "wrong"]
+    assert promises.difference == pytest.approx(0.3)
+    assert promises.right_difference == pytest.approx(0.16)
+    assert (promises.within.held, promises.within.count) == (1, 2)
+    assert (promises.closed.held, promises.closed.count) == (1, 2)
 
 
 @pytest.mark.parametrize("cases", [1, 160])
 def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
     from dragrig.exam.blind_exam import BlindExam
 
-    found = large_exam(cases)
-    exam = BlindExam(cases, 4, "ab" * 32, found, {}, {"this call": 1.0})
-    told = json.dumps(exam.document(), allow_nan=False)
-    assert json.loads(told)["calibration"]["reliability"]
-    assert exam.document()["confusion"] == score_json(found)["confusion"]
-    document = exam_document(found, cases, 4, "ab" * 32)
+    result = large_exam(cases)
+    exam = BlindExam(cases, 4, "ab" * 32, result, {}, {"this call": 1.0})
+    dumps = json.dumps(exam.document(), allow_nan=False)
+    assert json.loads(dumps)["calibration"]["reliability"]
+    assert exam.document()["confusion"] == score_json(result)["confusion"]
+    document = exam_document(result, cases, 4, "ab" * 32)
     text = document_text(document)
     shown = render_page(document)
     pictures = HTMLPictures()
     pictures.feed(shown)
     assert not pictures.sources
-    first = f"{cases - len(found.missed)} of {cases} verdicts are right"
+    first = f"{cases - len(result.missed)} of {cases} verdicts are right"
     assert first in text
     assert first in shown.replace("\u00a0", " ")
     if cases > 1:
         assert pictures.drawn == 5
         assert "d′" in text
-        assert any(one.high == inf for one in found.detection)
+        assert any(entry.high == inf for entry in result.detection)
         assert "Where the true effect is withheld" in shown
     else:
-        assert shown == render_page(exam_document(found, cases, 4, "ab" * 32))
+        assert shown == render_page(exam_document(result, cases, 4, "ab" * 32))
 
 
 class HTMLPictures(HTMLParser):

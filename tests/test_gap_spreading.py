@@ -32,10 +32,10 @@ def runs_at(speeds: list[float]) -> list[RunInfo]:
 
 
 @given(st.lists(st.sampled_from([0.5, 1.0, 2.0, 5.0, 60.0]), max_size=80), st.integers(5, 40))
-def test_conditions_are_all_there_and_none_is_crowded_out(speeds: list[float], most: int) -> None:
+def test_conditions_are_all_there_and_none_is_crowded_out(speeds: list[float], maximum: int) -> None:
     runs = runs_at(speeds)
-    infos = spread_over_session(runs, most)
-    assert len(infos) == min(len(runs), most)
+    infos = spread_over_session(runs, maximum)
+    assert len(infos) == min(len(runs), maximum)
     assert [info.header.order for info in infos] == sorted(info.header.order for info in infos)
     whole, some = Counter(speeds), Counter(info.header.protocol["speed_mm_s"] for info in infos)
     assert set(some) == set(whole)

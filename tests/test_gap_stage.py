@@ -144,14 +144,24 @@ def test_turning_round_within_a_run_is_no_effect(tmp_path: Path) -> None:
 def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, model, page = tmp_path / "runs", tmp_path / "model.toml", tmp_path / "page.html"
     there_and_back(tmp_path, folder)
-    asked = ["gap", "diagnose", str(folder), "--nominal", "drive", "--save-model", str(model), "--report", str(page)]
-    assert main([*asked, "--json"]) == 0
-    told = capsys.readouterr()
-    document = json.loads(told.out)
+    arguments = [
+        "gap",
+        "diagnose",
+        str(folder),
+        "--nominal",
+        "drive",
+        "--save-model",
+        str(model),
+        "--report",
+        str(page),
+    ]
+    assert main([*arguments, "--json"]) == 0
+    output = capsys.readouterr()
+    document = json.loads(output.out)
     assert document["verdict"] == "no_gap"
     assert document["model"] is None
-    assert sum(one["probability"] for one in document["ranking"]) == pytest.approx(1.0)
-    assert "is not written" in told.err
+    assert sum(hypothesis["probability"] for hypothesis in document["ranking"]) == pytest.approx(1.0)
+    assert "is not written" in output.err
     assert not model.exists()
     assert page.is_file()
 

@@ -103,8 +103,8 @@ def test_a_law_is_looked_for_where_a_single_relaxation_comes_first() -> None:
         return rise_and_fall(run) + 40.0 * (run.phase == Phase.HOLD) * (run.kind == "relaxation")
 
     blocks = campaign(1, drags_and_the_hold)
-    kept = [run for run in blocks if run.kind != "relaxation" or run.run_id == blocks[0].run_id]
-    region = gap_region(localise(kept, present=True), kept)
+    remaining = [run for run in blocks if run.kind != "relaxation" or run.run_id == blocks[0].run_id]
+    region = gap_region(localise(remaining, present=True), remaining)
     assert {run.strain for run in region.blocks} == {0.0, 0.5}
     law = fit_gap_law(region)
     assert law is None or np.isfinite(law.coefficients).all()
@@ -151,7 +151,7 @@ def test_runs_of_one_condition_are_in_one_fold() -> None:
     by_condition: dict[tuple[str, float, float], set[int]] = {}
     for run, fold in zip(blocks, result.tolist(), strict=True):
         by_condition.setdefault((run.kind, run.speed_mm_s, run.strain), set()).add(fold)
-    assert all(len(one) == 1 for one in by_condition.values())
+    assert all(len(part) == 1 for part in by_condition.values())
     assert len(set(result.tolist())) == 6
 
 
@@ -159,11 +159,11 @@ def test_squares_that_are_held_out_are_those_of_a_fit_without_them() -> None:
     generator = np.random.default_rng(0)
     x, y = generator.standard_normal((4, 50, 3)), generator.standard_normal((4, 50))
     products = FoldProducts(np.einsum("fni,fnj->fij", x, x), np.einsum("fni,fn->fi", x, y), (y**2).sum(axis=1))
-    found = held_out_chi2(products, np.array([[0, 2]]))[0]
+    result = held_out_chi2(products, np.array([[0, 2]]))[0]
     for fold in range(4):
         others = np.arange(4) != fold
         fitted = np.linalg.lstsq(x[others].reshape(-1, 3)[:, [0, 2]], y[others].ravel(), rcond=None)[0]
-        assert found[fold] == pytest.approx(np.sum((y[fold] - x[fold][:, [0, 2]] @ fitted) ** 2), rel=1e-5)
+        assert result[fold] == pytest.approx(np.sum((y[fold] - x[fold][:, [0, 2]] @ fitted) ** 2), rel=1e-5)
 
 
 @settings(max_examples=60, deadline=None)

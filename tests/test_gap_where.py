@@ -147,7 +147,7 @@ def shares_of(where: GapLocation) -> list[float]:
 
 def test_shares_along_an_axis_sum_to_1_or_are_all_0() -> None:
     location = localise(campaign(1, stribeck))
-    sums = {one.name: sum(axis_bin.share for axis_bin in one.bins) for one in location.locations}
+    sums = {entry.name: sum(axis_bin.share for axis_bin in entry.bins) for entry in location.locations}
     assert sums.pop("strain") == 0.0
     assert sums.pop("band_hz") == 0.0
     assert list(sums.values()) == pytest.approx([1.0] * len(sums))

@@ -55,9 +55,9 @@ def there_and_back() -> MotionProfile:
 
 
 def effect(name: str) -> ForceEffect:
-    found = find_effect(name)
-    assert isinstance(found, ForceEffect)
-    return found
+    result = find_effect(name)
+    assert isinstance(result, ForceEffect)
+    return result
 
 
 def added(name: str, scene: RunState, **values: float) -> FloatArray:
@@ -118,8 +118,8 @@ def test_the_force_at_a_time_does_not_depend_on_which_other_times_are_asked_for(
     alone = gut_run_state(acquisition, FrictionModelSettings(), motion, some, 100.0)
     dense = np.union1d(some, np.arange(0.0, acquisition.profile.duration_s, 0.003))
     among = gut_run_state(acquisition, FrictionModelSettings(), motion, dense, 100.0)
-    kept = force_effect.added_force(among, force_effect.defaults)[np.searchsorted(dense, some)]
-    assert force_effect.added_force(alone, force_effect.defaults) == pytest.approx(kept, abs=1e-6)
+    remaining = force_effect.added_force(among, force_effect.defaults)[np.searchsorted(dense, some)]
+    assert force_effect.added_force(alone, force_effect.defaults) == pytest.approx(remaining, abs=1e-6)
 
 
 @pytest.mark.parametrize("force_effect", GUT, ids=lambda force_effect: force_effect.id)

@@ -85,16 +85,16 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
 
 def test_a_person_touches_off(bench: Bench) -> None:
     bench.manual.reset()
-    found = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)
-    assert 0.0 <= found.position_mm < 5.0
-    assert abs(found.force_mN) >= 25.0
-    assert bench.manual.position_mm == pytest.approx(max(found.position_mm - 1.0, 0.0), abs=0.02)
+    touch_off = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)
+    assert 0.0 <= touch_off.position_mm < 5.0
+    assert abs(touch_off.force_mN) >= 25.0
+    assert bench.manual.position_mm == pytest.approx(max(touch_off.position_mm - 1.0, 0.0), abs=0.02)
 
 
 def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> None:
     bench.manual.reset()
     points = list(measure_loads(bench.backend, RIG, bench.manual, (0.0, 20.0, 50.0, 100.0), 2, 0.5))
-    line = fit_force([one.load_mN for one in points], [one.reading.force_V for one in points])
+    line = fit_force([point.load_mN for point in points], [point.reading.force_V for point in points])
     assert abs(line.gain - RIG.hardware.card.force.per_V) < 5 * line.gain_error + 1.0
     assert line.residual < RIG.force_sensor.accuracy_mN
     with pytest.raises(DeviceError, match="overloaded"):
@@ -104,7 +104,7 @@ def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> N
 def test_a_known_push_gives_back_the_length_of_a_count(bench: Bench) -> None:
     bench.manual.reset()
     points = list(measure_pushed_travel(bench.backend, bench.manual, (20.0, -20.0, 20.0), 1.0))
-    line = fit_encoder([one.travel_mm for one in points], [one.counts for one in points])
+    line = fit_encoder([point.travel_mm for point in points], [point.counts for point in points])
     assert line.gain == pytest.approx(1e-3 * RIG.encoder.resolution_um, rel=1e-3)
 
 

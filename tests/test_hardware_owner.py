@@ -88,12 +88,12 @@ def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> Non
     link.symlink_to(port)
     assert lock_name(rig(port=str(port))) == lock_name(rig(port=str(link)))
     assert lock_name(rig("dev1", "com1")) == lock_name(rig("Dev1", "COM1"))
-    names = {lock_name(rig(port=one)) for one in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
+    names = {lock_name(rig(port=entry)) for entry in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
     assert len(names) == 3
 
 
 def test_every_user_of_the_machine_comes_to_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    if not any(Path(one).is_dir() for one in ("/run/lock", "/var/lock")):
+    if not any(Path(path).is_dir() for path in ("/run/lock", "/var/lock")):
         pytest.skip("this machine has no folder for locks")
     before = machine_lock_folder()
     monkeypatch.setenv("TMPDIR", str(tmp_path))

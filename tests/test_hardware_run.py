@@ -67,10 +67,10 @@ def plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return path
 
 
-def lateness_s(one: Run, other: Run) -> float:
-    half = 0.5 * float(other.trace.position[-1])
+def lateness_s(first: Run, second: Run) -> float:
+    half = 0.5 * float(second.trace.position[-1])
     times = []
-    for run in (one, other):
+    for run in (first, second):
         way = run.trace.position * np.sign(half)
         times.append(float(np.interp(abs(half), np.maximum.accumulate(way), run.trace.time)))
     return times[0] - times[1]
@@ -83,20 +83,20 @@ def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(pl
     simulated = dragrig.run(plan, backend="simulated", out="simulated", assignments=SWIFT)
     assert len([text for text in hands.prompts if text in {"Fit a specimen", "Lay the gut on the foam"}]) == 2
     pairs = list(zip(read_campaign(Path("real")).runs, read_campaign(Path("simulated")).runs, strict=True))
-    assert [one.kind for one, _ in pairs] == ["relaxation", "return", "drag", "return"]
+    assert [run.kind for run, _ in pairs] == ["relaxation", "return", "drag", "return"]
     for one_info, other_info in pairs:
-        one, other = dragrig.load(one_info.path), dragrig.load(other_info.path)
+        run, second = dragrig.load(one_info.path), dragrig.load(other_info.path)
         assert one_info.status is other_info.status is RunStatus.COMPLETE
         assert one_info.samples == other_info.samples
         assert one_info.checks["lost_samples"] == 0
-        late = lateness_s(one, other)
+        late = lateness_s(run, second)
         assert abs(late) <= float(one_info.header.entry["command_t0_uncertainty_s"]) + 0.002
-        at = other.trace.time + late
-        position = np.interp(at, one.trace.time, one.trace.position)
-        np.testing.assert_allclose(position, other.trace.position, atol=0.004)
-        changes = other.trace.time[1:][np.diff(other.trace.phase.astype(int)) != 0]
-        quiet = np.abs(other.trace.time[:, None] - changes).min(axis=1) > 0.05
-        off = (np.interp(at, one.trace.time, one.trace.force) - other.trace.force)[quiet]
+        at = second.trace.time + late
+        position = np.interp(at, run.trace.time, run.trace.position)
+        np.testing.assert_allclose(position, second.trace.position, atol=0.004)
+        changes = second.trace.time[1:][np.diff(second.trace.phase.astype(int)) != 0]
+        quiet = np.abs(second.trace.time[:, None] - changes).min(axis=1) > 0.05
+        off = (np.interp(at, run.trace.time, run.trace.force) - second.trace.force)[quiet]
         assert abs(float(off.mean())) < 0.5 * NOISE_MN
         assert float(off.std()) < 2 * NOISE_MN
     assert simulated.session.status is RunStatus.COMPLETE
@@ -110,11 +110,11 @@ def test_yes_never_answers_what_asks_for_hands(
 ) -> None:
     words = ["run", str(plan), "--backend", "hardware", "--double", "--yes", "--json", "--out", "c"]
     monkeypatch.setattr(sys, "stdin", io.StringIO("d\n"))
-    code = main([*words, *(word for one in SWIFT for word in ("--set", one))])
-    told = capsys.readouterr()
+    code = main([*words, *(word for entry in SWIFT for word in ("--set", entry))])
+    output = capsys.readouterr()
     assert code == 3
-    assert json.loads(told.out)["runs"] == []
-    assert "hands" in told.err
+    assert json.loads(output.out)["runs"] == []
+    assert "hands" in output.err
 
 
 @pytest.mark.skipif(find_library("nidaqmx") is not None, reason="this computer has NI's driver")
@@ -122,11 +122,11 @@ def test_the_rig_without_its_driver_says_in_one_sentence_what_to_install(
     plan: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["run", str(plan), "--backend", "hardware"]) == 5
-    told = capsys.readouterr().err
-    assert "NI-DAQmx" in told
-    assert "install" in told
-    assert "--double" in told
-    assert "\n" not in told.strip()
+    errors = capsys.readouterr().err
+    assert "NI-DAQmx" in errors
+    assert "install" in errors
+    assert "--double" in errors
+    assert "\n" not in errors.strip()
 
 
 def test_a_connected_rig_is_held_by_no_long_garbage_collection() -> None:

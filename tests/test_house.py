@@ -54,12 +54,12 @@ def test_imports_go_one_way_through_public_faces_too() -> None:
 
 def test_every_package_is_installed() -> None:
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["packages"])
-    found = set()
+    result = set()
     for folder, name in ROOMS.items():
         for init in (ROOT / folder).rglob("__init__.py"):
             inner = init.parent.relative_to(ROOT / folder).parts
-            found.add(".".join((name, *inner)))
-    assert listed == found
+            result.add(".".join((name, *inner)))
+    assert listed == result
 
 
 def test_a_users_own_modules_do_not_shadow_ours(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def identification_text(identification: Identification) -> str:
 
 
 def line(text: str, beginning: str) -> str:
-    return next(one for one in text.splitlines() if one.strip().startswith(beginning))
+    return next(entry for entry in text.splitlines() if entry.strip().startswith(beginning))
 
 
 def test_every_number_stands_with_its_interval_to_the_digits_that_its_error_supports() -> None:
@@ -182,7 +182,7 @@ def test_a_fit_that_did_not_converge_or_does_not_explain_the_runs_says_so_first(
 def test_what_runs_do_not_determine_stands_without_a_number() -> None:
     text = identification_text(WHOLE)
     assert line(text, "dwell_scale").split()[:5] == ["dwell_scale", "–", "0.70", "to", "1.30"]
-    nothing = tuple(replace(one, learnt=0.02) for one in JOINT.parameters)
+    nothing = tuple(replace(parameter, learnt=0.02) for parameter in JOINT.parameters)
     assert "determine NONE" in identification_text(replace(WHOLE, joint=replace(JOINT, parameters=nothing)))
     joint = identification_json(WHOLE)["joint"]
     assert isinstance(joint, dict)
@@ -260,8 +260,8 @@ def test_no_number_breaks_text_or_json(value: float, error: float, p_value: floa
     whole = replace(WHOLE, joint=joint, drag=drag)
     assert "x" in identification_text(whole)
     table = json.loads(json.dumps(identification_json(whole), allow_nan=False))
-    found = table["joint"]["parameters"]["x_mN_s_mm"]["value"]
-    assert found == (value if math.isfinite(value) and odd.determined else None)
+    result = table["joint"]["parameters"]["x_mN_s_mm"]["value"]
+    assert result == (value if math.isfinite(value) and odd.determined else None)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e3))

@@ -25,9 +25,9 @@ def campaign(tmp_path: Path) -> Path:
 
 def test_the_model_that_was_identified_runs_the_simulator(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(campaign), "--quiet"]) == 0
-    said = capsys.readouterr().out
-    assert "friction_coefficient" in said
-    assert "Left out" not in said
+    output = capsys.readouterr().out
+    assert "friction_coefficient" in output
+    assert "Left out" not in output
     model = campaign / "identified" / "model.toml"
     assert {path.name for path in model.parent.iterdir()} == {
         "model.toml", "joint-fit.png", "relaxation.png", "coulomb.png", "drag.png",
@@ -46,9 +46,9 @@ def test_a_second_call_replaces_nothing(campaign: Path) -> None:
 
 def test_json_holds_every_number_with_its_interval(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(campaign), "--json", "--quiet"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["joint"]["converged"] is True
-    assert said["files"] == []
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["joint"]["converged"] is True
+    assert answer["files"] == []
     assert not (campaign / "identified").exists()
 
 
@@ -64,36 +64,36 @@ def test_a_model_file_is_never_replaced_unasked(
 
 def test_fitted_walls_are_the_specimens_own(tmp_path: Path) -> None:
     runs = dragrig.simulate("relaxation", assignments=["shear_strain=[0.5, 1.0, 1.5, 2.0]", "model.wall='table1'"])
-    found = dragrig.identify(runs, wall="fitted")
-    assert found.model.wall == "polynomial"
-    stiffness = found.parameters.loc["stiffness_scale"]
+    identification = dragrig.identify(runs, wall="fitted")
+    assert identification.model.wall == "polynomial"
+    stiffness = identification.parameters.loc["stiffness_scale"]
     assert stiffness["low"] < 1.0 < stiffness["high"]
 
 
 def test_missing_kinds_are_said_and_give_no_number(campaign: Path) -> None:
     for path in campaign.glob("*-drag.h5"):
         path.unlink()
-    found = dragrig.identify(campaign)
-    assert any("no usable drag" in remark for remark in found.result.remarks)
-    angle = found.parameters.loc["contact_angle_offset_deg"]
+    identification = dragrig.identify(campaign)
+    assert any("no usable drag" in remark for remark in identification.result.remarks)
+    angle = identification.parameters.loc["contact_angle_offset_deg"]
     assert angle["learnt"] < 0.05
-    assert found.model.contact_angle_offset_deg == 0.0
+    assert identification.model.contact_angle_offset_deg == 0.0
 
 
 def test_one_run_leaves_the_rest_as_it_was(campaign: Path) -> None:
     run = read_run(campaign / "008-coulomb.h5")
-    found = dragrig.identify([run])
-    assert found.parameters.loc["friction_coefficient", "learnt"] > 0.5
-    assert found.parameters.loc["stiffness_scale", "learnt"] < 0.01
-    assert found.result.relaxation is not None
-    assert not found.result.relaxation.fits
+    identification = dragrig.identify([run])
+    assert identification.parameters.loc["friction_coefficient", "learnt"] > 0.5
+    assert identification.parameters.loc["stiffness_scale", "learnt"] < 0.01
+    assert identification.result.relaxation is not None
+    assert not identification.result.relaxation.fits
 
 
 def test_runs_marked_bad_are_left_out_with_the_reason(campaign: Path) -> None:
     bad = campaign / "018-drag.h5"
     mark_bad(bad, "the gut slipped off the foam")
-    found = dragrig.identify(campaign)
-    assert [(one.item, one.reason) for one in found.result.left_out] == [
+    identification = dragrig.identify(campaign)
+    assert [(exclusion.item, exclusion.reason) for exclusion in identification.result.left_out] == [
         (bad.name, "it is marked bad: the gut slipped off the foam")
     ]
 
@@ -107,15 +107,15 @@ def test_nan_and_clipped_samples_are_left_out(campaign: Path) -> None:
     force = np.array(run.trace.force)
     force[1000:1040] = np.nan
     force[1500:1510] = force.max() + 1.0
-    found = dragrig.identify([*(read_run(path) for path in campaign.glob("*.h5") if path.name != "010-drag.h5"),
-                              changed(run, force)])  # fmt: skip
-    assert any("010-drag.h5: 50 samples" in remark for remark in found.result.remarks)
-    assert 0.9 < found.result.joint.chi2 / found.result.joint.degrees < 1.1
+    others = (read_run(path) for path in campaign.glob("*.h5") if path.name != "010-drag.h5")
+    identification = dragrig.identify([*others, changed(run, force)])
+    assert any("010-drag.h5: 50 samples" in remark for remark in identification.result.remarks)
+    assert 0.9 < identification.result.joint.chi2 / identification.result.joint.degrees < 1.1
 
 
 def test_specimens_that_are_mixed_are_not_averaged(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = Path(shutil.copy(campaign / "010-drag.h5", campaign / "099-drag.h5"))
-    with h5py.File(other, "r+") as file:
+    path = Path(shutil.copy(campaign / "010-drag.h5", campaign / "099-drag.h5"))
+    with h5py.File(path, "r+") as file:
         file["entry/specimen"].attrs["name"] = "ileum"
     assert main(["identify", str(campaign), "--quiet"]) == 2
     assert "several specimens" in capsys.readouterr().err
@@ -146,8 +146,8 @@ def test_a_fit_that_does_not_converge_ends_with_2_and_no_model(
     monkeypatch.setattr("dragrig.analysis.linear_gaussian.MAX_PASSES", 1)
     for arguments in ([], ["--json"]):
         assert main(["identify", str(campaign), "--quiet", *arguments]) == 2
-        said = capsys.readouterr()
-        assert "did not converge" in said.err
-        assert len(said.err.strip().splitlines()) == 1
-    assert json.loads(said.out)["joint"]["parameters"]["friction_coefficient"]["interval_95"] is None
+        output = capsys.readouterr()
+        assert "did not converge" in output.err
+        assert len(output.err.strip().splitlines()) == 1
+    assert json.loads(output.out)["joint"]["parameters"]["friction_coefficient"]["interval_95"] is None
     assert not (campaign / "identified" / "model.toml").exists()

@@ -32,26 +32,26 @@ def change(path: Path, channel: str, how: Callable[[FloatArray], npt.ArrayLike])
 
 
 def reasons(folder: Path) -> dict[str, str]:
-    return {one.item: one.reason for one in select_runs(folder).left_out}
+    return {exclusion.item: exclusion.reason for exclusion in select_runs(folder).left_out}
 
 
 @pytest.mark.parametrize("channel", ["force", "position"])
 @pytest.mark.parametrize("name", ["001-relaxation.h5", "008-coulomb.h5", "010-drag.h5"])
 def test_a_run_with_a_wrong_sign_is_left_out(campaign: Path, channel: str, name: str) -> None:
     change(campaign / name, channel, np.negative)
-    found = reasons(campaign)
-    assert list(found) == [name]
-    assert "wrong sign" in found[name]
+    result = reasons(campaign)
+    assert list(result) == [name]
+    assert "wrong sign" in result[name]
 
 
 def test_a_run_without_position_or_force_is_left_out(campaign: Path) -> None:
     change(campaign / "010-drag.h5", "force", lambda force: np.full_like(force, np.nan))
     change(campaign / "014-drag.h5", "position", lambda position: np.full_like(position, np.nan))
     change(campaign / "018-drag.h5", "force", lambda force: np.full_like(force, 12.5))
-    found = reasons(campaign)
-    assert "100% of its samples" in found["010-drag.h5"]
-    assert "positions are missing" in found["014-drag.h5"]
-    assert "never changes" in found["018-drag.h5"]
+    result = reasons(campaign)
+    assert "100% of its samples" in result["010-drag.h5"]
+    assert "positions are missing" in result["014-drag.h5"]
+    assert "never changes" in result["018-drag.h5"]
 
 
 @pytest.mark.parametrize(("begin_s", "usable"), [(1.3, True), (1.6, False)])
@@ -60,9 +60,9 @@ def test_a_gap_is_bridged_only_where_the_speed_stays(campaign: Path, begin_s: fl
     with h5py.File(path, "r+") as file:
         trace = file["entry/trace"]
         time = trace["time"][()]
-        kept = (time < begin_s) | (time >= begin_s + 0.2)
+        remaining = (time < begin_s) | (time >= begin_s + 0.2)
         for name in list(trace):
-            values, attributes = trace[name][()][kept], dict(trace[name].attrs)
+            values, attributes = trace[name][()][remaining], dict(trace[name].attrs)
             del trace[name]
             trace.create_dataset(name, data=values).attrs.update(attributes)
     assert ("changes speed" in reasons(campaign).get(path.name, "")) is not usable
@@ -80,9 +80,9 @@ def test_many_runs_with_one_fault_are_told_in_one_short_sentence(campaign: Path)
     for path in campaign.glob("*.h5"):
         with h5py.File(path, "r+") as file:
             file["entry"].attrs["status"] = "aborted"
-    with pytest.raises(AnalysisError, match=r"001-relaxation\.h5 and 7 more: it is aborted") as told:
+    with pytest.raises(AnalysisError, match=r"001-relaxation\.h5 and 7 more: it is aborted") as raises:
         select_runs(campaign)
-    assert len(str(told.value)) < 300
+    assert len(str(raises.value)) < 300
 
 
 def test_a_folder_of_damaged_files_says_what_is_wrong_with_them(tmp_path: Path) -> None:

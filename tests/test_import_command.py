@@ -24,9 +24,9 @@ class Importer:
 
     def __call__(self, *words: str, code: int = 0) -> Any:
         got = main(["import", *words])
-        told = self._capsys.readouterr()
-        assert got == code, told.err
-        return told
+        output = self._capsys.readouterr()
+        assert got == code, output.err
+        return output
 
 
 @pytest.fixture
@@ -59,9 +59,9 @@ def test_several_files_follow_each_other(importer: Importer) -> None:
         german(name)
     importer("*.csv", *MAP, "--out", "c")
     importer("a.csv", *MAP, "--out", "c")
-    found = dragrig.campaign("c").runs
-    assert sorted(one.header.order for one in found) == [0, 1, 2]
-    assert {one.header.entry["import_source"] for one in found} == {"a.csv", "b.csv"}
+    runs = dragrig.campaign("c").runs
+    assert sorted(run.header.order for run in runs) == [0, 1, 2]
+    assert {run.header.entry["import_source"] for run in runs} == {"a.csv", "b.csv"}
 
 
 def test_settings_that_come_again_stand_in_a_file(importer: Importer) -> None:
@@ -118,8 +118,8 @@ def test_what_cannot_be_imported_is_told_in_one_sentence(
     Path("binary.csv").write_bytes(bytes(range(256)) * 40)
     Path("sheet.xlsx").write_bytes(b"PK\x03\x04")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    told = importer(*words, code=2)
-    assert sentence in told.err
-    assert told.err.count("\n") == 1, told.err
-    assert told.out == ""
+    answer = importer(*words, code=2)
+    assert sentence in answer.err
+    assert answer.err.count("\n") == 1, answer.err
+    assert answer.out == ""
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

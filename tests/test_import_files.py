@@ -80,7 +80,7 @@ def test_a_motor_is_imported_filtered_tabulated_and_exported(tmp_path: Path) -> 
     filtered = read_run(run.info.path).filtered
     assert filtered is not None
     speed = filtered.channels["speed"] / 5
-    per_half_turn = [np.mean(np.split(one[:1500], 3), axis=1) for one in (speed, run.trace.channels["Velocity"])]
+    per_half_turn = [np.mean(np.split(entry[:1500], 3), axis=1) for entry in (speed, run.trace.channels["Velocity"])]
     np.testing.assert_allclose(*per_half_turn, rtol=0.05)
     assert table_row(read_run(run.info.path)).steady_force_mN == pytest.approx(np.mean(run.trace.force[100:]), rel=0.05)
     assert export_run(run.info.path, tmp_path, ExportFormat.PARQUET).exists()
@@ -247,7 +247,7 @@ MAP = ("time=t:s", "force=F:mN", "position=x:mm")
 
 
 @pytest.mark.parametrize(
-    ("text", "maps", "given", "said"),
+    ("text", "maps", "options", "message"),
     [
         (f"t,x,F\n{ROWS}\n5.0,50,NaN\n", MAP, {}, "in.csv: line 52, column 'F' has no number"),
         (f"t,x,F\n{ROWS}\n5.0,fifty,50\n", MAP, {}, "in.csv: line 52, column 'x' holds 'fifty'"),
@@ -264,24 +264,24 @@ MAP = ("time=t:s", "force=F:mN", "position=x:mm")
     ],
 )
 def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(
-    tmp_path: Path, text: str, maps: tuple[str, ...], given: dict[str, object], said: str
+    tmp_path: Path, text: str, maps: tuple[str, ...], options: dict[str, object], message: str
 ) -> None:
     source = csv(tmp_path, text)
-    with pytest.raises(ImportDataError, match=said.replace("(", r"\(")) as raised:
-        imported(source, tmp_path, *maps, **given)
+    with pytest.raises(ImportDataError, match=message.replace("(", r"\(")) as raised:
+        imported(source, tmp_path, *maps, **options)
     assert str(source) in str(raised.value)
     assert "\n" not in str(raised.value)
     assert [path.name for path in tmp_path.iterdir()] == ["in.csv"]
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [("none.csv", "no such file"), ("book.xlsx", "save the sheet as CSV"), ("run.h5", "a run file needs no import")],
 )
-def test_files_of_other_kinds_are_refused(tmp_path: Path, name: str, said: str) -> None:
+def test_files_of_other_kinds_are_refused(tmp_path: Path, name: str, message: str) -> None:
     if name != "none.csv":
         (tmp_path / name).write_bytes(b"PK\x03\x04")
-    with pytest.raises(ImportDataError, match=said):
+    with pytest.raises(ImportDataError, match=message):
         import_file(tmp_path / name, tmp_path)
 
 

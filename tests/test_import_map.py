@@ -36,7 +36,7 @@ def test_a_map_from_the_command_line(text: str, column: str, unit: str, factor: 
 
 
 @pytest.mark.parametrize(
-    ("texts", "said"),
+    ("texts", "message"),
     [
         (["force"], "not of the form QUANTITY=COLUMN:UNIT"),
         (["force="], "not of the form"),
@@ -47,8 +47,8 @@ def test_a_map_from_the_command_line(text: str, column: str, unit: str, factor: 
         (["force=Load:N*0"], "factor of 0"),
     ],
 )
-def test_a_map_that_is_wrong_is_said_in_one_sentence(texts: list[str], said: str) -> None:
-    with pytest.raises(ImportDataError, match=said) as raised:
+def test_a_map_that_is_wrong_is_said_in_one_sentence(texts: list[str], message: str) -> None:
+    with pytest.raises(ImportDataError, match=message) as raised:
         parse_map(texts)
     assert "\n" not in str(raised.value)
 
@@ -104,7 +104,7 @@ def test_a_unit_that_changes_nothing_keeps_every_bit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("quantity", "unit", "said"),
+    ("quantity", "unit", "message"),
     [
         ("force", "mm", r"force in mm needs a factor, as in force=COLUMN:mm\*12.5.*allowed are mN, N"),
         ("force", "mV", "force in mV needs a factor"),
@@ -112,8 +112,8 @@ def test_a_unit_that_changes_nothing_keeps_every_bit() -> None:
         ("time", "N", "time in N needs a factor"),
     ],
 )
-def test_a_wrong_unit_is_said_with_what_is_allowed(quantity: str, unit: str, said: str) -> None:
-    with pytest.raises(ImportDataError, match=said):
+def test_a_wrong_unit_is_said_with_what_is_allowed(quantity: str, unit: str, message: str) -> None:
+    with pytest.raises(ImportDataError, match=message):
         unit_scale(quantity, unit, None, 0.0)
 
 

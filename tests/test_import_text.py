@@ -56,7 +56,7 @@ ENCODINGS = [
 @st.composite
 def tables(draw: st.DrawFn) -> tuple[Dialect, list[str], list[list[float]]]:
     decimal = draw(st.sampled_from(".,"))
-    delimiter = draw(st.sampled_from([one for one in ("\t", ";", ",", "|", " ") if one != decimal]))
+    delimiter = draw(st.sampled_from([entry for entry in ("\t", ";", ",", "|", " ") if entry != decimal]))
     encoding, bom = draw(st.sampled_from(ENCODINGS))
     width = draw(st.integers(2, 4))
     names = ["Zeit", "Kraft", "Weg", "Temperatur"][:width]
@@ -151,7 +151,7 @@ def test_columns_are_found_by_name_label_and_number_and_the_nearest_is_named(tmp
 
 
 @pytest.mark.parametrize(
-    ("content", "how", "said"),
+    ("content", "how", "message"),
     [
         ("", {}, "is empty"),
         ("\n \n", {}, "is empty"),
@@ -166,9 +166,9 @@ def test_columns_are_found_by_name_label_and_number_and_the_nearest_is_named(tmp
     ],
 )
 def test_what_is_no_table_is_refused_in_one_sentence(
-    tmp_path: Path, content: str | bytes, how: dict[str, str], said: str
+    tmp_path: Path, content: str | bytes, how: dict[str, str], message: str
 ) -> None:
-    with pytest.raises(ImportDataError, match=said) as raised:
+    with pytest.raises(ImportDataError, match=message) as raised:
         read(tmp_path, content, **how)
     assert "table.txt" in str(raised.value)
     assert "\n" not in str(raised.value)
@@ -186,13 +186,13 @@ def test_what_is_stated_is_taken_as_stated(tmp_path: Path) -> None:
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=200), st.text('0123456789.,;\t \n-+eEnNaA"#µ', max_size=200).map(str.encode)))
 def test_no_bytes_bring_anything_but_a_table_or_a_sentence(tmp_path: Path, content: bytes) -> None:
-    said = ""
+    text = ""
     try:
-        said = f"{read(tmp_path, content).rows} rows"
+        text = f"{read(tmp_path, content).rows} rows"
     except ImportDataError as error:
-        said = str(error)
-    assert said != "0 rows"
-    assert "\n" not in said
+        text = str(error)
+    assert text != "0 rows"
+    assert "\n" not in text
 
 
 def test_real_files_are_read_without_being_told_how() -> None:

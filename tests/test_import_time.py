@@ -147,11 +147,11 @@ def test_phases_of_a_single_move_are_found(direction: int) -> None:
         )
     )
     time = np.arange(profile.samples(500.0)) / 500
-    found = detect_phases(np.round(profile.position(time), 3), 500.0)
-    assert found is not None
+    result = detect_phases(np.round(profile.position(time), 3), 500.0)
+    assert result is not None
     wanted = profile.phase_at(time)
-    assert (found == wanted).mean() > 0.97
-    assert sorted(set(found.tolist())) == [0, 1, 2, 3, 4]
+    assert (result == wanted).mean() > 0.97
+    assert sorted(set(result.tolist())) == [0, 1, 2, 3, 4]
 
 
 def test_no_phases_are_made_up() -> None:

@@ -43,12 +43,12 @@ class Known:
 
 @pytest.fixture(scope="module")
 def campaigns() -> tuple[Known, ...]:
-    found = []
+    result = []
     for seed in SEEDS:
         drawn = [f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true", "rig.sampling.rate_hz=500"]
         fit = fit_jointly(select_loaded_runs(dragrig.simulate(PLAN, assignments=drawn)), MODEL)
-        found.append(Known(seed, draw_specimen_model(MODEL.settings, seed), fit))
-    return tuple(found)
+        result.append(Known(seed, draw_specimen_model(MODEL.settings, seed), fit))
+    return tuple(result)
 
 
 def spread(squares: Sequence[float], count: int) -> float:
@@ -61,37 +61,42 @@ def distance(fit: JointFit, specimen: FrictionModelSettings) -> float:
 
     def scaled(values: Iterable[float]) -> FloatArray:
         pairs = zip(values, MODEL.parameters, strict=True)
-        return np.array([log(value) if one.positive else value for value, one in pairs])
+        return np.array([log(value) if entry.positive else value for value, entry in pairs])
 
-    at, low, high = (scaled(ends) for ends in zip(*((one.value, *one.interval) for one in fit.parameters), strict=True))
-    true = scaled(float(getattr(specimen, one.name)) for one in fit.parameters)
+    at, low, high = (
+        scaled(ends)
+        for ends in zip(*((parameter.value, *parameter.interval) for parameter in fit.parameters), strict=True)
+    )
+    true = scaled(float(getattr(specimen, parameter.name)) for parameter in fit.parameters)
     deviations = 2 * NORMAL_95 * (at - true) / (high - low)
     return float(deviations @ np.linalg.solve(fit.correlation, deviations))
 
 
-def square(found: Estimate, true: float) -> float:
-    assert found.value is not None
-    assert found.standard_error is not None
-    return ((found.value - true) / found.standard_error) ** 2
+def square(result: Estimate, true: float) -> float:
+    assert result.value is not None
+    assert result.standard_error is not None
+    return ((result.value - true) / result.standard_error) ** 2
 
 
 def test_parameters_are_as_far_off_as_their_errors_say(campaigns: Sequence[Known]) -> None:
-    assert all(one.fit.converged for one in campaigns)
-    found = [distance(one.fit, one.specimen) for one in campaigns]
-    assert 0.6 < spread(found, len(found) * len(MODEL.parameters)) < 1.45
+    assert all(campaign.fit.converged for campaign in campaigns)
+    result = [distance(campaign.fit, campaign.specimen) for campaign in campaigns]
+    assert 0.6 < spread(result, len(result) * len(MODEL.parameters)) < 1.45
 
 
 def test_what_is_each_runs_own_is_as_far_off_as_its_error_says(campaigns: Sequence[Known]) -> None:
     zeros, factors = [], []
-    for one in campaigns:
-        for order, run in enumerate(one.fit.runs):
-            normal = random_generator(one.seed, RandomStream.ZERO, order).standard_normal()
+    for campaign in campaigns:
+        for order, run in enumerate(campaign.fit.runs):
+            normal = random_generator(campaign.seed, RandomStream.ZERO, order).standard_normal()
             zeros.append(square(run.zero, NoiseSettings().zero_mN * float(normal)))
-            drawn = draw_run_model(one.specimen, VariationSettings(), one.seed, order)
+            drawn = draw_run_model(campaign.specimen, VariationSettings(), campaign.seed, order)
             if run.kind == "relaxation":
-                factors.append(square(run.factors["stiffness"], drawn.stiffness_scale / one.specimen.stiffness_scale))
+                factors.append(
+                    square(run.factors["stiffness"], drawn.stiffness_scale / campaign.specimen.stiffness_scale)
+                )
             else:
-                own = drawn.friction_coefficient / one.specimen.friction_coefficient
+                own = drawn.friction_coefficient / campaign.specimen.friction_coefficient
                 factors.append(square(run.factors["friction"], own))
     assert 0.6 < spread(zeros, len(zeros)) < 1.45
     assert 0.6 < spread(factors, len(factors)) < 1.45

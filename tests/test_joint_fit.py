@@ -38,18 +38,18 @@ def fit() -> JointFit:
 
 def test_a_foreign_specimens_values_lie_within_their_intervals(fit: JointFit) -> None:
     assert fit.converged
-    assert {one.name for one in fit.parameters} == set(TRUE)
-    for one in fit.parameters:
-        low, high = one.interval
-        assert low <= TRUE[one.name] <= high, one
+    assert {parameter.name for parameter in fit.parameters} == set(TRUE)
+    for parameter in fit.parameters:
+        low, high = parameter.interval
+        assert low <= TRUE[parameter.name] <= high, parameter
 
 
 def test_what_runs_tell_apart_is_known_well(fit: JointFit) -> None:
-    for one in fit.combinations:
-        powers = next(known.powers for known in MODEL.combinations if known.name == one.name)
+    for combination in fit.combinations:
+        powers = next(known.powers for known in MODEL.combinations if known.name == combination.name)
         true = float(np.prod([TRUE[name] ** power for name, power in powers.items()]))
-        assert one.interval[0] <= true <= one.interval[1], one
-        assert one.half_width < (0.2 if one.name == "mucus_shown" else 0.05)
+        assert combination.interval[0] <= true <= combination.interval[1], combination
+        assert combination.half_width < (0.2 if combination.name == "mucus_shown" else 0.05)
 
 
 def test_nothing_is_left_where_the_model_is_right(fit: JointFit) -> None:
@@ -58,7 +58,7 @@ def test_nothing_is_left_where_the_model_is_right(fit: JointFit) -> None:
 
 
 def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
-    dwell = next(one for one in fit.parameters if one.name == "insertion_dwell_scale")
+    dwell = next(parameter for parameter in fit.parameters if parameter.name == "insertion_dwell_scale")
     assert dwell.learnt < 0.05
     assert dwell.interval == pytest.approx(dwell.prior, rel=0.02)
     assert any("hardly be separated" in remark for remark in fit.remarks)
@@ -66,9 +66,9 @@ def test_what_no_run_shows_stays_as_it_was_assumed(fit: JointFit) -> None:
 
 def test_drags_alone_lead_to_a_minimum_where_the_squares_jump() -> None:
     settings = ["rig.sampling.rate_hz=500", "rig.simulated.seed=7", "travel_mm=-40", "speed_mm_s=[1,5,20,40]"]
-    found = fit_jointly(select_loaded_runs(dragrig.simulate("drag", assignments=settings)), MODEL)
-    assert found.converged
-    assert found.chi2 / found.degrees < 1.2
+    jointly = fit_jointly(select_loaded_runs(dragrig.simulate("drag", assignments=settings)), MODEL)
+    assert jointly.converged
+    assert jointly.chi2 / jointly.degrees < 1.2
 
 
 def test_noise_that_was_assumed_excuses_nothing(tmp_path: Path) -> None:
@@ -84,11 +84,11 @@ def test_noise_that_was_assumed_excuses_nothing(tmp_path: Path) -> None:
                 values = values + 15.0 * np.sin(2 * np.pi * np.arange(len(values)) / 700.0)
             del trace[name]
             trace.create_dataset(name, data=values).attrs.update(attributes)
-    found = fit_jointly(select_runs(tmp_path), MODEL)
-    assert isnan(found.p_value)
-    assert found.chi2 / found.degrees > 2
-    assert any("which was assumed" in remark for remark in found.remarks)
-    (friction,) = (one for one in found.parameters if one.name == "friction_coefficient")
+    jointly = fit_jointly(select_runs(tmp_path), MODEL)
+    assert isnan(jointly.p_value)
+    assert jointly.chi2 / jointly.degrees > 2
+    assert any("which was assumed" in remark for remark in jointly.remarks)
+    (friction,) = (parameter for parameter in jointly.parameters if parameter.name == "friction_coefficient")
     with_rest = fit_jointly(select_loaded_runs([read_run(source)]), MODEL)
-    (known,) = (one for one in with_rest.parameters if one.name == "friction_coefficient")
+    (known,) = (parameter for parameter in with_rest.parameters if parameter.name == "friction_coefficient")
     assert friction.standard_error > 1.3 * known.standard_error

@@ -31,7 +31,7 @@ def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.Capt
     (tmp_path / name).write_text("mine", "utf-8")
     assert main(["init", str(tmp_path)]) == 2
     assert name in capsys.readouterr().err
-    assert [one.name for one in tmp_path.iterdir()] == [name]
+    assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text("utf-8") == "mine"
 
 
@@ -43,9 +43,9 @@ def test_a_file_in_place_of_the_folder_is_reported(tmp_path: Path) -> None:
 
 def test_the_history_grows_and_the_last_entry_of_a_quantity_holds(tmp_path: Path) -> None:
     create_lab(tmp_path)
-    for one in (entry("a"), entry("b"), entry("c", "encoder")):
-        calibration.append_calibration(tmp_path, one)
-    assert [one.id for one in calibration.read_calibrations(tmp_path)] == ["a", "b", "c"]
+    for element in (entry("a"), entry("b"), entry("c", "encoder")):
+        calibration.append_calibration(tmp_path, element)
+    assert [read_calibration.id for read_calibration in calibration.read_calibrations(tmp_path)] == ["a", "b", "c"]
     latest = calibration.latest_calibration(tmp_path)
     assert latest is not None
     assert latest.id == "b"

@@ -232,19 +232,19 @@ def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s:
     rig.backend.sampler._disturbances = Faults()
     rig.manual.jog(60.0, 50.0)
     rig.backend.sampler._disturbances = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
-    found = rig.manual.touch_off(200.0, speed, sign * 20.0)
+    touch_off = rig.manual.touch_off(200.0, speed, sign * 20.0)
     # 1 s of rest, and 0.1 s to the speed.
-    assert found.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.002 * speed + 0.001)
-    assert found.force_mN < -200.0
-    assert sign * (rig.at_mm - found.position_mm) < 0.1 * speed
+    assert touch_off.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.002 * speed + 0.001)
+    assert touch_off.force_mN < -200.0
+    assert sign * (rig.at_mm - touch_off.position_mm) < 0.1 * speed
 
 
 def test_it_retracts_as_requested_but_not_beyond_its_start() -> None:
     for back_mm, expected in ((0.5, 1.95), (30.0, 0.0)):
         rig = bench(Faults(force_spike=ForceSpike(3.5, 400.0, duration_s=1.0)))
         rig.manual.reset()
-        found = rig.manual.touch_off(200.0, 1.0, 20.0, back_mm)
-        assert found.position_mm == pytest.approx(2.45, abs=0.02)
+        touch_off = rig.manual.touch_off(200.0, 1.0, 20.0, back_mm)
+        assert touch_off.position_mm == pytest.approx(2.45, abs=0.02)
         assert rig.at_mm == pytest.approx(expected, abs=0.02)
 
 
@@ -261,7 +261,7 @@ def test_a_contact_that_is_not_there_or_lost_in_noise_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("force", "speed", "most", "back"),
+    ("force", "speed", "maximum", "back"),
     [
         (0.0, 1.0, 5.0, 0.0),
         (20.0, 0.0, 5.0, 0.0),
@@ -270,11 +270,11 @@ def test_a_contact_that_is_not_there_or_lost_in_noise_is_reported() -> None:
         (20.0, 1.0, 200.0, 0.0),
     ],
 )
-def test_values_that_cannot_be_are_refused(force: float, speed: float, most: float, back: float) -> None:
+def test_values_that_cannot_be_are_refused(force: float, speed: float, maximum: float, back: float) -> None:
     rig = bench()
     rig.manual.reset()
     with pytest.raises(SettingsError):
-        rig.manual.touch_off(force, speed, most, back)
+        rig.manual.touch_off(force, speed, maximum, back)
     assert rig.person.prompts == []
 
 

@@ -24,34 +24,34 @@ def three(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
-    told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    for one in told:
-        one.pop("timings_s", None)
-    return told
+    answer = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    for entry in answer:
+        entry.pop("timings_s", None)
+    return answer
 
 
 def test_diagnoses_are_those_of_each_campaign_by_itself_whoever_makes_them(
     three: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet"]
-    assert main([*asked, "--workers", "2"]) == 2
-    told = lines(capsys)
-    assert [one["source"] for one in told] == ["first", "empty", "second"]
-    assert "no run file" in str(told[1]["error"])
-    assert main([*asked, "--workers", "1"]) == 2
-    assert lines(capsys) == told
+    arguments = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet"]
+    assert main([*arguments, "--workers", "2"]) == 2
+    answer = lines(capsys)
+    assert [row["source"] for row in answer] == ["first", "empty", "second"]
+    assert "no run file" in str(answer[1]["error"])
+    assert main([*arguments, "--workers", "1"]) == 2
+    assert lines(capsys) == answer
     assert main(["gap", "diagnose", "second", "--json", "--quiet"]) == 0
     alone = json.loads(capsys.readouterr().out)
     del alone["timings_s"]
-    assert {"source": "second", **alone} == told[2]
+    assert {"source": "second", **alone} == answer[2]
 
 
 def test_what_cannot_be_diagnosed_is_told_and_the_others_go_on(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gap", "diagnose", "first", "empty", "--workers", "1"]) == 2
-    said = capsys.readouterr()
-    assert "no gap" in said.out
-    assert "not diagnosed: empty: holds no run file" in said.out
-    assert "1 of 2 campaigns were not diagnosed: empty" in said.err
+    output = capsys.readouterr()
+    assert "no gap" in output.out
+    assert "not diagnosed: empty: holds no run file" in output.out
+    assert "1 of 2 campaigns were not diagnosed: empty" in output.err
 
 
 @pytest.mark.parametrize("option", ["--report", "--save-model"])
@@ -63,23 +63,23 @@ def test_a_file_for_one_campaign_is_not_made_of_several(
 
 
 def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    asked = ["identify", "first", "empty", "second", "--quiet"]
-    assert main([*asked, "--json", "--workers", "2"]) == 2
-    told = lines(capsys)
-    assert [one["source"] for one in told] == ["first", "empty", "second"]
-    assert "no run file" in str(told[1]["error"])
+    arguments = ["identify", "first", "empty", "second", "--quiet"]
+    assert main([*arguments, "--json", "--workers", "2"]) == 2
+    answer = lines(capsys)
+    assert [row["source"] for row in answer] == ["first", "empty", "second"]
+    assert "no run file" in str(answer[1]["error"])
     assert main(["identify", "second", "--json", "--quiet"]) == 0
-    assert {"source": "second", **json.loads(capsys.readouterr().out)} == told[2]
+    assert {"source": "second", **json.loads(capsys.readouterr().out)} == answer[2]
     assert not (three / "first" / "identified").exists()
 
 
 def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (three / "other").mkdir()
     (three / "second").rename(three / "other" / "first")
-    asked = ["identify", "first", "other/first", "--quiet", "--out", "made", "--workers", "1"]
-    assert main(asked) == 0
-    said = capsys.readouterr().out
-    assert "friction_coefficient" in said
+    arguments = ["identify", "first", "other/first", "--quiet", "--out", "made", "--workers", "1"]
+    assert main(arguments) == 0
+    output = capsys.readouterr().out
+    assert "friction_coefficient" in output
     assert (three / "made" / "first" / "model.toml").is_file()
     assert (three / "made" / "first-2" / "joint-fit.png").is_file()
     assert main(["identify", "first", "other/first", "--save-model", "x.toml"]) == 2
@@ -90,16 +90,18 @@ def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pyte
 
 def test_a_calibration_that_is_named_is_used_for_all(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (three / "learnt.json").write_text("{}", "utf-8")
-    asked = ["gap", "diagnose", "first", "second", "--calibration", "learnt.json", "--workers", "1"]
-    assert main(asked) == 2
+    arguments = ["gap", "diagnose", "first", "second", "--calibration", "learnt.json", "--workers", "1"]
+    assert main(arguments) == 2
     assert "--calibration learnt.json: is not what" in capsys.readouterr().err
 
 
 def test_python_gives_the_same(three: Path) -> None:
     heard: list[tuple[int, int]] = []
-    found = dragrig.diagnose_many(["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now))
-    assert found[0].result is not None
-    assert found[0].result.verdict == "no_gap"
-    assert found[0].run_ids
-    assert found[1].result is None
+    diagnose_many = dragrig.diagnose_many(
+        ["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now)
+    )
+    assert diagnose_many[0].result is not None
+    assert diagnose_many[0].result.verdict == "no_gap"
+    assert diagnose_many[0].run_ids
+    assert diagnose_many[1].result is None
     assert heard == [(0, 2), (1, 2), (2, 2)]

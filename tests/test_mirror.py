@@ -41,18 +41,18 @@ def test_every_finished_file_is_copied_to_the_mirror(tmp_path: Path, capsys: pyt
     folder, mirror = tmp_path / "runs", tmp_path / "second"
     line = ["run", "blank", "--out", str(folder), "--mirror", str(mirror), "--yes", "--set", FAST[0]]
     assert main([*line, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["mirror"]
+    answer = json.loads(capsys.readouterr().out)["mirror"]
     made = sorted(path.name for path in (*folder.glob("*.h5"), *folder.glob("session-*.toml")))
-    assert sorted(told["copied"]) == made == sorted(path.name for path in (mirror / "runs").iterdir())
-    assert told["missing"] == {}
+    assert sorted(answer["copied"]) == made == sorted(path.name for path in (mirror / "runs").iterdir())
+    assert answer["missing"] == {}
     assert filecmp.cmpfiles(folder, mirror / "runs", made, shallow=False) == (made, [], [])
 
 
 def test_a_vanished_mirror_is_reported_and_stops_nothing(tmp_path: Path) -> None:
-    mirror, told = tmp_path / "second", list[str]()
+    mirror, answer = tmp_path / "second", list[str]()
     mirror.mkdir()
     made = dragrig.run(
-        "blank", out=tmp_path / "runs", mirror=mirror, tell=told.append, assignments=FAST[:1],
+        "blank", out=tmp_path / "runs", mirror=mirror, tell=answer.append, assignments=FAST[:1],
         person=Mover(mirror, mirror / "runs", back_after=99),
     )  # fmt: skip
     made.session.require()
@@ -62,7 +62,7 @@ def test_a_vanished_mirror_is_reported_and_stops_nothing(tmp_path: Path) -> None
     runs = {path.name for path in (tmp_path / "runs").glob("*.h5")}
     assert runs - set(made.mirrored.copied) <= set(made.mirrored.missing)
     assert all("there is no such folder" in why for why in made.mirrored.missing.values())
-    assert any(one.startswith("NOT MIRRORED: ") and "it stays where it was made" in one for one in told)
+    assert any(line.startswith("NOT MIRRORED: ") and "it stays where it was made" in line for line in answer)
     assert not mirror.exists()
 
 
@@ -107,11 +107,14 @@ def test_marks_on_runs_are_mirrored_with_them(tmp_path: Path) -> None:
 
 
 def test_a_missing_mirror_is_reported_at_once(tmp_path: Path) -> None:
-    told: list[str] = []
-    mirror = Mirror(tmp_path / "gone", "runs", told.append)
+    answer: list[str] = []
+    mirror = Mirror(tmp_path / "gone", "runs", answer.append)
     assert mirror.close().whole
-    assert told == [f"NOT MIRRORED: {tmp_path / 'gone' / 'runs'}: there is no such folder; make it, or mount the disk; "
-                    "the runs are recorded all the same."]  # fmt: skip
+    folder = tmp_path / "gone" / "runs"
+    assert answer == [
+        f"NOT MIRRORED: {folder}: there is no such folder; make it, or mount the disk; "
+        "the runs are recorded all the same."
+    ]
 
 
 def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> None:
@@ -119,8 +122,8 @@ def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> 
     source.write_bytes(bytes(33 << 20))
     mirror = Mirror(small_disk, "runs", lambda _: None)
     mirror.submit(source)
-    found = mirror.close()
-    assert found.missing == {"run.h5": "No space left on device"}
+    close = mirror.close()
+    assert close.missing == {"run.h5": "No space left on device"}
     assert list((small_disk / "runs").iterdir()) == []
 
 

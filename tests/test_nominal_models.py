@@ -27,14 +27,14 @@ TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "o
 
 
 def simulated(folder: Path, seed: int, plan: str = "blank", **assigned: float) -> RunSelection:
-    told = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
-    dragrig.simulate(plan, out=folder, assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500", *told])
+    answer = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
+    dragrig.simulate(plan, out=folder, assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500", *answer])
     return select_runs(folder)
 
 
 def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
-    found = {one.name: one for one in fit.parameters}
-    return np.array([(found[key].value - value) / found[key].standard_error for key, value in truth.items()])
+    result = {parameter.name: parameter for parameter in fit.parameters}
+    return np.array([(result[key].value - value) / result[key].standard_error for key, value in truth.items()])
 
 
 @pytest.fixture(scope="module")
@@ -63,16 +63,16 @@ def test_counts_say_when_a_stroke_changes_its_acceleration(rate: float, travel_m
 
 
 def test_a_stage_with_rounded_ramps_keeps_its_mass() -> None:
-    rate, fine = 1000.0, 10
-    time = np.arange(int(3.1 * rate * fine)) / rate / fine
+    rate, passed = 1000.0, 10
+    time = np.arange(int(3.1 * rate * passed)) / rate / passed
     ramps = np.clip((time - 1) / 0.1, 0, 1) - np.clip((time - 2) / 0.1, 0, 1)
     velocity = np.convolve(40 * ramps, np.full(200, 1 / 200), mode="same")
-    position = np.round(np.cumsum(velocity) / rate / fine * 1000) / 1000
-    time, position, truth = time[::fine], position[::fine], np.gradient(velocity, time)[::fine]
+    position = np.round(np.cumsum(velocity) / rate / passed * 1000) / 1000
+    time, position, truth = time[::passed], position[::passed], np.gradient(velocity, time)[::passed]
     joints, chain = fit_velocity(RecordedMotion.of(time, position), time, position)
     piece = np.clip(np.searchsorted(joints, time, side="right") - 1, 0, len(joints) - 2)
-    found = (np.diff(chain) / np.diff(joints))[piece]
-    assert (found @ truth) / (found @ found) == pytest.approx(1.0, abs=0.02)
+    result = (np.diff(chain) / np.diff(joints))[piece]
+    assert (result @ truth) / (result @ result) == pytest.approx(1.0, abs=0.02)
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)
@@ -106,10 +106,10 @@ def test_runs_with_a_load_give_the_stage_back_too(drags: RunSelection) -> None:
     assert len(loaded.experiments) > 1
     fit = fit_jointly(loaded, MODEL)
     assert np.abs(strayed(fit, TRUE)).max() < 4.0
-    found = {one.name: one for one in fit.parameters}
-    assert found["coulomb_mN"].standard_error < 3.0
+    result = {parameter.name: parameter for parameter in fit.parameters}
+    assert result["coulomb_mN"].standard_error < 3.0
     # The sensor's zero is as unknown as the offset.
-    assert found["offset_mN"].standard_error > 2.0
+    assert result["offset_mN"].standard_error > 2.0
 
 
 def test_the_identified_stage_is_one_that_the_simulator_loads(blanks: RunSelection) -> None:
@@ -132,8 +132,8 @@ def test_sensitivities_are_exact(drags: RunSelection) -> None:
 
 def changed(experiment: Experiment, **channels: np.ndarray | None) -> Experiment:
     trace = experiment.run.trace
-    kept = {**trace.channels, **channels}
-    trace = replace(trace, channels={name: values for name, values in kept.items() if values is not None})
+    remaining = {**trace.channels, **channels}
+    trace = replace(trace, channels={name: values for name, values in remaining.items() if values is not None})
     return Experiment(replace(experiment.run, trace=trace))
 
 
@@ -182,7 +182,7 @@ def test_an_identification_counts_from_the_toml_it_is_given(tmp_path: Path) -> N
     file = tmp_path / "soft.toml"
     file.write_text("name = 'soft'\nfriction_coefficient = 0.09\n[[effects]]\nid = 'stribeck'\n")
     (drag, *_) = dragrig.simulate("drag", assignments=["speed_mm_s=30", "way_back=stay"])
-    found = dragrig.identify([drag], nominal=file)
-    assert isinstance(found.nominal, CapsuleModel)
-    assert found.nominal.settings.friction_coefficient == 0.09
-    assert found.nominal.settings.effects == ()
+    identification = dragrig.identify([drag], nominal=file)
+    assert isinstance(identification.nominal, CapsuleModel)
+    assert identification.nominal.settings.friction_coefficient == 0.09
+    assert identification.nominal.settings.effects == ()

@@ -66,10 +66,10 @@ def test_the_pages_model_is_identified(plates: Path, tmp_path: Path) -> None:
     assert sys.path == before
     fit = fit_jointly(select_runs(plates), model)
     assert fit.converged, fit.remarks
-    for one in fit.parameters:
-        assert abs(one.value - TRUE[one.name]) < 4 * one.standard_error
-        assert one.learnt > 0.8
-        assert one.standard_error < 0.25 * one.value
+    for parameter in fit.parameters:
+        assert abs(parameter.value - TRUE[parameter.name]) < 4 * parameter.standard_error
+        assert parameter.learnt > 0.8
+        assert parameter.standard_error < 0.25 * parameter.value
     assert 0.7 < fit.chi2 / fit.degrees < 1.3
     assert model.document(fit.values) == {"nominal": "plate", "parameters": dict(fit.values)}
 
@@ -137,7 +137,7 @@ def test_two_files_of_one_name_are_two_models(tmp_path: Path) -> None:
     for value in ("100.0", "200.0"):
         (tmp_path / value).mkdir()
         models.append(find_model(str(own_file(tmp_path / value, code_on_the_page().replace("100.0", value)))))
-    assert [one.parameters[0].nominal for one in models] == [100.0, 200.0]
+    assert [model.parameters[0].nominal for model in models] == [100.0, 200.0]
 
 
 # What is changed in the page's example, and what is said then.

@@ -67,7 +67,7 @@ VOID = {"meta", "img", "br", "hr", "link", "input"}
 
 
 def finding(key: str) -> PaperFinding:
-    return next(one for one in all_findings() if one.key == key)
+    return next(all_finding for all_finding in all_findings() if all_finding.key == key)
 
 
 @pytest.mark.parametrize(
@@ -110,17 +110,17 @@ def test_the_findings_carry_the_numbers_that_the_model_gives(
 
 
 def test_every_finding_says_what_the_numbers_show_and_what_is_done() -> None:
-    found = all_findings()
-    assert len(found) >= 25
-    assert len({one.key for one in found}) == len(found)
-    for one in found:
-        assert one.numbers, one.key
-        assert all(np.isfinite(number.value) for number in one.numbers), one.key
-        assert re.search(r"\d", one.shown), one.key
-        for sentence in (one.paper, one.shown, one.practice):
-            assert sentence.endswith("."), one.key
+    result = all_findings()
+    assert len(result) >= 25
+    assert len({entry.key for entry in result}) == len(result)
+    for entry in result:
+        assert entry.numbers, entry.key
+        assert all(np.isfinite(number.value) for number in entry.numbers), entry.key
+        assert re.search(r"\d", entry.shown), entry.key
+        for sentence in (entry.paper, entry.shown, entry.practice):
+            assert sentence.endswith("."), entry.key
             assert not re.search(r"[{}]| {2}|nan|inf\b|\d-\d", sentence), sentence
-        assert len({number.quantity for number in one.numbers}) == len(one.numbers), one.key
+        assert len({number.quantity for number in entry.numbers}) == len(entry.numbers), entry.key
 
 
 def test_the_findings_are_about_the_shipped_model() -> None:
@@ -134,7 +134,7 @@ def test_eq_15_exceeds_one_where_a_correlation_cannot() -> None:
     assert mirrored.eq15 == pytest.approx(1)
     assert shifted.eq15 < 1
     assert far.eq15 == pytest.approx(R2_ABOVE)
-    assert all(one.correlation == pytest.approx(1) for one in (half, mirrored, shifted, far))
+    assert all(example.correlation == pytest.approx(1) for example in (half, mirrored, shifted, far))
 
 
 @given(st.floats(0.05, 0.99), st.lists(st.floats(10, 200), min_size=3, max_size=12, unique=True))
@@ -196,14 +196,14 @@ def made(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Made:
     """Call the command once for all workers, who share a folder; the one that comes first does it."""
     own = tmp_path_factory.getbasetemp()
     folder = (own if worker_id == "master" else own.parent) / "paper"
-    said = folder.with_suffix(".json")
+    with_suffix = folder.with_suffix(".json")
     with FileLock(folder.with_suffix(".lock")):
-        if not said.exists():
+        if not with_suffix.exists():
             arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
             done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)
             assert done.exception is None, done.exception
-            said.write_text(done.stdout, "utf-8")
-    return Made(folder, json.loads(said.read_text("utf-8")))
+            with_suffix.write_text(done.stdout, "utf-8")
+    return Made(folder, json.loads(with_suffix.read_text("utf-8")))
 
 
 @pytest.fixture
@@ -229,15 +229,15 @@ def test_the_command_says_where_everything_is(made: Made) -> None:
 
 
 def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
-    found = read_campaign(made.folder)
-    assert not found.unreadable
-    assert not found.recordings
-    kinds = [one.kind for one in found.good]
+    campaign = read_campaign(made.folder)
+    assert not campaign.unreadable
+    assert not campaign.recordings
+    kinds = [run.kind for run in campaign.good]
     assert {kind: kinds.count(kind) for kind in kinds} == {
         "relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29,
     }  # fmt: skip
-    assert all(one.status is RunStatus.COMPLETE and one.header.backend == "simulated" for one in found.good)
-    assert all("seed = 1\n" in one.header.settings_toml for one in found.good)
+    assert all(run.status is RunStatus.COMPLETE and run.header.backend == "simulated" for run in campaign.good)
+    assert all("seed = 1\n" in entry.header.settings_toml for entry in campaign.good)
 
 
 class Page(HTMLParser):
@@ -253,16 +253,16 @@ class Page(HTMLParser):
         self.shown: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
+        result = dict(attrs)
         self.tags.add(tag)
         if tag not in VOID:
             self.open.append(tag)
         self.sources += [value or "" for key, value in attrs if key in {"src", "srcset", "data"}]
         self.links += [value or "" for key, value in attrs if key == "href"]
         self.ids += [value or "" for key, value in attrs if key == "id"]
-        assert not any(key.startswith("on") for key in found)
-        if found.get("role") == "img":
-            self.shown.append(found.get("aria-label") or "")
+        assert not any(key.startswith("on") for key in result)
+        if result.get("role") == "img":
+            self.shown.append(result.get("aria-label") or "")
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open
@@ -279,7 +279,7 @@ def test_the_report_needs_nothing_but_itself(made: Made) -> None:
     assert len(read.ids) == len(set(read.ids))
     assert all((link.startswith("#") and link[1:] in read.ids) or link == "data:," for link in read.links)
     assert len(read.shown) == 6
-    assert all(len(one) > 30 for one in read.shown)
+    assert all(len(part) > 30 for part in read.shown)
     style = made.page.split("<style>")[1].split("</style>")[0]
     assert "prefers-color-scheme: dark" in style
     assert "@media print" in style
@@ -296,19 +296,19 @@ def test_the_report_is_presentable_in_a_browser(browser: "Browser", made: Made) 
 
 def test_the_report_says_what_was_simulated(made: Made) -> None:
     text = made.page
-    for said in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
-        assert said in text
-    for one in all_findings():
-        assert f'<h3 id="{one.key}">' in text
+    for message in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
+        assert message in text
+    for all_finding in all_findings():
+        assert f'<h3 id="{all_finding.key}">' in text
 
 
 def test_the_papers_r2_are_quoted_and_never_reproduced(made: Made) -> None:
     quote = re.search(r'<p class="quoted">(.*?)</p>', made.page, re.DOTALL)
     assert quote is not None
-    said = " ".join(quote.group(1).split())
-    assert f"{R2_BELOW}" in said
-    assert f"{R2_ABOVE}" in said
-    assert "no software can reproduce them" in said
+    text = " ".join(quote.group(1).split())
+    assert f"{R2_BELOW}" in text
+    assert f"{R2_ABOVE}" in text
+    assert "no software can reproduce them" in text
     ours = (made.folder / "determination.csv").read_text("utf-8")
     assert ours.splitlines()[0] == "band,speeds,eq15_ratio,squared_correlation"
     assert "0.8769" not in ours
@@ -366,10 +366,10 @@ def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
 def test_each_runs_own_factors_come_back(made: Made) -> None:
     runs = made.rows("joint-runs")
     assert len(runs) == 29
-    found = [row for row in runs if row["kind"] == "relaxation"]
-    ratio = np.array([float(row["stiffness_factor"]) / float(row["simulated_stiffness_factor"]) for row in found])
+    result = [row for row in runs if row["kind"] == "relaxation"]
+    ratio = np.array([float(row["stiffness_factor"]) / float(row["simulated_stiffness_factor"]) for row in result])
     assert np.ptp(ratio) < 0.005
-    assert all(row["friction_factor"] == row["simulated_friction_factor"] == "" for row in found)
+    assert all(row["friction_factor"] == row["simulated_friction_factor"] == "" for row in result)
 
 
 def test_the_identified_model_is_one_that_the_simulator_loads(made: Made) -> None:
@@ -384,10 +384,10 @@ def test_what_is_there_is_not_overwritten(few: Made, tmp_path: Path, capsys: pyt
     before = {path.name: path.stat().st_mtime_ns for path in few.folder.iterdir()}
     assert main(["paper", "--out", str(few.folder)]) == 2
     assert {path.name: path.stat().st_mtime_ns for path in few.folder.iterdir()} == before
-    told = capsys.readouterr().err
-    assert "is there already" in told
-    assert "--overwrite" in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert "is there already" in errors
+    assert "--overwrite" in errors
+    assert errors.count("\n") == 1
     for name in ("findings.csv", PAPER_MODEL_FILE):
         mine = tmp_path / "mine" / name
         mine.parent.mkdir(exist_ok=True)
@@ -410,19 +410,19 @@ def test_other_peoples_runs_are_never_replaced(few: Made, capsys: pytest.Capture
     before = {path.name for path in few.folder.iterdir()}
     for choice in ([], ["--overwrite"]):
         assert main(["paper", "--out", str(few.folder), *choice]) == 2
-        told = capsys.readouterr().err
-        assert "010-drag.h5: is no run of dragrig paper" in told
-        assert "say --overwrite" not in told
+        errors = capsys.readouterr().err
+        assert "010-drag.h5: is no run of dragrig paper" in errors
+        assert "say --overwrite" not in errors
     assert {path.name for path in few.folder.iterdir()} == before
 
 
 @pytest.mark.parametrize("seed", ["x", "-1", "1.5", "9" * 30])
 def test_a_seed_is_a_whole_number(seed: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["paper", "--out", str(tmp_path / "out"), "--seed", seed]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "--seed" in told
-    assert seed in told
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert "--seed" in errors
+    assert seed in errors
     assert not (tmp_path / "out").exists()
 
 
@@ -430,9 +430,9 @@ def test_a_seed_is_a_whole_number(seed: str, tmp_path: Path, capsys: pytest.Capt
 def test_a_file_is_no_folder(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("", "utf-8")
     assert main(["paper", "--out", str(tmp_path / place)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert Path(place).name in told
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert Path(place).name in errors
 
 
 def test_a_folder_that_is_closed_is_said_in_a_sentence(
@@ -442,9 +442,9 @@ def test_a_folder_that_is_closed_is_said_in_a_sentence(
     folder.mkdir()
     close_folder(folder)
     assert main(["paper", "--out", str(folder)]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "closed" in told
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert "closed" in errors
 
 
 def test_choices_reach_the_simulator() -> None:

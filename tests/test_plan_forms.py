@@ -16,7 +16,7 @@ def test_a_form_left_as_it_is_gives_the_same_plan(name: str) -> None:
 
 
 def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
-    fields = {one.key: one for one in plan_form("drag").steps[0].fields}
+    fields = {field.key: field for field in plan_form("drag").steps[0].fields}
     speed = fields["speed_mm_s"]
     assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "above 0 to 5000 mm/s")
     assert "speed of the stroke" in speed.help
@@ -24,14 +24,17 @@ def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
     assert speed.required
     assert fields["order"].choices == ("listed", "reversed", "random", "random_within_repeat")
     assert fields["prompt_each"].kind is FieldKind.SWITCH
-    assert all(one.help for one in fields.values())
+    assert all(field.help for field in fields.values())
 
 
 def test_several_values_make_one_run_of_each() -> None:
     form = plan_form("drag")
     values = {**form.steps[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
     session = preview_session(form.filled([values]), RigSelection())
-    assert len([one for one in session.preflight.previews if one.run.protocol.summary().startswith("drag")]) == 6
+    assert (
+        len([preview for preview in session.preflight.previews if preview.run.protocol.summary().startswith("drag")])
+        == 6
+    )
 
 
 @pytest.mark.parametrize(("key", "text"), [("speed_mm_s", "fast"), ("speed_mm_s", "-3"), ("wait_s", "1, 2")])
@@ -84,8 +87,8 @@ def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
     ],
 )
 def test_a_rig_is_named_unmistakably(rig: RigSelection, title: str, real: bool) -> None:
-    said = describe_rig(rig)
-    assert (said.title, said.real) == (title, real)
+    text = describe_rig(rig)
+    assert (text.title, text.real) == (title, real)
 
 
 def test_a_plan_that_is_none_is_refused() -> None:

@@ -53,7 +53,7 @@ def test_a_stop_keeps_the_past_and_ends_at_standstill(travel: float, speed: floa
 def test_a_phase_holds_its_first_instant_and_not_its_last() -> None:
     profile = stroke(40.0, 20.0, 400.0)
     time = np.array([0.0, 1.0 - 1e-6, 1.0 - 1e-10, 1.0, 1.05, 3.0, 3.05, 6.0])
-    names = [Phase(int(one)) for one in profile.phase_at(time)]
+    names = [Phase(int(number)) for number in profile.phase_at(time)]
     assert names == [
         Phase.REST, Phase.REST, Phase.ACCELERATE, Phase.ACCELERATE,
         Phase.STEADY, Phase.DECELERATE, Phase.HOLD, Phase.HOLD,

@@ -51,9 +51,9 @@ def test_the_papers_programme_is_whole() -> None:
 
 def test_the_order_follows_from_the_seed_alone() -> None:
     step: dict[str, object] = {"kind": "drag", "speed_mm_s": [1, 2, 5, 10, 20], "order": "random", "repeats": 2}
-    first, again, other = (made(step, seed=seed) for seed in (7, 7, 8))
+    first, again, second = (made(step, seed=seed) for seed in (7, 7, 8))
     assert [run.protocol for run in first.runs] == [run.protocol for run in again.runs]
-    assert [run.protocol for run in first.runs] != [run.protocol for run in other.runs]
+    assert [run.protocol for run in first.runs] != [run.protocol for run in second.runs]
 
 
 def test_a_driven_way_back_is_a_run_of_its_own() -> None:

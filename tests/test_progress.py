@@ -100,10 +100,10 @@ def test_a_prompt_takes_the_first_letter(
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     run = resolve("drag").programme().runs[0]
     assert TerminalOperator(yes=False).ask(Prompt("Fit a fresh specimen", run, can_redo, can_skip=True)) is answer
-    told = capsys.readouterr()
-    assert "Fit a fresh specimen." in told.err
-    assert ("[r]edo" in told.err) is can_redo
-    assert told.out == ""
+    output = capsys.readouterr()
+    assert "Fit a fresh specimen." in output.err
+    assert ("[r]edo" in output.err) is can_redo
+    assert output.out == ""
 
 
 def test_yes_answers_every_prompt(capsys: pytest.CaptureFixture[str]) -> None:

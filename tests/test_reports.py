@@ -39,8 +39,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(CAMPAIGN, folder)
     made = folder.with_name("made")
     dragrig.simulate("blank", out=made, assignments=["rig.sampling.rate_hz=200"])
-    for one in (*made.glob("*.h5"), *made.glob("*.toml")):
-        shutil.copy(one, folder)
+    for entry in (*made.glob("*.h5"), *made.glob("*.toml")):
+        shutil.copy(entry, folder)
     mark_bad(folder / "014-drag.h5", "the gut <slid> off")
     (folder / "015-broken.h5").write_bytes(b"no run file")
     shutil.copy(CAMPAIGN / "005-blank.h5", folder / "016-drag.recording.h5")
@@ -64,23 +64,23 @@ def words(page: Path) -> str:
 
 
 def test_a_runs_page_says_what_was_measured_and_that_it_is_bad(run_page: Path, campaign: Path) -> None:
-    told = words(run_page)
+    answer = words(run_page)
     steady = measure(read_run(campaign / "014-drag.h5")).steady_force
     assert steady.value is not None
     assert steady.interval is not None
-    assert f"{steady.value:.1f}" in told
-    assert f"{steady.interval[0]:.1f}" in told
-    assert "Not a good run: marked bad: the gut <slid> off" in told
+    assert f"{steady.value:.1f}" in answer
+    assert f"{steady.interval[0]:.1f}" in answer
+    assert "Not a good run: marked bad: the gut <slid> off" in answer
     assert "<slid>" not in run_page.read_text("utf-8")
-    assert "speed 60 mm/s" in told
-    assert "travel 40 mm" in told
+    assert "speed 60 mm/s" in answer
+    assert "travel 40 mm" in answer
 
 
 def test_a_campaigns_page_says_what_was_left_out_and_why(campaign_page: Path) -> None:
-    told = words(campaign_page)
-    assert "Campaign first piece" in told
-    assert "4 left out" in told
-    left_out = told.split("Left out", 1)[1].split("Sessions", 1)[0]
+    answer = words(campaign_page)
+    assert "Campaign first piece" in answer
+    assert "4 left out" in answer
+    left_out = answer.split("Left out", 1)[1].split("Sessions", 1)[0]
     assert "014-drag.h5 drag marked bad: the gut <slid> off" in left_out
     assert "015-broken.h5" in left_out
     assert "016-drag.recording.h5" in left_out
@@ -93,7 +93,7 @@ def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_p
     html = campaign_page.read_text("utf-8")
     ids = re.findall(r'<details id="([^"]+)">', html)
     assert {f"run-{path.stem}" for path in CAMPAIGN.glob("*.h5")} <= set(ids)
-    assert not any("return" in one for one in ids)
+    assert not any("return" in entry for entry in ids)
     assert set(re.findall(r'<a href="#(run-[^"]+)">', html)) == set(ids)
     sessions = html.split('id="sessions"', 1)[1].split("</section>", 1)[0]
     assert re.search(r'blank</td><td>simulated</td><td></td><td class="number" data-number="4">4</td>', sessions)
@@ -164,7 +164,7 @@ def test_a_line_is_where_it_was_to_a_twentieth(points: list[tuple[float, float]]
     drawn = inline_svg(f'<svg viewBox="0 0 9 9" xmlns="http://www.w3.org/2000/svg"><path d="{data}"/></svg>', "a line")
     written = re.search(r' d="M([^"]*)"', drawn.element)
     assert written is not None
-    numbers = [float(one) for one in re.findall(r"-?(?:\d+\.?\d*|\.\d+)", written[1])]
+    numbers = [float(number) for number in re.findall(r"-?(?:\d+\.?\d*|\.\d+)", written[1])]
     x = y = 0.0
     passed = []
     for step_x, step_y in zip(numbers[::2], numbers[1::2], strict=True):
@@ -203,7 +203,7 @@ def test_a_link_to_a_run_opens_it_and_all_open_at_once(browser: "Browser", campa
         assert page.locator("details:not([open])").count() == 0
         page.get_by_role("button", name="Close all").click()
         assert page.locator("details[open]").count() == 0
-        assert heard.said == []
+        assert heard.messages == []
 
 
 def test_a_runs_page_is_presentable(browser: "Browser", run_page: Path) -> None:

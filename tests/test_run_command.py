@@ -34,15 +34,15 @@ class Runner:
         self._monkeypatch, self._capsys = monkeypatch, capsys
 
     def __call__(self, *words: str, typed: str = "") -> Any:
-        told = self.told(*words, typed=typed)
-        return json.loads(told.out)
+        answer = self.json_answer(*words, typed=typed)
+        return json.loads(answer.out)
 
-    def told(self, *words: str, typed: str = "", code: int = 0) -> Any:
+    def json_answer(self, *words: str, typed: str = "", code: int = 0) -> Any:
         self._monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
         got = main(["run", *words, "--json"])
-        told = self._capsys.readouterr()
-        assert got == code, told.err
-        return told
+        output = self._capsys.readouterr()
+        assert got == code, output.err
+        return output
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 def statuses(folder: Path) -> list[tuple[str, RunStatus]]:
-    return [(one.kind, one.status) for one in read_campaign(folder).runs]
+    return [(entry.kind, entry.status) for entry in read_campaign(folder).runs]
 
 
 def test_two_dry_runs_of_one_second_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,7 +72,7 @@ def test_a_plan_becomes_one_file_a_run(run: Runner, tmp_path: Path) -> None:
     first: RunInfo = read_campaign(folder).runs[0]
     assert (first.header.entry["operator"], first.header.entry["note"]) == ("Ada", "first")
     assert first.header.capsule["name"] == "smooth"
-    assert [Path(one["file"]).name for one in made["runs"]] == [one.path.name for one in read_campaign(folder).runs]
+    assert [Path(row["file"]).name for row in made["runs"]] == [entry.path.name for entry in read_campaign(folder).runs]
     assert made["runs"][0]["checks"]["lost_samples"] == 0
 
 
@@ -80,32 +80,32 @@ def test_a_session_is_made_again_from_a_run_file_alone(run: Runner, tmp_path: Pa
     changed = ("--set", "rig.simulated.seed=5", "--set", "model.friction_coefficient=0.1", "--set", "wait_s=7")
     first = run(*QUICK, *changed, "--yes", "--out", "first")
     again = run(first["runs"][1]["file"], "--yes", "--out", "again")
-    for one, other in zip(first["runs"], again["runs"], strict=True):
-        before, after = read_run(tmp_path / one["file"]), read_run(tmp_path / other["file"])
+    for row, second in zip(first["runs"], again["runs"], strict=True):
+        before, after = read_run(tmp_path / row["file"]), read_run(tmp_path / second["file"])
         for name, channel in before.trace.channels.items():
             np.testing.assert_array_equal(after.trace.channels[name], channel)
 
 
 def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> None:
-    each = (*QUICK, "--set", "prompt_each=true", "--set", "repeats=3", "--set", "way_back=by_hand")
-    made = run(*each, "--out", "c", typed="done\nredo\nd\nd\nskip\nd\n")
-    orders = [(one["order"], one["status"]) for one in made["runs"]]
+    entry = (*QUICK, "--set", "prompt_each=true", "--set", "repeats=3", "--set", "way_back=by_hand")
+    made = run(*entry, "--out", "c", typed="done\nredo\nd\nd\nskip\nd\n")
+    orders = [(row["order"], row["status"]) for row in made["runs"]]
     assert orders == [(0, "complete"), (1, "complete"), (2, "complete")]
-    found = read_campaign(tmp_path / "c")
-    assert [found.marks[one.path].reason for one in found.runs if one.path in found.marks] == [
+    campaign = read_campaign(tmp_path / "c")
+    assert [campaign.marks[entry.path].reason for entry in campaign.runs if entry.path in campaign.marks] == [
         "repeated at the operator's request"
     ]
 
 
 def test_without_an_answer_the_session_ends_with_a_reason(run: Runner) -> None:
-    told = run.told(*QUICK, code=3)
-    assert json.loads(told.out)["status"] == "aborted"
-    assert "--yes" in told.err
-    assert "the session ended early" in told.err
+    answer = run.json_answer(*QUICK, code=3)
+    assert json.loads(answer.out)["status"] == "aborted"
+    assert "--yes" in answer.err
+    assert "the session ended early" in answer.err
 
 
 def test_quiet_leaves_the_result_alone(run: Runner) -> None:
-    assert run.told(*QUICK, "--yes", "--quiet").err == ""
+    assert run.json_answer(*QUICK, "--yes", "--quiet").err == ""
 
 
 @pytest.fixture
@@ -128,9 +128,9 @@ def waiting(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
 def until_it_records(folder: Path) -> Path:
     deadline = time.monotonic() + 600
     while time.monotonic() < deadline:
-        found = list(folder.glob("*.recording.h5"))
-        if found and time.time() - found[0].stat().st_ctime < 5 and found[0].stat().st_size > 20_000:
-            return found[0]
+        paths = list(folder.glob("*.recording.h5"))
+        if paths and time.time() - paths[0].stat().st_ctime < 5 and paths[0].stat().st_size > 20_000:
+            return paths[0]
         time.sleep(0.02)
     raise AssertionError("nothing was recorded")
 
@@ -141,9 +141,9 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
     time.sleep(0.8)  # into the steady phase
     sent = datetime.now(UTC)
     waiting.send_signal(signal.SIGINT)
-    told, remarks = waiting.communicate()
+    answer, remarks = waiting.communicate()
     assert waiting.returncode == 3, remarks
-    assert json.loads(told)["status"] == "aborted"
+    assert json.loads(answer)["status"] == "aborted"
     (info,) = read_campaign(tmp_path / "c").runs
     assert (info.status, info.reason) == (RunStatus.ABORTED, "Ctrl-C")
     run = read_run(info.path)
@@ -156,19 +156,19 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
 
 def test_a_tripped_campaign_can_be_resumed(run: Runner, tmp_path: Path) -> None:
     words = (*QUICK, "--yes", "--out", "c")
-    told = run.told(*words, "--set", "rig.guard.force_limit_mN=100", code=4)
-    made = json.loads(told.out)
+    answer = run.json_answer(*words, "--set", "rig.guard.force_limit_mN=100", code=4)
+    made = json.loads(answer.out)
     assert made["status"] == "tripped"
     assert "limit of 100 mN" in made["reason"]
-    assert "limit of 100 mN" in told.err
+    assert "limit of 100 mN" in answer.err
     again = run("--resume", "c", "--yes", "--set", "rig.guard.force_limit_mN=8000")
-    assert [(one["order"], one["kind"]) for one in again["runs"]] == [(1, "drag"), (2, "return")]
-    starts = [one.header.start_time for one in read_campaign(tmp_path / "c").runs]
+    assert [(row["order"], row["kind"]) for row in again["runs"]] == [(1, "drag"), (2, "return")]
+    starts = [entry.header.start_time for entry in read_campaign(tmp_path / "c").runs]
     assert starts == sorted(starts)
     sessions = sorted((tmp_path / "c").glob("session-*"))
     assert run("--resume", "c")["runs"] == []  # nothing is left, so nobody is asked
     assert sorted((tmp_path / "c").glob("session-*")) == sessions
-    assert "only rig" in run.told("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
+    assert "only rig" in run.json_answer("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
 
 
 def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run: Runner, tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: 
     run(*QUICK, "--yes", "--out", "c")
     before = sorted((tmp_path / "c").iterdir())
     with Recorder(tmp_path / "c" / "20260504-093000-drag-009.h5", header(order=9)):
-        assert "is being recorded; resume" in run.told("--resume", "c", "--yes", code=2).err
+        assert "is being recorded; resume" in run.json_answer("--resume", "c", "--yes", code=2).err
     assert [path for path in sorted((tmp_path / "c").iterdir()) if "009" not in path.name] == before
 
 
@@ -197,9 +197,9 @@ def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
     run(*QUICK, "--yes", "--out", "c")
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     made = run("--resume", "c", "--yes")
-    assert [one["kind"] for one in made["runs"]] == ["drag", "return"]
-    *before, again, _ = sorted(read_campaign(tmp_path / "c").runs, key=lambda one: one.header.order)
-    assert all(one.end_time is not None and one.end_time < again.header.start_time for one in before)
+    assert [row["kind"] for row in made["runs"]] == ["drag", "return"]
+    *before, again, _ = sorted(read_campaign(tmp_path / "c").runs, key=lambda first: first.header.order)
+    assert all(entry.end_time is not None and entry.end_time < again.header.start_time for entry in before)
 
 
 SLOW_THEN_QUICK = """
@@ -219,8 +219,8 @@ def test_the_progress_of_a_repeated_first_run_is_shown(run: Runner, tmp_path: Pa
     (tmp_path / "two.toml").write_text(SLOW_THEN_QUICK, "utf-8")
     run("two.toml", "--yes", "--out", "c")
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
-    told = run.told("--resume", "c", "--yes", "--pace", "real").err
-    assert re.search(r"run 1 of 1, blank 1.8 mm/s: \d+ %, [0-9.]+ s left", told), told
+    errors = run.json_answer("--resume", "c", "--yes", "--pace", "real").err
+    assert re.search(r"run 1 of 1, blank 1.8 mm/s: \d+ %, [0-9.]+ s left", errors), errors
 
 
 @pytest.mark.parametrize(
@@ -243,9 +243,9 @@ def test_an_impossible_plan_is_reported_before_anything_moves(
     run: Runner, tmp_path: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     (tmp_path / "taken").write_text("mine", "utf-8")
-    told = run.told(*words, "--yes", code=2).err
-    assert sentence.lower() in told.lower()
-    assert told.count("\n") == 1
+    errors = run.json_answer(*words, "--yes", code=2).err
+    assert sentence.lower() in errors.lower()
+    assert errors.count("\n") == 1
     assert (tmp_path / "taken").read_text("utf-8") == "mine"
     assert not (tmp_path / "runs").exists()
 
@@ -253,7 +253,7 @@ def test_an_impossible_plan_is_reported_before_anything_moves(
 def test_a_campaign_is_not_written_into_twice(run: Runner, tmp_path: Path) -> None:
     run(*QUICK, "--yes", "--out", "c")
     before = sorted((tmp_path / "c").iterdir())
-    assert "--resume" in run.told(*QUICK, "--yes", "--out", "c", code=2).err
+    assert "--resume" in run.json_answer(*QUICK, "--yes", "--out", "c", code=2).err
     assert sorted((tmp_path / "c").iterdir()) == before
 
 
@@ -266,6 +266,6 @@ def test_a_backend_that_an_entry_point_adds_can_fail_in_words(
     (site / "broken-1.dist-info" / "entry_points.txt").write_text("[dragrig.backends]\nbroken = broken:open_it\n")
     (site / "broken.py").write_text("def open_it(request):\n    raise OSError('no drive at COM3')\n", "utf-8")
     monkeypatch.syspath_prepend(site)
-    told = run.told("drag", "--yes", "--backend", "broken", code=5).err
-    assert "no drive at COM3" in told
-    assert told.count("\n") == 1
+    errors = run.json_answer("drag", "--yes", "--backend", "broken", code=5).err
+    assert "no drive at COM3" in errors
+    assert errors.count("\n") == 1

@@ -180,10 +180,10 @@ def test_a_campaign_is_in_the_order_that_each_specimen_lived_through(tmp_path: P
     write_run(tmp_path / "5.h5", renamed, arrays(0, 10))
     record(tmp_path / "6.h5", 10)
     shutil.copy(tmp_path / "0.h5", tmp_path / "notes.txt")
-    found = read_campaign(tmp_path)
-    assert [run.path.stem for run in found.runs] == ["2", "3", "1", "5", "4", "0"]
-    assert [path.name for path in found.recordings] == ["6.recording.h5"]
-    assert found.unreadable == ()
+    campaign = read_campaign(tmp_path)
+    assert [run.path.stem for run in campaign.runs] == ["2", "3", "1", "5", "4", "0"]
+    assert [path.name for path in campaign.recordings] == ["6.recording.h5"]
+    assert campaign.unreadable == ()
     with pytest.raises(RunFileError, match="no such folder"):
         read_campaign(tmp_path / "none")
 

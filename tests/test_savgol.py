@@ -41,16 +41,16 @@ def test_agrees_with_the_definition_ends_included(window: int, order: int, deriv
     values = wandering(700)
     settings_ = SavgolSettings(window_samples=window, order=order, derivative=derivative)
     wanted = by_least_squares(values, window, order, derivative)
-    found = smooth(values, RATE, settings_).values
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+    result = smooth(values, RATE, settings_).values
+    np.testing.assert_allclose(result, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
 
 
 def test_keeps_polynomials_and_their_derivative() -> None:
     time = np.arange(200) / RATE
     cubic = 1 + 2 * time - 30 * time**2 + 400 * time**3
-    kept = smooth(cubic, RATE, SavgolSettings(window_s=0.05, order=3))
+    remaining = smooth(cubic, RATE, SavgolSettings(window_s=0.05, order=3))
     slope = smooth(cubic, RATE, SavgolSettings(window_s=0.05, order=3, derivative=1))
-    np.testing.assert_allclose(kept.values, cubic, atol=1e-10)
+    np.testing.assert_allclose(remaining.values, cubic, atol=1e-10)
     np.testing.assert_allclose(slope.values, 2 - 60 * time + 1200 * time**2, atol=1e-7)
 
 
@@ -60,11 +60,11 @@ def test_a_gap_is_not_crossed_and_a_short_piece_becomes_nan_with_an_event() -> N
     gaps = gap_starts(time, RATE)
     assert gaps.tolist() == [100, 110]
     setting = SavgolSettings(window_samples=25)
-    found = smooth(values, RATE, setting, gaps, time)
-    np.testing.assert_array_equal(found.values[:100], smooth(values[:100], RATE, setting).values)
-    assert np.isnan(found.values[100:110]).all()
-    np.testing.assert_array_equal(found.values[110:], smooth(values[110:], RATE, setting).values)
-    (event,) = found.events
+    result = smooth(values, RATE, setting, gaps, time)
+    np.testing.assert_array_equal(result.values[:100], smooth(values[:100], RATE, setting).values)
+    assert np.isnan(result.values[100:110]).all()
+    np.testing.assert_array_equal(result.values[110:], smooth(values[110:], RATE, setting).values)
+    (event,) = result.events
     assert event.time_s == time[100]
     assert "10 samples" in event.message
     assert "25" in event.message
@@ -74,9 +74,9 @@ def test_a_missing_value_parts_a_trace_as_a_gap_does() -> None:
     values = wandering(100)
     values[60] = np.nan
     setting = SavgolSettings(window_samples=11)
-    found = smooth(values, RATE, setting).values
-    assert np.flatnonzero(np.isnan(found)).tolist() == [60]
-    np.testing.assert_array_equal(found[:60], smooth(values[:60], RATE, setting).values)
+    result = smooth(values, RATE, setting).values
+    assert np.flatnonzero(np.isnan(result)).tolist() == [60]
+    np.testing.assert_array_equal(result[:60], smooth(values[:60], RATE, setting).values)
 
 
 @st.composite
@@ -128,9 +128,9 @@ def test_a_window_of_thousands_of_samples_streams_and_stays_exact() -> None:
 def test_agrees_with_scipy_where_scipy_is_well_conditioned() -> None:
     values = wandering(400)
     for derivative in (0, 1, 2):
-        found = smooth(values, RATE, SavgolSettings(window_samples=25, derivative=derivative)).values
+        result = smooth(values, RATE, SavgolSettings(window_samples=25, derivative=derivative)).values
         wanted = savgol_filter(values, 25, 3, derivative, 1 / RATE, mode="interp")
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+        np.testing.assert_allclose(result, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
 
 
 def test_the_stream_lags_half_a_window_and_no_more() -> None:
@@ -152,7 +152,7 @@ def test_the_stream_refuses_samples_from_the_past() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given_", "said"),
+    ("given_", "message"),
     [
         ({}, "either in seconds or in samples"),
         ({"window_s": 0.1, "window_samples": 11}, "either in seconds or in samples"),
@@ -164,8 +164,8 @@ def test_the_stream_refuses_samples_from_the_past() -> None:
         ({"window_s": float("nan")}, "above 0 s"),
     ],
 )
-def test_impossible_settings_are_refused_in_one_sentence(given_: dict[str, float], said: str) -> None:
-    with pytest.raises(AnalysisError, match=said):
+def test_impossible_settings_are_refused_in_one_sentence(given_: dict[str, float], message: str) -> None:
+    with pytest.raises(AnalysisError, match=message):
         SavgolSettings(**given_)  # type: ignore[arg-type]
 
 

@@ -376,10 +376,10 @@ def test_a_profile_is_cut_into_the_strokes_it_is_made_of(
     assert len(strokes) == len(moves)
     made: list[Piece] = []
     at_s = at_mm = 0.0
-    for one in strokes:
-        again = trapezoid(one.end_mm - at_mm, one.speed_mm_s, one.acceleration_mm_s2)
-        made += [stationary_piece(max(one.start_s - at_s, 0.0), Phase.HOLD), *again]
-        at_s, at_mm = one.ends_s, one.end_mm
+    for point in strokes:
+        again = trapezoid(point.end_mm - at_mm, point.speed_mm_s, point.acceleration_mm_s2)
+        made += [stationary_piece(max(point.start_s - at_s, 0.0), Phase.HOLD), *again]
+        at_s, at_mm = point.ends_s, point.end_mm
     times = np.linspace(0.0, profile.duration_s, 200)
     np.testing.assert_allclose(MotionProfile.from_pieces(made).position(times), profile.position(times), atol=1e-4)
 
@@ -412,9 +412,9 @@ def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch
     with driven(pace=20.0, silence_s=0.5) as rig:
         rig.stage.enable()
         rig.bench.place(0.0)
-        told = type(rig.drive).status.fget
-        assert told is not None
-        monkeypatch.setattr(type(rig.drive), "status", property(lambda drive: replace(told(drive), moving=True)))
+        fget = type(rig.drive).status.fget
+        assert fget is not None
+        monkeypatch.setattr(type(rig.drive), "status", property(lambda drive: replace(fget(drive), moving=True)))
         with pytest.raises(DeviceError, match=r"still moves.*by hand"):
             rig.stage.home()
         assert Command.STOP in {request.command for request in rig.drive.requests}

@@ -85,9 +85,9 @@ def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
         steps = st.lists(st.dictionaries(keys, _VALUES | st.sampled_from(["drag", "motion"]), max_size=4), max_size=2)
         table = {"name": "p", "steps": data.draw(steps)}
     with suppress(SettingsError, PlanError):
-        found = parse(MODELS[kind], table, "any")
-        if isinstance(found, Plan):
-            build_programme(found, Specimen(name="s"), 40.0, "any")
+        parsed = parse(MODELS[kind], table, "any")
+        if isinstance(parsed, Plan):
+            build_programme(parsed, Specimen(name="s"), 40.0, "any")
 
 
 @pytest.mark.parametrize(
@@ -113,8 +113,8 @@ def test_an_invalid_plan_is_reported_in_one_sentence(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.toml").write_text(text, "utf-8")
     assert main(["check", "own.toml", "--json"]) == 2
-    told = capsys.readouterr().err
-    assert all(word in told for word in ["own.toml", *words]), told
-    assert "Traceback" not in told
-    assert told.splitlines()[0].startswith("dragrig: ")
-    assert [one.name for one in tmp_path.iterdir()] == ["own.toml"]
+    errors = capsys.readouterr().err
+    assert all(word in errors for word in ["own.toml", *words]), errors
+    assert "Traceback" not in errors
+    assert errors.splitlines()[0].startswith("dragrig: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["own.toml"]

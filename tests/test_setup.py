@@ -41,10 +41,10 @@ def test_a_lab_folder_above_gives_the_rig_and_where_data_go(tmp_path: Path, monk
 def test_a_bare_key_changes_every_step_that_has_it() -> None:
     setup = resolve("paper", assignments=["speed_mm_s=5", "hold_s=7.5", "shear_strain=[0.5, 1.0]"])
     made = [run.protocol for run in setup.programme().runs if run.follows < 0]
-    assert {one.kind for one in made} == {"relaxation", "blank", "coulomb", "drag"}
-    assert all(one.hold_s == 7.5 for one in made)
+    assert {run.kind for run in made} == {"relaxation", "blank", "coulomb", "drag"}
+    assert all(entry.hold_s == 7.5 for entry in made)
     assert set(speeds(setup)) == {5.0, None}
-    assert sum(one.kind == "relaxation" for one in made) == 2
+    assert sum(run.kind == "relaxation" for run in made) == 2
 
 
 def test_a_step_keeps_its_own_key_where_only_the_others_protocol_has_it() -> None:

@@ -65,18 +65,18 @@ def test_lost_samples_leave_a_gap_in_the_index_and_nothing_else() -> None:
     ill = record(session(faults=Faults(lost_samples=LostSamples(0.423, 37))), RUN)
     missing = np.setdiff1d(healthy.index, ill.index)
     np.testing.assert_array_equal(missing, np.arange(423, 460))
-    kept = np.isin(healthy.index, ill.index)
+    isin = np.isin(healthy.index, ill.index)
     for name in ("force", "position", "motor_force"):
-        np.testing.assert_array_equal(ill[name], healthy[name][kept])
+        np.testing.assert_array_equal(ill[name], healthy[name][isin])
 
 
 def test_lost_samples_across_a_chunk_keep_the_noise_in_step() -> None:
     long = acquire(rest(2.0), contact=Contact.NONE)
     healthy = record(session(settings(25_000.0)), long)
     ill = record(session(settings(25_000.0), Faults(lost_samples=LostSamples(0.5, 9_000))), long)
-    kept = np.isin(healthy.index, ill.index)
-    assert kept.sum() == 50_000 - 9_000
-    np.testing.assert_array_equal(ill["force"], healthy["force"][kept])
+    isin = np.isin(healthy.index, ill.index)
+    assert isin.sum() == 50_000 - 9_000
+    np.testing.assert_array_equal(ill["force"], healthy["force"][isin])
 
 
 def test_stale_data_are_reported_after_the_guards_time() -> None:

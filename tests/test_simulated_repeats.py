@@ -104,10 +104,10 @@ def test_a_tare_has_the_run_s_zero_offset_and_noise_of_its_own() -> None:
     backend = session(rig)
     tare = record(backend, acquire(rest(2.0), order=5, contact=Contact.NONE))["force"]
     blank = record(backend, acquire(rest(4.0), order=5, contact=Contact.NONE))["force"]
-    other = record(backend, acquire(rest(4.0), order=6, contact=Contact.NONE))["force"]
+    force = record(backend, acquire(rest(4.0), order=6, contact=Contact.NONE))["force"]
     error = 1.5 / np.sqrt(2000)
     assert tare.mean() == pytest.approx(blank.mean(), abs=5 * 1.5 * error)
-    assert abs(other.mean() - tare.mean()) > 20
+    assert abs(force.mean() - tare.mean()) > 20
     correlation = np.corrcoef(tare, blank[: len(tare)])[0, 1]
     assert abs(correlation) < 5 / np.sqrt(len(tare))
 
@@ -175,10 +175,10 @@ def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
         begin(backend, acquire(stroke(hold_s=hold_s)))
         tracemalloc.start()
         samples = sum(block.samples for block in blocks(backend))
-        _, most = tracemalloc.get_traced_memory()
+        _, maximum = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert samples > hold_s * 250_000
-        return most
+        return maximum
 
     short, long = peak(0.5), peak(4.0)
     assert long < 1.1 * short + 100_000

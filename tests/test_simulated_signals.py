@@ -192,15 +192,15 @@ def test_a_session_s_specimen_is_drawn_once_and_only_on_request() -> None:
     drawing.stage.home()
     second = record(drawing, acquire(stroke(), order=1))["force"]
     np.testing.assert_array_equal(first, second)
-    other = record(session(settings(simulated={**quiet, "seed": 77})), acquire(stroke()))["force"]
+    force = record(session(settings(simulated={**quiet, "seed": 77})), acquire(stroke()))["force"]
     nominal = record(session(settings(simulated={"noise": QUIET, "variation": SAME})), acquire(stroke()))["force"]
     assert np.abs(first - nominal).max() > 5.0
-    assert np.abs(first - other).max() > 5.0
+    assert np.abs(first - force).max() > 5.0
 
 
 def test_description_tells_the_seed_and_not_the_draw() -> None:
-    said = session(settings(simulated={"seed": 42, "variation": {"specimen": True}})).description()
-    assert said["seed"] == 42
-    assert said["sensor_serial"] == "simulated"
-    assert said["specimen_drawn"] is True
-    assert not BETWEEN_SPECIMENS.keys() & said.keys()
+    description = session(settings(simulated={"seed": 42, "variation": {"specimen": True}})).description()
+    assert description["seed"] == 42
+    assert description["sensor_serial"] == "simulated"
+    assert description["specimen_drawn"] is True
+    assert not BETWEEN_SPECIMENS.keys() & description.keys()

@@ -19,7 +19,7 @@ from dragrig.parallel import SerialExecutor, available_cores, open_executor, par
 SEEDS = range(6)
 
 
-def kill_when_begun(folder: Path, told: list[int], told_before: list[int]) -> threading.Thread:
+def kill_when_begun(folder: Path, answer: list[int], told_before: list[int]) -> threading.Thread:
     """Kill the process that works on number 3 as soon as it does, and note what had been told by then."""
 
     def wait_and_kill() -> None:
@@ -27,7 +27,7 @@ def kill_when_begun(folder: Path, told: list[int], told_before: list[int]) -> th
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             if trace.exists() and (pid := trace.read_text("utf-8")):
-                told_before.extend(told)
+                told_before.extend(answer)
                 os.kill(int(pid), signal.SIGKILL)
                 return
             time.sleep(0.01)
@@ -37,9 +37,9 @@ def kill_when_begun(folder: Path, told: list[int], told_before: list[int]) -> th
     return thread
 
 
-def require_nothing_lost_or_twice(folder: Path, found: list[bytes], told: list[int], once: list[int]) -> None:
-    assert found == [product(seed) for seed in SEEDS]
-    assert sorted(told) == list(SEEDS)
+def require_nothing_lost_or_twice(folder: Path, result: list[bytes], answer: list[int], once: list[int]) -> None:
+    assert result == [product(seed) for seed in SEEDS]
+    assert sorted(answer) == list(SEEDS)
     assert len(list(folder.glob("3-begun-*"))) == 2
     for seed in once:
         assert [path.name for path in folder.glob(f"{seed}-ended-*")] == [f"{seed}-ended-0"]
@@ -55,22 +55,22 @@ def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_
 
 
 def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
-    told: list[int] = []
-    killer = kill_when_begun(tmp_path, told, [])
+    answer: list[int] = []
+    killer = kill_when_begun(tmp_path, answer, [])
     with open_executor(2) as two:
         pieces = [(tmp_path, seed) for seed in SEEDS]
-        found = parallel_map(two, traced, pieces, lambda piece, _: told.append(piece[1]))
+        result = parallel_map(two, traced, pieces, lambda piece, _: answer.append(piece[1]))
     killer.join()
-    require_nothing_lost_or_twice(tmp_path, found, told, list(SEEDS))
+    require_nothing_lost_or_twice(tmp_path, result, answer, list(SEEDS))
 
 
 def test_a_process_killed_while_it_waits_is_replaced() -> None:
-    with open_executor(1, own_process=True) as one:
-        [(pid, _)] = parallel_map(one, loaded, ["dragrig"])
+    with open_executor(1, own_process=True) as entry:
+        [(pid, _)] = parallel_map(entry, loaded, ["dragrig"])
         assert pid != os.getpid()
         os.kill(pid, signal.SIGKILL)
-        [(other, _)] = parallel_map(one, loaded, ["dragrig"])
-    assert other not in {pid, os.getpid()}
+        [(second, _)] = parallel_map(entry, loaded, ["dragrig"])
+    assert second not in {pid, os.getpid()}
 
 
 def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,14 +86,14 @@ def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypat
             where.append(threading.current_thread())
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", Noted)
-    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as one:
-        parallel_map(one, deadly, [1])
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as entry:
+        parallel_map(entry, deadly, [1])
     assert set(where) == {threading.main_thread()}
 
 
 def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
-    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as one:
-        parallel_map(one, deadly, [1])
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as entry:
+        parallel_map(entry, deadly, [1])
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -104,16 +104,16 @@ def test_what_a_piece_raises_comes_out(workers: int) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
-    told: list[tuple[int, int]] = []
+    answer: list[tuple[int, int]] = []
     with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
-        parallel_map(some, failing, [0, 0, 0, 1], lambda piece, found: told.append((piece, found)))
-    assert told == [(0, 0)] * len(told)
-    assert len(told) >= 4 - workers
+        parallel_map(some, failing, [0, 0, 0, 1], lambda piece, result: answer.append((piece, result)))
+    assert answer == [(0, 0)] * len(answer)
+    assert len(answer) >= 4 - workers
 
 
 def test_workers_are_the_cores_unless_told() -> None:
-    with open_executor(tasks=1) as one:
-        assert isinstance(one, SerialExecutor)
+    with open_executor(tasks=1) as entry:
+        assert isinstance(entry, SerialExecutor)
     assert available_cores() >= 1
     with pytest.raises(SettingsError, match="at least one worker"), open_executor(0):
         pass
@@ -126,15 +126,15 @@ def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
 ) -> None:
     # On a busy machine its processes take long to start.
     monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
-    told, told_before = list[int](), list[int]()
+    answer, told_before = list[int](), list[int]()
     with dask_cluster() as address:
-        killer = kill_when_begun(tmp_path, told, told_before)
+        killer = kill_when_begun(tmp_path, answer, told_before)
         with open_executor(scheduler=address) as workers:
             pieces = [(tmp_path, seed) for seed in SEEDS]
-            found = parallel_map(workers, traced, pieces, lambda piece, _: told.append(piece[1]))
+            result = parallel_map(workers, traced, pieces, lambda piece, _: answer.append(piece[1]))
         killer.join()
     # What a worker had done but not yet handed over when it was killed is done anew by another.
-    require_nothing_lost_or_twice(tmp_path, found, told, told_before)
+    require_nothing_lost_or_twice(tmp_path, result, answer, told_before)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])

@@ -55,13 +55,13 @@ def test_a_model_file_keeps_its_polynomials_and_the_command_takes_it(tmp_path: P
     file = tmp_path / "own.toml"
     file.write_text(to_toml(polynomial()), encoding="utf-8")
     assert read_settings_file(FrictionModelSettings, file) == polynomial()
-    told = CliRunner().invoke(dragrig_group, ["model", "--model", str(file), "--out", str(tmp_path)])
-    assert told.exit_code == 0, told.output
-    assert "polynomials" in told.output
+    result = CliRunner().invoke(dragrig_group, ["model", "--model", str(file), "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    assert "polynomials" in result.output
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "message"),
     [
         ({"wall": "polynomial"}, "wall_polynomials"),
         ({"wall": "polynomial", "wall_polynomials": {"E1": [1.0]}}, "E2"),
@@ -69,8 +69,8 @@ def test_a_model_file_keeps_its_polynomials_and_the_command_takes_it(tmp_path: P
         ({"wall_polynomials": {**dict.fromkeys(NAMES, (1.0,)), "eta1": []}}, "eta1"),
     ],
 )
-def test_settings_that_say_no_wall_are_refused_by_name(data: dict[str, object], said: str) -> None:
-    with pytest.raises(SettingsError, match=said) as refused:
+def test_settings_that_say_no_wall_are_refused_by_name(data: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message) as refused:
         parse(FrictionModelSettings, data, "own.toml")
     assert "own.toml" in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -89,7 +89,7 @@ def made(strain: float, values, file: str = "run.h5", error: float = 0.003) -> R
     units = ("kPa", "kPa", "kPa", "kPa·s", "kPa·s")
     elements = tuple(
         EstimatedQuantity(name, unit, value, error * value, (value * (1 - 2 * error), value * (1 + 2 * error)))
-        for name, unit, value in zip(NAMES, units, (float(one) for one in values), strict=True)
+        for name, unit, value in zip(NAMES, units, (float(value) for value in values), strict=True)
     )
     return RelaxationFit(file, strain, elements)
 
@@ -137,7 +137,7 @@ def test_table_1_by_least_squares_is_the_wall_table1_and_its_lack_of_fit_is_in_t
 
 def test_repeats_are_averaged_first_and_their_scatter_counts() -> None:
     alike = [made(strain, eq14(strain), error=1e-4) for strain in (0.5, 1.0, 1.0, 1.0, 1.0, 1.5, 2.0)]
-    low, high = (made(1.0, [factor * one for one in eq14(1.0)]) for factor in (0.8, 1.2))
+    low, high = (made(1.0, [factor * entry for entry in eq14(1.0)]) for factor in (0.8, 1.2))
     apart = [made(strain, eq14(strain), error=1e-4) for strain in (0.5, 1.5, 2.0)] + [low, high, low, high]
     (agreed, _), (scattered, _) = strain_laws(alike), strain_laws(apart)
     at = np.array([1.0])
@@ -153,7 +153,9 @@ def test_a_laws_interval_covers_the_truth_when_runs_scatter_by_two_per_cent() ->
         fits = []
         for strain in (0.5, 0.8, 1.1, 1.4, 1.7, 2.0):
             stiffer = 1 + 0.02 * random.standard_normal()
-            fits.append(made(strain, [one * stiffer * (1 + 0.003 * random.standard_normal()) for one in eq14(strain)]))
+            fits.append(
+                made(strain, [entry * stiffer * (1 + 0.003 * random.standard_normal()) for entry in eq14(strain)])
+            )
         for law, published in zip(strain_laws(fits)[0], EQ14, strict=True):
             value, error = evaluate_strain_law(law, at)
             inside += np.count_nonzero(np.abs(value - np.polyval(published, at)) < NORMAL_95 * error)
@@ -180,11 +182,11 @@ def test_identified_saved_and_simulated_again_the_same_elements_come_back(tmp_pa
     file.write_text(to_toml(model), encoding="utf-8")
     runs = dragrig.simulate("relaxation", model=file, assignments=[*common, "rig.simulated.seed=11"])
     again = identify_relaxation(select_loaded_runs(runs))
-    for one, other in zip(first.fits, again.fits, strict=True):
-        values = [element.value for element in one.elements]
-        assert [element.value for element in other.elements] == pytest.approx(values, rel=0.02)
-    for one, other in zip(first.laws, again.laws, strict=True):
+    for entry, second in zip(first.fits, again.fits, strict=True):
+        values = [element.value for element in entry.elements]
+        assert [element.value for element in second.elements] == pytest.approx(values, rel=0.02)
+    for entry, second in zip(first.laws, again.laws, strict=True):
         at = np.linspace(0.5, 2.0, 7)
-        assert evaluate_strain_law(other, at)[0] == pytest.approx(evaluate_strain_law(one, at)[0], rel=0.02)
+        assert evaluate_strain_law(second, at)[0] == pytest.approx(evaluate_strain_law(entry, at)[0], rel=0.02)
     words = [text.get_text() for axes in relaxation_fit_figure(first, selection).axes for text in axes.texts]
     assert sum("five suffice" in word for word in words) >= 3

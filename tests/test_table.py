@@ -52,9 +52,9 @@ def test_a_bad_run_is_shown_and_left_out_of_the_mean(campaign: Path) -> None:
     assert bad.mark == "the gut slid off"
     after = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(rows)}
     assert after["drag", 60.0].runs == 1
-    other = next(row for row in rows if row.order == 18)
-    assert after["drag", 60.0].steady_force_mN == other.steady_force_mN
-    assert after["drag", 60.0].standard_error_mN == other.steady_force_error_mN
+    second = next(row for row in rows if row.order == 18)
+    assert after["drag", 60.0].steady_force_mN == second.steady_force_mN
+    assert after["drag", 60.0].standard_error_mN == second.steady_force_error_mN
 
 
 def test_repeats_are_averaged_with_the_larger_error() -> None:

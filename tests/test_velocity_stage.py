@@ -292,7 +292,7 @@ def test_no_speed_is_asked_for_that_ten_volts_do_not_say() -> None:
 
 @given(
     errors=st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=12),
-    travel_mm=st.floats(-60.0, 60.0).filter(lambda one: abs(one) > 0.1),
+    travel_mm=st.floats(-60.0, 60.0).filter(lambda first: abs(first) > 0.1),
     speed_mm_s=st.floats(1.0, 100.0),
     brakes_at=st.integers(0, 12),
 )

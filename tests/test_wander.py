@@ -92,12 +92,12 @@ def test_the_encoders_count_is_what_the_settings_of_the_run_say(settings_toml: s
 
 
 def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
-    fine, coarse = (
+    passed, coarse = (
         choose_runs(dragrig.simulate("drag", assignments=[f"rig.encoder.resolution_um={um}"])) for um in (1.0, 5.0)
     )
-    assert {one.count_mm for one in fine.experiments} == {0.001}
-    assert {one.count_mm for one in coarse.experiments} == {0.005}
-    assert all(one.follows_command for one in coarse.experiments)
+    assert {experiment.count_mm for experiment in passed.experiments} == {0.001}
+    assert {experiment.count_mm for experiment in coarse.experiments} == {0.005}
+    assert all(experiment.follows_command for experiment in coarse.experiments)
 
 
 @given(st.floats(0.0005, 0.003), st.booleans())
@@ -139,15 +139,15 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     stribeck: RunSelection, tmp_path: Path, encoder: str
 ) -> None:
     selection = with_position(stribeck, tmp_path / "other", *ENCODERS[encoder])
-    moved = [one for one in selection.experiments if one.follows_command]
+    moved = [experiment for experiment in selection.experiments if experiment.follows_command]
     assert len(moved) == len(selection.experiments)
-    assert not any(one.has_position_error for one in position_errors(selection.experiments))
+    assert not any(position_error.has_position_error for position_error in position_errors(selection.experiments))
 
 
 @pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
 def test_such_an_encoder_does_not_change_the_verdict(stribeck: RunSelection, tmp_path: Path, encoder: str) -> None:
-    found = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL)
-    assert (found.verdict, found.effects) == (Verdict.EFFECT, ("stribeck",))
+    diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL)
+    assert (diagnosis.verdict, diagnosis.effects) == (Verdict.EFFECT, ("stribeck",))
 
 
 @pytest.mark.parametrize("encoder", ["1 µm", "3 µm", "10 µm counts"])
@@ -155,14 +155,14 @@ def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, e
     """Every wobble that counts as a turn has a contact of its own, which costs time and memory without end."""
     selection = hidden(tmp_path / "lag", 14, "servo_lag")
     before, after = selection.experiments, with_position(selection, tmp_path / "other", *ENCODERS[encoder]).experiments
-    assert any(one.has_position_error for one in position_errors(after))
-    straying = [(one, other) for one, other in zip(before, after, strict=True) if not other.follows_command]
+    assert any(position_error.has_position_error for position_error in position_errors(after))
+    straying = [(entry, second) for entry, second in zip(before, after, strict=True) if not second.follows_command]
     assert len(straying) > len(before) / 2
-    for one, other in straying:
-        assert other.motion.breaks_s.size <= one.motion.breaks_s.size + 4
-        assert other.motion.profile.breaks_s.size <= one.motion.profile.breaks_s.size + 4
-        assert rests_of(other) == pytest.approx(rests_of(one), abs=0.3)
+    for entry, second in straying:
+        assert second.motion.breaks_s.size <= entry.motion.breaks_s.size + 4
+        assert second.motion.profile.breaks_s.size <= entry.motion.profile.breaks_s.size + 4
+        assert rests_of(second) == pytest.approx(rests_of(entry), abs=0.3)
 
 
-def rests_of(one: Experiment) -> float:
-    return float(np.diff(one.motion.breaks_s)[one.motion.signs == 0].sum())
+def rests_of(first: Experiment) -> float:
+    return float(np.diff(first.motion.breaks_s)[first.motion.signs == 0].sum())

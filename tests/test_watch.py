@@ -90,29 +90,34 @@ def test_an_open_prompt_is_shown(seen: Onlooker) -> None:
 def test_a_run_is_shown_while_it_is_recorded(seen: Onlooker) -> None:
     [state] = seen.recorded
     assert (state.doing, state.run, state.backend) == ("recording", 1, "simulated")
-    one = state.recording
-    assert one is not None
-    assert (one.kind, one.order) == ("blank", 0)
-    assert one.phase in {"rest", "accelerate", "steady"}
-    assert 0 < one.time_s < (one.run_s or 0)
-    assert one.samples == pytest.approx(1000 * one.time_s, abs=2)
-    assert one.force_mN == pytest.approx(0.0, abs=20.0)
-    assert 1 < len(one.recent_s) == len(one.recent_mN) < 700
+    recording = state.recording
+    assert recording is not None
+    assert (recording.kind, recording.order) == ("blank", 0)
+    assert recording.phase in {"rest", "accelerate", "steady"}
+    assert 0 < recording.time_s < (recording.run_s or 0)
+    assert recording.samples == pytest.approx(1000 * recording.time_s, abs=2)
+    assert recording.force_mN == pytest.approx(0.0, abs=20.0)
+    assert 1 < len(recording.recent_s) == len(recording.recent_mN) < 700
 
 
 def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
     assert seen.process is not None
-    told, _ = seen.process.communicate()
+    answer, _ = seen.process.communicate()
     assert seen.process.returncode == 0
-    assert told.splitlines()[-1] == "two: run 4 of 4, ended, complete"
+    assert answer.splitlines()[-1] == "two: run 4 of 4, ended, complete"
 
 
 def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
     folder = seen.asked[0].folder
     assert main(["watch", str(folder), "--once", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["doing"], told["status"], told["recording"], told["left_s"]) == ("ended", "complete", None, None)
-    assert [one["kind"] for one in told["finished"]] == ["blank", "return", "blank", "return"]
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["doing"], answer["status"], answer["recording"], answer["left_s"]) == (
+        "ended",
+        "complete",
+        None,
+        None,
+    )
+    assert [row["kind"] for row in answer["finished"]] == ["blank", "return", "blank", "return"]
     assert main(["watch", str(folder)]) == 0
     assert capsys.readouterr().out == "two: run 4 of 4, ended, complete\n"
 
@@ -122,9 +127,9 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
     assert isinstance(state, SessionState)
     (tmp_path / "session-1.toml").touch()
     (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "recording"}).model_dump_json(), "utf-8")
-    found = CampaignWatch(tmp_path).look()
-    assert (found.doing, found.over, found.left_s) == ("died", True, None)
-    assert "dragrig recover" in found.message
+    result = CampaignWatch(tmp_path).look()
+    assert (result.doing, result.over, result.left_s) == ("died", True, None)
+    assert "dragrig recover" in result.message
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"plan": 1', "\x00"])
@@ -145,7 +150,7 @@ def test_a_session_without_a_state_has_not_ended(tmp_path: Path) -> None:
 def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
     """Not a run is being recorded: the other session waits for a person."""
     folder = tmp_path / "runs" / "one"
-    told: list[str] = []
+    answer: list[str] = []
 
     class Second(NullOperator):
         def ask(self, prompt: Prompt) -> Answer:
@@ -155,16 +160,16 @@ def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
             ):
                 with pytest.raises(OutputError) as refused:
                     again()
-                told.append(str(refused.value))
-            told.append(CampaignWatch(folder).look().doing)
+                answer.append(str(refused.value))
+            answer.append(CampaignWatch(folder).look().doing)
             return super().ask(prompt)
 
     plan = tmp_path / "one.toml"
     plan.write_text(PLAN, "utf-8")
     dragrig.run(str(plan), out=folder, person=Second()).session.require()
-    assert len(told) == 3
-    assert all("another session of this campaign is running" in one for one in told[:2])
-    assert told[2] == "asking"
+    assert len(answer) == 3
+    assert all("another session of this campaign is running" in entry for entry in answer[:2])
+    assert answer[2] == "asking"
     assert len(list(folder.glob("session-*.toml"))) == 1
 
 
@@ -173,8 +178,8 @@ def test_sessions_started_at_once_have_separate_folders(tmp_path: Path) -> None:
     setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
     with ThreadPoolExecutor(4) as some:
         made = list(some.map(lambda _: start_campaign(setup, None, SessionOptions(Path(), origin=at), None), range(4)))
-    assert [one.session.status for one in made] == [RunStatus.COMPLETE] * 4
-    names = sorted(one.folder.name for one in made)
+    assert [entry.session.status for entry in made] == [RunStatus.COMPLETE] * 4
+    names = sorted(entry.folder.name for entry in made)
     assert names == ["20260504-093000-blank", *(f"20260504-093000-blank-{nth}" for nth in (2, 3, 4))]
 
 
@@ -205,7 +210,7 @@ def test_a_disconnected_browser_does_no_harm(seen: Onlooker, capfd: pytest.Captu
             gone.sendall(b"GET / HTTP/1.0\r\nHost: 127.0.0.1\r\n\r\n")
             assert gone.recv(10)
             gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        while [one for one in threading.enumerate() if "process_request_thread" in one.name]:
+        while [entry for entry in threading.enumerate() if "process_request_thread" in entry.name]:
             time.sleep(0.01)
     assert capfd.readouterr().err == ""
 
@@ -244,5 +249,5 @@ def test_the_page_shows_the_run_and_its_end(seen: Onlooker, browser: "Browser") 
             server.show(CampaignWatch(seen.asked[0].folder).look())
             expect(page.locator("#state")).to_have_text("Over, complete", timeout=60_000)
             assert page.locator("#runs tbody tr").count() == 4
-            assert heard.said == []
-            assert {one.split("?")[0] for one in heard.asked} == {address, f"{address}state.json"}
+            assert heard.messages == []
+            assert {line.split("?")[0] for line in heard.requests} == {address, f"{address}state.json"}

@@ -90,8 +90,8 @@ def test_a_campaign_is_diagnosed_completely(window: MainWindow, diagnosed: Diagn
 
 def test_every_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:
     results = window.diagnose.results
-    forces = [one for one in diagnosed.traces if one.channel == "force"]
-    assert {one.file for one in forces} == {file.name for file in PRACTICE.glob("*.h5")}
+    forces = [trace for trace in diagnosed.traces if trace.channel == "force"]
+    assert {force.file for force in forces} == {file.name for file in PRACTICE.glob("*.h5")}
     for at, view in enumerate(diagnosed.traces):
         results.runs.setCurrentIndex(at)
         measured, before = (line.drawn.getData()[1] for line in results.above._lines[:2])

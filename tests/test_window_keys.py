@@ -67,10 +67,10 @@ def every_view(window: MainWindow) -> Iterator[str]:
 
 
 def letters(window: MainWindow) -> list[tuple[str, str]]:
-    found = [(one.text(), one) for one in window.findChildren(QAbstractButton)]
+    result = [(button.text(), button) for button in window.findChildren(QAbstractButton)]
     for bar in window.findChildren(QTabBar):
-        found += [(bar.tabText(at), bar) for at in range(bar.count())]
-    keys = ((QKeySequence.mnemonic(text).toString(), text) for text, widget in found if widget.isVisibleTo(window))
+        result += [(bar.tabText(at), bar) for at in range(bar.count())]
+    keys = ((QKeySequence.mnemonic(text).toString(), text) for text, widget in result if widget.isVisibleTo(window))
     return [(key, text) for key, text in keys if key]
 
 
@@ -78,10 +78,10 @@ def test_no_two_controls_share_a_letter(window: MainWindow) -> None:
     window.notices.lost.show()
     clashes = {}
     for view in every_view(window):
-        found = letters(window)
-        assert len(found) > 10
-        twice = {key for key, count in Counter(key for key, _ in found).items() if count > 1}
-        clashes |= {f"{view}: {key}": [text for one, text in found if one == key] for key in sorted(twice)}
+        result = letters(window)
+        assert len(result) > 10
+        twice = {key for key, count in Counter(key for key, _ in result).items() if count > 1}
+        clashes |= {f"{view}: {key}": [text for entry, text in result if entry == key] for key in sorted(twice)}
     window.notices.lost.hide()
     assert clashes == {}
 
@@ -103,8 +103,8 @@ def reached(window: MainWindow, qtbot: QtBot) -> set[QWidget]:
     while (focus := QApplication.focusWidget()) is not None and seen.count(focus) < 2 and len(seen) < 500:
         seen.append(focus)
         qtbot.keyClick(focus, Qt.Key.Key_Tab)
-    assert len(seen) < 500, [type(one).__name__ for one, _ in zip(seen, range(20), strict=False)]
-    assert all(one is not other for one, other in pairwise(seen)), "the focus does not leave a control"
+    assert len(seen) < 500, [type(entry).__name__ for entry, _ in zip(seen, range(20), strict=False)]
+    assert all(entry is not second for entry, second in pairwise(seen)), "the focus does not leave a control"
     return set(seen)
 
 
@@ -116,13 +116,13 @@ def test_tab_reaches_every_control(window: MainWindow, qtbot: QtBot) -> None:
         window.pages.currentWidget().setFocus()
         qtbot.keyClick(window, Qt.Key.Key_Tab)
         seen = reached(window, qtbot)
-        for one in window.findChildren(QWidget):
-            wanted = isinstance(one, CONTROLS) and not isinstance(one, QScrollBar)
-            inside = isinstance(one.parent(), (QAbstractSpinBox, QComboBox, QAbstractItemView, QTabBar))
+        for path in window.findChildren(QWidget):
+            wanted = isinstance(path, CONTROLS) and not isinstance(path, QScrollBar)
+            inside = isinstance(path.parent(), (QAbstractSpinBox, QComboBox, QAbstractItemView, QTabBar))
             # Those have keys of their own on every page: Escape, Ctrl+1 to Ctrl+3.
-            own = one is window.stop_button or one.property("role") == "page"
-            if wanted and not inside and not own and one.isVisibleTo(window) and one.isEnabled() and one not in seen:
-                missed.append(f"{view}: {type(one).__name__} {one.accessibleName() or one.objectName()}")
+            own = path is window.stop_button or path.property("role") == "page"
+            if wanted and not inside and not own and path.isVisibleTo(window) and path.isEnabled() and path not in seen:
+                missed.append(f"{view}: {type(path).__name__} {path.accessibleName() or path.objectName()}")
     assert missed == []
 
 
@@ -143,7 +143,7 @@ def test_keys_zoom_plots_and_move_cursors(window: MainWindow, qtbot: QtBot) -> N
     assert overlay.speed_plot.shown()[0] > low
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_C, alt)
     qtbot.waitUntil(overlay.cursors.isChecked, timeout=WAIT_MS)
-    first, second = (one.time_s for one in overlay._cursors)
+    first, second = (cursor.time_s for cursor in overlay._cursors)
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Right, alt)
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Left, alt | Qt.KeyboardModifier.ShiftModifier)
     assert overlay._cursors[0].time_s > first

@@ -70,9 +70,9 @@ def test_runs_are_overlaid_with_their_settings(page: LookPage, until: Until) -> 
     assert first.label.endswith("drag 5 mm/s")
     assert second.label.endswith("drag 20 mm/s")
     table = page.browser.settings
-    said = {table.item(at, 0).text(): table.item(at, 1).text() for at in range(table.rowCount())}
-    assert said["travel mm"] == "10"
-    assert said["status"] == "complete"
+    text = {table.item(at, 0).text(): table.item(at, 1).text() for at in range(table.rowCount())}
+    assert text["travel mm"] == "10"
+    assert text["status"] == "complete"
 
 
 def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) -> None:
@@ -91,12 +91,12 @@ def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) ->
 
 def test_an_impossible_filter_is_reported(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
-    said: list[str] = []
-    page.complained.connect(said.append)
+    text: list[str] = []
+    page.complained.connect(text.append)
     page.overlay.order.setValue(8)
     page.overlay.window_ms.setValue(1.0)
-    until(lambda: bool(said))
-    assert "too short" in said[0]
+    until(lambda: bool(text))
+    assert "too short" in text[0]
 
 
 def test_cursors_show_values_and_their_difference(page: LookPage, until: Until) -> None:
@@ -140,7 +140,7 @@ def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, fold
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_selected_runs_are_exported_from_the_menu(page: LookPage, until: Until, name: str, tmp_path: Path) -> None:
-    assert f"{name} …" in [one.text() for one in page.menu.actions()]
+    assert f"{name} …" in [action.text() for action in page.menu.actions()]
     choose(page, until, 0, 1)
     assert page.export.isEnabled()
     page.export_to(tmp_path, name)
@@ -213,13 +213,13 @@ def test_a_diagnosis_is_shown_completely(diagnose: DiagnosePage) -> None:
 
 
 def test_a_folder_without_runs_cannot_be_diagnosed(diagnose: DiagnosePage, until: Until, tmp_path: Path) -> None:
-    said: list[str] = []
-    diagnose.complained.connect(said.append)
+    text: list[str] = []
+    diagnose.complained.connect(text.append)
     assert not diagnose.start.isEnabled()
     diagnose.offer(str(tmp_path / "nothing"))
     press(diagnose.start)
-    until(lambda: bool(said))
-    assert "nothing" in said[0]
+    until(lambda: bool(text))
+    assert "nothing" in text[0]
     assert diagnose.start.isEnabled()
 
 
@@ -240,8 +240,8 @@ def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> N
 
     step = PlanStep.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
     contest = ModelPair("stribeck", "adhesion", 2.0, 0.5)
-    found = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
-    diagnose.results.show_diagnosis(completed(replace(STRIBECK, next_experiment=found)))
+    next_experiment = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
+    diagnose.results.show_diagnosis(completed(replace(STRIBECK, next_experiment=next_experiment)))
     assert diagnose.results.next_words.text() == "A slow drag tells them apart."
     handed: list[object] = []
     diagnose.next_experiment.connect(lambda _, form: handed.append(form.plan.steps[0].parameters["speed_mm_s"]))

@@ -192,7 +192,7 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     run = dragrig.load(file)
     assert run.info.checks["lost_samples"] == 0
     assert not [event for event in run.events if event.kind == "gap"]
-    planned = sum(one.duration_s for one in entry.runs)
+    planned = sum(run.duration_s for run in entry.runs)
     assert len(run.trace.time) == pytest.approx(planned * run.trace.sample_rate_hz, abs=2)
 
 
@@ -248,7 +248,7 @@ def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tm
         assert "over the limit of 20 mN" in window.notices.trip_text.text()
         press(window.run.start_queue)
         assert "reset it" in window.notices.complaint_text.text()
-        assert [one.stage for one in window.run.queue.entries] == [QueueState.TRIPPED, QueueState.WAITING]
+        assert [entry.stage for entry in window.run.queue.entries] == [QueueState.TRIPPED, QueueState.WAITING]
         press(window.notices.reset)
         until(lambda: window.guard.text() == "guard: armed")
     finally:
@@ -270,7 +270,7 @@ def test_queued_sessions_can_be_moved_removed_and_run(window: MainWindow, until:
     assert window.run.queue.entries == entries[:2]
     press(window.run.start_queue)
     until(lambda: not window.run.session_running)
-    assert [(one.stage, one.reason) for one in window.run.queue.entries] == [(QueueState.COMPLETE, "")] * 2
+    assert [(entry.stage, entry.reason) for entry in window.run.queue.entries] == [(QueueState.COMPLETE, "")] * 2
     assert window.run.queue.left_s == 0
     looked: list[str] = []
     window.run.look_at.connect(looked.append)
@@ -322,10 +322,10 @@ def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, unti
     press(window.run.new.start)
     assert "the engine has ended" in window.notices.complaint_text.text()
     assert not window.run.session_running
-    assert [one.stage for one in window.run.queue.entries] == [QueueState.WAITING]
+    assert [entry.stage for entry in window.run.queue.entries] == [QueueState.WAITING]
     press(window.notices.restart)
     press(window.run.start_queue)  # before the new one is there
-    assert [one.stage for one in window.run.queue.entries] == [QueueState.WAITING]
+    assert [entry.stage for entry in window.run.queue.entries] == [QueueState.WAITING]
     until(lambda: window.guard.text() == "guard: TRIPPED")
     assert window.engine.pid != pid
     assert not window.notices.lost.isVisible()

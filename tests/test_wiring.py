@@ -30,18 +30,18 @@ def test_wiring_that_cannot_be_is_refused_in_one_sentence(
     change: str, sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", "--rig", "bench", "--backend", "hardware", "--double", "--set", change]) == 2
-    told = capsys.readouterr().err
-    assert sentence in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert sentence in errors
+    assert errors.count("\n") == 1
 
 
 def test_velocity_mode_needs_a_counter_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["rig.hardware.drive.mode='velocity'", f"{CARD}.lines.heartbeat='port1/line4'"]
     changes = [*words, "rig.hardware.drive.velocity.counter='ctr0'"]
-    assert main(["check", "drag", "--rig", "bench", *(word for one in changes for word in ("--set", one))]) == 2
+    assert main(["check", "drag", "--rig", "bench", *(word for change in changes for word in ("--set", change))]) == 2
     assert "must differ" in capsys.readouterr().err
 
 
 def test_a_line_that_is_not_wired_is_empty() -> None:
-    unwired = [f"{CARD}.{one}=''" for one in ("encoder.z", "lines.limit_low", "lines.limit_high", "lines.e_stop")]
-    assert main(["check", "drag", "--rig", "bench", *(word for one in unwired for word in ("--set", one))]) == 0
+    unwired = [f"{CARD}.{entry}=''" for entry in ("encoder.z", "lines.limit_low", "lines.limit_high", "lines.e_stop")]
+    assert main(["check", "drag", "--rig", "bench", *(word for entry in unwired for word in ("--set", entry))]) == 0

@@ -25,7 +25,7 @@ def commands() -> str:
         context = click.Context(command, info_name=path)
         parts += [f"## {path.removeprefix('dragrig ')}", _plain(command.help or "")]
         parts.append(f"```\n{command.get_usage(context).removeprefix('Usage: ')}\n```")
-        rows = [one.get_help_record(context) for one in command.params]
+        rows = [param.get_help_record(context) for param in command.params]
         parts.append(_table(("option", "what it does"), [(f"`{row[0]}`", row[1]) for row in rows if row]))
     return _page(parts)
 
@@ -73,20 +73,22 @@ def settings() -> str:
 
 def _groups(model: type[BaseModel], name: str) -> Iterator[tuple[str, type[BaseModel]]]:
     yield name, model
-    for key, one in model.model_fields.items():
-        if isinstance(one.annotation, type) and issubclass(one.annotation, BaseModel):
-            yield from _groups(one.annotation, f"{name}.{key}".strip("."))
+    for key, model_field in model.model_fields.items():
+        if isinstance(model_field.annotation, type) and issubclass(model_field.annotation, BaseModel):
+            yield from _groups(model_field.annotation, f"{name}.{key}".strip("."))
 
 
 def _fields(model: type[BaseModel]) -> str:
     properties = model.model_json_schema(mode="validation").get("properties", {})
     rows = []
-    for key, one in model.model_fields.items():
-        if isinstance(one.annotation, type) and issubclass(one.annotation, BaseModel):
+    for key, model_field in model.model_fields.items():
+        if isinstance(model_field.annotation, type) and issubclass(model_field.annotation, BaseModel):
             continue
-        required = one.default is PydanticUndefined and one.default_factory is None
-        default = "required" if required else "" if one.default is PydanticUndefined else f"`{one.default!s}`"
-        rows.append((f"`{key}`", _range(properties.get(key, {})), default, one.description or ""))
+        required = model_field.default is PydanticUndefined and model_field.default_factory is None
+        default = (
+            "required" if required else "" if model_field.default is PydanticUndefined else f"`{model_field.default!s}`"
+        )
+        rows.append((f"`{key}`", _range(properties.get(key, {})), default, model_field.description or ""))
     return _table(("key", "values", "unless given", "what it is"), rows)
 
 
