@@ -26,7 +26,9 @@ def fitted(run: Run) -> RelaxationFit:
 
 
 def held(fit: RelaxationFit, truth: Sequence[float]) -> int:
-    return sum(one.interval[0] < true < one.interval[1] for one, true in zip(fit.elements, truth, strict=True))
+    return sum(
+        element.interval[0] < true < element.interval[1] for element, true in zip(fit.elements, truth, strict=True)
+    )
 
 
 def changed(run: Run, channel: str, values: np.ndarray) -> Run:
@@ -38,8 +40,10 @@ def test_table_1_comes_back_within_intervals_that_are_narrow_enough() -> None:
     for seed in range(6):
         for strain, truth in zip(TABLE1_STRAIN, np.transpose(TABLE1), strict=True):
             fit = fitted(relaxation(truth, strain, seed=seed))
-            assert all(one.half_width < (0.05 if one.name.startswith("E") else 0.10) for one in fit.elements)
-            assert [one.name for one in fit.elements] == ["E1", "E2", "E3", "eta1", "eta2"]
+            assert all(
+                element.half_width < (0.05 if element.name.startswith("E") else 0.10) for element in fit.elements
+            )
+            assert [element.name for element in fit.elements] == ["E1", "E2", "E3", "eta1", "eta2"]
             inside += held(fit, truth)
             total += 5
     # 120 intervals of 95 %, five of a run correlated: fewer than 104 held would be no accident.
@@ -53,8 +57,8 @@ def test_a_simulated_campaign_gives_the_elements_it_was_made_of() -> None:
     assert len(relaxation_found.fits) == 4
     for fit in relaxation_found.fits:
         wall = dragrig.sim_backend.friction.wall_parameters("table1", fit.shear_strain)
-        truth = [float(one) for one in (wall.E1, 1.2 * wall.E2, wall.E3, wall.eta1, wall.eta2)]
-        assert np.array([one.value for one in fit.elements]) == pytest.approx(truth, rel=0.012)
+        truth = [float(number) for number in (wall.E1, 1.2 * wall.E2, wall.E3, wall.eta1, wall.eta2)]
+        assert np.array([element.value for element in fit.elements]) == pytest.approx(truth, rel=0.012)
         assert fit.converged
         assert fit.test is not None
         assert fit.correlation is not None
@@ -70,8 +74,8 @@ def test_time_constants_from_milliseconds_to_minutes(
 ) -> None:
     truth = (3.0, 1.2, 1.1, 3.0 * fast_s, 1.2 * slow_s)
     fit = fitted(relaxation(truth, rate_hz=rate_hz, hold_s=hold_s, seed=4))
-    for one, true in zip((*fit.elements, *fit.times), (*truth, fast_s, slow_s), strict=True):
-        assert abs(np.log(one.value / true)) < 3.5 * one.standard_error / one.value, one
+    for quantity, true in zip((*fit.elements, *fit.times), (*truth, fast_s, slow_s), strict=True):
+        assert abs(np.log(quantity.value / true)) < 3.5 * quantity.standard_error / quantity.value, quantity
     assert fit.times[1].half_width < 0.03
 
 
@@ -139,23 +143,23 @@ def test_the_practice_campaign_gives_its_answer() -> None:
     fit = identify_relaxation(select_runs(PRACTICE)).fits[0]
     wall = dragrig.sim_backend.friction.wall_parameters("eq14", fit.shear_strain)
     scales = (0.9294, 1.0284, 0.9517, 0.9675, 0.944)
-    truth = [float(one) for one in (wall.E1, wall.E2, wall.E3, wall.eta1, wall.eta2)]
-    for one, value, scale in zip(fit.elements, truth, scales, strict=True):
+    truth = [float(number) for number in (wall.E1, wall.E2, wall.E3, wall.eta1, wall.eta2)]
+    for element, value, scale in zip(fit.elements, truth, scales, strict=True):
         # 1.1042 is the stiffness and 0.9926 the gain; single runs differ by 2 % in stiffness.
-        assert one.value == pytest.approx(value * scale * 1.1042 * 0.9926, rel=0.07)
-    assert np.ptp([one.value / (v * s) for one, v, s in zip(fit.elements, truth, scales, strict=True)]) < 0.03
+        assert element.value == pytest.approx(value * scale * 1.1042 * 0.9926, rel=0.07)
+    assert np.ptp([element.value / (v * s) for element, v, s in zip(fit.elements, truth, scales, strict=True)]) < 0.03
     assert fit.test.suffices
 
 
 def test_a_ramp_taken_as_measured_keeps_its_corners() -> None:
     run = relaxation()
     # A stage that does not obey to the count, so that what was measured is taken.
-    one = Experiment(replace(run, trace=replace(run.trace, command=run.trace.command + 0.01)))
+    experiment = Experiment(replace(run, trace=replace(run.trace, command=run.trace.command + 0.01)))
     position = np.asarray(run.trace.position)
-    assert not one.follows_command
-    assert one.unsmoothed_motion.position(one.time_s) == pytest.approx(position, abs=0.0016)
-    assert np.abs(one.motion.position(one.time_s) - position).max() > 0.01
-    assert one.unsmoothed_motion.breaks_s.size < 200
+    assert not experiment.follows_command
+    assert experiment.unsmoothed_motion.position(experiment.time_s) == pytest.approx(position, abs=0.0016)
+    assert np.abs(experiment.motion.position(experiment.time_s) - position).max() > 0.01
+    assert experiment.unsmoothed_motion.breaks_s.size < 200
 
 
 def test_gaps_and_lost_samples_are_left_out() -> None:
@@ -164,14 +168,14 @@ def test_gaps_and_lost_samples_are_left_out() -> None:
     force[520:540] = np.nan
     force[3000:3500] = np.nan
     assert held(fitted(changed(run, "force", force)), ELEMENTS) >= 4
-    kept = np.r_[0:700, 900 : run.trace.time.size]
+    remaining = np.r_[0:700, 900 : run.trace.time.size]
     trace = run.trace
     cut = replace(
         trace,
-        time=trace.time[kept],
-        command=trace.command[kept],
-        phase=trace.phase[kept],
-        channels={name: values[kept] for name, values in trace.channels.items()},
+        time=trace.time[remaining],
+        command=trace.command[remaining],
+        phase=trace.phase[remaining],
+        channels={name: values[remaining] for name, values in trace.channels.items()},
     )
     assert held(fitted(replace(run, trace=cut)), ELEMENTS) >= 4
 
@@ -193,7 +197,7 @@ def _without_ramp() -> Run:
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
         (lambda: relaxation((3.0, 1.2, 1.1, 0.06, 360.0)), "hold of 20 s is too short"),
         (lambda: relaxation(hold_s=0.05), "follow the ramp"),
@@ -204,10 +208,10 @@ def _without_ramp() -> Run:
         (_nothing_but_noise, "uncertain"),
     ],
 )
-def test_what_a_run_does_not_support_is_missing_with_the_reason(make, said: str) -> None:
+def test_what_a_run_does_not_support_is_missing_with_the_reason(make, message: str) -> None:
     fit = identify_relaxation(RunSelection("made", (Experiment(make()),))).fits[0]
     assert fit.elements == ()
-    assert said in fit.remark
+    assert message in fit.remark
     assert fit.remark
     assert "\n" not in fit.remark
 
@@ -220,22 +224,22 @@ def test_a_run_without_rest_says_that_its_zero_is_not_shown() -> None:
 
 
 def test_no_relaxation_run_is_said() -> None:
-    found = identify_relaxation(RunSelection("made", ()))
-    assert found.fits == found.laws == ()
-    assert "no relaxation run" in found.remarks[0]
+    result = identify_relaxation(RunSelection("made", ()))
+    assert result.fits == result.laws == ()
+    assert "no relaxation run" in result.remarks[0]
 
 
 def test_the_fit_predicts_the_force_it_was_fitted_to() -> None:
     run = relaxation(seed=5)
-    fit, one = fitted(run), Experiment(run)
-    shown = relaxation_residuals(fit, one, estimate_noise([one], "force"))
-    stray = np.interp(shown.time_s, one.time_s, run.trace.force) - shown.predicted_mN
+    fit, experiment = fitted(run), Experiment(run)
+    shown = relaxation_residuals(fit, experiment, estimate_noise([experiment], "force"))
+    stray = np.interp(shown.time_s, experiment.time_s, run.trace.force) - shown.predicted_mN
     assert np.std(stray) < 1.8
     assert abs(np.mean(stray)) < 0.6
 
 
 def test_too_few_samples_for_the_fast_branch_give_no_elements() -> None:
     runs = dragrig.simulate("relaxation", assignments=["rig.sampling.rate_hz=50", "rig.simulated.seed=9"])
-    found = identify_relaxation(select_loaded_runs(runs))
-    assert len(found.fits) == 4
-    assert all(not fit.elements and "too slow for a fast branch" in fit.remark for fit in found.fits)
+    result = identify_relaxation(select_loaded_runs(runs))
+    assert len(result.fits) == 4
+    assert all(not fit.elements and "too slow for a fast branch" in fit.remark for fit in result.fits)
